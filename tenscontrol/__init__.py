@@ -1,0 +1,99 @@
+"""Control-oriented modelling of tensegrity structures.
+
+Each name is imported when it is first used, so that ``import tenscontrol``
+loads neither scipy, control, osqp nor matplotlib.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from tenscontrol._version import __version__
+
+if TYPE_CHECKING:
+    from tenscontrol.actuation import (
+        RestLengths,
+        WinchMove,
+        Winches,
+        to_force_density,
+        to_rest_length,
+    )
+    from tenscontrol.analysis import (
+        Controllability,
+        LinearPlant,
+        Modes,
+        OperatingPoint,
+        controllability,
+        in_coordinates,
+        linearize,
+        modes,
+    )
+    from tenscontrol.dynamics import (
+        Coordinates,
+        ElasticStrings,
+        LinearStrings,
+        Model,
+        StringLaw,
+        coordinates,
+    )
+    from tenscontrol.integrate import IntegrationError
+    from tenscontrol.simulation import ControlRecord, SimulationError, Trajectory, simulate
+    from tenscontrol.statics import (
+        Prestress,
+        Stability,
+        equilibrium_matrix,
+        prestress,
+        prism_force_density,
+        stress_matrix,
+    )
+    from tenscontrol.structure import Structure, prism, prism_radius, restore_bar_lengths
+
+_HOME = {
+    "actuation": ["RestLengths", "WinchMove", "Winches", "to_force_density", "to_rest_length"],
+    "analysis": [
+        "Controllability",
+        "LinearPlant",
+        "Modes",
+        "OperatingPoint",
+        "controllability",
+        "in_coordinates",
+        "linearize",
+        "modes",
+    ],
+    "dynamics": [
+        "Coordinates",
+        "ElasticStrings",
+        "LinearStrings",
+        "Model",
+        "StringLaw",
+        "coordinates",
+    ],
+    "integrate": ["IntegrationError"],
+    "simulation": ["ControlRecord", "SimulationError", "Trajectory", "simulate"],
+    "structure": ["Structure", "prism", "prism_radius", "restore_bar_lengths"],
+    "statics": [
+        "Prestress",
+        "Stability",
+        "equilibrium_matrix",
+        "prestress",
+        "prism_force_density",
+        "stress_matrix",
+    ],
+}
+_FOLDER = {name: folder for folder, names in _HOME.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _FOLDER:
+        return getattr(importlib.import_module(f"tenscontrol.{_FOLDER[name]}"), name)
+    if name in _HOME or name == "plot":
+        return importlib.import_module(f"tenscontrol.{name}")
+    raise AttributeError(f"module 'tenscontrol' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, *_HOME, "plot"])
+
+
+__all__ = ["__version__", *sorted(_FOLDER)]  # noqa: PLE0604

@@ -1,0 +1,99 @@
+"""From force density to rest length at a shape, and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tenscontrol.dynamics import Model, StringLaw
+from tenscontrol.validation import FloatArray, IntArray, frozen, instance
+
+
+@dataclass(frozen=True, eq=False)
+class RestLengths:
+    """Rest lengths that give wanted force densities. Made by :func:`to_rest_length`.
+
+    Attributes
+    ----------
+    rest_length : ndarray, shape (α,)
+        m. Just the current length where γ = 0 is wanted.
+    slack : ndarray of int
+        Strings with γ = 0: any longer rest length would do as well.
+    """
+
+    rest_length: FloatArray
+    slack: IntArray
+
+
+def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLengths:
+    """Return the rest lengths at which the strings have these force densities in this shape.
+
+    Parameters
+    ----------
+    model : Model
+        With a string law.
+    nodes : array_like, shape (3, n)
+        Current node positions, m.
+    force_density : float or array_like, shape (α,)
+        Wanted γ, N/m, at least 0.
+
+    Returns
+    -------
+    RestLengths
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the model has no string law, an argument does not fit, or a string
+        is too soft for its γ.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
+    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> found = tc.to_rest_length(model, prism.nodes, rest.force_density)
+    >>> found.rest_length[[0, 6]].round(4), found.slack
+    (array([0.716 , 0.7231]), array([], dtype=int64))
+    >>> tc.to_force_density(model, prism.nodes, found.rest_length)[[0, 6]].round(4)
+    array([17.3205, 30.    ])
+    """
+    law = _law(model)
+    length = model.structure.string_length(nodes)
+    rest_length = law.rest_length(length, force_density)
+    return RestLengths(frozen(rest_length), frozen((rest_length == length).nonzero()[0]))
+
+
+def to_force_density(model: Model, nodes: object, rest_length: object) -> FloatArray:
+    """Return the force densities of strings with these rest lengths in this shape, at rest.
+
+    Parameters
+    ----------
+    model : Model
+        With a string law.
+    nodes : array_like, shape (3, n)
+        Current node positions, m.
+    rest_length : float or array_like, shape (α,)
+        m, positive.
+
+    Returns
+    -------
+    ndarray, shape (α,)
+        γ, N/m; 0 for a slack string.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the model has no string law or an argument does not fit.
+    """
+    return _law(model).force_density(model.structure.string_length(nodes), rest_length)
+
+
+def _law(model: Model) -> StringLaw:
+    instance("model", model, Model, "make one by Model(structure, strings=...)")
+    if model.strings is None:
+        raise ValueError(
+            "the model has no string law, so rest lengths mean nothing to it; "
+            "build it as Model(structure, strings=LinearStrings(stiffness=...))"
+        )
+    return model.strings

@@ -1,0 +1,137 @@
+"""Winches: what they can do to a rest length within a sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    float_array,
+    frozen,
+    positive,
+    positive_number,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class WinchMove:
+    """What winches made of a command. Made by :meth:`Winches.move`.
+
+    Attributes
+    ----------
+    rest_length : ndarray, shape (α,)
+        Rest lengths reached, m.
+    rate_limited : ndarray of int
+        Strings whose winch was too slow for the command.
+    range_limited : ndarray of int
+        Strings commanded beyond the shortest or longest rest length.
+    """
+
+    rest_length: FloatArray
+    rate_limited: IntArray
+    range_limited: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Winches:
+    """Limits of the winches that set the rest lengths.
+
+    Parameters
+    ----------
+    rate : float or array_like, shape (α,), optional
+        Largest speed of winding, m/s; unlimited if not given.
+    shortest, longest : float or array_like, shape (α,), optional
+        Range of the rest length, m; any positive length if not given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a limit is not a positive finite number, or ``shortest`` exceeds ``longest``.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> winches = tc.Winches(rate=0.5, shortest=0.2)
+    >>> move = winches.move(current=[0.8, 0.8], wanted=[0.79, 0.70], step=0.02)
+    >>> move.rest_length, move.rate_limited
+    (array([0.79, 0.79]), array([1]))
+    """
+
+    rate: FloatArray | None = None
+    shortest: FloatArray | None = None
+    longest: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        for name, unit in (
+            ("rate", "speed in m/s"),
+            ("shortest", "length in m"),
+            ("longest", "length in m"),
+        ):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            array = float_array(name, value)
+            if array.ndim > 1:
+                raise ValueError(
+                    f"{name} has shape {array.shape}, expected one number, or one per string"
+                )
+            positive(name, np.atleast_1d(array), unit)
+            object.__setattr__(self, name, frozen(array))
+        if self.shortest is not None and self.longest is not None:
+            try:
+                crossed = np.any(self.shortest > self.longest)
+            except ValueError:
+                raise ValueError(
+                    f"shortest has shape {np.shape(self.shortest)} and longest "
+                    f"{np.shape(self.longest)}; expected one number, or one per string, in both"
+                ) from None
+            if crossed:
+                raise ValueError(f"shortest {self.shortest} m exceeds longest {self.longest} m")
+
+    def move(self, current: object, wanted: object, step: float) -> WinchMove:
+        """Return the rest lengths reached from ``current`` towards ``wanted`` in one sample.
+
+        Parameters
+        ----------
+        current, wanted : array_like, shape (α,)
+            Rest lengths, m.
+        step : float
+            Sample time, s.
+
+        Returns
+        -------
+        WinchMove
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is not finite or does not fit.
+        """
+        start = float_array("current", current)
+        goal = float_array("wanted", wanted)
+        step = positive_number("step", step, "s")
+        if start.ndim != 1 or goal.shape != start.shape:
+            raise ValueError(
+                f"current has shape {start.shape} and wanted {goal.shape}, expected (α,) twice: "
+                "one rest length per string"
+            )
+        for name in ("rate", "shortest", "longest"):
+            value = getattr(self, name)
+            if value is not None and value.shape not in ((), start.shape):
+                raise ValueError(
+                    f"{name} has shape {value.shape}, expected () or {start.shape}: "
+                    "one number, or one per string"
+                )
+        low = -np.inf if self.shortest is None else self.shortest
+        high = np.inf if self.longest is None else self.longest
+        within = np.clip(goal, low, high)
+        reach = np.inf if self.rate is None else self.rate * step
+        reached = np.clip(within, start - reach, start + reach)
+        return WinchMove(
+            frozen(reached),
+            frozen(np.flatnonzero(reached != within)),
+            frozen(np.flatnonzero(within != goal)),
+        )

@@ -1,0 +1,19 @@
+"""Linear plants: linearization, modes, controllability."""
+
+from tenscontrol.analysis.controllability import Controllability, controllability, lost_poles
+from tenscontrol.analysis.linearize import OperatingPoint, in_coordinates, linearize
+from tenscontrol.analysis.modes import Modes, modes
+from tenscontrol.analysis.plant import INPUTS, LinearPlant
+
+__all__ = [
+    "INPUTS",
+    "Controllability",
+    "LinearPlant",
+    "Modes",
+    "OperatingPoint",
+    "controllability",
+    "in_coordinates",
+    "linearize",
+    "lost_poles",
+    "modes",
+]

@@ -1,0 +1,256 @@
+"""Linearization of the model about a shape at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.analysis.plant import INPUTS, LinearPlant
+from tenscontrol.dynamics import Model, pack_state
+from tenscontrol.dynamics import coordinates as frame_of
+from tenscontrol.statics import Prestress
+from tenscontrol.structure import Structure, refuse_wrong_bar_lengths
+from tenscontrol.validation import FloatArray, choice, frozen, instance, non_negative, shaped
+
+# Unbalanced force relative to the largest string force: far above round-off,
+# far below a force density that is off by any amount one would care about.
+_EQUILIBRIUM_TOLERANCE = 1e-8
+
+# Asking for the linear model of a string this close to slack is asking for a kink.
+_SLACK_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class OperatingPoint:
+    """A shape at zero velocity with force densities, in balance or not.
+
+    Parameters
+    ----------
+    nodes : array_like, shape (3, n)
+        Node positions, m, with the bar lengths of the structure.
+    force_density : array_like, shape (α,)
+        γ, N/m, at least 0.
+    external_force : array_like, shape (3, n), optional
+        W, N.
+    """
+
+    nodes: FloatArray
+    force_density: FloatArray
+    external_force: FloatArray | None = None
+
+
+def linearize(
+    model: Model,
+    at: Prestress | OperatingPoint,
+    input: str = "force_density",  # noqa: A002 - the word users know
+    coordinates: str = "internal",
+    require_equilibrium: bool = True,
+) -> LinearPlant:
+    """Return the linear plant about a shape at rest, with exact derivatives.
+
+    Parameters
+    ----------
+    model : Model
+    at : Prestress or OperatingPoint
+        The shape and its force densities.
+    input : {"force_density", "rest_length"}
+        What an actuator holds: a force-controlled cable holds γ, a winch holds
+        the rest length. They are different plants.
+    coordinates : {"internal", "minimal", "nodes"}
+        See :func:`coordinates`.
+    require_equilibrium : bool
+        Whether to refuse a shape whose forces do not balance. If not, the
+        plant carries the acceleration there as ``drift``.
+
+    Returns
+    -------
+    LinearPlant
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, the shape is not
+        an equilibrium (the message says by how much), the model lacks a string
+        law or a load input that is needed, or with ``input="rest_length"`` a
+        string is at the border of slack, where no derivative exists.
+
+    Notes
+    -----
+    In coordinates with ``Tᵀ M T = I``: ``q̈ = Tᵀ M (∂N̈/∂N T q + ∂N̈/∂Ṅ T q̇ +
+    ∂N̈/∂u v)``. The tangent space of the bar constraints is invariant under A,
+    so that nothing is lost by the reduction; ``invariance_residual`` says so.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant
+    LinearPlant(9 internal coordinates, input force_density, 9 inputs)
+    >>> plant.A.shape, plant.B.shape
+    ((18, 18), (18, 9))
+    """
+    instance("model", model, Model, "make one by Model(structure)")
+    choice("input", input, INPUTS)
+    nodes, gamma, load = _checked_point(model, at)
+    if load.any() and not model.has_external_force:
+        raise ValueError(
+            "the operating point carries a load, but the model has none; "
+            "build it as Model(structure, external_force=True)"
+        )
+    rest_length = None
+    if model.strings is not None:
+        rest_length = model.strings.rest_length(_string_length(model, nodes), gamma)
+    elif input == "rest_length":
+        raise ValueError(
+            "the model has no string law, so the rest length is no input; "
+            "build it as Model(structure, strings=LinearStrings(stiffness=...))"
+        )
+    if require_equilibrium:
+        _refuse_unbalanced(model, nodes, gamma, load)
+    if input == "rest_length":
+        _refuse_kink(gamma)
+    held = gamma if input == "force_density" else rest_length
+    xdot, A_x, B_x = _derivatives(model, input, nodes, held, load)
+    return _reduced(model, input, nodes, coordinates, (xdot, A_x, B_x), gamma, rest_length, load)
+
+
+def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
+    """Return the plant of the same operating point and input in other coordinates.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    kind : {"internal", "minimal", "nodes"}
+
+    Returns
+    -------
+    LinearPlant
+    """
+    at = OperatingPoint(plant.nodes, plant.force_density, plant.external_force)
+    return linearize(plant.model, at, plant.input, kind, require_equilibrium=False)
+
+
+def _reduced(
+    model: Model,
+    input: str,  # noqa: A002
+    nodes: FloatArray,
+    kind: str,
+    derivatives: tuple[FloatArray, FloatArray, FloatArray],
+    gamma: FloatArray,
+    rest_length: FloatArray | None,
+    load: FloatArray,
+) -> LinearPlant:
+    xdot, A_x, B_x = derivatives
+    frame = frame_of(model, nodes, kind)
+    T, P = frame.basis, frame.project(np.eye(nodes.size))
+    half, r = nodes.size, frame.count
+    A = np.zeros((2 * r, 2 * r))
+    A[:r, r:] = np.eye(r)
+    by_shape, by_speed = A_x[half:, :half] @ T, A_x[half:, half:] @ T
+    A[r:, :r], A[r:, r:] = P @ by_shape, P @ by_speed
+    outside = max(
+        float(np.linalg.norm(T @ (P @ part) - part)) / max(float(np.linalg.norm(part)), 1e-300)
+        for part in (by_shape, by_speed)
+    )
+    return LinearPlant(
+        model=model,
+        coordinates=frame,
+        input=input,
+        A=frozen(A),
+        B=frozen(np.vstack([np.zeros((r, B_x.shape[1])), P @ B_x[half:]])),
+        drift=frozen(np.concatenate([np.zeros(r), P @ xdot[half:]])),
+        force_density=frozen(gamma),
+        rest_length=None if rest_length is None else frozen(rest_length),
+        external_force=frozen(load),
+        invariance_residual=outside,
+    )
+
+
+def _derivatives(
+    model: Model,
+    held: str,
+    nodes: FloatArray,
+    value: FloatArray | None,
+    load: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return ẋ, ∂ẋ/∂x and ∂ẋ/∂u by algorithmic differentiation of the model."""
+    equation = model.state_equation(held)
+    x, u = ca.SX.sym("x", equation.size1_in(0)), ca.SX.sym("u", equation.size1_in(1))
+    loads = [ca.DM(load)] if model.has_external_force else []
+    xdot = equation(x, u, *loads)
+    function = ca.Function(
+        "derivatives", [x, u], [xdot, ca.jacobian(xdot, x), ca.jacobian(xdot, u)]
+    )
+    values = function(pack_state(nodes, np.zeros_like(nodes)), value)
+    drift, A, B = (np.array(part.full()) for part in values)
+    return drift.ravel(), A, B
+
+
+def _checked_point(
+    model: Model, at: Prestress | OperatingPoint
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return nodes, γ and load, checked against the structure of the model."""
+    structure = model.structure
+    if isinstance(at, Prestress):
+        _refuse_other_structure(structure, at.structure)
+        nodes: object = at.structure.nodes
+    elif isinstance(at, OperatingPoint):
+        nodes = at.nodes
+    else:
+        raise TypeError(
+            f"at is a {type(at).__name__}, expected the result of prestress(...), "
+            "or an OperatingPoint(nodes, force_density)"
+        )
+    N = structure.checked_nodes("at.nodes", nodes)
+    refuse_wrong_bar_lengths("at.nodes", structure, N)
+    count = len(structure.strings)
+    gamma = shaped("at.force_density", at.force_density, (count,), "one per string")
+    non_negative("at.force_density", gamma, "a string can only pull")
+    load = np.zeros(N.shape)
+    if at.external_force is not None:
+        load = shaped("at.external_force", at.external_force, N.shape, "one force per node")
+    return N, gamma, load
+
+
+def _refuse_other_structure(ours: Structure, theirs: Structure) -> None:
+    for what in ("bars", "strings", "bar_mass", "string_node_mass"):
+        if not np.array_equal(getattr(ours, what), getattr(theirs, what)):
+            raise ValueError(
+                f"the prestress and the model differ in their {what}; "
+                "compute the prestress of the structure that the model was built for"
+            )
+
+
+def _string_length(model: Model, nodes: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(model.structure.string_vectors(nodes), axis=0))
+
+
+def _refuse_unbalanced(
+    model: Model, nodes: FloatArray, gamma: FloatArray, load: FloatArray
+) -> None:
+    loads = [load] if model.has_external_force else []
+    acceleration = np.array(model.acceleration(nodes, np.zeros_like(nodes), gamma, *loads))
+    unbalanced = np.linalg.norm(acceleration @ model.mass_matrix().toarray(), axis=0)
+    strings = np.linalg.norm(model.structure.string_vectors(nodes), axis=0)
+    scale = max(float((gamma * strings).max(initial=0.0)), float(np.abs(load).max()))
+    if unbalanced.max() > _EQUILIBRIUM_TOLERANCE * scale:
+        node = int(unbalanced.argmax())
+        raise ValueError(
+            f"not an equilibrium: node {node} is left with an unbalanced force of "
+            f"{unbalanced[node]:.3g} N, expected less than "
+            f"{_EQUILIBRIUM_TOLERANCE * scale:.1e} N. Start from prestress(...), or pass "
+            "require_equilibrium=False to get a plant that drifts"
+        )
+
+
+def _refuse_kink(gamma: FloatArray) -> None:
+    slack = np.flatnonzero(gamma <= _SLACK_TOLERANCE * gamma.max(initial=0.0))
+    if len(slack):
+        raise ValueError(
+            f"string {slack[0]} has γ = {gamma[slack[0]]:g} N/m, at the border between taut and "
+            "slack, where its force has no derivative by the rest length. Give it some "
+            "prestress, or use input='force_density'"
+        )

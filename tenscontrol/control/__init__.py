@@ -1,0 +1,1 @@
+"""Controllers and what they are made of."""

@@ -1,0 +1,25 @@
+"""The equations of motion as CasADi functions."""
+
+from tenscontrol.dynamics.coordinates import (
+    Coordinates,
+    affine_motions,
+    coordinates,
+    rigid_motions,
+)
+from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.dynamics.model import Model, pack_state, unpack_states
+from tenscontrol.dynamics.strings import ElasticStrings, LinearStrings, StringLaw
+
+__all__ = [
+    "Coordinates",
+    "ElasticStrings",
+    "Evaluator",
+    "LinearStrings",
+    "Model",
+    "StringLaw",
+    "affine_motions",
+    "coordinates",
+    "pack_state",
+    "rigid_motions",
+    "unpack_states",
+]

@@ -1,0 +1,284 @@
+"""Coordinates for control: nodes, minimal, internal.
+
+All three are linear in the node positions around a reference shape. In the
+reduced ones the mass matrix is the identity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tenscontrol.dynamics.model import Model
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, choice, frozen, shaped
+
+# Directions whose singular value is below this fraction of the largest do not exist.
+_RANK_TOLERANCE = 1e-9
+
+KINDS = ("nodes", "minimal", "internal")
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """A basis of node displacements around a reference shape, and the maps both ways.
+
+    Made by :func:`coordinates`.
+
+    Attributes
+    ----------
+    structure : Structure
+    kind : str
+        ``"nodes"``, ``"minimal"`` or ``"internal"``.
+    nodes : ndarray, shape (3, n)
+        Reference shape, m.
+    basis : ndarray, shape (3n, r)
+        T: a displacement is ``vec(δN) = T q``. In reduced coordinates
+        ``Tᵀ M T = I``, so that q has the unit m √kg.
+    """
+
+    structure: Structure
+    kind: str
+    nodes: FloatArray
+    basis: FloatArray
+    _projection: FloatArray  # (r, 3n): q = projection @ vec(δN)
+    _mass: FloatArray  # (n, n): M_s
+
+    @property
+    def count(self) -> int:
+        """Number r of coordinates."""
+        return int(self.basis.shape[1])
+
+    def project(self, displacements: FloatArray) -> FloatArray:
+        """Return q of node displacements, one a column, shape (3n, k): ``q = Tᵀ M vec(δN)``."""
+        return np.asarray(self._projection @ displacements)
+
+    def measure(self, nodes: object, velocities: object) -> FloatArray:
+        """Return the reduced state ``z = [q; q̇]`` of a motion.
+
+        In internal coordinates the shape is first laid over the reference as
+        well as a rigid motion can, so that a structure that has travelled or
+        turned is measured as one that has not.
+
+        Parameters
+        ----------
+        nodes : array_like, shape (3, n)
+            Node positions, m.
+        velocities : array_like, shape (3, n)
+            Node velocities, m/s.
+
+        Returns
+        -------
+        ndarray, shape (2r,)
+
+        Raises
+        ------
+        ValueError
+            If an argument does not fit or is not finite.
+        """
+        N = self.structure.checked_nodes("nodes", nodes)
+        V = self.structure.checked_nodes("velocities", velocities)
+        if self.kind == "internal":
+            turn, centre = self._alignment(N)
+            N = turn @ (N - centre) + self._reference_centre
+            V = turn @ V
+        q = self.project((N - self.nodes).ravel(order="F"))
+        return np.concatenate([q, self.project(V.ravel(order="F"))])
+
+    def to_nodes(self, q: object) -> FloatArray:
+        """Return node positions with exact bar lengths whose coordinates are q.
+
+        Across the bar, a bar vector moves as the basis says; along it, so that
+        its length stays. So ``measure(to_nodes(q), ...)`` gives q again. In
+        ``"nodes"`` coordinates the displacement is added as it is.
+
+        Parameters
+        ----------
+        q : array_like, shape (r,)
+
+        Returns
+        -------
+        ndarray, shape (3, n)
+            m.
+
+        Raises
+        ------
+        ValueError
+            If q does not fit, or turns a bar by a right angle or more.
+        """
+        q = shaped("q", q, (self.count,), f"one per {self.kind} coordinate")
+        nodes = self.nodes + (self.basis @ q).reshape(3, -1, order="F")
+        if self.kind == "nodes":
+            return nodes
+        bars, length = self.structure.bars, self.structure.bar_length
+        vectors = self.structure.bar_vectors(nodes)
+        along = (vectors * self._axes).sum(axis=0)
+        across = vectors - along * self._axes
+        room = length**2 - (across**2).sum(axis=0)
+        if room.size and room.min() <= 0:
+            raise ValueError(
+                f"q turns bar {int(room.argmin())} by a right angle or more from the reference "
+                "shape; these coordinates do not reach so far"
+            )
+        half_change = 0.5 * (np.sqrt(room) - along) * self._axes
+        nodes[:, bars[:, 0]] -= half_change
+        nodes[:, bars[:, 1]] += half_change
+        return nodes
+
+    def to_velocities(self, q: object, rates: object) -> FloatArray:
+        """Return node velocities with rates q̇ that keep the bar lengths in the shape of q.
+
+        Parameters
+        ----------
+        q, rates : array_like, shape (r,)
+
+        Returns
+        -------
+        ndarray, shape (3, n)
+            m/s.
+
+        Raises
+        ------
+        ValueError
+            As :meth:`to_nodes`.
+        """
+        rates = shaped("rates", rates, (self.count,), f"one per {self.kind} coordinate")
+        velocities = (self.basis @ rates).reshape(3, -1, order="F")
+        if self.kind == "nodes":
+            return velocities
+        bars = self.structure.bars
+        vectors = self.structure.bar_vectors(self.to_nodes(q))
+        change = self.structure.bar_vectors(velocities)
+        along = (vectors * self._axes).sum(axis=0)
+        half_change = -0.5 * (vectors * change).sum(axis=0) / along * self._axes
+        velocities[:, bars[:, 0]] -= half_change
+        velocities[:, bars[:, 1]] += half_change
+        return velocities
+
+    @cached_property
+    def _axes(self) -> FloatArray:
+        vectors = self.structure.bar_vectors(self.nodes)
+        return np.asarray(vectors / np.linalg.norm(vectors, axis=0))
+
+    @cached_property
+    def _reference_centre(self) -> FloatArray:
+        return self._centre(self.nodes)
+
+    def _centre(self, nodes: FloatArray) -> FloatArray:
+        weights = self._mass.sum(axis=1)
+        return np.asarray(nodes @ weights / weights.sum())[:, None]
+
+    def _alignment(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the turn and the centre of mass that lay the shape over the reference.
+
+        The rotation nearest in the metric of the kinetic energy (Kabsch 1976,
+        doi:10.1107/S0567739476001873): at the optimum the displacement has no
+        part along a rigid motion.
+        """
+        centre = self._centre(nodes)
+        spread = (self.nodes - self._reference_centre) @ self._mass @ (nodes - centre).T
+        U, _, Vt = np.linalg.svd(spread)
+        U[:, 2] *= np.linalg.det(U @ Vt)
+        return U @ Vt, centre
+
+
+def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> Coordinates:
+    """Return coordinates of a structure around a reference shape.
+
+    Parameters
+    ----------
+    model : Model
+    nodes : array_like, shape (3, n), optional
+        Reference shape, m; that of the structure if not given.
+    kind : {"internal", "minimal", "nodes"}
+        ``"nodes"``: 3n coordinates, the node positions themselves.
+        ``"minimal"``: 5 a bar and 3 a string node, without bar-length changes.
+        ``"internal"``: minimal less rigid-body motion.
+
+    Returns
+    -------
+    Coordinates
+
+    Raises
+    ------
+    ValueError
+        If ``nodes`` does not fit or ``kind`` is another word.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> model = tc.Model(tc.prism())
+    >>> [tc.coordinates(model, kind=kind).count for kind in ("nodes", "minimal", "internal")]
+    [18, 15, 9]
+    """
+    structure = model.structure
+    N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
+    choice("coordinates", kind, KINDS)
+    mass = model.mass_matrix()
+    if kind == "nodes":
+        basis = projection = np.eye(N.size)
+    else:
+        basis = bar_basis(structure, N)
+        projection = _momenta(mass, basis).T
+        if kind == "internal":
+            rigid = projection @ rigid_motions(N)
+            inside = _complement(rigid)
+            basis, projection = basis @ inside, inside.T @ projection
+    return Coordinates(
+        structure, kind, frozen(N), frozen(basis), frozen(projection), frozen(mass.toarray())
+    )
+
+
+def bar_basis(structure: Structure, nodes: FloatArray) -> FloatArray:
+    """Return the mass-orthonormal basis of motions that keep bar lengths, shape (3n, 5β + 3σ).
+
+    In closed form, bar by bar: three translations ``e/√m``, two rotations in
+    which the ends move by ``∓ t √(3/m)`` across the bar; three translations
+    ``e/√m_s`` for a string node.
+    """
+    n = nodes.shape[1]
+    bars, points = structure.bars, structure.string_nodes
+    basis = np.zeros((n, 3, 5 * len(bars) + 3 * len(points)))
+    vectors = structure.bar_vectors(nodes)
+    for i, (start, end) in enumerate(bars):
+        mass = structure.bar_mass[i]
+        across = np.linalg.svd(vectors[:, i][None, :])[2][1:].T * np.sqrt(3 / mass)
+        shift = np.eye(3) / np.sqrt(mass)
+        basis[start, :, 5 * i : 5 * i + 5] = np.hstack([shift, -across])
+        basis[end, :, 5 * i : 5 * i + 5] = np.hstack([shift, across])
+    offset = 5 * len(bars)
+    for i, point in enumerate(points):
+        columns = slice(offset + 3 * i, offset + 3 * i + 3)
+        basis[point, :, columns] = np.eye(3) / np.sqrt(structure.string_node_mass[i])
+    return basis.reshape(3 * n, -1)
+
+
+def rigid_motions(nodes: FloatArray) -> FloatArray:
+    """Return the displacement fields of 3 translations and 3 rotations, shape (3n, 6)."""
+    centred = nodes - nodes.mean(axis=1, keepdims=True)
+    turns = [np.cross(axis, centred.T).ravel() for axis in np.eye(3)]
+    shifts = [np.tile(axis, nodes.shape[1]) for axis in np.eye(3)]
+    return np.column_stack([*shifts, *turns])
+
+
+def affine_motions(nodes: FloatArray) -> FloatArray:
+    """Return the displacement fields δn = G n + c, shape (3n, 12)."""
+    centred = nodes - nodes.mean(axis=1, keepdims=True)
+    shifts = [np.tile(axis, nodes.shape[1]) for axis in np.eye(3)]
+    fields = [np.outer(centred[j], axis).ravel() for axis in np.eye(3) for j in range(3)]
+    return np.column_stack([*shifts, *fields])
+
+
+def _momenta(mass: object, basis: FloatArray) -> FloatArray:
+    """Return M T: the mass matrix acts alike on x, y and z."""
+    n = basis.shape[0] // 3
+    return np.asarray(mass @ basis.reshape(n, -1)).reshape(basis.shape)  # type: ignore[operator]
+
+
+def _complement(vectors: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of what is orthogonal to the columns."""
+    U, sizes, _ = np.linalg.svd(vectors)
+    rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
+    return np.asarray(U[:, rank:])

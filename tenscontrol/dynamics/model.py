@@ -1,0 +1,304 @@
+"""The model: Goyal & Skelton's N̈ M_s + N K_s = W as CasADi functions."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.strings import StringLaw
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, instance
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+class Model:
+    """The dynamics of a structure, with the force densities γ as the input.
+
+    The functions are built for the scene: what is absent takes no input and no
+    instruction. The state is ``x = [vec(N); vec(Ṅ)]``, node by node:
+    x1 y1 z1 x2 …, then the velocities.
+
+    Parameters
+    ----------
+    structure : Structure
+    strings : StringLaw, optional
+        :class:`LinearStrings` or :class:`ElasticStrings`. Needed only where
+        the rest length is an input.
+    external_force : bool
+        Whether the functions take a load W, shape (3, n), N, as a further input.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind, or the parameters of the string
+        law do not fit the number of strings.
+
+    Notes
+    -----
+    Goyal & Skelton, *Dynamics of Class 1 Tensegrity Systems Including Cable
+    Mass*, eqs. (2), (7)–(9). N̈ is affine in γ at any state.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism)
+    >>> model.acceleration
+    Function(acceleration:(N[3x6],Nd[3x6],gamma[9])->(Ndd[3x6]) SXFunction)
+    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> Ndd = model.acceleration(prism.nodes, np.zeros((3, 6)), rest.force_density)
+    >>> bool(abs(np.array(Ndd)).max() < 1e-12)
+    True
+    """
+
+    def __init__(
+        self,
+        structure: Structure,
+        strings: StringLaw | None = None,
+        external_force: bool = False,
+    ) -> None:
+        instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+        if strings is not None:
+            instance("strings", strings, StringLaw, "use LinearStrings(stiffness=...)")
+            strings = strings.for_count(len(structure.strings))
+        if not isinstance(external_force, bool):
+            raise TypeError(
+                f"external_force is a {type(external_force).__name__}, expected True or False: "
+                "whether the functions take a load W"
+            )
+        self._structure = structure
+        self._strings = strings
+        self._external_force = external_force
+
+    @property
+    def structure(self) -> Structure:
+        """The structure that the model was built for."""
+        return self._structure
+
+    @property
+    def strings(self) -> StringLaw | None:
+        """The string law, or None."""
+        return self._strings
+
+    @property
+    def has_external_force(self) -> bool:
+        """Whether the functions take a load W."""
+        return self._external_force
+
+    def __repr__(self) -> str:
+        law = "" if self._strings is None else f", {type(self._strings).__name__}"
+        return f"Model({self._structure!r}{law})"
+
+    # ---- functions of positions, velocities and γ ----
+
+    @cached_property
+    def acceleration(self) -> ca.Function:
+        """``(N, Nd, gamma[, W]) -> Ndd``: node accelerations, shape (3, n), m/s²."""
+        s = self._symbols()
+        inputs, names = self._inputs(s, "N", "Nd", "gamma")
+        return ca.Function("acceleration", inputs, [self._ndd(s, s["gamma"])], names, ["Ndd"])
+
+    @cached_property
+    def bar_force_density(self) -> ca.Function:
+        """``(N, Nd, gamma[, W]) -> lambda``: λ of each bar, shape (β,), N/m, compression > 0."""
+        s = self._symbols()
+        inputs, names = self._inputs(s, "N", "Nd", "gamma")
+        return ca.Function("bar_force_density", inputs, [self._lambda(s).T], names, ["lambda"])
+
+    @cached_property
+    def stiffness_matrix(self) -> ca.Function:
+        """``(N, Nd, gamma[, W]) -> K_s``: eq. (9), sparse, shape (n, n), N/m.
+
+        Columns are in the order of the nodes. For nodes ordered as in the
+        paper, ``[N_b N_s]``, that is eq. (9) letter by letter.
+        """
+        s = self._symbols()
+        inputs, names = self._inputs(s, "N", "Nd", "gamma")
+        K_s = kernel.stiffness(self._structure, s["gamma"], self._lambda(s))
+        return ca.Function("stiffness_matrix", inputs, [K_s], names, ["K_s"])
+
+    def mass_matrix(self) -> csr_array:
+        """Return M_s of eq. (8), sparse, shape (n, n), kg, columns in the order of the nodes.
+
+        Examples
+        --------
+        >>> import tenscontrol as tc
+        >>> tc.Model(tc.prism(bar_mass=6.0)).mass_matrix()[[0, 4]][:, [0, 4]].toarray()
+        array([[2., 1.],
+               [1., 2.]])
+        """
+        from scipy.sparse import csr_array
+
+        structure = self._structure
+        start, end = structure.bars.T
+        points = structure.string_nodes
+        rows = np.concatenate([start, end, start, end, points])
+        columns = np.concatenate([start, end, end, start, points])
+        m = structure.bar_mass
+        values = np.concatenate([m / 3, m / 3, m / 6, m / 6, structure.string_node_mass])
+        n = structure.nodes.shape[1]
+        return csr_array((values, (rows, columns)), shape=(n, n))
+
+    # ---- functions of the state ----
+
+    @cached_property
+    def dynamics(self) -> ca.Function:
+        """``(x, gamma[, W]) -> xdot``: the state equation with γ as the input."""
+        s = self._symbols()
+        inputs, names = self._inputs(s, "x", "gamma")
+        return ca.Function("dynamics", inputs, [self._xdot(s, s["gamma"])], names, ["xdot"])
+
+    @cached_property
+    def rest_length_dynamics(self) -> ca.Function:
+        """``(x, rest_length[, W]) -> xdot``: the state equation with the rest length as the input.
+
+        Raises
+        ------
+        ValueError
+            If the model has no string law.
+        """
+        s = self._symbols()
+        gamma = self._law_force_density(s)
+        inputs, names = self._inputs(s, "x", "rest_length")
+        return ca.Function("rest_length_dynamics", inputs, [self._xdot(s, gamma)], names, ["xdot"])
+
+    def state_equation(self, held: str) -> ca.Function:
+        """Return ``dynamics`` or ``rest_length_dynamics`` by the name of the held input."""
+        return self.dynamics if held == "force_density" else self.rest_length_dynamics
+
+    @cached_property
+    def string_force_density(self) -> ca.Function:
+        """``(x, rest_length) -> gamma``: γ of each string by the string law, N/m."""
+        s = self._symbols()
+        return ca.Function(
+            "string_force_density",
+            [s["x"], s["rest_length"]],
+            [self._law_force_density(s)],
+            ["x", "rest_length"],
+            ["gamma"],
+        )
+
+    @cached_property
+    def kinetic_energy(self) -> ca.Function:
+        """``(x) -> energy``: ½ tr(Ṅ M_s Ṅᵀ), J."""
+        s = self._symbols()
+        momenta = kernel.mass_product(self._structure, s["Nd"])
+        return ca.Function(
+            "kinetic_energy",
+            [s["x"]],
+            [ca.sum2(kernel.dots(s["Nd"], momenta)) / 2],
+            ["x"],
+            ["energy"],
+        )
+
+    @cached_property
+    def potential_energy(self) -> ca.Function:
+        """``(x, gamma) -> energy``: ½ Σ γ l², J: what strings store whose γ is held."""
+        s = self._symbols()
+        S = kernel.differences(s["N"], self._structure.strings)
+        energy = ca.mtimes(kernel.dots(S, S), s["gamma"]) / 2
+        return ca.Function(
+            "potential_energy", [s["x"], s["gamma"]], [energy], ["x", "gamma"], ["energy"]
+        )
+
+    @cached_property
+    def elastic_energy(self) -> ca.Function:
+        """``(x, rest_length) -> energy``: what strings store whose rest length is held, J."""
+        s = self._symbols()
+        law = self._needed_strings()
+        energy = ca.sum1(law.stored_energy(self._string_length(s), s["rest_length"]))
+        return ca.Function(
+            "elastic_energy",
+            [s["x"], s["rest_length"]],
+            [energy],
+            ["x", "rest_length"],
+            ["energy"],
+        )
+
+    @cached_property
+    def momentum(self) -> ca.Function:
+        """``(x) -> (linear, angular)``: kg m/s, and kg m²/s about the origin, shape (3,) each."""
+        s = self._symbols()
+        momenta = kernel.mass_product(self._structure, s["Nd"])
+        angular = sum(
+            (ca.cross(s["N"][:, i], momenta[:, i]) for i in range(momenta.shape[1])), ca.SX(3, 1)
+        )
+        return ca.Function(
+            "momentum", [s["x"]], [ca.sum2(momenta), angular], ["x"], ["linear", "angular"]
+        )
+
+    # ---- expressions ----
+
+    def _symbols(self) -> dict[str, Any]:
+        """Return fresh symbols, with N and Nd as parts of x."""
+        n, alpha = self._structure.nodes.shape[1], len(self._structure.strings)
+        N, Nd, W = (ca.SX.sym(name, 3, n) for name in ("N", "Nd", "W"))
+        return {
+            "N": N,
+            "Nd": Nd,
+            "x": ca.vertcat(ca.vec(N), ca.vec(Nd)),
+            "gamma": ca.SX.sym("gamma", alpha),
+            "rest_length": ca.SX.sym("rest_length", alpha),
+            "W": W if self._external_force else None,
+        }
+
+    def _inputs(self, s: dict[str, Any], *names: str) -> tuple[list[Any], list[str]]:
+        every = [*names, "W"] if self._external_force else list(names)
+        return [s[name] for name in every], every
+
+    def _forces(self, s: dict[str, Any], gamma: Any) -> Any:
+        return kernel.node_forces(self._structure, s["N"], gamma, s["W"])
+
+    def _ndd(self, s: dict[str, Any], gamma: Any) -> Any:
+        Ndd = kernel.accelerations(self._structure, s["N"], s["Nd"], self._forces(s, gamma))
+        return ca.densify(Ndd)
+
+    def _xdot(self, s: dict[str, Any], gamma: Any) -> Any:
+        return ca.vertcat(ca.vec(s["Nd"]), ca.vec(self._ndd(s, gamma)))
+
+    def _lambda(self, s: dict[str, Any]) -> Any:
+        bars = self._structure.bars
+        F = self._forces(s, s["gamma"])
+        B, Bd, f = (kernel.differences(columns, bars) for columns in (s["N"], s["Nd"], F))
+        return kernel.bar_force_density(self._structure, B, Bd, f)
+
+    def _string_length(self, s: dict[str, Any]) -> Any:
+        S = kernel.differences(s["N"], self._structure.strings)
+        return ca.sqrt(kernel.dots(S, S)).T
+
+    def _law_force_density(self, s: dict[str, Any]) -> Any:
+        law = self._needed_strings()
+        length = self._string_length(s)
+        rate = None
+        if law.is_damped:
+            S, Sd = (kernel.differences(s[k], self._structure.strings) for k in ("N", "Nd"))
+            rate = kernel.dots(S, Sd).T / length
+        return law.symbolic_force_density(length, s["rest_length"], rate)
+
+    def _needed_strings(self) -> StringLaw:
+        if self._strings is None:
+            raise ValueError(
+                "the model has no string law, so rest lengths mean nothing to it; "
+                "build it as Model(structure, strings=LinearStrings(stiffness=...))"
+            )
+        return self._strings
+
+
+def pack_state(nodes: FloatArray, velocities: FloatArray) -> FloatArray:
+    """Return ``x = [vec(N); vec(Ṅ)]``, shape (6n,), from two (3, n) arrays."""
+    return np.concatenate([nodes.ravel(order="F"), velocities.ravel(order="F")])
+
+
+def unpack_states(states: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return nodes and velocities, shape (3, n, T) each, from states of shape (6n, T)."""
+    half, count = states.shape[0] // 2, states.shape[1]
+    nodes, velocities = (
+        part.reshape(-1, 3, count).swapaxes(0, 1) for part in np.split(states, [half])
+    )
+    return nodes, velocities

@@ -1,0 +1,305 @@
+"""String laws: tension from length and rest length, and back."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.validation import (
+    FloatArray,
+    float_array,
+    frozen,
+    non_negative,
+    per_member,
+    positive,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StringLaw(ABC):
+    """How a string turns length and rest length into force density.
+
+    A string pulls or is slack; it never pushes. Parameters are one number for
+    all strings or one per string. With damping c the tension while
+    ``l > l0`` is ``T(l, l0) + c l̇``, never below zero.
+    """
+
+    # Expressions in CasADi: the only statement of the law.
+
+    @abstractmethod
+    def tension(self, length: Any, rest_length: Any) -> Any:
+        """Return the tension of a string longer than its rest length, N (negative below)."""
+
+    @abstractmethod
+    def taut_rest_length(self, length: Any, force_density: Any) -> Any:
+        """Return the rest length at which a taut string has this force density, m."""
+
+    @abstractmethod
+    def stored_energy(self, length: Any, rest_length: Any) -> Any:
+        """Return the elastic energy, J."""
+
+    @property
+    @abstractmethod
+    def largest_force_density(self) -> FloatArray:
+        """Force densities that cannot be reached, N/m: γ must stay below. May be infinite."""
+
+    @property
+    @abstractmethod
+    def damping(self) -> FloatArray:
+        """Damping c, N s/m."""
+
+    @property
+    def is_damped(self) -> bool:
+        """Whether any string has damping."""
+        return bool(np.any(np.asarray(self.damping) > 0))
+
+    def symbolic_force_density(self, length: Any, rest_length: Any, rate: Any = None) -> Any:
+        """Return the expression of γ; ``rate`` is needed only where the law is damped."""
+        tension = self.tension(length, rest_length)
+        if not self.is_damped:
+            return ca.fmax(0, tension) / length
+        pulling = ca.fmax(0, tension + ca.DM(self.damping) * rate)
+        return ca.if_else(length > rest_length, pulling, 0) / length
+
+    def for_count(self, count: int) -> StringLaw:
+        """Return the same law with one parameter per string, or raise if the counts differ."""
+        parameters = {
+            field.name: per_member(field.name, getattr(self, field.name), count, "string")
+            for field in fields(self)
+        }
+        return type(self)(**parameters)
+
+    # The same law on NumPy arrays.
+
+    def force_density(self, length: object, rest_length: object, rate: object = 0.0) -> FloatArray:
+        """Return γ of strings of this length and rest length.
+
+        Parameters
+        ----------
+        length : float or array_like, shape (α,)
+            Current length l, m, positive.
+        rest_length : float or array_like, shape (α,)
+            Rest length l0, m, positive.
+        rate : float or array_like, shape (α,)
+            Rate l̇, m/s; matters only where there is damping.
+
+        Returns
+        -------
+        ndarray, shape (α,)
+            γ, N/m, at least 0; 0 while the string is slack.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is not finite, not positive, or does not fit.
+        """
+        length, rest_length, rate = self._together(
+            length=length, rest_length=rest_length, rate=rate
+        )
+        positive("length", np.atleast_1d(length), "length in m")
+        positive("rest_length", np.atleast_1d(rest_length), "length in m")
+        return _evaluated(self._force_density_function, length, rest_length, rate)
+
+    def rest_length(self, length: object, force_density: object) -> FloatArray:
+        """Return the rest length at which strings of this length have this force density.
+
+        A slack string has γ = 0 at every rest length from its length upwards.
+        For γ = 0 the answer is the just taut one, l0 = l.
+
+        Parameters
+        ----------
+        length : float or array_like, shape (α,)
+            Current length l, m, positive.
+        force_density : float or array_like, shape (α,)
+            γ, N/m, at least 0.
+
+        Returns
+        -------
+        ndarray, shape (α,)
+            Rest length l0, m, at most ``length``.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is not finite or does not fit, or if no rest length
+            gives this γ: with constant stiffness k, γ must be below k.
+        """
+        length, gamma = self._together(length=length, force_density=force_density)
+        positive("length", np.atleast_1d(length), "length in m")
+        non_negative("force_density", np.atleast_1d(gamma), "a string can only pull")
+        limit = np.broadcast_to(self.largest_force_density, np.shape(gamma))
+        over = np.flatnonzero(np.atleast_1d(gamma >= limit))
+        if len(over):
+            i = over[0]
+            raise ValueError(
+                f"force_density[{i}] is {np.atleast_1d(gamma)[i]:g} N/m, expected less than the "
+                f"stiffness {np.atleast_1d(limit)[i]:g} N/m: the rest length would not be "
+                "positive. Use stiffer strings or less force"
+            )
+        return _evaluated(self._rest_length_function, length, gamma)
+
+    def _together(self, **values: object) -> list[FloatArray]:
+        """Check that arguments and parameters go together, and give them one shape."""
+        arrays = {name: float_array(name, value) for name, value in values.items()}
+        shapes = [np.shape(getattr(self, field.name)) for field in fields(self)]
+        try:
+            shape = np.broadcast_shapes(*(array.shape for array in arrays.values()), *shapes)
+        except ValueError:
+            found = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
+            raise ValueError(
+                f"shapes do not go together: {found}; parameters of the strings {shapes}. "
+                "Expected one number, or one per string"
+            ) from None
+        if len(shape) > 1:
+            raise ValueError(f"expected one number, or one per string; found shape {shape}")
+        return [np.broadcast_to(array, shape) for array in arrays.values()]
+
+    @cached_property
+    def _force_density_function(self) -> ca.Function:
+        size = self._parameter_count
+        length, rest, rate = (ca.SX.sym(name, size) for name in ("length", "rest", "rate"))
+        gamma = self.symbolic_force_density(length, rest, rate)
+        return ca.Function("force_density", [length, rest, rate], [gamma])
+
+    @cached_property
+    def _rest_length_function(self) -> ca.Function:
+        size = self._parameter_count
+        length, gamma = ca.SX.sym("length", size), ca.SX.sym("gamma", size)
+        rest = self.taut_rest_length(length, gamma)
+        return ca.Function("rest_length", [length, gamma], [rest])
+
+    @property
+    def _parameter_count(self) -> int:
+        return max(np.size(getattr(self, field.name)) for field in fields(self))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class LinearStrings(StringLaw):
+    """Strings of constant stiffness: ``T = k (l − l0) + c l̇`` while taut.
+
+    Parameters
+    ----------
+    stiffness : float or array_like, shape (α,)
+        k, N/m, positive.
+    damping : float or array_like, shape (α,)
+        c, N s/m, at least 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a parameter is not finite, a stiffness is not positive, or a damping is negative.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> strings = tc.LinearStrings(stiffness=100.0)
+    >>> rest_length = strings.rest_length(length=1.0, force_density=20.0)
+    >>> rest_length, strings.force_density(1.0, rest_length)
+    (array(0.8), array(20.))
+    """
+
+    stiffness: FloatArray
+    damping: FloatArray = 0.0  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        _check_parameters(self, "stiffness")
+
+    def tension(self, length: Any, rest_length: Any) -> Any:
+        """Return k (l − l0), N."""
+        return ca.DM(self.stiffness) * (length - rest_length)
+
+    def taut_rest_length(self, length: Any, force_density: Any) -> Any:
+        """Return l (1 − γ/k), m."""
+        return length * (1 - force_density / ca.DM(self.stiffness))
+
+    def stored_energy(self, length: Any, rest_length: Any) -> Any:
+        """Return ½ k max(0, l − l0)², J."""
+        return 0.5 * ca.DM(self.stiffness) * ca.fmax(0, length - rest_length) ** 2
+
+    @property
+    def largest_force_density(self) -> FloatArray:
+        """The stiffness k: γ = k would need a rest length of zero."""
+        return self.stiffness
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ElasticStrings(StringLaw):
+    """Strings of constant axial rigidity: ``T = EA (l − l0)/l0 + c l̇`` while taut.
+
+    Winding such a string shortens and so stiffens it.
+
+    Parameters
+    ----------
+    axial_rigidity : float or array_like, shape (α,)
+        EA, Young's modulus times cross-section, N, positive.
+    damping : float or array_like, shape (α,)
+        c, N s/m, at least 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a parameter is not finite, a rigidity is not positive, or a damping is negative.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> strings = tc.ElasticStrings(axial_rigidity=100.0)
+    >>> rest_length = strings.rest_length(length=1.0, force_density=25.0)
+    >>> rest_length, strings.force_density(1.0, rest_length)
+    (array(0.8), array(25.))
+    """
+
+    axial_rigidity: FloatArray
+    damping: FloatArray = 0.0  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        _check_parameters(self, "axial_rigidity")
+
+    def tension(self, length: Any, rest_length: Any) -> Any:
+        """Return EA (l/l0 − 1), N."""
+        return ca.DM(self.axial_rigidity) * (length / rest_length - 1)
+
+    def taut_rest_length(self, length: Any, force_density: Any) -> Any:
+        """Return EA l/(EA + γ l), m."""
+        rigidity = ca.DM(self.axial_rigidity)
+        return rigidity * length / (rigidity + force_density * length)
+
+    def stored_energy(self, length: Any, rest_length: Any) -> Any:
+        """Return ½ EA/l0 max(0, l − l0)², J."""
+        stretch = ca.fmax(0, length - rest_length)
+        return 0.5 * ca.DM(self.axial_rigidity) * stretch**2 / rest_length
+
+    @property
+    def largest_force_density(self) -> FloatArray:
+        """Infinite: every γ has a positive rest length."""
+        return np.full(np.shape(self.axial_rigidity), np.inf)
+
+
+def _check_parameters(law: StringLaw, stiffness: str) -> None:
+    k = float_array(stiffness, getattr(law, stiffness))
+    c = float_array("damping", law.damping)
+    for name, value in ((stiffness, k), ("damping", c)):
+        if value.ndim > 1:
+            raise ValueError(
+                f"{name} has shape {value.shape}, expected one number, or one per string"
+            )
+    positive(stiffness, np.atleast_1d(k), "number")
+    non_negative("damping", np.atleast_1d(c), "damping takes energy out")
+    object.__setattr__(law, stiffness, frozen(k))
+    object.__setattr__(law, "damping", frozen(c))
+
+
+def _evaluated(function: ca.Function, *arguments: FloatArray) -> FloatArray:
+    """Call a function of column vectors; a law of one parameter serves any number of strings."""
+    shape = arguments[0].shape
+    columns = [np.atleast_1d(argument) for argument in arguments]
+    if function.size1_in(0) == 1:
+        columns = [column[None, :] for column in columns]
+    return np.array(function(*columns), dtype=float).reshape(shape)

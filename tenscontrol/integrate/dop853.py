@@ -1,0 +1,87 @@
+"""The Dormand-Prince method of order 8 with error control, from SciPy."""
+
+from __future__ import annotations
+
+from typing import final
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.dynamics import Evaluator
+from tenscontrol.integrate.integrator import (
+    IntegrationError,
+    Integrator,
+    Report,
+    Span,
+)
+from tenscontrol.validation import FloatArray, positive_number
+
+# SciPy warns below a hundred units of round-off and raises the tolerance by itself.
+_SMALLEST_TOLERANCE = 100 * np.finfo(float).eps
+
+
+@final
+class DOP853(Integrator):
+    """Adaptive steps after Hairer, Nørsett & Wanner, by ``scipy.integrate.DOP853``.
+
+    Parameters
+    ----------
+    equation : casadi.Function
+        ``(x, u) -> xdot``.
+    tolerance : float
+        Error allowed a step, relative to the size of each state entry, and
+        absolute (m, m/s) where that is below 1.
+    """
+
+    name = "dop853"
+
+    def __init__(self, equation: ca.Function, tolerance: float) -> None:
+        super().__init__(equation)
+        self.tolerance = positive_number("tolerance", tolerance, "m and m/s")
+        if self.tolerance < _SMALLEST_TOLERANCE:
+            raise ValueError(
+                f"tolerance is {self.tolerance:g}, expected at least {_SMALLEST_TOLERANCE:.1e}: "
+                "double precision goes no further"
+            )
+        self._evaluator = Evaluator(equation)
+
+    def advance(
+        self,
+        state: FloatArray,
+        held: FloatArray,
+        duration: float,
+        outputs: int,
+        report: Report | None = None,
+    ) -> Span:
+        """See :meth:`Integrator.advance`."""
+        from scipy.integrate import DOP853 as Stepper
+
+        def slope(time: float, x: FloatArray) -> FloatArray:
+            return self._evaluator(x, held)[0].copy()
+
+        times = duration * np.arange(1, outputs + 1) / outputs
+        states = np.empty((len(state), outputs))
+        done = steps = 0
+        with np.errstate(over="ignore", invalid="ignore"):  # a state that is not finite raises
+            stepper = Stepper(slope, 0.0, state, duration, rtol=self.tolerance, atol=self.tolerance)
+            while stepper.status == "running":
+                trouble = stepper.step()
+                steps += 1
+                if stepper.status == "failed" or not np.isfinite(stepper.y).all():
+                    raise IntegrationError(
+                        f"dop853 stopped after {stepper.t_old or 0.0:.6g} s: "
+                        f"{trouble or 'the state is no longer finite'}",
+                        float(stepper.t_old or 0.0),
+                        Span(states[:, :done], steps, stepper.nfev),
+                    )
+                reached = outputs
+                if stepper.status == "running":
+                    reached = int(np.searchsorted(times, stepper.t, side="right"))
+                if reached > done:
+                    # The interpolant costs three evaluations: only where a state is wanted.
+                    states[:, done:reached] = stepper.dense_output()(times[done:reached])
+                    done = reached
+                if report is not None:
+                    report(float(stepper.t))
+        states[:, -1] = stepper.y
+        return Span(states, steps, stepper.nfev)

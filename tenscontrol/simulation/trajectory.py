@@ -1,0 +1,188 @@
+"""The motion that a simulation returns, with the figures that tell whether to trust it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol.dynamics import Model, unpack_states
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, frozen
+
+
+@dataclass(frozen=True, eq=False)
+class ControlRecord:
+    """What the controller and the winches did, sample by sample.
+
+    Attributes
+    ----------
+    time : ndarray, shape (K,)
+        Start of each sample, s.
+    command : ndarray, shape (α, K)
+        What the controller asked for, in the unit of its input.
+    applied : ndarray, shape (α, K)
+        What the actuators held: γ, N/m, or rest lengths, m.
+    status : tuple of str, length K
+        Status of each command; ``"ok"`` where all went well.
+    winch_rate : ndarray, shape (α, K)
+        Change of the rest length at the start of each sample over the sample
+        time, m/s; zero where γ is held.
+    rate_limited, range_limited : ndarray of int, shape (K,)
+        Number of winches that met a limit.
+    computing_time : ndarray, shape (K,)
+        Time the controller took, s.
+    """
+
+    time: FloatArray
+    command: FloatArray
+    applied: FloatArray
+    status: tuple[str, ...]
+    winch_rate: FloatArray
+    rate_limited: np.ndarray
+    range_limited: np.ndarray
+    computing_time: FloatArray
+
+    @property
+    def status_count(self) -> dict[str, int]:
+        """How often each status came."""
+        return dict(Counter(self.status))
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A simulated motion. Made by :func:`simulate`.
+
+    Attributes
+    ----------
+    structure : Structure
+    time : ndarray, shape (T,)
+        s, from 0.
+    nodes, velocities : ndarray, shape (3, n, T)
+        m and m/s.
+    force_density : ndarray, shape (α, T)
+        γ that acts at the end of the step to each time, N/m.
+    rest_length : ndarray, shape (α, T), or None
+        Rest lengths, m; None where γ was held.
+    kinetic_energy, potential_energy : ndarray, shape (T,)
+        J. The potential energy is ½ Σ γ l² where γ is held, the elastic
+        energy of the strings where rest lengths are, less ``tr(Wᵀ N)`` where
+        a load acts. It jumps where a controller changes its command.
+    momentum, angular_momentum : ndarray, shape (3, T)
+        kg m/s, and kg m²/s about the origin.
+    bar_length_error : ndarray, shape (β, T)
+        Current length less true length of each bar, m.
+    method : str
+        The integrator.
+    step : float or None
+        Its step, s; None where it chose its own.
+    steps, evaluations : int
+        Integrator steps and evaluations of the right-hand side.
+    control : ControlRecord or None
+        What the controller did; None in open loop.
+    """
+
+    structure: Structure
+    time: FloatArray
+    nodes: FloatArray
+    velocities: FloatArray
+    force_density: FloatArray
+    rest_length: FloatArray | None
+    kinetic_energy: FloatArray
+    potential_energy: FloatArray
+    momentum: FloatArray
+    angular_momentum: FloatArray
+    bar_length_error: FloatArray
+    method: str
+    step: float | None
+    steps: int
+    evaluations: int
+    control: ControlRecord | None
+
+    @property
+    def energy(self) -> FloatArray:
+        """Kinetic and potential energy together, J, shape (T,)."""
+        return self.kinetic_energy + self.potential_energy
+
+    def summary(self) -> str:
+        """Return the figures that tell whether to trust the motion, as text.
+
+        Returns
+        -------
+        str
+        """
+        step = "own steps" if self.step is None else f"step {self.step:g} s"
+        drift = np.abs(self.bar_length_error).max(initial=0.0)
+        momentum = np.ptp(self.momentum, axis=1).max()
+        angular = np.ptp(self.angular_momentum, axis=1).max()
+        lines = [
+            f"{self.time[-1]:g} s by {self.method}, {step}: {self.steps} steps, "
+            f"{self.evaluations} evaluations",
+            f"energy            {self.energy[0]:.6g} J at start, {self.energy[-1]:.6g} J at end",
+            f"momentum change   {momentum:.1e} kg m/s, angular {angular:.1e} kg m²/s",
+            f"bar-length error  {drift:.1e} m",
+        ]
+        if self.control is not None:
+            counts = ", ".join(
+                f"{count} {name}" for name, count in self.control.status_count.items()
+            )
+            lines.append(f"commands          {counts}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return f"Trajectory({self.time[-1]:g} s, {len(self.time)} states, {self.method})"
+
+
+def build_trajectory(
+    model: Model,
+    load: FloatArray | None,
+    held: str,
+    time: FloatArray,
+    states: FloatArray,
+    inputs: FloatArray,
+    method: str,
+    step: float | None,
+    work: tuple[int, int],
+    control: ControlRecord | None,
+) -> Trajectory:
+    """Return the trajectory of states (6n, T) under held inputs (α, T).
+
+    Energies and momenta are evaluated by the model's own functions, all times at once.
+    """
+    structure = model.structure
+    nodes, velocities = unpack_states(states)
+    if held == "force_density":
+        force_density, rest_length = inputs, None
+        potential = _row(model.potential_energy(states, inputs))
+    else:
+        force_density = np.array(model.string_force_density(states, inputs))
+        rest_length = frozen(inputs)
+        potential = _row(model.elastic_energy(states, inputs))
+    if load is not None:
+        potential = potential - np.einsum("in,int->t", load, nodes)
+    linear, angular = (np.array(part) for part in model.momentum(states))
+    bars = nodes[:, structure.bars[:, 1]] - nodes[:, structure.bars[:, 0]]
+    error = np.linalg.norm(bars, axis=0) - structure.bar_length[:, None]
+    return Trajectory(
+        structure=structure,
+        time=frozen(time),
+        nodes=frozen(nodes),
+        velocities=frozen(velocities),
+        force_density=frozen(force_density),
+        rest_length=rest_length,
+        kinetic_energy=frozen(_row(model.kinetic_energy(states))),
+        potential_energy=frozen(potential),
+        momentum=frozen(linear),
+        angular_momentum=frozen(angular),
+        bar_length_error=frozen(error),
+        method=method,
+        step=step,
+        steps=work[0],
+        evaluations=work[1],
+        control=control,
+    )
+
+
+def _row(values: object) -> FloatArray:
+    return np.array(values).ravel()

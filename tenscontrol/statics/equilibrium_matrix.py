@@ -1,0 +1,58 @@
+"""The equilibrium matrix: nodal forces as a linear function of the force densities."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray
+
+
+def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray:
+    """Return E with ``vec(N K_s) = E [γ; λ]``: what the members need as load to be at rest.
+
+    Parameters
+    ----------
+    structure : Structure
+    nodes : array_like, shape (3, n), optional
+        Node positions, m; the reference shape if not given.
+
+    Returns
+    -------
+    ndarray, shape (3n, α + β)
+        Columns are the strings (γ, tension positive), then the bars (λ,
+        compression positive), m. Rows are node by node: x1 y1 z1 x2 …. The
+        members are at rest under a load W when ``E [γ; λ] = vec(W)``.
+
+    Raises
+    ------
+    ValueError
+        If ``nodes`` does not fit.
+
+    Notes
+    -----
+    Goyal & Skelton, eq. (7) with N̈ = 0 and K_s from eq. (9).
+
+    Examples
+    --------
+    A prism has 12 members and 18 coordinates. Rank 11 leaves one state of
+    self-stress, and 18 − 6 − 11 = 1 mechanism:
+
+    >>> import numpy as np, tenscontrol as tc
+    >>> E = tc.equilibrium_matrix(tc.prism())
+    >>> E.shape, int(np.linalg.matrix_rank(E))
+    ((18, 12), 11)
+    """
+    N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
+    alpha, beta = len(structure.strings), len(structure.bars)
+    E = np.zeros((N.shape[1], 3, alpha + beta))
+    # A string pulls its ends together, a bar pushes them apart.
+    _add_members(E, structure.strings, -structure.string_vectors(N), offset=0)
+    _add_members(E, structure.bars, structure.bar_vectors(N), offset=alpha)
+    return E.reshape(-1, alpha + beta)
+
+
+def _add_members(E: FloatArray, pairs: FloatArray, vectors: FloatArray, offset: int) -> None:
+    columns = offset + np.arange(len(pairs))
+    E[pairs[:, 0], :, columns] += vectors.T
+    E[pairs[:, 1], :, columns] -= vectors.T

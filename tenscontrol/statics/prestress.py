@@ -1,0 +1,235 @@
+"""Prestress: force densities at which a structure rests, and what they make of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tenscontrol.statics.cone import nearest_in_cone
+from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
+from tenscontrol.statics.stability import Stability, stability
+from tenscontrol.structure import Structure
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    frozen,
+    instance,
+    non_negative,
+    positive_number,
+    shaped,
+)
+
+# Singular values below this fraction of the largest count as zero: far above
+# round-off, far below what a real member contributes.
+_RANK_TOLERANCE = 1e-9
+
+# Unbalanced force above this fraction of the largest member force is not round-off.
+_RESIDUAL_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Prestress:
+    """A structure at rest: node positions, force densities and load in balance.
+
+    Made by :func:`prestress`.
+
+    Attributes
+    ----------
+    structure : Structure
+        The structure; ``structure.nodes`` is the shape at rest.
+    force_density : ndarray, shape (α,)
+        γ of each string = tension / length, N/m, at least 0.
+    bar_force_density : ndarray, shape (β,)
+        λ of each bar = compression / length, N/m, positive in compression.
+    external_force : ndarray, shape (3, n)
+        W, the load on the nodes, N.
+    residual : float
+        Largest unbalanced force on a node, ``max |N K_s − W|``, N.
+    self_stress_states : int
+        Number of independent force densities that balance without load.
+    mechanisms : int
+        Number of independent small motions, rigid-body motion not counted,
+        that change no member length to first order.
+    """
+
+    structure: Structure
+    force_density: FloatArray
+    bar_force_density: FloatArray
+    external_force: FloatArray
+    residual: float
+    self_stress_states: int
+    mechanisms: int
+
+    @cached_property
+    def stability(self) -> Stability:
+        """What the prestress makes of the mechanisms; see :class:`Stability`."""
+        return stability(self.structure, self.force_density, self.bar_force_density)
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the prestress stiffens every mechanism (prestress stability)."""
+        return self.stability.is_stable
+
+    @property
+    def is_super_stable(self) -> bool:
+        """Whether it stays stable at any level of prestress (super-stability)."""
+        return self.stability.is_super_stable
+
+    def __repr__(self) -> str:
+        return (
+            f"Prestress({self.structure!r}, residual {self.residual:.1e} N, "
+            f"{self.self_stress_states} self-stress states, {self.mechanisms} mechanisms)"
+        )
+
+
+def prestress(
+    structure: Structure,
+    force_density: object,
+    reference: str | None = None,
+    external_force: object = None,
+) -> Prestress:
+    """Return the force densities at which a structure rests in its reference shape.
+
+    Parameters
+    ----------
+    structure : Structure
+    force_density : float or array_like, shape (α,)
+        A number: the mean force density that the ``reference`` strings get,
+        N/m. Where the structure has several states of self-stress, the one
+        nearest to a uniform γ of this value is taken. An array: γ of every
+        string, N/m; it is checked, and refused when it does not balance.
+    reference : str, optional
+        The string group that a single number refers to; the group of the
+        first string if not given (for :func:`prism` the top strings).
+    external_force : array_like, shape (3, n), optional
+        Load W on the nodes, N.
+
+    Returns
+    -------
+    Prestress
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit; if a given γ is negative or does not
+        balance (the message says by how much and where); if no γ ≥ 0 balances.
+
+    Notes
+    -----
+    Equilibrium is ``N K_s = W``, Goyal & Skelton eq. (7) with N̈ = 0. The
+    states of self-stress are the null space of the equilibrium matrix
+    (Pellegrino & Calladine 1986, doi:10.1016/0020-7683(86)90014-4).
+
+    Examples
+    --------
+    The prism rests at γ_v = √3 γ_t:
+
+    >>> import tenscontrol as tc
+    >>> rest = tc.prestress(tc.prism(), force_density=17.3205)
+    >>> rest.force_density[[0, 3, 6]].round(4), rest.bar_force_density[0].round(4)
+    (array([17.3205, 17.3205, 30.    ]), np.float64(30.0))
+    >>> rest.self_stress_states, rest.mechanisms, rest.is_stable, rest.is_super_stable
+    (1, 1, True, True)
+    """
+    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    n, alpha = structure.nodes.shape[1], len(structure.strings)
+    if alpha == 0:
+        raise ValueError("the structure has no strings, so there is nothing to prestress")
+    load = np.zeros((3, n))
+    if external_force is not None:
+        load = shaped("external_force", external_force, (3, n), "one force per node, N")
+    E = equilibrium_matrix(structure)
+    w = load.ravel(order="F")
+    U, sizes, Vt = np.linalg.svd(E)
+    rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes[0]))
+    states = Vt[rank:].T
+
+    if np.ndim(force_density) == 0:  # type: ignore[arg-type]
+        level = positive_number("force_density", force_density, "N/m")
+        particular = Vt[:rank].T @ ((U[:, :rank].T @ w) / sizes[:rank])
+        _refuse_unbalanced(E, particular, w, "no member forces balance external_force")
+        strings = structure.strings_in(reference or structure.string_groups[0])
+        densities = _nearest_to_uniform(particular, states, strings, level, alpha)
+        if densities is None:
+            raise ValueError(_infeasible(structure, states, sizes, bool(w.any())))
+    else:
+        if reference is not None:
+            raise ValueError("reference goes with a single force_density, not with an array")
+        gamma = shaped("force_density", force_density, (alpha,), "one per string")
+        non_negative("force_density", gamma, "a string can only pull")
+        bars = np.linalg.lstsq(E[:, alpha:], w - E[:, :alpha] @ gamma, rcond=None)[0]
+        densities = np.concatenate([gamma, bars])
+    _refuse_unbalanced(E, densities, w, "force_density does not balance")
+    rigid = _rigid_motions(structure)
+    return Prestress(
+        structure=structure,
+        force_density=frozen(densities[:alpha]),
+        bar_force_density=frozen(densities[alpha:]),
+        external_force=frozen(load),
+        residual=float(np.abs(E @ densities - w).max()),
+        self_stress_states=states.shape[1],
+        mechanisms=3 * n - rigid - rank,
+    )
+
+
+def _nearest_to_uniform(
+    particular: FloatArray, states: FloatArray, strings: IntArray, level: float, alpha: int
+) -> FloatArray | None:
+    """Return the balanced γ ≥ 0 nearest to ``level`` whose mean over ``strings`` is ``level``."""
+    # States that keep the mean: c = start + directions @ free.
+    mean = states[strings].mean(axis=0)
+    weight = float(np.linalg.norm(mean))
+    if weight < _RANK_TOLERANCE:
+        return None
+    start = mean * (level - particular[strings].mean()) / weight**2
+    directions = np.linalg.svd(mean[None, :])[2][1:].T
+    at = particular + states @ start
+    moves = states @ directions
+    free = nearest_in_cone(moves[:alpha], at[:alpha], target=np.full(alpha, level))
+    if free is None:
+        return None
+    densities = at + moves @ free
+    # What round-off leaves below zero is zero; the residual is checked afterwards.
+    densities[:alpha] = np.maximum(densities[:alpha], 0.0)
+    return densities
+
+
+def _infeasible(structure: Structure, states: FloatArray, sizes: FloatArray, loaded: bool) -> str:
+    """Say why no force densities were found."""
+    if states.shape[1] == 0:
+        smallest = sizes[-1] / sizes[0]
+        return (
+            "the structure has no state of self-stress in this shape: no force densities balance. "
+            f"The smallest singular value of its equilibrium matrix is {smallest:.1e} of the "
+            f"largest, against {_RANK_TOLERANCE:.0e} for a state of self-stress; if it is small, "
+            "give the nodes with more digits"
+        )
+    what = "external_force with" if loaded else "the structure with"
+    return (
+        f"no force densities γ ≥ 0 balance {what} the reference strings at the wanted level: "
+        f"each of the {states.shape[1]} states of self-stress needs a string in compression, or "
+        "leaves the reference strings slack. Change the shape, the strings or the reference"
+    )
+
+
+def _refuse_unbalanced(E: FloatArray, densities: FloatArray, w: FloatArray, what: str) -> None:
+    unbalanced = (E @ densities - w).reshape(-1, 3)
+    size = np.linalg.norm(unbalanced, axis=1)
+    scale = max(float(np.abs(E * densities).max(initial=0.0)), float(np.abs(w).max(initial=0.0)))
+    if size.max() > _RESIDUAL_TOLERANCE * scale:
+        node = int(size.argmax())
+        raise ValueError(
+            f"{what}: node {node} is left with an unbalanced force of {size[node]:.3g} N, "
+            f"expected less than {_RESIDUAL_TOLERANCE * scale:.1e} N. "
+            "prestress(structure, force_density=<one number>) finds force densities that balance"
+        )
+
+
+def _rigid_motions(structure: Structure) -> int:
+    """Return the number of independent rigid-body motions: 6, or 5 for nodes on a line."""
+    centred = structure.nodes - structure.nodes.mean(axis=1, keepdims=True)
+    spread = np.linalg.svd(centred, compute_uv=False)
+    extended = int(np.count_nonzero(spread > _RANK_TOLERANCE * max(spread[0], 1e-300)))
+    return 3 + {0: 0, 1: 2, 2: 3, 3: 3}[extended]

@@ -1,0 +1,127 @@
+"""Stability of a prestressed shape: does the prestress stiffen what the members leave free?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray
+
+_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Stability:
+    """Result of the stability tests of a prestress.
+
+    Attributes
+    ----------
+    is_stable : bool
+        Whether the energy of the prestress grows along every mechanism of the
+        members that carry force (prestress stability; sufficient for a
+        strict minimum of the energy, whatever the string stiffness).
+    is_super_stable : bool
+        Whether the stress matrix is positive semidefinite with the least
+        possible rank defect 4, and no affine motion keeps all member lengths
+        (Connelly 1999, doi:10.1007/0-306-47029-3_3): stable at any level of
+        prestress, and rigid in any dimension.
+    mechanism_stiffness : ndarray, shape (k,)
+        Eigenvalues of the prestress energy on the mechanisms, N/m, ascending.
+    stress_matrix_rank_defect : int
+        Dimension of the null space of the stress matrix, at least 4 for a
+        structure that fills space.
+    """
+
+    is_stable: bool
+    is_super_stable: bool
+    mechanism_stiffness: FloatArray
+    stress_matrix_rank_defect: int
+
+
+def stability(
+    structure: Structure, force_density: FloatArray, bar_force_density: FloatArray
+) -> Stability:
+    """Test a balanced prestress; strings with γ = 0 are left out, since they may go slack.
+
+    Parameters
+    ----------
+    structure : Structure
+    force_density : ndarray, shape (α,)
+        γ, N/m, of a prestress in balance.
+    bar_force_density : ndarray, shape (β,)
+        λ, N/m.
+
+    Returns
+    -------
+    Stability
+    """
+    n = structure.nodes.shape[1]
+    taut = force_density > _TOLERANCE * np.abs(force_density).max(initial=0.0)
+    stress = stress_matrix(structure, force_density, bar_force_density)
+    largest = float(np.abs(stress).max(initial=0.0))
+
+    members = equilibrium_matrix(structure)[
+        :, np.concatenate([taut, np.ones(len(structure.bars), bool)])
+    ]
+    flexes = _without_rigid(structure, _null_space(members.T))
+    # vec(N) is node by node, so the energy ½ tr(N Ω Nᵀ) has the matrix Ω ⊗ I₃.
+    energy = flexes.T @ np.kron(stress, np.eye(3)) @ flexes
+    mechanism_stiffness = np.linalg.eigvalsh(0.5 * (energy + energy.T))
+    is_stable = bool((mechanism_stiffness > _TOLERANCE * largest).all()) and largest > 0
+
+    eigenvalues = np.linalg.eigvalsh(stress)
+    defect = int(np.count_nonzero(np.abs(eigenvalues) <= _TOLERANCE * largest))
+    affine_free = _affine_motions_keeping_length(structure, taut) == 0
+    is_super = bool(
+        eigenvalues.min() > -_TOLERANCE * largest
+        and defect == min(4, n)
+        and affine_free
+        and largest > 0
+    )
+    return Stability(is_stable, is_super, mechanism_stiffness, defect)
+
+
+def stress_matrix(
+    structure: Structure, force_density: FloatArray, bar_force_density: FloatArray
+) -> FloatArray:
+    """Return Ω = K_s at rest, shape (n, n), N/m: ``N Ω`` is the load the members need."""
+    n = structure.nodes.shape[1]
+    pairs = np.vstack([structure.strings, structure.bars])
+    weights = np.concatenate([force_density, -bar_force_density])
+    stress = np.zeros((n, n))
+    start, end = pairs[:, 0], pairs[:, 1]
+    np.add.at(stress, (start, start), weights)
+    np.add.at(stress, (end, end), weights)
+    np.add.at(stress, (start, end), -weights)
+    np.add.at(stress, (end, start), -weights)
+    return stress
+
+
+def _null_space(matrix: FloatArray) -> FloatArray:
+    _, sizes, Vt = np.linalg.svd(matrix)
+    rank = int(np.count_nonzero(sizes > _TOLERANCE * sizes.max(initial=0.0)))
+    return np.asarray(Vt[rank:].T)
+
+
+def _without_rigid(structure: Structure, motions: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of the motions orthogonal to all rigid-body motions."""
+    n = structure.nodes.shape[1]
+    centred = structure.nodes - structure.nodes.mean(axis=1, keepdims=True)
+    size = max(float(np.abs(centred).max()), 1e-300)
+    turns = [np.cross(axis, centred.T / size).ravel() for axis in np.eye(3)]
+    shifts = [np.tile(axis, n) for axis in np.eye(3)]
+    rigid = np.column_stack([*shifts, *turns])
+    free = motions @ _null_space(rigid.T @ motions)
+    return np.asarray(free)
+
+
+def _affine_motions_keeping_length(structure: Structure, taut: FloatArray) -> int:
+    """Return how many independent symmetric G have ``vᵀ G v = 0`` for every member vector v."""
+    strings = structure.string_vectors(structure.nodes)[:, taut]
+    vectors = np.hstack([strings, structure.bar_vectors(structure.nodes)])
+    x, y, z = vectors / np.linalg.norm(vectors, axis=0)
+    conic = np.column_stack([x * x, y * y, z * z, 2 * x * y, 2 * y * z, 2 * x * z])
+    return int(_null_space(conic).shape[1])

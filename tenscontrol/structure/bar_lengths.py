@@ -1,0 +1,64 @@
+"""Bar lengths of a shape: measured, and restored."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tenscontrol.structure.structure import Structure
+from tenscontrol.validation import FloatArray
+
+# How far, relative to its length, a bar may be off in a shape given by the user.
+_TOLERANCE = 1e-8
+
+
+def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
+    """Return the nodes with every bar stretched about its centre to its true length.
+
+    Parameters
+    ----------
+    structure : Structure
+        Gives the bar lengths.
+    nodes : array_like, shape (3, n)
+        Node positions, m, for example a disturbed shape.
+
+    Returns
+    -------
+    ndarray, shape (3, n)
+        Node positions, m. Bar centres, bar directions and string nodes are unchanged.
+
+    Raises
+    ------
+    ValueError
+        If the shape does not fit or a bar has no direction left.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> nodes = tc.restore_bar_lengths(prism, 1.1 * prism.nodes)
+    >>> bool(np.allclose(np.linalg.norm(prism.bar_vectors(nodes), axis=0), prism.bar_length))
+    True
+    """
+    moved = structure.checked_nodes("nodes", nodes).copy()
+    vectors = structure.bar_vectors(moved)
+    length = np.linalg.norm(vectors, axis=0)
+    lost = np.flatnonzero(length == 0)
+    if len(lost):
+        raise ValueError(f"the ends of bar {lost[0]} are at the same place: it has no direction")
+    half_change = 0.5 * vectors * (structure.bar_length / length - 1)
+    moved[:, structure.bars[:, 0]] -= half_change
+    moved[:, structure.bars[:, 1]] += half_change
+    return moved
+
+
+def refuse_wrong_bar_lengths(name: str, structure: Structure, nodes: FloatArray) -> None:
+    """Raise if a bar of this shape has not its length, naming the worst one."""
+    length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
+    off = np.abs(length / structure.bar_length - 1)
+    if off.size and off.max() > _TOLERANCE:
+        worst = int(off.argmax())
+        raise ValueError(
+            f"in {name}, bar {worst} has length {length[worst]:.9g} m, expected "
+            f"{structure.bar_length[worst]:.9g} m as in the structure; bars are rigid. "
+            "restore_bar_lengths(structure, nodes) mends a shape"
+        )

@@ -1,0 +1,349 @@
+"""The structure: nodes, bars, strings, masses, and the connectivity matrices they define."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    float_array,
+    frozen,
+    per_member,
+    positive,
+    shaped,
+)
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+# A bar shorter than this fraction of the structure's size has no direction in double precision.
+_ZERO_LENGTH = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """A class-1 tensegrity structure: rigid bars in a net of strings.
+
+    No two bars share a node. Nodes keep the order in which they are given, in
+    every output. A node on a bar is a *bar node*; any other node is a *string
+    node*, a point mass.
+
+    Parameters
+    ----------
+    nodes : array_like, shape (3, n)
+        Node positions N in the reference shape, m. They fix the bar lengths.
+    bars : array_like of int, shape (β, 2)
+        Start and end node of each bar.
+    strings : array_like of int, shape (α, 2)
+        Start and end node of each string.
+    bar_mass : float or array_like, shape (β,)
+        Mass of each bar, kg, spread evenly along it. One number serves all.
+    string_node_mass : float or array_like, shape (σ,), optional
+        Mass of each string node, kg, in ascending order of node index.
+        Needed when there are string nodes, refused when there are none.
+    string_groups : sequence of str, length α, optional
+        A group name for each string, used in names of signals and to refer to
+        strings in words. All are ``"string"`` when not given.
+
+    Raises
+    ------
+    TypeError
+        If an argument is not an array of numbers, or an index is not a whole number.
+    ValueError
+        If a shape does not fit, an index is out of range, a member joins a
+        node to itself or repeats another, two bars share a node, a node has no
+        member, a bar has no length, or a mass is missing or not positive. The
+        message names the culprit.
+
+    Notes
+    -----
+    Connectivity follows Goyal & Skelton: ``B = N C_nbᵀ C_bᵀ`` are the bar
+    vectors and ``S = N C_sᵀ`` the string vectors, each from start to end node.
+
+    Examples
+    --------
+    A bar held between two string nodes:
+
+    >>> import tenscontrol as tc
+    >>> line = tc.Structure(
+    ...     nodes=[[0, 1, 2, 3], [0, 0, 0, 0], [0, 0, 0, 0]],
+    ...     bars=[[1, 2]], strings=[[0, 1], [2, 3]],
+    ...     bar_mass=1.0, string_node_mass=0.1)
+    >>> line.bar_nodes, line.string_nodes
+    (array([1, 2]), array([0, 3]))
+    >>> line.bar_length
+    array([1.])
+    """
+
+    nodes: FloatArray
+    bars: IntArray
+    strings: IntArray
+    bar_mass: FloatArray
+    string_node_mass: FloatArray = None  # type: ignore[assignment]  # replaced in __post_init__
+    string_groups: tuple[str, ...] = None  # type: ignore[assignment]  # replaced in __post_init__
+
+    def __post_init__(self) -> None:
+        nodes = float_array("nodes", self.nodes)
+        if nodes.ndim != 2 or nodes.shape[0] != 3 or nodes.shape[1] == 0:
+            hint = "; transpose it" if nodes.ndim == 2 and nodes.shape[1] == 3 else ""
+            raise ValueError(
+                f"nodes has shape {nodes.shape}, expected (3, n): one column per node{hint}"
+            )
+        count = nodes.shape[1]
+        bars = _members("bars", self.bars, count)
+        strings = _members("strings", self.strings, count)
+        _refuse_repeats(bars, strings)
+        _refuse_shared_bar_nodes(bars)
+        _refuse_untouched_nodes(bars, strings, count)
+        _refuse_short_bars(nodes, bars)
+        put = object.__setattr__  # the dataclass is frozen for everyone else
+        put(self, "nodes", frozen(nodes))
+        put(self, "bars", frozen(bars))
+        put(self, "strings", frozen(strings))
+        bar_mass = per_member("bar_mass", self.bar_mass, len(bars), "bar")
+        put(self, "bar_mass", frozen(positive("bar_mass", bar_mass, "mass in kg")))
+        put(self, "string_node_mass", frozen(self._checked_string_node_mass()))
+        put(self, "string_groups", self._checked_groups())
+
+    def _checked_string_node_mass(self) -> FloatArray:
+        if len(self.string_nodes) == 0:
+            if self.string_node_mass is not None and np.size(self.string_node_mass) > 0:
+                raise ValueError(
+                    "string_node_mass is given, but every node is on a bar; leave it out"
+                )
+            return np.zeros(0)
+        if self.string_node_mass is None:
+            raise ValueError(
+                f"node {self.string_nodes[0]} is on no bar, so it is a point mass and needs "
+                f"string_node_mass: one number, or one for each of the "
+                f"{len(self.string_nodes)} string nodes"
+            )
+        mass = per_member(
+            "string_node_mass", self.string_node_mass, len(self.string_nodes), "string node"
+        )
+        return positive("string_node_mass", mass, "mass in kg")
+
+    def _checked_groups(self) -> tuple[str, ...]:
+        if self.string_groups is None:
+            return ("string",) * len(self.strings)
+        if isinstance(self.string_groups, str):
+            raise TypeError(
+                f"string_groups is the text {self.string_groups!r}, "
+                "expected a sequence with one name per string"
+            )
+        groups = tuple(self.string_groups)
+        if len(groups) != len(self.strings):
+            raise ValueError(
+                f"string_groups has {len(groups)} names, "
+                f"expected {len(self.strings)}: one per string"
+            )
+        for i, group in enumerate(groups):
+            if not isinstance(group, str) or not group.isidentifier():
+                raise ValueError(
+                    f"string_groups[{i}] is {group!r}, expected a name of letters, digits and _"
+                )
+        return groups
+
+    def __repr__(self) -> str:
+        return (
+            f"Structure({self.nodes.shape[1]} nodes, {len(self.bars)} bars, "
+            f"{len(self.strings)} strings)"
+        )
+
+    @cached_property
+    def bar_nodes(self) -> IntArray:
+        """Indices of the nodes on a bar, ascending, shape (2β,)."""
+        return frozen(np.sort(self.bars.ravel()))
+
+    @cached_property
+    def string_nodes(self) -> IntArray:
+        """Indices of the nodes on no bar, ascending, shape (σ,)."""
+        return frozen(np.setdiff1d(np.arange(self.nodes.shape[1]), self.bars.ravel()))
+
+    @cached_property
+    def bar_length(self) -> FloatArray:
+        """Bar lengths l, m, shape (β,). They stay what they are in the reference shape."""
+        return frozen(np.linalg.norm(self.bar_vectors(self.nodes), axis=0))
+
+    def bar_vectors(self, nodes: FloatArray) -> FloatArray:
+        """Return the bar vectors B = N C_nbᵀ C_bᵀ, m, shape (3, β), from start to end node."""
+        return nodes[:, self.bars[:, 1]] - nodes[:, self.bars[:, 0]]
+
+    def string_vectors(self, nodes: FloatArray) -> FloatArray:
+        """Return the string vectors S = N C_sᵀ, m, shape (3, α), from start to end node."""
+        return nodes[:, self.strings[:, 1]] - nodes[:, self.strings[:, 0]]
+
+    def string_length(self, nodes: object = None) -> FloatArray:
+        """Return the string lengths, m, shape (α,), of the reference shape or of ``nodes``.
+
+        Parameters
+        ----------
+        nodes : array_like, shape (3, n), optional
+            Node positions, m.
+
+        Examples
+        --------
+        >>> import tenscontrol as tc
+        >>> tc.prism().string_length().round(4)
+        array([0.866, 0.866, 0.866, 0.866, 0.866, 0.866, 1.033, 1.033, 1.033])
+        """
+        at = self.nodes if nodes is None else self.checked_nodes("nodes", nodes)
+        length: FloatArray = np.linalg.norm(self.string_vectors(at), axis=0)
+        return length
+
+    def strings_in(self, group: str) -> IntArray:
+        """Return the indices of the strings of one group.
+
+        Parameters
+        ----------
+        group : str
+            A name from ``string_groups``.
+
+        Raises
+        ------
+        ValueError
+            If there is no such group; the message lists those there are.
+        """
+        found = np.array([i for i, name in enumerate(self.string_groups) if name == group])
+        if len(found) == 0:
+            known = ", ".join(repr(name) for name in dict.fromkeys(self.string_groups)) or "none"
+            raise ValueError(f"there is no string group {group!r}; the groups are: {known}")
+        return found
+
+    def checked_nodes(self, name: str, nodes: object) -> FloatArray:
+        """Return ``nodes`` as a finite array of shape (3, n), or raise naming the argument."""
+        shape = self.nodes.shape
+        return shaped(name, nodes, (3, shape[1]), "one column of x, y, z per node of the structure")
+
+    # The paper's matrices, built on demand. The dynamics never multiply by them:
+    # every product is done member by member.
+
+    @property
+    def C_b(self) -> csr_array:  # noqa: N802
+        """Bar connectivity, shape (β, 2β), over the bar nodes: −1 at the start, 1 at the end."""
+        position = np.searchsorted(self.bar_nodes, self.bars)
+        return _signed_incidence(position, 2 * len(self.bars))
+
+    @property
+    def C_r(self) -> csr_array:  # noqa: N802
+        """Centres of mass, ½|C_b|, shape (β, 2β)."""
+        half = abs(self.C_b) * 0.5
+        return half.tocsr()
+
+    @property
+    def C_s(self) -> csr_array:  # noqa: N802
+        """String connectivity, shape (α, n), over all nodes: −1 at the start, 1 at the end."""
+        return _signed_incidence(self.strings, self.nodes.shape[1])
+
+    @property
+    def C_nb(self) -> csr_array:  # noqa: N802
+        """Selects the bar nodes, shape (2β, n): ``N_b = N C_nbᵀ``."""
+        return _selection(self.bar_nodes, self.nodes.shape[1])
+
+    @property
+    def C_ns(self) -> csr_array:  # noqa: N802
+        """Selects the string nodes, shape (σ, n): ``N_s = N C_nsᵀ``."""
+        return _selection(self.string_nodes, self.nodes.shape[1])
+
+    @property
+    def C_sb(self) -> csr_array:  # noqa: N802
+        """The columns of C_s that belong to bar nodes, shape (α, 2β)."""
+        return self.C_s[:, self.bar_nodes]
+
+    @property
+    def C_ss(self) -> csr_array:  # noqa: N802
+        """The columns of C_s that belong to string nodes, shape (α, σ)."""
+        return self.C_s[:, self.string_nodes]
+
+
+def _members(name: str, pairs: Any, count: int) -> IntArray:
+    """Check index pairs: shape (·, 2), whole numbers, in range, not from a node to itself."""
+    array = float_array(name, pairs)
+    if array.size == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise ValueError(
+            f"{name} has shape {array.shape}, expected (count, 2): a start and an end node each"
+        )
+    whole = array.astype(np.int64)
+    for i, (start, end) in enumerate(whole):
+        if (whole[i] != array[i]).any():
+            raise TypeError(f"{name}[{i}] is {array[i].tolist()}, expected two whole numbers")
+        for node in (start, end):
+            if not 0 <= node < count:
+                raise ValueError(
+                    f"{name}[{i}] names node {node}, expected 0 to {count - 1}: "
+                    f"there are {count} nodes, counted from 0"
+                )
+        if start == end:
+            raise ValueError(f"{name}[{i}] joins node {start} to itself")
+    return whole
+
+
+def _refuse_repeats(bars: IntArray, strings: IntArray) -> None:
+    seen: dict[tuple[int, int], str] = {}
+    for name, pairs in (("bars", bars), ("strings", strings)):
+        for i, pair in enumerate(pairs.tolist()):
+            key = (min(pair), max(pair))
+            label = f"{name}[{i}]"
+            if key in seen:
+                raise ValueError(
+                    f"{label} joins nodes {key[0]} and {key[1]}, as {seen[key]} does; remove one"
+                )
+            seen[key] = label
+
+
+def _refuse_shared_bar_nodes(bars: IntArray) -> None:
+    on: dict[int, list[int]] = {}
+    for i, pair in enumerate(bars.tolist()):
+        for node in pair:
+            on.setdefault(node, []).append(i)
+    shared = {node: members for node, members in sorted(on.items()) if len(members) > 1}
+    if shared:
+        listed = "; ".join(f"node {node} is on bars {members}" for node, members in shared.items())
+        raise ValueError(
+            f"{listed}: not a class-1 structure, in which a node is on one bar at most. "
+            "Give each bar its own node and join them by a short string"
+        )
+
+
+def _refuse_untouched_nodes(bars: IntArray, strings: IntArray, count: int) -> None:
+    touched = np.concatenate([bars.ravel(), strings.ravel()])
+    untouched = np.setdiff1d(np.arange(count), touched)
+    if len(untouched):
+        raise ValueError(
+            f"nothing touches node {untouched[0]}"
+            + (f" (nor {len(untouched) - 1} more)" if len(untouched) > 1 else "")
+            + "; remove it, or join it by a bar or a string"
+        )
+
+
+def _refuse_short_bars(nodes: FloatArray, bars: IntArray) -> None:
+    size = float(np.ptp(nodes, axis=1).max())
+    length = np.linalg.norm(nodes[:, bars[:, 1]] - nodes[:, bars[:, 0]], axis=0)
+    short = np.flatnonzero(length <= _ZERO_LENGTH * size)
+    if len(short):
+        start, end = bars[short[0]]
+        raise ValueError(
+            f"bars[{short[0]}] has no length: nodes {start} and {end} are at the same place"
+        )
+
+
+def _signed_incidence(pairs: IntArray, columns: int) -> csr_array:
+    from scipy.sparse import csr_array
+
+    rows = np.repeat(np.arange(len(pairs)), 2)
+    values = np.tile([-1.0, 1.0], len(pairs))
+    return csr_array((values, (rows, pairs.ravel())), shape=(len(pairs), columns))
+
+
+def _selection(columns: IntArray, count: int) -> csr_array:
+    from scipy.sparse import csr_array
+
+    rows = np.arange(len(columns))
+    return csr_array((np.ones(len(columns)), (rows, columns)), shape=(len(columns), count))

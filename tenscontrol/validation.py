@@ -1,0 +1,105 @@
+"""Checks of user input, with messages that say what was found, what is expected and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a read-only copy of an array, so that a value handed out cannot change."""
+    copy = np.array(array, order="C", copy=True)
+    copy.setflags(write=False)
+    return copy
+
+
+def float_array(name: str, value: object) -> FloatArray:
+    """Return ``value`` as a finite float array, or say which entry is not a finite number."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name} must be an array of real numbers: {error}") from None
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        where = "" if array.ndim == 0 else f"[{', '.join(str(i) for i in bad[0])}]"
+        raise ValueError(
+            f"{name}{where} is {array[tuple(bad[0])]}, expected a finite number; "
+            f"{len(bad)} of {array.size} entries are not finite"
+        )
+    return array
+
+
+def shaped(name: str, value: object, shape: tuple[int, ...], meaning: str) -> FloatArray:
+    """Return ``value`` as a finite float array of exactly this shape."""
+    array = float_array(name, value)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}, expected {shape}: {meaning}")
+    return array
+
+
+def per_member(name: str, value: object, count: int, member: str) -> FloatArray:
+    """Return one finite float a member: a scalar is repeated, a vector must fit."""
+    array = float_array(name, value)
+    if array.ndim == 0:
+        return np.full(count, float(array))
+    if array.shape != (count,):
+        raise ValueError(
+            f"{name} has shape {array.shape}, expected () or ({count},): "
+            f"one number for all, or one per {member}"
+        )
+    return array
+
+
+def positive(name: str, array: FloatArray, what: str) -> FloatArray:
+    """Refuse an array with an entry that is not greater than zero."""
+    bad = np.flatnonzero(array <= 0)
+    if len(bad):
+        raise ValueError(f"{name}[{bad[0]}] is {array[bad[0]]:g}, expected a positive {what}")
+    return array
+
+
+def non_negative(name: str, array: FloatArray, why: str) -> FloatArray:
+    """Refuse an array with an entry below zero."""
+    bad = np.flatnonzero(array < 0)
+    if len(bad):
+        raise ValueError(f"{name}[{bad[0]}] is {array[bad[0]]:g}, expected at least 0: {why}")
+    return array
+
+
+def positive_number(name: str, value: object, unit: str) -> float:
+    """Return a positive finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise TypeError(f"{name} is {value!r}, expected a positive number in {unit}")
+    if not np.isfinite(value) or value <= 0:
+        raise ValueError(f"{name} is {value!r}, expected a positive finite number in {unit}")
+    return float(value)
+
+
+def whole_number(name: str, value: object, least: int) -> int:
+    """Return an integer that is at least ``least``."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise TypeError(f"{name} is {value!r}, expected a whole number of at least {least}")
+    if value < least:
+        raise ValueError(f"{name} is {value}, expected a whole number of at least {least}")
+    return int(value)
+
+
+def choice(name: str, value: object, options: Iterable[str]) -> str:
+    """Return a string that is one of the options."""
+    allowed = tuple(options)
+    if not isinstance(value, str) or value not in allowed:
+        quoted = ", ".join(repr(option) for option in allowed)
+        raise ValueError(f"{name} is {value!r}, expected one of {quoted}")
+    return value
+
+
+def instance(name: str, value: object, kind: type, how: str) -> None:
+    """Refuse a value of the wrong class and say where the right one comes from."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} is a {type(value).__name__}, expected {kind.__name__}: {how}")
