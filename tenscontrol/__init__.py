@@ -29,6 +29,16 @@ if TYPE_CHECKING:
         linearize,
         modes,
     )
+    from tenscontrol.control import (
+        LQR,
+        MPC,
+        Command,
+        Controller,
+        MPCStatistics,
+        Reference,
+        energy_weights,
+        lqr,
+    )
     from tenscontrol.dynamics import (
         Coordinates,
         ElasticStrings,
@@ -60,6 +70,16 @@ _HOME = {
         "in_coordinates",
         "linearize",
         "modes",
+    ],
+    "control": [
+        "LQR",
+        "MPC",
+        "Command",
+        "Controller",
+        "MPCStatistics",
+        "Reference",
+        "energy_weights",
+        "lqr",
     ],
     "dynamics": [
         "Coordinates",

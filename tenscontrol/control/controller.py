@@ -5,8 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
+import numpy as np
+
 from tenscontrol.analysis import LinearPlant
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, frozen
+
+OK = "ok"
+BAD_MEASUREMENT = "measurement not finite"
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +41,16 @@ class Controller(ABC):
     step : float or None
         Sample time, s. None for a law in continuous time, which is run at
         whatever sample time the simulation is given.
+    low, high : ndarray, shape (α,)
+        Least and largest command.
     """
 
-    def __init__(self, plant: LinearPlant, step: float | None) -> None:
+    def __init__(
+        self, plant: LinearPlant, step: float | None, low: FloatArray, high: FloatArray
+    ) -> None:
         self._plant = plant
         self._step = step
+        self._low, self._high = frozen(low), frozen(high)
 
     @property
     def plant(self) -> LinearPlant:
@@ -58,26 +68,53 @@ class Controller(ABC):
         return self._plant.input
 
     @property
-    @abstractmethod
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Least and largest command, shape (α,) each."""
+        return self._low, self._high
 
-    @abstractmethod
-    def command(self, time: float, nodes: FloatArray, velocities: FloatArray) -> Command:
+    def command(self, time: float, nodes: object, velocities: object) -> Command:
         """Return the command for the sample that starts now.
+
+        A measurement that is not finite is not used: the command is then the
+        controller's fallback, and the status says so.
 
         Parameters
         ----------
         time : float
             s.
-        nodes, velocities : ndarray, shape (3, n)
+        nodes, velocities : array_like, shape (3, n)
             Measured motion, m and m/s.
 
         Returns
         -------
         Command
+
+        Raises
+        ------
+        ValueError
+            If an array has the wrong shape.
         """
+        shape = self._plant.nodes.shape
+        N, V = np.asarray(nodes, dtype=float), np.asarray(velocities, dtype=float)
+        for name, array in (("nodes", N), ("velocities", V)):
+            if array.shape != shape:
+                raise ValueError(
+                    f"{name} has shape {array.shape}, expected {shape}: one column per node"
+                )
+        if np.isfinite(N).all() and np.isfinite(V).all():
+            wish, status = self._decide(time, self._plant.measure(N, V))
+        else:
+            wish, status = self._fall_back(BAD_MEASUREMENT)
+        return Command(frozen(np.clip(wish, self._low, self._high)), status)
 
     @abstractmethod
     def reset(self) -> None:
         """Forget everything that was measured or planned."""
+
+    @abstractmethod
+    def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
+        """Return the wanted input, shape (α,), for the reduced state z, and a status."""
+
+    @abstractmethod
+    def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
+        """Return a safe input, shape (α,), where there is nothing to decide on, and a status."""

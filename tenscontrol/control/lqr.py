@@ -1,0 +1,196 @@
+"""The linear-quadratic regulator, checked before and after."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from tenscontrol.analysis import LinearPlant, controllability, lost_poles
+from tenscontrol.control.bounds import input_bounds
+from tenscontrol.control.controller import OK, Controller
+from tenscontrol.control.weights import weight_matrix
+from tenscontrol.validation import FloatArray, frozen, instance, positive_number
+
+# A Riccati residual above this fraction of its terms means that the solution is wrong.
+_RESIDUAL_TOLERANCE = 1e-6
+
+
+@final
+class LQR(Controller):
+    """The state feedback ``u = u₀ − K z``, kept within bounds. Made by :func:`lqr`.
+
+    Attributes
+    ----------
+    gain : ndarray, shape (α, 2r)
+        K.
+    poles : ndarray of complex, shape (2r,)
+        Closed-loop poles: of the s-plane, 1/s, or with a sample time of the z-plane.
+    cost : ndarray, shape (2r, 2r)
+        Solution P of the Riccati equation: ``zᵀ P z`` is the cost to go.
+    riccati_residual : float
+        Residual of the Riccati equation relative to its largest term.
+    """
+
+    def __init__(
+        self,
+        plant: LinearPlant,
+        step: float | None,
+        bounds: tuple[FloatArray, FloatArray],
+        gain: FloatArray,
+        poles: np.ndarray,
+        cost: FloatArray,
+        riccati_residual: float,
+    ) -> None:
+        super().__init__(plant, step, *bounds)
+        self.gain = frozen(gain)
+        self.poles = frozen(poles)
+        self.cost = frozen(cost)
+        self.riccati_residual = riccati_residual
+
+    def reset(self) -> None:
+        """Do nothing: the feedback remembers nothing."""
+
+    def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
+        wish = self.plant.equilibrium_input - self.gain @ state
+        if (wish < self._low).any() or (wish > self._high).any():
+            return wish, "saturated"
+        return wish, OK
+
+    def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
+        return self.plant.equilibrium_input, f"{reason}: equilibrium held"
+
+    def __repr__(self) -> str:
+        kind = "continuous" if self.step is None else f"every {self.step:g} s"
+        return f"LQR({self.plant!r}, {kind})"
+
+
+def lqr(
+    plant: LinearPlant,
+    Q: object,
+    R: object,
+    step: float | None = None,
+    max_force_density: object = None,
+) -> LQR:
+    """Return the feedback that minimizes ``∫ zᵀ Q z + vᵀ R v dt``.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        In ``"internal"`` coordinates; ``"nodes"`` and ``"minimal"`` have
+        states that no string reaches.
+    Q : float or array_like, shape (2r,) or (2r, 2r)
+        Weight of the state ``z = [q; q̇]``, positive semidefinite.
+    R : float or array_like, shape (α,) or (α, α)
+        Weight of the input, positive definite.
+    step : float, optional
+        Sample time, s. With it the plant is discretized exactly, and the sum
+        over samples is minimized in place of the integral.
+    max_force_density : float or array_like, shape (α,), optional
+        Largest γ commanded, N/m; only for a plant with γ as the input. The
+        least is 0 always.
+
+    Returns
+    -------
+    LQR
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit; if an unstable pole cannot be reached (the
+        message says which and what to do); if the solution of the Riccati
+        equation does not stand the check of its residual and poles.
+
+    Notes
+    -----
+    The Riccati equation is solved by python-control. Its answer is checked,
+    since it can be wrong without a word where an undamped mode is out of reach.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> regulator = tc.lqr(plant, Q=1.0, R=1e-3)
+    >>> regulator.gain.shape, bool(regulator.poles.real.max() < 0)
+    ((9, 18), True)
+    """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    states, inputs = plant.B.shape
+    state_weight = weight_matrix("Q", Q, states, definite=False)
+    input_weight = weight_matrix("R", R, inputs, definite=True)
+    bounds = input_bounds(plant, max_force_density)
+    _refuse_unreachable(plant)
+
+    import control
+
+    try:
+        if step is None:
+            A, B = plant.A, plant.B
+            K, P, poles = control.lqr(A, B, state_weight, input_weight)
+        else:
+            A, B, _ = plant.discretize(positive_number("step", step, "s"))
+            K, P, poles = control.dlqr(A, B, state_weight, input_weight)
+    except np.linalg.LinAlgError as error:
+        raise ValueError(
+            f"the Riccati equation has no stabilizing solution: {error}. An undamped mode without "
+            "weight in Q is one reason; weights that differ by many powers of ten are another"
+        ) from error
+    residual = _riccati_residual(A, B, state_weight, input_weight, P, discrete=step is not None)
+    _refuse_bad_solution(poles, residual, discrete=step is not None)
+    return LQR(plant, step, bounds, K, poles, P, residual)
+
+
+def _riccati_residual(
+    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, P: FloatArray, discrete: bool
+) -> float:
+    if discrete:
+        PB = A.T @ P @ B
+        terms = [A.T @ P @ A, -P, -PB @ np.linalg.solve(R + B.T @ P @ B, PB.T), Q]
+    else:
+        PB = P @ B
+        terms = [A.T @ P, P @ A, -PB @ np.linalg.solve(R, PB.T), Q]
+    largest = max(float(np.linalg.norm(term)) for term in terms)
+    return float(np.linalg.norm(sum(terms))) / max(largest, 1e-300)
+
+
+def _refuse_bad_solution(poles: np.ndarray, residual: float, discrete: bool) -> None:
+    if not residual <= _RESIDUAL_TOLERANCE:
+        raise ValueError(
+            f"the Riccati equation is left with a residual of {residual:.1e}, expected at most "
+            f"{_RESIDUAL_TOLERANCE:.0e}: its solution is not to be trusted. Bring the weights "
+            "Q and R closer together"
+        )
+    margin = float(1 - np.abs(poles).max()) if discrete else float(-poles.real.max())
+    if not margin > 0:
+        raise ValueError(
+            f"the closed loop is not stable: its slowest pole is {poles[np.argmax(np.abs(poles))]}. "
+            "Give every mode some weight in Q"
+        )
+
+
+def _refuse_unreachable(plant: LinearPlant) -> None:
+    lost = lost_poles(plant)
+    if len(lost) == 0:
+        return
+    beta, kind = len(plant.model.structure.bars), plant.coordinates.kind
+    unreachable = controllability(plant).unreachable
+    found = (
+        f"{unreachable} of the {len(plant.A)} states of the plant in {kind!r} coordinates are out "
+        "of reach of the strings"
+    )
+    if kind == "internal":
+        poles = ", ".join(f"{pole:.4g}" for pole in lost)
+        raise ValueError(
+            f"{found}, at the poles {poles} 1/s, which do not decay by themselves. Damping, other "
+            "strings or another prestress would mend that; controllability(plant) says more"
+        )
+    what = []
+    if kind == "nodes":
+        what.append(f"{2 * beta} are the lengths of the {beta} bars and their rates")
+        unreachable -= 2 * beta
+    what.append(f"{unreachable} are motions of the structure as one body")
+    raise ValueError(
+        f"{found}: {' and '.join(what)}, and internal forces change neither. "
+        "Linearize with coordinates='internal'"
+    )

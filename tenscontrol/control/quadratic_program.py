@@ -1,0 +1,153 @@
+"""Quadratic programs of one fixed pattern, solved by OSQP."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tenscontrol.validation import FloatArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
+
+
+class Status(Enum):
+    """What became of a solve, with what to do about it."""
+
+    SOLVED = "ok"
+    INACCURATE = "solved inaccurately"
+    INFEASIBLE = "infeasible"
+    UNBOUNDED = "unbounded"
+    OUT_OF_ITERATIONS = "out of iterations"
+    OUT_OF_TIME = "out of time"
+    NOT_CONVEX = "not convex"
+    INTERRUPTED = "interrupted"
+    UNSOLVED = "unsolved"
+    BAD_DATA = "data not finite"
+
+
+# Every status that OSQP can return.
+_STATUS = {
+    "OSQP_SOLVED": Status.SOLVED,
+    "OSQP_SOLVED_INACCURATE": Status.INACCURATE,
+    "OSQP_PRIMAL_INFEASIBLE": Status.INFEASIBLE,
+    "OSQP_PRIMAL_INFEASIBLE_INACCURATE": Status.INFEASIBLE,
+    "OSQP_DUAL_INFEASIBLE": Status.UNBOUNDED,
+    "OSQP_DUAL_INFEASIBLE_INACCURATE": Status.UNBOUNDED,
+    "OSQP_MAX_ITER_REACHED": Status.OUT_OF_ITERATIONS,
+    "OSQP_TIME_LIMIT_REACHED": Status.OUT_OF_TIME,
+    "OSQP_NON_CVX": Status.NOT_CONVEX,
+    "OSQP_SIGINT": Status.INTERRUPTED,
+    "OSQP_UNSOLVED": Status.UNSOLVED,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class QPSolution:
+    """Answer to a quadratic program.
+
+    Attributes
+    ----------
+    status : Status
+    x, y : ndarray or None
+        Primal and dual solution; None unless the status is ``SOLVED``.
+    iterations : int
+    """
+
+    status: Status
+    x: FloatArray | None
+    y: FloatArray | None
+    iterations: int
+
+
+class QuadraticProgram:
+    """``min ½ xᵀ P x + qᵀ x  subject to  l ≤ A x ≤ u`` with P and A fixed.
+
+    The matrices are factorised once; a solve changes q, l and u in place and
+    starts from the last solution, or from the one it is told.
+
+    Parameters
+    ----------
+    P : sparse array, shape (k, k)
+        Symmetric positive semidefinite; all of it.
+    A : sparse array, shape (m, k)
+    tolerance : float
+        Absolute and relative tolerance of the residuals.
+    max_iterations : int
+    """
+
+    def __init__(self, P: csc_array, A: csc_array, tolerance: float, max_iterations: int) -> None:
+        import osqp
+        from scipy.sparse import csc_matrix, triu
+
+        rows, columns = A.shape
+        self._shapes = {"q": columns, "l": rows, "u": rows}
+        self._status = {status.value: _STATUS[status.name] for status in osqp.SolverStatus}
+        self._solver = osqp.OSQP()
+        self._solver.setup(
+            P=csc_matrix(triu(P)),
+            q=np.zeros(columns),
+            A=csc_matrix(A),
+            l=np.full(rows, -np.inf),
+            u=np.full(rows, np.inf),
+            verbose=False,
+            eps_abs=tolerance,
+            eps_rel=tolerance,
+            max_iter=max_iterations,
+            # Iterations, not seconds, decide when ρ is adapted: the same data
+            # give the same answer on every machine.
+            adaptive_rho=1,
+            adaptive_rho_interval=50,
+            check_termination=5,
+        )
+
+    def solve(
+        self,
+        q: FloatArray,
+        l: FloatArray,  # noqa: E741 - the letters of the problem
+        u: FloatArray,
+        x: FloatArray | None = None,
+    ) -> QPSolution:
+        """Solve for new vectors, starting from ``x`` if it is given.
+
+        Data that are not finite, or bounds that cross, never reach OSQP: it
+        would print a line, keep the old data, or be poisoned for good.
+
+        Parameters
+        ----------
+        q : ndarray, shape (k,)
+        l, u : ndarray, shape (m,)
+            May be infinite.
+        x : ndarray, shape (k,), optional
+
+        Returns
+        -------
+        QPSolution
+
+        Raises
+        ------
+        ValueError
+            If a vector has the wrong length.
+        """
+        for name, vector in (("q", q), ("l", l), ("u", u)):
+            if vector.shape != (self._shapes[name],):
+                raise ValueError(
+                    f"{name} has shape {vector.shape}, expected ({self._shapes[name]},)"
+                )
+        if not np.isfinite(q).all() or np.isnan(l).any() or np.isnan(u).any():
+            return QPSolution(Status.BAD_DATA, None, None, 0)
+        if (l > u).any():
+            return QPSolution(Status.INFEASIBLE, None, None, 0)
+        self._solver.update(q=q, l=l, u=u)
+        if x is not None:
+            self._solver.warm_start(x=x)
+        result = self._solver.solve(raise_error=False)
+        status = self._status[result.info.status_val]
+        if status is not Status.SOLVED:
+            # What OSQP leaves in x then is not a solution, and may warm-start nothing.
+            self._solver.warm_start(x=np.zeros(self._shapes["q"]), y=np.zeros(self._shapes["l"]))
+            return QPSolution(status, None, None, result.info.iter)
+        return QPSolution(status, result.x, result.y, result.info.iter)

@@ -1,0 +1,84 @@
+"""What a controller is to follow: shapes over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol.validation import FloatArray, float_array, frozen
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Shapes at given times, held before the first and after the last, straight in between.
+
+    Parameters
+    ----------
+    time : array_like, shape (K,)
+        s, ascending.
+    nodes : array_like, shape (3, n, K)
+        Node positions at these times, m.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the arrays are not finite or do not fit, or the times do not ascend.
+
+    Examples
+    --------
+    A prism on its way from 1 m to 0.85 m in two seconds:
+
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism(height=1.0)
+    >>> length = prism.bar_length[0]
+    >>> time = np.linspace(0.0, 2.0, 21)
+    >>> shapes = [tc.prism(radius=tc.prism_radius(length, h), height=h).nodes
+    ...           for h in 1.0 - 0.075 * time]
+    >>> tc.Reference(time, np.stack(shapes, axis=-1)).nodes.shape
+    (3, 6, 21)
+    """
+
+    time: FloatArray
+    nodes: FloatArray
+
+    def __post_init__(self) -> None:
+        time = float_array("time", self.time)
+        nodes = float_array("nodes", self.nodes)
+        if time.ndim != 1 or len(time) == 0:
+            raise ValueError(f"time has shape {time.shape}, expected (K,) with K at least 1")
+        if (np.diff(time) <= 0).any():
+            k = int(np.argmax(np.diff(time) <= 0))
+            raise ValueError(
+                f"time[{k + 1}] is {time[k + 1]:g} s after time[{k}] = {time[k]:g} s; "
+                "expected ascending times"
+            )
+        if nodes.ndim != 3 or nodes.shape[0] != 3 or nodes.shape[2] != len(time):
+            raise ValueError(
+                f"nodes has shape {nodes.shape}, expected (3, n, {len(time)}): one shape per time"
+            )
+        object.__setattr__(self, "time", frozen(time))
+        object.__setattr__(self, "nodes", frozen(nodes))
+
+
+class ReducedReference:
+    """A reference in the coordinates of a plant, ready to be read at any times.
+
+    Parameters
+    ----------
+    time : ndarray, shape (K,)
+    states : ndarray, shape (K, 2r)
+        z at these times.
+    """
+
+    def __init__(self, time: FloatArray, states: FloatArray) -> None:
+        self._time, self._states = time, states
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return z at these times, shape (len(times), 2r)."""
+        if len(self._time) == 1:
+            return np.repeat(self._states, len(times), axis=0)
+        left = np.clip(np.searchsorted(self._time, times, side="right") - 1, 0, len(self._time) - 2)
+        share = (times - self._time[left]) / (self._time[left + 1] - self._time[left])
+        share = np.clip(share, 0.0, 1.0)[:, None]
+        return np.asarray((1 - share) * self._states[left] + share * self._states[left + 1])

@@ -1,0 +1,73 @@
+"""Weights of quadratic costs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tenscontrol.analysis import LinearPlant
+from tenscontrol.validation import FloatArray, float_array
+
+_TOLERANCE = 1e-12
+
+
+def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatArray:
+    """Return a symmetric weight matrix from a number, a diagonal or a matrix.
+
+    Parameters
+    ----------
+    name : str
+        For messages.
+    value : float or array_like, shape (size,) or (size, size)
+    size : int
+    definite : bool
+        Whether the matrix must be positive definite, not only semidefinite.
+
+    Returns
+    -------
+    ndarray, shape (size, size)
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it does not fit, is not symmetric, or has a negative (or, where
+        definite, zero) eigenvalue.
+    """
+    array = float_array(name, value)
+    if array.shape not in ((), (size,), (size, size)):
+        raise ValueError(
+            f"{name} has shape {array.shape}, expected (), ({size},) or ({size}, {size}): "
+            "a number, a diagonal or a matrix"
+        )
+    matrix = array if array.ndim == 2 else np.diag(np.broadcast_to(array, (size,)))
+    largest = float(np.abs(matrix).max(initial=0.0))
+    if np.abs(matrix - matrix.T).max(initial=0.0) > _TOLERANCE * largest:
+        raise ValueError(f"{name} is not symmetric")
+    least = float(np.linalg.eigvalsh(matrix).min()) if size else 0.0
+    if least < -_TOLERANCE * largest or (definite and least <= 0):
+        wanted = "positive" if definite else "at least 0"
+        raise ValueError(f"{name} has the eigenvalue {least:.3g}, expected {wanted}")
+    return np.array(matrix)
+
+
+def energy_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
+    """Return weights that make displacement, speed and input commensurate.
+
+    With ω the highest frequency of the plant and b the largest acceleration
+    that a unit input gives: ω² for displacements and 1 for rates, so that a
+    free vibration costs the same at any moment, and b²/ω² for inputs, the
+    cost of the displacement that the input would hold.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+
+    Returns
+    -------
+    Q : ndarray, shape (2r, 2r)
+    R : ndarray, shape (α, α)
+    """
+    r = plant.degrees_of_freedom
+    highest = max(float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)), 1.0)
+    push = float(np.linalg.norm(plant.B, 2))
+    Q = np.diag(np.r_[np.full(r, highest**2), np.ones(r)])
+    return Q, np.eye(plant.B.shape[1]) * (push / highest) ** 2
