@@ -14,8 +14,8 @@ from tenscontrol._version import __version__
 if TYPE_CHECKING:
     from tenscontrol.actuation import (
         RestLengths,
-        WinchMove,
         Winches,
+        WinchMove,
         to_force_density,
         to_rest_length,
     )
@@ -116,4 +116,4 @@ def __dir__() -> list[str]:
     return sorted([*__all__, *_HOME, "plot"])
 
 
-__all__ = ["__version__", *sorted(_FOLDER)]  # noqa: PLE0604
+__all__ = ["__version__", *sorted(_FOLDER)]

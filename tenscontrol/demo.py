@@ -9,8 +9,8 @@ from time import perf_counter
 import numpy as np
 
 from tenscontrol import __version__
-from tenscontrol.analysis import LinearPlant, Modes, controllability, linearize, modes
 from tenscontrol.actuation import Winches, to_rest_length
+from tenscontrol.analysis import LinearPlant, Modes, controllability, linearize, modes
 from tenscontrol.control import LQR, MPC, Reference, energy_weights, lqr
 from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.simulation import Trajectory, simulate
@@ -170,9 +170,7 @@ def show_mpc(model: Model, rest: Prestress) -> Morph:
     )
     print(f"error {1e3 * morph.height_error:+.3f} mm")
     print(f"   smallest γ {run.force_density.min():.3f} N/m; largest winch rate {rate:.3f} m/s")
-    print(
-        f"   commands: {counts}; winches at their limit in {(record.rate_limited > 0).sum()} samples"
-    )
+    print(f"   commands: {counts}; winches too slow in {(record.rate_limited > 0).sum()} samples")
     print(
         f"   {len(solve)} commands, {np.median(solve):.2f} ms median, "
         f"{np.percentile(solve, 99):.2f} ms 99th percentile, for a sample of {1e3 * SAMPLE:g} ms"

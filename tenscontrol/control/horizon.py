@@ -41,6 +41,8 @@ class Horizon:
         N.
     level : float
         Unit of v inside the program.
+    feedback : ndarray, shape (α, s)
+        K of the LQR with these weights.
     """
 
     transition: FloatArray
@@ -54,6 +56,7 @@ class Horizon:
     change: FloatArray | None
     length: int
     level: float
+    feedback: FloatArray
 
     @property
     def cost_scale(self) -> float:
@@ -89,50 +92,87 @@ class Form(ABC):
         """
 
     @abstractmethod
-    def inputs(self, x: FloatArray) -> FloatArray:
+    def inputs(self, x: FloatArray, state: FloatArray) -> FloatArray:
         """Return v_0 … v_{N−1}, shape (N, α), from a solution."""
 
     @abstractmethod
-    def guess(self, plan: FloatArray, state: FloatArray) -> FloatArray:
-        """Return x for planned inputs, shape (N, α), from the state z_0."""
+    def unknowns(self, plan: FloatArray, state: FloatArray) -> FloatArray:
+        """Return x from v_0 … v_{N−1}, shape (N, α)."""
+
+    @abstractmethod
+    def shifted(self, x: FloatArray) -> FloatArray:
+        """Return a solution moved on by one sample, as a start for the next program."""
 
 
 @final
 class Condensed(Form):
-    """Only the inputs are unknown: small and dense."""
+    """Only the departures from the LQR law are unknown: small and dense.
+
+    With ``v_k = −K z_k + c_k`` and the LQR cost at the end, the Hessian in the
+    c_k is block diagonal and the same at each sample (Rossiter, Kouvaritakis &
+    Rice 1998, doi:10.1016/S0005-1098(97)00192-5). Measured by its Cholesky
+    factor it is the identity, and an ADMM solver needs a few iterations where
+    the problem in the v_k takes tens.
+    """
 
     def __init__(self, horizon: Horizon) -> None:
-        from scipy.sparse import csc_array, identity, vstack
+        from scipy.linalg import solve_triangular
+        from scipy.sparse import csc_array, identity
 
         self._horizon = horizon
-        N = horizon.length
+        N, states = horizon.length, len(horizon.drift)
         free, forced, drift = _prediction(horizon)
+        feedback = np.kron(np.eye(N), horizon.feedback)
+        # v = by_state z_0 + by_choice c + by_drift: the law sees z_0 … z_{N−1}.
+        before = [np.vstack([first, part[:-states]]) for first, part in (
+            (np.eye(states), free),
+            (np.zeros((states, forced.shape[1])), forced),
+            (np.zeros((states, 1)), drift[:, None]),
+        )]  # fmt: skip
+        by_state, by_choice, by_drift = (-feedback @ part for part in before)
+        by_choice += np.eye(len(by_choice))
         weighted = _weigh(horizon, forced)
-        hessian = forced.T @ weighted + np.kron(np.eye(N), horizon.input_weight)
-        scale = horizon.cost_scale * horizon.level
-        self.P = csc_array(0.5 * scale * horizon.level * (hessian + hessian.T))
-        rows = [identity(horizon.input_count, format="csc")]
-        if horizon.change is not None:
-            rows.append(_differences(N, len(horizon.low)))
-        self.A = csc_array(vstack(rows))
-        self._from_reference = -scale * weighted.T
-        self._from_state = -self._from_reference @ free
-        self._constant = -self._from_reference @ drift
+        effort = np.kron(np.eye(N), horizon.input_weight) @ by_choice
+        hessian = horizon.cost_scale * (forced.T @ weighted + by_choice.T @ effort)
+        factor = np.linalg.cholesky(0.5 * (hessian + hessian.T))
+        # c = unit x, with unitᵀ hessian unit = I.
+        unit = solve_triangular(factor, np.eye(len(factor)), lower=True).T
+        self.P = csc_array(identity(len(unit)))
+        self._to_inputs = by_choice @ unit
+        self._from_inputs = np.linalg.inv(self._to_inputs)
+        self._by_state, self._by_drift = by_state, by_drift.ravel()
+        limits = _limit_matrix(horizon)
+        self.A = csc_array(limits @ _trimmed(self._to_inputs) / horizon.level)
+        self._limits = limits
+        slope = horizon.cost_scale * unit.T
+        self._from_reference = -slope @ weighted.T
+        self._from_state = slope @ (weighted.T @ free + effort.T @ by_state)
+        self._constant = slope @ (weighted.T @ drift + effort.T @ self._by_drift)
 
     def vectors(
         self, state: FloatArray, reference: FloatArray, previous: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """See :meth:`Form.vectors`."""
         q = self._from_state @ state + self._from_reference @ reference.ravel() + self._constant
-        return q, *_input_limits(self._horizon, previous)
+        low, high = _input_limits(self._horizon, previous)
+        offset = self._limits @ (self._by_state @ state + self._by_drift) / self._horizon.level
+        return q, low - offset, high - offset
 
-    def inputs(self, x: FloatArray) -> FloatArray:
+    def inputs(self, x: FloatArray, state: FloatArray) -> FloatArray:
         """See :meth:`Form.inputs`."""
-        return self._horizon.level * x.reshape(self._horizon.length, -1)
+        v = self._to_inputs @ x + self._by_state @ state + self._by_drift
+        return np.asarray(v.reshape(self._horizon.length, -1))
 
-    def guess(self, plan: FloatArray, state: FloatArray) -> FloatArray:
-        """See :meth:`Form.guess`."""
-        return plan.ravel() / self._horizon.level
+    def unknowns(self, plan: FloatArray, state: FloatArray) -> FloatArray:
+        """See :meth:`Form.unknowns`."""
+        choice = plan.ravel() - self._by_state @ state - self._by_drift
+        return np.asarray(self._from_inputs @ choice)
+
+    def shifted(self, x: FloatArray) -> FloatArray:
+        """See :meth:`Form.shifted`."""
+        # After the horizon the law is followed as it is.
+        count = len(self._horizon.low)
+        return np.concatenate([x[count:], np.zeros(count)])
 
 
 @final
@@ -150,16 +190,11 @@ class Sparse(Form):
         # Zeros inside the blocks are left out: the pattern is fixed all the same.
         self.P = csc_array(block_diag([csc_array(block) for block in tracking + effort]))
         self._weights = csc_array(block_diag([csc_array(block) for block in tracking]))
-        dynamics = hstack(
-            [
-                identity(N * states) - kron(eye(N, k=-1), horizon.transition),
-                -kron(identity(N), level * horizon.input_matrix),
-            ]
-        )
-        inputs = [identity(horizon.input_count)]
-        if horizon.change is not None:
-            inputs.append(_differences(N, len(horizon.low)))
-        limits = vstack(inputs)
+        dynamics = hstack([
+            identity(N * states) - kron(eye(N, k=-1), horizon.transition),
+            -kron(identity(N), level * horizon.input_matrix),
+        ])  # fmt: skip
+        limits = _limit_matrix(horizon)
         empty = csc_array((limits.shape[0], N * states))
         self.A = csc_array(vstack([dynamics, hstack([empty, limits])]))
         self._state_count = N * states
@@ -176,12 +211,12 @@ class Sparse(Form):
         low, high = _input_limits(horizon, previous)
         return q, np.concatenate([motion, low]), np.concatenate([motion, high])
 
-    def inputs(self, x: FloatArray) -> FloatArray:
+    def inputs(self, x: FloatArray, state: FloatArray) -> FloatArray:
         """See :meth:`Form.inputs`."""
         return self._horizon.level * x[self._state_count :].reshape(self._horizon.length, -1)
 
-    def guess(self, plan: FloatArray, state: FloatArray) -> FloatArray:
-        """See :meth:`Form.guess`."""
+    def unknowns(self, plan: FloatArray, state: FloatArray) -> FloatArray:
+        """See :meth:`Form.unknowns`."""
         horizon = self._horizon
         states = np.empty((horizon.length, len(state)))
         for k, v in enumerate(plan):
@@ -189,19 +224,28 @@ class Sparse(Form):
             states[k] = state
         return np.concatenate([states.ravel(), plan.ravel() / horizon.level])
 
+    def shifted(self, x: FloatArray) -> FloatArray:
+        """See :meth:`Form.shifted`."""
+        states = x[: self._state_count].reshape(self._horizon.length, -1)
+        inputs = x[self._state_count :].reshape(self._horizon.length, -1)
+        return np.concatenate([
+            *(states[1:], states[-1:], inputs[1:], inputs[-1:]),
+        ], axis=None)  # fmt: skip
+
 
 def _prediction(horizon: Horizon) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return S, G, D of ``Z = S z_0 + G V + D`` with Z = [z_1; …; z_N]."""
+    """Return S, G, D of ``Z = S z_0 + G C + D`` with Z = [z_1; …; z_N] and v = −K z + c."""
     N, (states, inputs) = horizon.length, horizon.input_matrix.shape
+    closed = horizon.transition - horizon.input_matrix @ horizon.feedback
     free = np.zeros((N, states, states))
     forced = np.zeros((N, states, N, inputs))
     drift = np.zeros((N, states))
     for k in range(N):
         before = np.eye(states) if k == 0 else free[k - 1]
-        free[k] = horizon.transition @ before
-        drift[k] = horizon.drift + (horizon.transition @ drift[k - 1] if k else 0.0)
+        free[k] = closed @ before
+        drift[k] = horizon.drift + (closed @ drift[k - 1] if k else 0.0)
         if k:
-            # What v_j does to z_{k+1} is what v_{j−1} did to z_k.
+            # What c_j does to z_{k+1} is what c_{j−1} did to z_k.
             forced[k, :, 1:] = forced[k - 1, :, :-1]
         forced[k, :, 0] = free[k - 1] @ horizon.input_matrix if k else horizon.input_matrix
     return (
@@ -215,7 +259,24 @@ def _weigh(horizon: Horizon, forced: FloatArray) -> FloatArray:
     blocks = forced.reshape(horizon.length, len(horizon.drift), -1)
     weighted = np.einsum("ij,kjm->kim", horizon.state_weight, blocks)
     weighted[-1] = horizon.terminal_weight @ blocks[-1]
-    return weighted.reshape(forced.shape)
+    return np.asarray(weighted.reshape(forced.shape))
+
+
+def _limit_matrix(horizon: Horizon) -> csc_array:
+    """Return the matrix whose rows are limited: inputs and, if asked for, their changes."""
+    from scipy.sparse import csc_array, identity, vstack
+
+    inputs = identity(horizon.input_count)
+    if horizon.change is None:
+        return csc_array(inputs)
+    return csc_array(vstack([inputs, _differences(horizon.length, len(horizon.low))]))
+
+
+def _trimmed(matrix: FloatArray) -> csc_array:
+    """Return a block triangular matrix without the round-off above its diagonal blocks."""
+    from scipy.sparse import csc_array
+
+    return csc_array(np.where(np.abs(matrix) > 1e-14 * np.abs(matrix).max(), matrix, 0.0))
 
 
 def _differences(length: int, inputs: int) -> csc_array:

@@ -164,8 +164,7 @@ def _refuse_bad_solution(poles: np.ndarray, residual: float, discrete: bool) -> 
     margin = float(1 - np.abs(poles).max()) if discrete else float(-poles.real.max())
     if not margin > 0:
         raise ValueError(
-            f"the closed loop is not stable: its slowest pole is {poles[np.argmax(np.abs(poles))]}. "
-            "Give every mode some weight in Q"
+            f"the closed loop is not stable by {-margin:.1e}. Give every mode some weight in Q"
         )
 
 

@@ -31,7 +31,7 @@ from tenscontrol.validation import (
 FORMS = ("auto", "condensed", "sparse")
 
 # Up to so many unknown inputs the dense form is the cheaper one: tests/benchmarks/mpc_step.py.
-_LARGEST_CONDENSED = 400
+_LARGEST_CONDENSED = 600
 
 # Input weight, in units of energy_weights, when the user gives none.
 _INPUT_WEIGHT = 0.1
@@ -128,7 +128,7 @@ class MPC(Controller):
         max_change: object = None,
         reference: object = None,
         form: str = "auto",
-        tolerance: float = 1e-5,
+        tolerance: float = 1e-4,
         max_iterations: int = 4000,
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
@@ -165,6 +165,7 @@ class MPC(Controller):
             change=change,
             length=length,
             level=float(plant.force_density.max()),
+            feedback=regulator.gain,
         )
         if choice("form", form, FORMS) == "auto":
             form = "condensed" if problem.input_count <= _LARGEST_CONDENSED else "sparse"
@@ -177,7 +178,7 @@ class MPC(Controller):
             whole_number("max_iterations", max_iterations, least=1),
         )
         self._problem = problem
-        self._ahead = step * np.arange(1, length + 1)
+        self._ahead: FloatArray = step * np.arange(1.0, length + 1)
         self.follow(reference)
         self.reset()
 
@@ -225,27 +226,23 @@ class MPC(Controller):
                     f"reference has shape {nodes.shape}, expected {shape}: one column per node; "
                     "shapes over time go in a Reference(time, nodes)"
                 )
-            reference = Reference([0.0], nodes[:, :, None])  # type: ignore[arg-type]
+            reference = Reference([0.0], nodes[:, :, None])
         if reference.nodes.shape[:2] != shape:
             raise ValueError(
                 f"reference.nodes has shape {reference.nodes.shape}, "
                 f"expected {(*shape, len(reference.time))}: one column per node"
             )
         still = np.zeros(shape)
-        states = np.array(
-            [plant.measure(reference.nodes[:, :, k], still) for k in range(len(reference.time))]
-        )
-        r = plant.degrees_of_freedom
-        if len(reference.time) > 1:
-            states[:, r:] = np.gradient(states[:, :r], reference.time, axis=0)
-            states[[0, -1], r:] = 0.0  # held before and after
-        self._reference = ReducedReference(reference.time, states)
+        shapes = [reference.nodes[:, :, k] for k in range(len(reference.time))]
+        coordinates = [plant.measure(N, still)[: plant.degrees_of_freedom] for N in shapes]
+        self._reference = ReducedReference(reference.time, np.array(coordinates))
 
     def reset(self) -> None:
         """Forget the last plan and the statistics."""
         count = len(self._low)
         self._plan = np.zeros((0, count))
         self._used = 0
+        self._guess: FloatArray | None = None
         self._previous = np.zeros(count)
         self._statuses: list[str] = []
         self._iterations: list[int] = []
@@ -253,24 +250,21 @@ class MPC(Controller):
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
         reference = self._reference.at(time + self._ahead)
         vectors = self._form.vectors(state, reference, self._previous)
-        guess = None
-        if len(self._plan) > self._used + 1:
-            # The last plan, moved on by a sample, its last input repeated.
-            rest = self._plan[self._used + 1 :]
-            padding = np.repeat(rest[-1:], self._problem.length - len(rest), axis=0)
-            guess = self._form.guess(np.vstack([rest, padding]), state)
-        answer = self._program.solve(*vectors, x=guess)
+        answer = self._program.solve(*vectors, x=self._guess)
         self._iterations.append(answer.iterations)
         if answer.x is None:
             return self._fall_back(answer.status.value)
         # Solved to a tolerance: what is left outside the bounds is cut off.
-        self._plan = np.clip(self._form.inputs(answer.x), self._problem.low, self._problem.high)
+        inputs = self._form.inputs(answer.x, state)
+        self._plan = np.clip(inputs, self._problem.low, self._problem.high)
         self._used = 0
+        self._guess = self._form.shifted(answer.x)
         self._statuses.append(answer.status.value)
         return self._applied(self._plan[0]), answer.status.value
 
     def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
         self._used += 1
+        self._guess = None
         if self._used < len(self._plan):
             wish, what = self._plan[self._used], "last plan continued"
         else:

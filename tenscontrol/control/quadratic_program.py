@@ -84,6 +84,7 @@ class QuadraticProgram:
         from scipy.sparse import csc_matrix, triu
 
         rows, columns = A.shape
+        self.tolerance, self.max_iterations = tolerance, max_iterations
         self._shapes = {"q": columns, "l": rows, "u": rows}
         self._status = {status.value: _STATUS[status.name] for status in osqp.SolverStatus}
         self._solver = osqp.OSQP()
@@ -99,6 +100,7 @@ class QuadraticProgram:
             max_iter=max_iterations,
             # Iterations, not seconds, decide when ρ is adapted: the same data
             # give the same answer on every machine.
+            rho=1.0,  # both forms are scaled for it
             adaptive_rho=1,
             adaptive_rho_interval=50,
             check_termination=5,

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tenscontrol.validation import FloatArray, float_array, frozen
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +46,14 @@ class Reference:
     time: FloatArray
     nodes: FloatArray
 
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            time: ArrayLike,
+            nodes: ArrayLike,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         time = float_array("time", self.time)
         nodes = float_array("nodes", self.nodes)
@@ -67,18 +79,21 @@ class ReducedReference:
     Parameters
     ----------
     time : ndarray, shape (K,)
-    states : ndarray, shape (K, 2r)
-        z at these times.
+    coordinates : ndarray, shape (K, r)
+        q at these times.
     """
 
-    def __init__(self, time: FloatArray, states: FloatArray) -> None:
-        self._time, self._states = time, states
+    def __init__(self, time: FloatArray, coordinates: FloatArray) -> None:
+        self._time, self._coordinates = time, coordinates
+        # Rates between the times, zero before the first and after the last.
+        slopes = np.diff(coordinates, axis=0) / np.diff(time)[:, None]
+        still = np.zeros((1, coordinates.shape[1]))
+        self._rates = np.vstack([still, slopes, still])
 
     def at(self, times: FloatArray) -> FloatArray:
-        """Return z at these times, shape (len(times), 2r)."""
-        if len(self._time) == 1:
-            return np.repeat(self._states, len(times), axis=0)
-        left = np.clip(np.searchsorted(self._time, times, side="right") - 1, 0, len(self._time) - 2)
-        share = (times - self._time[left]) / (self._time[left + 1] - self._time[left])
-        share = np.clip(share, 0.0, 1.0)[:, None]
-        return np.asarray((1 - share) * self._states[left] + share * self._states[left + 1])
+        """Return ``z = [q; q̇]`` at these times, shape (len(times), 2r)."""
+        right = np.searchsorted(self._time, times, side="right")
+        nearest = np.clip(right - 1, 0, None)
+        past = np.clip(times - self._time[nearest], 0.0, None)[:, None]
+        rates = self._rates[right]
+        return np.hstack([self._coordinates[nearest] + past * rates, rates])

@@ -1,0 +1,101 @@
+"""Time of one MPC step: a program updated in place against one built anew at each sample.
+
+Run: ``python -m tests.benchmarks.mpc_step``. Prints ratios measured in one run; the
+prism is moved to a new height (no bound active) and recovers from a push (bounds active).
+"""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+
+import tenscontrol as tc
+from tenscontrol import demo
+from tenscontrol.control.quadratic_program import QuadraticProgram
+
+LENGTHS = (10, 20, 40, 80)
+
+
+def main() -> None:
+    scenes = {"ramp": scene(push=0.01, target=0.85), "push": scene(push=0.08, target=1.0)}
+    print("MPC on the prism, 18 states, 9 inputs, 0.02 s samples; median of a whole command")
+    for name, (plant, reference, measured) in scenes.items():
+        print(f"\n{name}: horizon 20, {len(measured)} samples")
+        rows = {}
+        for form in ("condensed", "sparse"):
+            for rebuilt in (False, True):
+                mpc = controller(plant, reference, form, 20)
+                times = run(mpc, measured, rebuilt)
+                rows[f"{form}, {'built anew' if rebuilt else 'updated'}"] = times
+                bounds = sum(touches(mpc, moment) for moment in measured) if not rebuilt else None
+                if bounds is not None and form == "condensed":
+                    print(f"  samples with a bound active: {bounds}")
+        best = min(np.median(times) for times in rows.values())
+        print("  program                  median   / best  p99 / median")
+        for label, times in rows.items():
+            median, late = np.median(times), np.percentile(times, 99)
+            print(f"  {label:24s} {1e3 * median:6.3f} ms {median / best:6.2f} {late / median:9.2f}")
+        updated = min(np.median(times) for label, times in rows.items() if "updated" in label)
+        anew = min(np.median(times) for label, times in rows.items() if "anew" in label)
+        print(f"  fastest updated / fastest built anew: {updated / anew:.3f}")
+    print("\ncondensed against sparse, both updated, push")
+    print("  horizon  inputs  condensed / sparse")
+    plant, reference, measured = scenes["push"]
+    for length in LENGTHS:
+        medians = [
+            np.median(run(controller(plant, reference, form, length), measured, rebuilt=False))
+            for form in ("condensed", "sparse")
+        ]
+        print(f"  {length:7d}  {9 * length:6d}  {medians[0] / medians[1]:8.2f}")
+
+
+def scene(push, target):
+    """Return a plant, a reference, and the motion of a closed loop at its samples."""
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(demo.STIFFNESS))
+    shape = demo.prism_of_height(prism, target)
+    plant = tc.linearize(model, tc.prestress(shape, demo.TOP_FORCE_DENSITY))
+    start = tc.linearize(model, tc.prestress(prism, demo.TOP_FORCE_DENSITY))
+    reference = demo.ramp(prism, 1.0, target, 2.0)
+    nodes = start.to_nodes(push * np.random.default_rng(0).normal(size=9))
+    mpc = controller(plant, reference, "condensed", 20)
+    loop = tc.simulate(model, 4.0, nodes, controller=mpc, step=2e-3)
+    at = np.searchsorted(loop.time, loop.control.time - 1e-9)
+    return (
+        plant,
+        reference,
+        [(loop.time[i], loop.nodes[:, :, i].copy(), loop.velocities[:, :, i].copy()) for i in at],
+    )
+
+
+def controller(plant, reference, form, length):
+    return tc.MPC(plant, length, demo.SAMPLE, 40.0, R=1e-3, reference=reference, form=form)
+
+
+def run(mpc, measured, rebuilt):
+    """Return the time of each command, s."""
+    mpc.reset()
+    times = []
+    for moment in measured:
+        began = perf_counter()
+        if rebuilt:
+            program = mpc._program
+            mpc._program = QuadraticProgram(
+                mpc._form.P, mpc._form.A, program.tolerance, program.max_iterations
+            )
+        command = mpc.command(*moment)
+        times.append(perf_counter() - began)
+        if command.status != "ok":
+            raise SystemExit(f"a program was not solved: {command.status}")
+    return np.array(times)
+
+
+def touches(mpc, moment):
+    """Return whether a bound is active in the plan at this sample."""
+    mpc.command(*moment)
+    return bool((mpc.plan <= 1e-6).any() or (mpc.plan >= 40.0 - 1e-6).any())
+
+
+if __name__ == "__main__":
+    main()

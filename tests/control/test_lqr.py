@@ -1,0 +1,137 @@
+"""LQR: checked design, and what the gain does on the nonlinear prism."""
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_continuous_are, solve_discrete_are
+
+import tenscontrol as tc
+
+
+@pytest.fixture(scope="module")
+def prism():
+    return tc.prism()
+
+
+@pytest.fixture(scope="module")
+def rest(prism):
+    return tc.prestress(prism, 30 / np.sqrt(3))
+
+
+@pytest.fixture(scope="module")
+def model(prism):
+    return tc.Model(prism, strings=tc.LinearStrings(100.0))
+
+
+def displaced(plant, size, seed=0):
+    """Return a shape whose farthest node is off by ``size``, m."""
+    direction = np.random.default_rng(seed).normal(size=plant.degrees_of_freedom)
+    scale = 1e-5
+    for _ in range(20):
+        off = np.linalg.norm(plant.to_nodes(scale * direction) - plant.nodes, axis=0).max()
+        scale *= size / off
+    return plant.to_nodes(scale * direction)
+
+
+def farthest(plant, run):
+    """Return how far the farthest node is from the equilibrium at the end, m."""
+    z = plant.measure(run.nodes[:, :, -1], run.velocities[:, :, -1])
+    shape = plant.to_nodes(z[: plant.degrees_of_freedom])
+    return np.linalg.norm(shape - plant.nodes, axis=0).max()
+
+
+@pytest.mark.parametrize("kind", ["force_density", "rest_length"])
+def test_all_poles_lie_in_the_open_left_half_plane(model, rest, kind):
+    plant = tc.linearize(model, rest, input=kind)
+    Q, R = tc.energy_weights(plant)
+    regulator = tc.lqr(plant, Q, 0.1 * R)
+    assert regulator.poles.real.max() < -0.1
+    closed = np.linalg.eigvals(plant.A - plant.B @ regulator.gain)
+    assert np.allclose(np.sort(closed.real), np.sort(regulator.poles.real), rtol=1e-6, atol=1e-6)
+    assert regulator.riccati_residual < 1e-10
+
+
+def test_gain_and_cost_solve_the_continuous_riccati_equation(model, rest):
+    plant = tc.linearize(model, rest)
+    regulator = tc.lqr(plant, 2.0, 1e-2)
+    P = solve_continuous_are(plant.A, plant.B, 2 * np.eye(18), 1e-2 * np.eye(9))
+    assert np.allclose(regulator.cost, P, rtol=1e-7, atol=1e-7 * abs(P).max())
+    assert np.allclose(regulator.gain, 100 * plant.B.T @ P, rtol=1e-6, atol=1e-6)
+
+
+def test_gain_and_cost_solve_the_discrete_riccati_equation(model, rest):
+    plant = tc.linearize(model, rest)
+    regulator = tc.lqr(plant, 2.0, 1e-2, step=0.02)
+    transition, inputs, _ = plant.discretize(0.02)
+    P = solve_discrete_are(transition, inputs, 2 * np.eye(18), 1e-2 * np.eye(9))
+    assert np.allclose(regulator.cost, P, rtol=1e-7, atol=1e-7 * abs(P).max())
+    assert np.abs(regulator.poles).max() < 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("hold", ["force_density", "rest_length"])
+def test_gain_brings_a_centimetre_below_a_tenth_of_a_millimetre(model, rest, hold, seed):
+    plant = tc.linearize(model, rest)
+    Q, R = tc.energy_weights(plant)
+    regulator = tc.lqr(plant, Q, 0.1 * R, max_force_density=90.0)
+    start = displaced(plant, 0.01, seed)
+    assert np.linalg.norm(start - plant.nodes, axis=0).max() == pytest.approx(0.01)
+    run = tc.simulate(
+        model, 8.0, start, controller=regulator, hold=hold, sample_time=0.01, step=2e-3
+    )
+    assert farthest(plant, run) < 1e-4
+    # The same start without feedback keeps swinging.
+    free = tc.simulate(model, 8.0, start, force_density=rest.force_density, step=2e-3)
+    assert farthest(plant, free) > 1e-3
+
+
+def test_rest_length_plant_is_regulated_by_rest_lengths(model, rest):
+    plant = tc.linearize(model, rest, input="rest_length")
+    Q, R = tc.energy_weights(plant)
+    regulator = tc.lqr(plant, Q, 0.1 * R)
+    start = displaced(plant, 0.01)
+    run = tc.simulate(model, 8.0, start, controller=regulator, sample_time=0.01, step=2e-3)
+    assert farthest(plant, run) < 1e-4
+
+
+def test_command_at_rest_is_the_equilibrium_input(model, rest):
+    regulator = tc.lqr(tc.linearize(model, rest), 1.0, 1e-3)
+    command = regulator.command(0.0, rest.structure.nodes, np.zeros((3, 6)))
+    assert command.status == "ok"
+    assert np.allclose(command.value, rest.force_density, atol=1e-9)
+
+
+def test_saturated_commands_stay_within_bounds_and_say_so(model, rest):
+    plant = tc.linearize(model, rest)
+    regulator = tc.lqr(plant, 1e4, 1e-3, max_force_density=50.0)
+    command = regulator.command(0.0, displaced(plant, 0.05), np.zeros((3, 6)))
+    assert command.status == "saturated"
+    assert command.value.min() == 0.0
+    assert command.value.max() == 50.0
+
+
+def test_measurement_that_is_not_finite_gives_the_equilibrium(model, rest):
+    regulator = tc.lqr(tc.linearize(model, rest), 1.0, 1e-3)
+    nodes = rest.structure.nodes.copy()
+    nodes[0, 0] = np.nan
+    command = regulator.command(0.0, nodes, np.zeros((3, 6)))
+    assert command.status == "measurement not finite: equilibrium held"
+    assert np.array_equal(command.value, rest.force_density)
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("nodes", "18 of the 36 .*6 are the lengths of the 3 bars.*12 are motions .* one body"),
+        ("minimal", "12 of the 30 .*12 are motions of the structure as one body"),
+    ],
+)
+def test_forms_with_unreachable_states_are_refused_with_a_count(model, rest, kind, expected):
+    plant = tc.linearize(model, rest, coordinates=kind)
+    with pytest.raises(ValueError, match=expected + ".*coordinates='internal'"):
+        tc.lqr(plant, 1.0, 1.0)
+
+
+def test_mode_without_weight_is_refused(model, rest):
+    plant = tc.linearize(model, rest)
+    with pytest.raises(ValueError, match="weight"):
+        tc.lqr(plant, 0.0, 1.0)

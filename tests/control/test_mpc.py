@@ -1,0 +1,264 @@
+"""MPC: the program it solves, the commands it gives, and what it does when it cannot."""
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.control.horizon import Condensed, Horizon, Sparse
+from tenscontrol.control.quadratic_program import QPSolution, QuadraticProgram, Status
+
+STILL = np.zeros((3, 6))
+
+
+@pytest.fixture(scope="module")
+def plant():
+    prism = tc.prism()
+    return tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
+
+
+def pushed(plant, size=0.01, seed=0):
+    q = size * np.random.default_rng(seed).normal(size=plant.degrees_of_freedom)
+    return plant.to_nodes(q)
+
+
+def kkt_residual(P, q, A, l, u, x, y):  # noqa: E741
+    """Return the largest violation of the optimality conditions of min ½xᵀPx + qᵀx, l ≤ Ax ≤ u."""
+    Ax = A @ x
+    return max(
+        np.abs(P @ x + q + A.T @ y).max(),  # stationarity
+        np.maximum(l - Ax, Ax - u).max(),  # feasibility
+        np.abs(np.minimum(y, 0) * (Ax - l))[np.isfinite(l)].max(initial=0),  # complementarity
+        np.abs(np.maximum(y, 0) * (u - Ax))[np.isfinite(u)].max(initial=0),
+    )
+
+
+@pytest.mark.parametrize("form", ["condensed", "sparse"])
+@pytest.mark.parametrize("max_change", [None, 2.0])
+@pytest.mark.parametrize("size", [0.01, 0.1])
+def test_solution_satisfies_the_optimality_conditions(plant, form, max_change, size):
+    mpc = tc.MPC(plant, 20, 0.02, 60.0, form=form, max_change=max_change, tolerance=1e-7, R=1e-3)
+    state = plant.measure(pushed(plant, size), STILL)
+    vectors = mpc._form.vectors(state, np.zeros((20, 18)), np.zeros(9))
+    answer = mpc._program.solve(*vectors)
+    assert answer.status is Status.SOLVED
+    P, A = mpc._form.P, mpc._form.A
+    scale = max(1.0, np.abs(answer.y).max())
+    assert kkt_residual(P, vectors[0], A, *vectors[1:], answer.x, answer.y) < 1e-6 * scale
+    # The case is worth something only if bounds are met where the push is large.
+    inputs = mpc._form.inputs(answer.x, state) + plant.force_density
+    assert inputs.min() > -1e-5
+    if size == 0.1 and max_change is None:
+        assert (inputs < 1e-4).any()
+        assert (inputs > 45 - 1e-4).any()
+
+
+def test_both_forms_give_the_same_commands(plant):
+    commands = {}
+    for form in ("condensed", "sparse"):
+        mpc = tc.MPC(plant, 20, 0.02, 60.0, form=form, max_change=3.0, tolerance=1e-9)
+        commands[form] = [
+            mpc.command(0.02 * k, pushed(plant, 0.1, seed=k), STILL).value for k in range(5)
+        ]
+    assert np.allclose(commands["condensed"], commands["sparse"], atol=1e-4)
+
+
+def test_horizon_cost_is_the_sum_it_stands_for(plant):
+    """The quadratic programs differ from the cost written out by a constant only."""
+    rng = np.random.default_rng(1)
+    transition, inputs, _ = plant.discretize(0.02)
+    N, s, a = 4, 18, 9
+    problem = Horizon(
+        transition, inputs, 0.01 * rng.normal(size=s), np.diag(rng.uniform(1, 2, s)),
+        np.diag(rng.uniform(1, 2, a)), 3 * np.eye(s), np.full(a, -9.0), np.full(a, 9.0),
+        None, N, 5.0, rng.normal(size=(a, s)),
+    )  # fmt: skip
+    state, reference = rng.normal(size=s), rng.normal(size=(N, s))
+
+    def cost(plan):
+        z, total = state, 0.0
+        for k, v in enumerate(plan):
+            z = transition @ z + inputs @ v + problem.drift
+            weight = problem.terminal_weight if k == N - 1 else problem.state_weight
+            total += (z - reference[k]) @ weight @ (z - reference[k]) + v @ problem.input_weight @ v
+        return 0.5 * total
+
+    first, second = rng.normal(size=(2, N, a))
+    for form in (Condensed(problem), Sparse(problem)):
+        q, _, _ = form.vectors(state, reference, np.zeros(a))
+        values = []
+        for plan in (first, second):
+            x = form.unknowns(plan, state)
+            assert np.allclose(form.inputs(x, state), plan)
+            values.append(0.5 * x @ (form.P @ x) + q @ x)
+        expected = problem.cost_scale * (cost(first) - cost(second))
+        assert values[0] - values[1] == pytest.approx(expected, rel=1e-9)
+
+
+def test_unconstrained_first_input_is_that_of_the_discrete_lqr(plant):
+    """With the LQR cost at the end, a horizon without active bounds is the infinite one."""
+    Q, R = tc.energy_weights(plant)
+    mpc = tc.MPC(plant, 5, 0.02, 300.0, Q=Q, R=R, tolerance=1e-9)
+    regulator = tc.lqr(plant, Q, R, step=0.02)
+    nodes = pushed(plant, 0.001)
+    assert np.allclose(
+        mpc.command(0.0, nodes, STILL).value, regulator.command(0.0, nodes, STILL).value, atol=1e-5
+    )
+
+
+def test_pattern_of_the_program_is_fixed_and_setup_happens_once(plant, monkeypatch):
+    import osqp
+
+    setups = []
+    original = osqp.OSQP.setup
+
+    def counted(self, **data):
+        setups.append(data["P"].nnz)
+        return original(self, **data)
+
+    monkeypatch.setattr(osqp.OSQP, "setup", counted)
+    mpc = tc.MPC(plant, 20, 0.02, 60.0)
+    for k in range(10):
+        assert mpc.command(0.02 * k, pushed(plant, seed=k), STILL).status == "ok"
+    assert len(setups) == 1
+
+
+def test_warm_start_saves_iterations(plant):
+    """A plan moved on by a sample is a better start than none."""
+    prism = plant.model.structure
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    mpc = tc.MPC(plant, 20, 0.02, 34.0, max_change=1.0)
+    run = tc.simulate(model, 0.5, pushed(plant, 0.05), controller=mpc, step=2e-3)
+    warm = mpc.statistics.iterations[1:]
+    cold = []
+    for k in range(1, len(run.control.time)):
+        index = np.searchsorted(run.time, run.control.time[k] - 1e-9)
+        fresh = tc.MPC(plant, 20, 0.02, 34.0, max_change=1.0)
+        fresh._previous = run.control.command[:, k - 1] - plant.force_density
+        fresh.command(run.control.time[k], run.nodes[..., index], run.velocities[..., index])
+        cold += fresh.statistics.iterations.tolist()
+    assert warm.sum() < 0.9 * sum(cold)
+
+
+@pytest.mark.parametrize("form", ["condensed", "sparse"])
+def test_commands_are_within_bounds_exactly_and_changes_within_theirs(plant, form):
+    high = np.linspace(40, 60, 9)
+    mpc = tc.MPC(plant, 10, 0.02, high, form=form, max_change=4.0, tolerance=1e-3)
+    last = plant.force_density
+    rng = np.random.default_rng(2)
+    for k in range(50):
+        shape = plant.to_nodes(0.1 * rng.normal(size=9))
+        command = mpc.command(0.02 * k, shape, STILL)
+        assert np.isfinite(command.value).all()
+        assert (command.value >= 0.0).all()
+        assert (command.value <= high).all()
+        assert np.abs(command.value - last).max() <= 4.0 * (1 + 1e-12)
+        last = command.value
+
+
+def test_height_is_reached_on_the_nonlinear_prism():
+    from tenscontrol import demo
+
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(demo.STIFFNESS))
+    rest = tc.prestress(prism, demo.TOP_FORCE_DENSITY)
+    morph = demo.show_mpc(model, rest)
+    assert abs(morph.height_error) < 1e-3
+    assert abs(morph.height[0] - demo.TARGET) > 0.1
+    assert morph.run.control.command.min() >= 0.0
+    assert morph.run.force_density.min() >= 0.0
+    assert morph.run.control.status_count == {"ok": 250}
+    assert np.abs(morph.run.control.winch_rate).max() <= demo.WINCH_RATE * (1 + 1e-12)
+    assert np.abs(morph.run.velocities[..., -1]).max() < 5e-3
+
+
+def test_moving_reference_is_seen_ahead(plant):
+    """The first command already reacts to a step that is still within the horizon."""
+    shape = pushed(plant, 0.02)
+    steps = np.stack([plant.nodes, plant.nodes, shape], axis=-1)
+    near = tc.Reference([0.0, 0.1, 0.12], steps)
+    far = tc.Reference([0.0, 1.0, 1.02], steps)
+    quiet = tc.MPC(plant, 20, 0.02, 60.0, reference=far).command(0.0, plant.nodes, STILL)
+    early = tc.MPC(plant, 20, 0.02, 60.0, reference=near).command(0.0, plant.nodes, STILL)
+    assert np.abs(quiet.value - plant.force_density).max() < 1e-3
+    assert np.abs(early.value - plant.force_density).max() > 0.1
+
+
+def failing(status):
+    return lambda self, q, l, u, x=None: QPSolution(status, None, None, 7)  # noqa: E741
+
+
+@pytest.mark.parametrize("status", [s for s in Status if s is not Status.SOLVED])
+def test_unsolved_programs_continue_the_last_plan_then_hold_equilibrium(plant, monkeypatch, status):
+    mpc = tc.MPC(plant, 4, 0.02, 60.0)
+    nodes = pushed(plant)
+    mpc.command(0.0, nodes, STILL)
+    plan = mpc.plan
+    with monkeypatch.context() as patch:
+        patch.setattr(QuadraticProgram, "solve", failing(status))
+        for k in range(1, 4):
+            command = mpc.command(0.02 * k, nodes, STILL)
+            assert command.status == f"{status.value}: last plan continued"
+            assert np.allclose(command.value, plan[:, k])
+        for k in range(4, 6):
+            command = mpc.command(0.02 * k, nodes, STILL)
+            assert command.status == f"{status.value}: equilibrium held"
+            assert np.array_equal(command.value, plant.force_density)
+    assert mpc.command(0.12, nodes, STILL).status == "ok"  # recovers by itself
+    assert mpc.statistics.fallbacks == 5
+    assert mpc.statistics.status_count["ok"] == 2
+    mpc.reset()
+    assert mpc.statistics.status_count == {}
+
+
+def test_measurement_that_is_not_finite_never_reaches_the_solver(plant):
+    mpc = tc.MPC(plant, 10, 0.02, 60.0)
+    broken = plant.nodes.copy()
+    broken[1, 2] = np.nan
+    command = mpc.command(0.0, broken, STILL)
+    assert command.status == "measurement not finite: equilibrium held"
+    assert np.array_equal(command.value, plant.force_density)
+    command = mpc.command(0.02, pushed(plant), STILL)
+    assert command.status == "ok"
+    fresh = tc.MPC(plant, 10, 0.02, 60.0).command(0.02, pushed(plant), STILL)
+    assert np.allclose(command.value, fresh.value, atol=1e-3)
+
+
+def test_out_of_iterations_is_a_fallback_and_not_a_bad_command(plant):
+    mpc = tc.MPC(plant, 20, 0.02, 60.0, max_iterations=1, tolerance=1e-9)
+    command = mpc.command(0.0, pushed(plant, 0.2), STILL)
+    assert command.status == "out of iterations: equilibrium held"
+    assert np.array_equal(command.value, plant.force_density)
+
+
+def test_every_status_of_osqp_is_mapped():
+    import osqp
+
+    from tenscontrol.control.quadratic_program import _STATUS
+
+    assert {status.name for status in osqp.SolverStatus} == set(_STATUS)
+    assert [name for name, status in _STATUS.items() if status is Status.SOLVED] == ["OSQP_SOLVED"]
+
+
+def test_program_answers_infeasible_unbounded_and_bad_data_without_a_solution():
+    from scipy.sparse import csc_array
+
+    zero = csc_array(np.zeros((2, 2)))
+    rows = csc_array(np.array([[1.0, 0.0], [1.0, 0.0]]))
+    program = QuadraticProgram(zero, rows, 1e-6, 4000)
+    q, free = np.array([1.0, 1.0]), np.full(2, np.inf)
+    unbounded = program.solve(q, -free, free)
+    assert (unbounded.status, unbounded.x) == (Status.UNBOUNDED, None)
+    infeasible = program.solve(0 * q, np.array([1.0, -np.inf]), np.array([np.inf, -1.0]))
+    assert (infeasible.status, infeasible.x) == (Status.INFEASIBLE, None)
+    crossed = program.solve(q, np.ones(2), -np.ones(2))
+    assert (crossed.status, crossed.x) == (Status.INFEASIBLE, None)
+    poisoned = program.solve(np.array([np.nan, 1.0]), -free, free)
+    assert (poisoned.status, poisoned.x) == (Status.BAD_DATA, None)
+    good = program.solve(0 * q, np.array([1.0, -np.inf]), np.array([2.0, np.inf]))
+    assert good.status is Status.SOLVED
+    assert 1 - 1e-4 <= good.x[0] <= 2 + 1e-4
+
+
+def test_form_is_chosen_by_size(plant):
+    assert tc.MPC(plant, 20, 0.02, 60.0).form == "condensed"
+    assert tc.MPC(plant, 100, 0.02, 60.0).form == "sparse"
