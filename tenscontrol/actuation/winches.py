@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from tenscontrol.validation import (
     positive,
     positive_number,
 )
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +67,15 @@ class Winches:
     rate: FloatArray | None = None
     shortest: FloatArray | None = None
     longest: FloatArray | None = None
+
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            rate: ArrayLike | None = None,
+            shortest: ArrayLike | None = None,
+            longest: ArrayLike | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         for name, unit in (

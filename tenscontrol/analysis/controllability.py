@@ -90,17 +90,16 @@ def controllability(plant: LinearPlant) -> Controllability:
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     poles = distinct_poles(plant.A)
     margins = [_margin(plant, pole) for pole in poles]
-    states = len(plant.A)
     return Controllability(
         pole=frozen(poles),
         margin=frozen(np.array(margins)),
-        unreachable=states - _reachable(plant),
+        unreachable=len(plant.A) - _reachable(plant),
     )
 
 
 def lost_poles(plant: LinearPlant) -> np.ndarray:
     """Return the poles in the closed right half plane that no input reaches."""
-    poles = distinct_poles(plant.A)
+    poles: np.ndarray = distinct_poles(plant.A)
     scale = np.linalg.norm(np.hstack([plant.A, plant.B]), 2)
     slow = poles.real > -_SAME_POLE * np.abs(poles).max()
     lost = [pole for pole in poles[slow] if _margin(plant, pole) < _TOLERANCE * scale]
@@ -142,11 +141,11 @@ def _reachable(plant: LinearPlant) -> int:
     block = scale[:, None] * plant.B
     basis = np.zeros((2 * r, 0))
     while block.shape[1] and basis.shape[1] < 2 * r:
-        size = np.linalg.norm(block, 2)
+        size = float(np.linalg.norm(block, 2))
         for _ in range(2):  # twice is enough (Kahan, Parlett)
             block = block - basis @ (basis.T @ block)
         U, sizes, _ = np.linalg.svd(block, full_matrices=False)
-        fresh = U[:, sizes > _TOLERANCE * max(size, 1e-300)]
+        fresh = U[:, np.asarray(sizes) > _TOLERANCE * max(size, 1e-300)]
         basis = np.hstack([basis, fresh])
         block = A @ fresh
     return int(basis.shape[1])

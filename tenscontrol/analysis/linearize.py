@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -13,6 +14,9 @@ from tenscontrol.dynamics import coordinates as frame_of
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import Structure, refuse_wrong_bar_lengths
 from tenscontrol.validation import FloatArray, choice, frozen, instance, non_negative, shaped
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 # Unbalanced force relative to the largest string force: far above round-off,
 # far below a force density that is off by any amount one would care about.
@@ -39,6 +43,15 @@ class OperatingPoint:
     nodes: FloatArray
     force_density: FloatArray
     external_force: FloatArray | None = None
+
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            nodes: ArrayLike,
+            force_density: ArrayLike,
+            external_force: ArrayLike | None = None,
+        ) -> None: ...
 
 
 def linearize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -144,8 +145,7 @@ def _kinds(plant: LinearPlant) -> dict[str, FloatArray]:
     moves = tangent.reshape(-1, 3, frame.count)
     change = moves[strings[:, 1]] - moves[strings[:, 0]]
     stretch = np.einsum("ia,aij->aj", S / np.maximum(np.linalg.norm(S, axis=0), 1e-300), change)
-    bar_change = moves[structure.bars[:, 1]] - moves[structure.bars[:, 0]]
-    bar_stretch = np.einsum("ib,bij->bj", structure.bar_vectors(plant.nodes), bar_change)
+    bar_stretch = _bar_stretch_of(tangent, plant)
     # Affine motions count only as far as they keep the bar lengths.
     affine = affine_motions(plant.nodes)
     affine_bars = _bar_stretch_of(affine, plant)
@@ -160,7 +160,7 @@ def _bar_stretch_of(fields: FloatArray, plant: LinearPlant) -> FloatArray:
     structure = plant.model.structure
     moves = fields.reshape(-1, 3, fields.shape[1])
     change = moves[structure.bars[:, 1]] - moves[structure.bars[:, 0]]
-    return np.einsum("ib,bij->bj", structure.bar_vectors(plant.nodes), change)
+    return np.asarray(np.einsum("ib,bij->bj", structure.bar_vectors(plant.nodes), change))
 
 
 def _undamped(
@@ -219,7 +219,7 @@ def _clusters(values: FloatArray, limit: float) -> list[tuple[int, int]]:
     """Return the runs of equal values in a sorted array."""
     breaks = np.flatnonzero(np.diff(values) > limit) + 1
     edges = [0, *breaks.tolist(), len(values)]
-    return list(zip(edges[:-1], edges[1:], strict=True))
+    return list(pairwise(edges))
 
 
 def _unmixed(vectors: np.ndarray, kinds: dict[str, FloatArray]) -> tuple[np.ndarray, list[str]]:
@@ -247,9 +247,8 @@ def _label(shape: np.ndarray, kinds: dict[str, FloatArray]) -> str:
 
 
 def _span(plant: LinearPlant, fields: FloatArray) -> FloatArray:
-    """Return an orthonormal basis, in q, of displacement fields; what the coordinates leave out
-    is round-off beside the fields themselves.
-    """
+    """Return an orthonormal basis, in q, of displacement fields."""
+    # What the coordinates leave out is round-off beside the fields themselves.
     U, sizes, _ = np.linalg.svd(plant.coordinates.project(fields), full_matrices=False)
     whole = np.linalg.norm(fields, 2) * np.sqrt(plant.model.mass_matrix().sum())
     return np.asarray(U[:, sizes > 1e-9 * whole])

@@ -100,8 +100,8 @@ class Form(ABC):
         """Return x from v_0 … v_{N−1}, shape (N, α)."""
 
     @abstractmethod
-    def shifted(self, x: FloatArray) -> FloatArray:
-        """Return a solution moved on by one sample, as a start for the next program."""
+    def shifted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return a primal and dual solution moved on by one sample, to start the next from."""
 
 
 @final
@@ -168,11 +168,11 @@ class Condensed(Form):
         choice = plan.ravel() - self._by_state @ state - self._by_drift
         return np.asarray(self._from_inputs @ choice)
 
-    def shifted(self, x: FloatArray) -> FloatArray:
+    def shifted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See :meth:`Form.shifted`."""
         # After the horizon the law is followed as it is.
-        count = len(self._horizon.low)
-        return np.concatenate([x[count:], np.zeros(count)])
+        blocks = (self._horizon.length, len(self._horizon.low))
+        return _moved(x, blocks, repeat=False), _moved(y, blocks, repeat=False)
 
 
 @final
@@ -224,13 +224,23 @@ class Sparse(Form):
             states[k] = state
         return np.concatenate([states.ravel(), plan.ravel() / horizon.level])
 
-    def shifted(self, x: FloatArray) -> FloatArray:
+    def shifted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See :meth:`Form.shifted`."""
-        states = x[: self._state_count].reshape(self._horizon.length, -1)
-        inputs = x[self._state_count :].reshape(self._horizon.length, -1)
-        return np.concatenate([
-            *(states[1:], states[-1:], inputs[1:], inputs[-1:]),
-        ], axis=None)  # fmt: skip
+        states = (self._horizon.length, len(self._horizon.drift))
+        inputs = (self._horizon.length, len(self._horizon.low))
+        split = self._state_count
+        moved = [
+            np.concatenate([_moved(v[:split], states, repeat), _moved(v[split:], inputs, repeat)])
+            for v, repeat in ((x, True), (y, False))
+        ]
+        return moved[0], moved[1]
+
+
+def _moved(vector: FloatArray, blocks: tuple[int, int], repeat: bool) -> FloatArray:
+    """Drop the first block of each run of blocks, and repeat the last or append zeros."""
+    runs = vector.reshape(-1, *blocks)
+    moved = np.concatenate([runs[:, 1:], runs[:, -1:] if repeat else 0.0 * runs[:, -1:]], axis=1)
+    return np.asarray(moved.ravel())
 
 
 def _prediction(horizon: Horizon) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -242,7 +242,7 @@ class MPC(Controller):
         count = len(self._low)
         self._plan = np.zeros((0, count))
         self._used = 0
-        self._guess: FloatArray | None = None
+        self._guess: tuple[FloatArray, FloatArray] | None = None
         self._previous = np.zeros(count)
         self._statuses: list[str] = []
         self._iterations: list[int] = []
@@ -250,15 +250,15 @@ class MPC(Controller):
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
         reference = self._reference.at(time + self._ahead)
         vectors = self._form.vectors(state, reference, self._previous)
-        answer = self._program.solve(*vectors, x=self._guess)
+        answer = self._program.solve(*vectors, start=self._guess)
         self._iterations.append(answer.iterations)
-        if answer.x is None:
+        if answer.x is None or answer.y is None:
             return self._fall_back(answer.status.value)
         # Solved to a tolerance: what is left outside the bounds is cut off.
         inputs = self._form.inputs(answer.x, state)
         self._plan = np.clip(inputs, self._problem.low, self._problem.high)
         self._used = 0
-        self._guess = self._form.shifted(answer.x)
+        self._guess = self._form.shifted(answer.x, answer.y)
         self._statuses.append(answer.status.value)
         return self._applied(self._plan[0]), answer.status.value
 

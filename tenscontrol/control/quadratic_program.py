@@ -111,9 +111,9 @@ class QuadraticProgram:
         q: FloatArray,
         l: FloatArray,  # noqa: E741 - the letters of the problem
         u: FloatArray,
-        x: FloatArray | None = None,
+        start: tuple[FloatArray, FloatArray] | None = None,
     ) -> QPSolution:
-        """Solve for new vectors, starting from ``x`` if it is given.
+        """Solve for new vectors, from the last solution or from a given start.
 
         Data that are not finite, or bounds that cross, never reach OSQP: it
         would print a line, keep the old data, or be poisoned for good.
@@ -123,7 +123,8 @@ class QuadraticProgram:
         q : ndarray, shape (k,)
         l, u : ndarray, shape (m,)
             May be infinite.
-        x : ndarray, shape (k,), optional
+        start : pair of ndarray, shapes (k,) and (m,), optional
+            Primal and dual vectors to start from.
 
         Returns
         -------
@@ -144,8 +145,8 @@ class QuadraticProgram:
         if (l > u).any():
             return QPSolution(Status.INFEASIBLE, None, None, 0)
         self._solver.update(q=q, l=l, u=u)
-        if x is not None:
-            self._solver.warm_start(x=x)
+        if start is not None:
+            self._solver.warm_start(x=start[0], y=start[1])
         result = self._solver.solve(raise_error=False)
         status = self._status[result.info.status_val]
         if status is not Status.SOLVED:

@@ -29,10 +29,10 @@ class Evaluator:
         self.calls = 0
         for i in range(function.n_in()):
             self._inputs.append(_dense(function.sparsity_in(i)))
-            self._buffer.set_arg(i, memoryview(self._inputs[i].ravel(order="K")))
+            self._buffer.set_arg(i, _memory(self._inputs[i]))
         for i in range(function.n_out()):
             self._outputs.append(_dense(function.sparsity_out(i)))
-            self._buffer.set_res(i, memoryview(self._outputs[i].ravel(order="K")))
+            self._buffer.set_res(i, _memory(self._outputs[i]))
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Evaluate and return one array per output: a vector, or a matrix in Fortran order."""
@@ -49,3 +49,8 @@ def _dense(sparsity: ca.Sparsity) -> FloatArray:
     rows, columns = sparsity.shape
     # CasADi stores by columns; a single column is a plain vector here.
     return np.zeros(rows) if columns == 1 else np.zeros((rows, columns), order="F")
+
+
+def _memory(array: FloatArray) -> memoryview:
+    """Return the memory of an array as CasADi reads it; no copy."""
+    return memoryview(array.ravel(order="K").data)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import casadi as ca
 import numpy as np
@@ -18,6 +18,9 @@ from tenscontrol.validation import (
     per_member,
     positive,
 )
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +210,10 @@ class LinearStrings(StringLaw):
     stiffness: FloatArray
     damping: FloatArray = 0.0  # type: ignore[assignment]
 
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(self, stiffness: ArrayLike, damping: ArrayLike = 0.0) -> None: ...
+
     def __post_init__(self) -> None:
         _check_parameters(self, "stiffness")
 
@@ -258,6 +265,10 @@ class ElasticStrings(StringLaw):
 
     axial_rigidity: FloatArray
     damping: FloatArray = 0.0  # type: ignore[assignment]
+
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(self, axial_rigidity: ArrayLike, damping: ArrayLike = 0.0) -> None: ...
 
     def __post_init__(self) -> None:
         _check_parameters(self, "axial_rigidity")

@@ -54,7 +54,7 @@ class DOP853(Integrator):
         report: Report | None = None,
     ) -> Span:
         """See :meth:`Integrator.advance`."""
-        from scipy.integrate import DOP853 as Stepper
+        from scipy import integrate
 
         def slope(time: float, x: FloatArray) -> FloatArray:
             return self._evaluator(x, held)[0].copy()
@@ -63,7 +63,9 @@ class DOP853(Integrator):
         states = np.empty((len(state), outputs))
         done = steps = 0
         with np.errstate(over="ignore", invalid="ignore"):  # a state that is not finite raises
-            stepper = Stepper(slope, 0.0, state, duration, rtol=self.tolerance, atol=self.tolerance)
+            stepper = integrate.DOP853(
+                slope, 0.0, state, duration, rtol=self.tolerance, atol=self.tolerance
+            )
             while stepper.status == "running":
                 trouble = stepper.step()
                 steps += 1

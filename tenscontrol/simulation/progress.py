@@ -19,4 +19,8 @@ def progress_bar(duration: float, shown: bool) -> Iterator[Callable[[float], Non
 
     layout = "{desc} {percentage:3.0f}%|{bar}| {n:.2f}/{total:.2f} s [{elapsed}<{remaining}]"
     with tqdm(total=duration, desc="simulating", bar_format=layout, disable=None) as bar:
-        yield lambda time: bool(bar.update(time - bar.n))
+
+        def report(time: float) -> None:
+            bar.update(time - bar.n)
+
+        yield report

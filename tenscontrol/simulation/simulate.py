@@ -10,7 +10,7 @@ from time import perf_counter
 import casadi as ca
 import numpy as np
 
-from tenscontrol.actuation import WinchMove, Winches
+from tenscontrol.actuation import Winches, WinchMove
 from tenscontrol.control.controller import Command, Controller
 from tenscontrol.dynamics import Model, StringLaw, pack_state
 from tenscontrol.integrate import DOP853, RK4, IntegrationError, Integrator, Span

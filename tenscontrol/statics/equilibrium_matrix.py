@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, IntArray
 
 
 def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray:
@@ -52,7 +52,7 @@ def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray
     return E.reshape(-1, alpha + beta)
 
 
-def _add_members(E: FloatArray, pairs: FloatArray, vectors: FloatArray, offset: int) -> None:
+def _add_members(E: FloatArray, pairs: IntArray, vectors: FloatArray, offset: int) -> None:
     columns = offset + np.arange(len(pairs))
     E[pairs[:, 0], :, columns] += vectors.T
     E[pairs[:, 1], :, columns] -= vectors.T

@@ -193,7 +193,7 @@ def _nearest_to_uniform(
     densities = at + moves @ free
     # What round-off leaves below zero is zero; the residual is checked afterwards.
     densities[:alpha] = np.maximum(densities[:alpha], 0.0)
-    return densities
+    return np.asarray(densities)
 
 
 def _infeasible(structure: Structure, states: FloatArray, sizes: FloatArray, loaded: bool) -> str:

@@ -1,4 +1,4 @@
-"""Stability of a prestressed shape: does the prestress stiffen what the members leave free?"""
+"""Stability of a prestressed shape: whether forces stiffen what the members leave free."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def stability(
         and affine_free
         and largest > 0
     )
-    return Stability(is_stable, is_super, mechanism_stiffness, defect)
+    return Stability(is_stable, is_super, np.asarray(mechanism_stiffness), defect)
 
 
 def stress_matrix(

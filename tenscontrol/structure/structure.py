@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from tenscontrol.validation import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike
     from scipy.sparse import csr_array
 
 # A bar shorter than this fraction of the structure's size has no direction in double precision.
@@ -87,6 +90,18 @@ class Structure:
     string_node_mass: FloatArray = None  # type: ignore[assignment]  # replaced in __post_init__
     string_groups: tuple[str, ...] = None  # type: ignore[assignment]  # replaced in __post_init__
 
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            nodes: ArrayLike,
+            bars: ArrayLike,
+            strings: ArrayLike,
+            bar_mass: ArrayLike,
+            string_node_mass: ArrayLike | None = None,
+            string_groups: Sequence[str] | None = None,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         nodes = float_array("nodes", self.nodes)
         if nodes.ndim != 2 or nodes.shape[0] != 3 or nodes.shape[1] == 0:
@@ -131,10 +146,10 @@ class Structure:
     def _checked_groups(self) -> tuple[str, ...]:
         if self.string_groups is None:
             return ("string",) * len(self.strings)
-        if isinstance(self.string_groups, str):
+        given = cast("object", self.string_groups)  # users without a type checker
+        if isinstance(given, str):
             raise TypeError(
-                f"string_groups is the text {self.string_groups!r}, "
-                "expected a sequence with one name per string"
+                f"string_groups is the text {given!r}, expected a sequence with one name per string"
             )
         groups = tuple(self.string_groups)
         if len(groups) != len(self.strings):

@@ -1,0 +1,40 @@
+"""Sphinx configuration."""
+
+from importlib.metadata import version as installed_version
+
+project = "tenscontrol"
+author = "The tenscontrol developers"
+copyright = "2026, The tenscontrol developers"
+release = version = installed_version("tenscontrol")
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["_build", "gallery/*.ipynb"]
+html_theme = "furo"
+html_title = f"tenscontrol {release}"
+
+autodoc_typehints = "none"  # shapes and units are in the docstrings
+autodoc_member_order = "bysource"
+autosummary_generate = True
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = False
+
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"/.*\.py",
+    "abort_on_example_error": True,
+    "show_memory": False,
+    "min_reported_time": 1,
+    "remove_config_comments": True,
+    "download_all_examples": False,
+    "matplotlib_animations": False,
+}
+suppress_warnings = ["config.cache"]  # gallery settings hold functions, which are not cached

@@ -1,0 +1,28 @@
+"""Figures and animations. The only folder that imports matplotlib.
+
+Each function takes the axes to draw into (a new figure if not given), returns
+what was drawn, and never shows a window.
+"""
+
+from tenscontrol.plot.animation import animate
+from tenscontrol.plot.drawing import Drawing
+from tenscontrol.plot.health import health
+from tenscontrol.plot.history import Curves, history
+from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
+from tenscontrol.plot.poles import PoleMap, poles
+from tenscontrol.plot.structure import structure
+from tenscontrol.plot.trajectory import trajectory
+
+__all__ = [
+    "Curves",
+    "Drawing",
+    "ModeShape",
+    "PoleMap",
+    "animate",
+    "health",
+    "history",
+    "mode_shapes",
+    "poles",
+    "structure",
+    "trajectory",
+]

@@ -1,0 +1,160 @@
+"""A motion as an animated GIF."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from os import PathLike, fspath
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from tenscontrol.plot.drawing import draw, is_slack, legend_samples, sample
+from tenscontrol.plot.gif import write_gif
+from tenscontrol.plot.space import FILLED, SIZE, frame, label_space, new_space
+from tenscontrol.plot.style import FAINT, NORMAL
+from tenscontrol.simulation import Trajectory
+from tenscontrol.validation import FloatArray, float_array, instance, positive_number, whole_number
+
+# A GIF counts time in hundredths of a second, and viewers slow down below two.
+_FASTEST = 50.0
+
+
+def animate(
+    run: Trajectory,
+    path: str | PathLike[str],
+    *,
+    fps: float = 20.0,
+    duration: float | None = None,
+    target: object = None,
+    view: tuple[float, float] = (20.0, -60.0),
+    dpi: int = 100,
+) -> Path:
+    """Write a motion as an animated GIF, which repeats without end.
+
+    The frames are equally spaced in time, the first and the last state among
+    them, and nothing but the structure moves. Slack strings are dotted.
+
+    Parameters
+    ----------
+    run : Trajectory
+    path : str or path
+        Where to write; ends in ``.gif``. A file that is there is replaced.
+    fps : float
+        Frames a second, at most 50.
+    duration : float, optional
+        Time that the animation takes, s; as long as the motion if not given,
+        so that it plays in real time.
+    target : array_like, shape (3, n), optional
+        Node positions of a shape to draw faintly, m: where the motion should
+        go. It is drawn where it is given; a free structure may reach the shape
+        at another place.
+    view : tuple of two floats
+        Elevation and azimuth of the eye, degrees.
+    dpi : int
+        Pixels an inch; the picture is 5.0 inches wide and 4.5 high.
+
+    Returns
+    -------
+    Path
+        Where the file is.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind, does not fit or is not finite, or
+        ``path`` does not end in ``.gif``. Nothing is written then.
+    FileNotFoundError
+        If the folder of ``path`` is not there.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import tenscontrol as tc
+    >>> model = tc.Model(tc.prism())
+    >>> run = tc.simulate(model, 0.2, force_density=[17.3205] * 6 + [9.0] * 3, step=1e-3)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = tc.plot.animate(run, Path(folder) / "prism.gif", fps=10)
+    ...     path.name, path.stat().st_size > 0
+    ('prism.gif', True)
+    """
+    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    place = _checked_path(path)
+    rate = positive_number("fps", fps, "1/s")
+    if rate > _FASTEST:
+        raise ValueError(f"fps is {rate:g}, expected at most {_FASTEST:g}: viewers show no more")
+    length = float(run.time[-1] - run.time[0]) if duration is None else duration
+    if duration is not None:
+        length = positive_number("duration", duration, "s")
+    dots = whole_number("dpi", dpi, least=10)
+    eye = float_array("view", view)
+    if eye.shape != (2,):
+        raise ValueError(f"view has shape {eye.shape}, expected (2,): elevation and azimuth")
+    motion = float_array("run.nodes", run.nodes)
+    float_array("run.force_density", run.force_density)
+    goal = None if target is None else run.structure.checked_nodes("target", target)
+    times = np.linspace(run.time[0], run.time[-1], max(2, round(length * rate)))
+    shapes, gammas = _sampled(run, motion, times)
+    _write(run, place, times, shapes, gammas, goal, rate, dots, (float(eye[0]), float(eye[1])))
+    return place
+
+
+def _write(
+    run: Trajectory,
+    place: Path,
+    times: FloatArray,
+    shapes: FloatArray,
+    gammas: FloatArray,
+    goal: FloatArray | None,
+    rate: float,
+    dots: int,
+    eye: tuple[float, float],
+) -> None:
+    figure = Figure(figsize=SIZE, dpi=dots)
+    canvas = FigureCanvasAgg(figure)
+    figure.subplots_adjust(**FILLED)
+    ax = new_space(figure)
+    samples = legend_samples(run.structure, any(is_slack(gamma).any() for gamma in gammas.T))
+    if goal is not None:
+        draw(ax, run.structure, goal, FAINT)
+        samples.append(sample("target", color=FAINT.bar_color, linewidth=FAINT.bar_width))
+    drawing = draw(ax, run.structure, shapes[:, :, 0], NORMAL)
+    everywhere = [shapes.reshape(3, -1)]
+    frame(ax, everywhere if goal is None else [*everywhere, goal], grow=False)
+    label_space(ax)
+    ax.view_init(elev=eye[0], azim=eye[1])
+    figure.legend(handles=samples, loc="upper left", frameon=False, fontsize="small")
+    clock = figure.text(0.97, 0.96, "", ha="right", va="top")
+
+    def pictures() -> Iterator[None]:
+        for time, shape, gamma in zip(times, np.moveaxis(shapes, 2, 0), gammas.T, strict=True):
+            drawing.update(shape, gamma)
+            clock.set_text(f"t = {time:.2f} s")
+            yield
+
+    write_gif(place, canvas, pictures(), len(times), rate)
+
+
+def _sampled(
+    run: Trajectory, motion: FloatArray, times: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return node positions between the states, (3, n, frames), and γ there, (α, frames)."""
+    after = np.clip(np.searchsorted(run.time, times), 0, len(run.time) - 1)
+    before = np.maximum(after - 1, 0)
+    gap = run.time[after] - run.time[before]
+    share = np.where(gap > 0, (times - run.time[before]) / np.where(gap > 0, gap, 1.0), 1.0)
+    shapes = motion[:, :, before] * (1 - share) + motion[:, :, after] * share
+    return shapes, run.force_density[:, after]
+
+
+def _checked_path(path: object) -> Path:
+    if not isinstance(path, str | PathLike):
+        raise TypeError(f"path is {path!r}, expected the name of a file ending in .gif")
+    place = Path(fspath(path))
+    if place.suffix.lower() != ".gif":
+        raise ValueError(f"path is {str(place)!r}, expected a name ending in .gif")
+    if not place.parent.is_dir():
+        raise FileNotFoundError(f"path is {str(place)!r}, but its folder is not there; make it")
+    return place

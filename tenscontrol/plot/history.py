@@ -1,0 +1,185 @@
+"""Curves over time, with reference lines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from tenscontrol.plot.axes import dress, flat_axes, legend_above
+from tenscontrol.plot.style import curve_style, reference_style
+from tenscontrol.validation import FloatArray, float_array
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """What was drawn into one pair of flat axes. Made by :func:`history` and its kin.
+
+    Attributes
+    ----------
+    ax : Axes
+        Where it was drawn.
+    lines : dict of str to tuple of Line2D
+        The curves of each name.
+    references : dict of str to Line2D
+        The reference lines.
+    marks : dict of str to Line2D
+        The marks on the time axis.
+    """
+
+    ax: Axes
+    lines: dict[str, tuple[Line2D, ...]]
+    references: dict[str, Line2D]
+    marks: dict[str, Line2D]
+
+
+def history(
+    time: object,
+    series: Mapping[str, object],
+    ylabel: str,
+    *,
+    ax: Axes | None = None,
+    references: Mapping[str, object] | None = None,
+) -> Curves:
+    """Draw quantities over time, one colour and dash style for each name.
+
+    Parameters
+    ----------
+    time : array_like, shape (T,)
+        s, ascending.
+    series : mapping of str to array_like, shape (T,) or (k, T)
+        The quantities by the name that the legend shows. Several rows share
+        the name and the style: the strings of one group, say.
+    ylabel : str
+        What the quantities are, with their unit: ``"height, m"``.
+    ax : Axes, optional
+        Where to draw; a new figure if not given.
+    references : mapping of str to float or array_like, shape (T,), optional
+        Grey lines to compare with, by name: a target, a limit.
+
+    Returns
+    -------
+    Curves
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind, does not fit or is not finite,
+        ``time`` does not ascend, or ``ax`` is not a pair of flat axes.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("Agg")
+    >>> import matplotlib.pyplot as plt, numpy as np, tenscontrol as tc
+    >>> time = np.linspace(0, 1, 50)
+    >>> curves = tc.plot.history(
+    ...     time, {"top": np.cos(time)}, "height, m", references={"target": 0.85})
+    >>> curves.ax.get_xlabel(), curves.ax.get_ylabel(), list(curves.references)
+    ('time, s', 'height, m', ['target'])
+    >>> plt.close(curves.ax.figure)
+    """
+    times = _checked_time(time)
+    rows = {
+        name: _checked_rows(name, values, len(times))
+        for name, values in _checked_mapping("series", series).items()
+    }
+    levels = checked_references(references, len(times))
+    if not isinstance(ylabel, str):
+        raise TypeError(f"ylabel is {ylabel!r}, expected text with a unit, like 'height, m'")
+    return draw_curves(flat_axes(ax), times, rows, ylabel, references=levels)
+
+
+def draw_curves(
+    ax: Axes,
+    time: FloatArray,
+    rows: Mapping[str, FloatArray],
+    ylabel: str,
+    *,
+    references: Mapping[str, FloatArray] | None = None,
+    held: bool = False,
+    xlabel: str | None = "time, s",
+) -> Curves:
+    """Draw checked curves, rows of shape (k, T); a held quantity is drawn in steps."""
+    lines = {}
+    for position, (name, values) in enumerate(rows.items()):
+        drawn = ax.plot(
+            time,
+            values.T,
+            label=_entry(name),
+            drawstyle="steps-pre" if held else "default",
+            **curve_style(position),
+        )
+        for line in drawn[1:]:
+            line.set_label("_")  # one entry in the legend for all rows
+        lines[name] = tuple(drawn)
+    levels = {}
+    for position, (name, level) in enumerate((references or {}).items()):
+        (levels[name],) = ax.plot(
+            time,
+            np.broadcast_to(level, time.shape),
+            label=_entry(name),
+            zorder=1.8,
+            **reference_style(position),
+        )
+    dress(ax, xlabel, ylabel)
+    if len(time) > 1:
+        ax.set_xlim(time[0], time[-1])
+    legend_above(ax)
+    return Curves(ax, lines, levels, {})
+
+
+def checked_references(references: object, count: int) -> dict[str, FloatArray]:
+    """Return the reference lines as arrays of shape () or (T,)."""
+    levels = {}
+    for name, value in _checked_mapping("references", references or {}).items():
+        array = float_array(f"references[{name!r}]", value)
+        if array.shape not in ((), (count,)):
+            raise ValueError(
+                f"references[{name!r}] has shape {array.shape}, expected () or ({count},): "
+                "one number, or one per time"
+            )
+        levels[name] = array
+    return levels
+
+
+def _checked_time(time: object) -> FloatArray:
+    times = float_array("time", time)
+    if times.ndim != 1 or len(times) == 0:
+        raise ValueError(f"time has shape {times.shape}, expected (T,) with at least one time in s")
+    back = np.flatnonzero(np.diff(times) < 0)
+    if len(back):
+        raise ValueError(
+            f"time[{back[0] + 1}] is {times[back[0] + 1]:g}, expected at least "
+            f"time[{back[0]}] = {times[back[0]]:g}: times in s, ascending"
+        )
+    return times
+
+
+def _checked_rows(name: str, values: object, count: int) -> FloatArray:
+    array = float_array(f"series[{name!r}]", values)
+    if array.ndim not in (1, 2) or array.shape[-1] != count:
+        raise ValueError(
+            f"series[{name!r}] has shape {array.shape}, expected ({count},) or (k, {count}): "
+            "one number per time in a row"
+        )
+    return np.atleast_2d(array)
+
+
+def _checked_mapping(name: str, mapping: object) -> Mapping[str, object]:
+    if not isinstance(mapping, Mapping):
+        raise TypeError(
+            f"{name} is a {type(mapping).__name__}, expected a dict from names to numbers"
+        )
+    for key in mapping:
+        if not isinstance(key, str):
+            raise TypeError(f"{name} has the key {key!r}, expected text for the legend")
+    return mapping
+
+
+def _entry(name: str) -> str:
+    """Return a name as the legend shows it: matplotlib hides names that begin with _."""
+    return name if not name.startswith("_") else f"\u200b{name}"

@@ -1,0 +1,169 @@
+"""Mode shapes of a linear plant, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from tenscontrol.analysis import LinearPlant, Modes
+from tenscontrol.plot.drawing import Drawing, draw
+from tenscontrol.plot.space import checked_space, frame, new_space
+from tenscontrol.plot.style import SMALL, SMALL_FAINT
+from tenscontrol.validation import FloatArray, instance, positive_number, whole_number
+
+_COLUMNS = 3
+_MOST = 9  # modes shown unless the user says which
+_PANEL = 2.1  # inches
+
+
+@dataclass(frozen=True, eq=False)
+class ModeShape:
+    """What was drawn of one mode. Made by :func:`mode_shapes`.
+
+    Attributes
+    ----------
+    mode : int
+        Its number in ``modes``.
+    reference : Drawing
+        The shape at the operating point, in grey.
+    displaced : Drawing
+        The shape displaced along the mode.
+    """
+
+    mode: int
+    reference: Drawing
+    displaced: Drawing
+
+    @property
+    def ax(self) -> Any:
+        """The axes of the panel."""
+        return self.displaced.ax
+
+
+def mode_shapes(
+    plant: LinearPlant,
+    modes: Modes,
+    which: Sequence[int] | None = None,
+    *,
+    scale: float = 0.2,
+    axes: Sequence[Any] | None = None,
+) -> tuple[ModeShape, ...]:
+    """Draw mode shapes side by side, each over the reference shape in grey.
+
+    A mode has no size of its own: the displacements are exaggerated, and along
+    straight lines, so that bars look longer than they are. All panels have one
+    scale; axes are left out for that.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        Gives the structure and the shape at the operating point.
+    modes : Modes
+        The modes of this plant.
+    which : sequence of int, optional
+        Numbers of the modes to draw; the first nine if not given.
+    scale : float
+        Largest node displacement over the size of the structure (its largest
+        extent along x, y or z).
+    axes : sequence of Axes3D, optional
+        Where to draw, one for each mode; a new figure if not given.
+
+    Returns
+    -------
+    tuple of ModeShape
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, there is no such
+        mode, or the modes belong to another structure.
+
+    Notes
+    -----
+    A complex shape, of a damped mode whose nodes move out of step, is drawn at
+    the phase at which its real part is largest.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("Agg")
+    >>> import matplotlib.pyplot as plt, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> (drawn,) = tc.plot.mode_shapes(plant, tc.modes(plant), which=[5])
+    >>> print(drawn.ax.get_title())
+    mode 5: 2.337 Hz
+    mechanism
+    >>> plt.close(drawn.ax.figure)
+    """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    instance("modes", modes, Modes, "make them by modes(plant)")
+    structure, nodes = plant.model.structure, plant.nodes
+    if modes.shape.shape[:2] != nodes.shape:
+        raise ValueError(
+            f"modes.shape has shape {modes.shape.shape}, expected {nodes.shape} and one more: "
+            "give the plant from which the modes were computed"
+        )
+    chosen = _chosen(which, len(modes.label))
+    size = positive_number("scale", scale, "structure sizes") * float(np.ptp(nodes, axis=1).max())
+    moved = [nodes + size * _at_largest(modes.shape[:, :, mode]) for mode in chosen]
+    drawn = []
+    for ax, mode, displaced in zip(_panels(axes, len(chosen)), chosen, moved, strict=True):
+        shape = ModeShape(
+            mode,
+            reference=draw(ax, structure, nodes, SMALL_FAINT),
+            displaced=draw(ax, structure, displaced, SMALL),
+        )
+        frame(ax, [nodes, *moved], grow=False, fill=0.9)
+        ax.set_axis_off()
+        frequency = f"{modes.frequency[mode]:#.4g}" if modes.frequency[mode] > 0 else "0"
+        title = f"mode {mode}: {frequency} Hz\n{modes.label[mode]}"
+        ax.set_title(title, fontsize="small", y=0.97)
+        drawn.append(shape)
+    return tuple(drawn)
+
+
+def _panels(axes: Sequence[Any] | None, count: int) -> list[Any]:
+    if axes is not None:
+        given = list(np.ravel(np.array(axes, dtype=object)))
+        if len(given) != count:
+            raise ValueError(
+                f"axes has {len(given)} entries, expected {count}: one for each mode drawn; "
+                "leave it out for a new figure"
+            )
+        return [checked_space(f"axes[{i}]", ax) for i, ax in enumerate(given)]
+    columns = min(count, _COLUMNS)
+    rows = ceil(count / columns)
+    figure = plt.figure(figsize=(_PANEL * columns, _PANEL * rows + 0.2))
+    panels = [new_space(figure, rows, columns, i + 1) for i in range(count)]
+    figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.93, wspace=-0.1, hspace=-0.05)
+    return panels
+
+
+def _chosen(which: object, count: int) -> list[int]:
+    """Return the numbers of the modes to draw, each checked to be there."""
+    if which is None:
+        return list(range(min(count, _MOST)))
+    if isinstance(which, str) or not isinstance(which, Sequence | np.ndarray) or len(which) == 0:
+        raise TypeError(f"which is {which!r}, expected a sequence of mode numbers, like [0, 5]")
+    chosen = []
+    for i, entry in enumerate(which):
+        mode = whole_number(f"which[{i}]", entry, least=0)
+        if mode >= count:
+            raise ValueError(
+                f"which[{i}] is {mode}, expected 0 to {count - 1}: there are {count} modes"
+            )
+        chosen.append(mode)
+    return chosen
+
+
+def _at_largest(shape: np.ndarray) -> FloatArray:
+    """Return a shape (3, n) at the phase at which its real part is largest, scaled to 1."""
+    phase = 0.5 * np.angle((shape**2).sum())
+    real = (shape * np.exp(-1j * phase)).real
+    return np.asarray(real / np.linalg.norm(real, axis=0).max())

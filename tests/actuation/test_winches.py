@@ -1,0 +1,89 @@
+"""Winches: what they reach is within their limits, nearest to the command, and flagged."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import tenscontrol as tc
+
+COUNT = 5
+RATE, SHORTEST, LONGEST, STEP = 0.5, 0.3, 1.5, 0.02
+limited = tc.Winches(rate=RATE, shortest=SHORTEST, longest=LONGEST)
+within = arrays(float, COUNT, elements=st.floats(SHORTEST, LONGEST))
+anywhere = arrays(float, COUNT, elements=st.floats(0.01, 3.0))
+
+
+@given(current=within, wanted=anywhere)
+def test_the_reached_rest_lengths_keep_every_limit(current, wanted):
+    reached = limited.move(current, wanted, STEP).rest_length
+    assert (reached >= SHORTEST).all()
+    assert (reached <= LONGEST).all()
+    assert (np.abs(reached - current) <= RATE * STEP * (1 + 1e-12)).all()
+
+
+@given(current=within, wanted=anywhere)
+def test_the_reached_rest_lengths_are_the_nearest_to_the_command(current, wanted):
+    reached = limited.move(current, wanted, STEP).rest_length
+    for start, goal, found in zip(current, wanted, reached, strict=True):
+        low, high = max(SHORTEST, start - RATE * STEP), min(LONGEST, start + RATE * STEP)
+        assert found == min(max(goal, low), high)
+
+
+@given(current=within, wanted=anywhere)
+def test_flags_name_the_limits_that_were_met(current, wanted):
+    move = limited.move(current, wanted, STEP)
+    outside = (wanted < SHORTEST) | (wanted > LONGEST)
+    np.testing.assert_array_equal(move.range_limited, np.flatnonzero(outside))
+    late = move.rest_length != np.minimum(np.maximum(wanted, SHORTEST), LONGEST)
+    np.testing.assert_array_equal(move.rate_limited, np.flatnonzero(late))
+
+
+@given(current=within, wanted=anywhere)
+def test_a_reached_rest_length_is_reached_again_at_once(current, wanted):
+    once = limited.move(current, wanted, STEP).rest_length
+    again = limited.move(current, once, STEP)
+    np.testing.assert_array_equal(again.rest_length, once)
+    stay = limited.move(once, once, STEP)
+    np.testing.assert_array_equal(stay.rest_length, once)
+    assert len(stay.rate_limited) == len(stay.range_limited) == 0
+
+
+@given(current=within, wanted=within)
+def test_a_command_within_range_is_reached_in_the_time_it_takes(current, wanted):
+    now = current
+    for _ in range(int(np.ceil((LONGEST - SHORTEST) / (RATE * STEP))) + 1):
+        now = limited.move(now, wanted, STEP).rest_length
+    np.testing.assert_array_equal(now, wanted)
+
+
+@given(current=within, wanted=anywhere)
+def test_two_half_samples_reach_what_one_sample_does(current, wanted):
+    whole = limited.move(current, wanted, STEP).rest_length
+    half = limited.move(current, wanted, STEP / 2).rest_length
+    both = limited.move(half, wanted, STEP / 2).rest_length
+    np.testing.assert_allclose(both, whole, rtol=1e-14)
+
+
+@given(current=within, wanted=anywhere)
+def test_winches_without_limits_follow_at_once(current, wanted):
+    move = tc.Winches().move(current, wanted, STEP)
+    np.testing.assert_array_equal(move.rest_length, wanted)
+    assert len(move.rate_limited) == len(move.range_limited) == 0
+
+
+@given(current=within, wanted=anywhere, rates=arrays(float, COUNT, elements=st.floats(0.01, 10.0)))
+def test_each_winch_has_its_own_limits(current, wanted, rates):
+    together = tc.Winches(rate=rates).move(current, wanted, STEP).rest_length
+    alone = [
+        tc.Winches(rate=rates[i]).move(current[i : i + 1], wanted[i : i + 1], STEP).rest_length[0]
+        for i in range(COUNT)
+    ]
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_results_are_read_only():
+    move = limited.move(np.ones(2), np.ones(2), STEP)
+    with pytest.raises(ValueError, match="read-only"):
+        move.rest_length[0] = 0.0

@@ -1,0 +1,37 @@
+"""Time that ``import tenscontrol`` adds to numpy. Run: ``python -m tests.benchmarks.import_time``."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from statistics import median
+
+PROGRAM = """
+import numpy, time, sys
+began = time.perf_counter()
+import tenscontrol
+{then}
+print(time.perf_counter() - began)
+"""
+CASES = {
+    "import tenscontrol": "",
+    "  and a prism's model": "tenscontrol.Model(tenscontrol.prism()).dynamics",
+    "  and python-control, for scale": "import control",
+}
+
+
+def main() -> None:
+    for label, then in CASES.items():
+        times = [measured(PROGRAM.format(then=then)) for _ in range(7)]
+        print(f"{label:32s} {median(times):7.4f} s beyond numpy (median of {len(times)})")
+
+
+def measured(program: str) -> float:
+    finished = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    return float(finished.stdout)
+
+
+if __name__ == "__main__":
+    main()

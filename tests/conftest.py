@@ -1,0 +1,36 @@
+"""What all tests share."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+import tenscontrol as tc
+from tests.dynamics.scenes import TOP_FORCE_DENSITY, paper_force_density, rest_lengths
+from tests.oracle import HeldRestLength, RigidBars
+
+# Property tests draw the same examples on every run, so that a failure can be repeated.
+settings.register_profile("tenscontrol", deadline=None, derandomize=True, max_examples=50)
+settings.load_profile("tenscontrol")
+
+
+@pytest.fixture(scope="session")
+def prism():
+    """The prism of the paper's example 1."""
+    return tc.prism(sides=3, radius=0.5, height=1.0, bar_mass=1.0)
+
+
+@pytest.fixture(scope="session")
+def rest(prism):
+    """The prism at rest, γ_v = 30 N/m."""
+    return tc.prestress(prism, force_density=TOP_FORCE_DENSITY)
+
+
+@pytest.fixture(scope="session")
+def paper_motion(prism):
+    """The paper's example 1 with massless strings over 5 s by the oracle, every millisecond."""
+    time = np.linspace(0, 5, 5001)
+    law = HeldRestLength(rest_lengths(prism, paper_force_density(9.0), 100.0), 100.0)
+    nodes, switches = RigidBars(prism, law).integrate(prism.nodes, np.zeros((3, 6)), time)
+    return SimpleNamespace(time=time, nodes=nodes, switches=switches, rest_length=law.rest_length)

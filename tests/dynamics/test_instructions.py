@@ -1,0 +1,143 @@
+"""A scene pays only for what it has: inputs and instructions of the built functions."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tests.dynamics.scenes import random_structure, side_by_side, weighted_prism
+
+
+def cost(function):
+    """Instructions and inputs of a function; an input matrix counts each of its entries."""
+    return function.n_instructions(), function.nnz_in()
+
+
+def cheaper(less, more):
+    """Whether one function takes fewer instructions and fewer inputs than another."""
+    return all(a < b for a, b in zip(cost(less), cost(more), strict=True))
+
+
+def test_the_dynamics_of_a_prism_take_at_most_four_hundred_instructions(prism):
+    assert tc.Model(prism).dynamics.n_instructions() <= 400
+
+
+@pytest.mark.parametrize("function", ["acceleration", "dynamics", "stiffness_matrix"])
+def test_a_scene_without_load_has_no_input_and_no_instruction_for_it(prism, function):
+    without = getattr(tc.Model(prism), function)
+    loaded = getattr(tc.Model(prism, external_force=True), function)
+    assert cheaper(without, loaded)
+    assert without.n_in() == loaded.n_in() - 1
+    assert "W" not in without.name_in()
+
+
+def test_a_load_costs_its_entries_and_one_addition_each(prism):
+    without = tc.Model(prism).dynamics.n_instructions()
+    loaded = tc.Model(prism, external_force=True).dynamics.n_instructions()
+    assert loaded - without == 2 * 3 * 6
+
+
+@pytest.mark.parametrize("kind", [tc.LinearStrings, tc.ElasticStrings])
+def test_a_scene_without_damping_has_no_instruction_for_it(prism, kind):
+    undamped = tc.Model(prism, strings=kind(100.0, 0.0)).rest_length_dynamics
+    damped = tc.Model(prism, strings=kind(100.0, 1.0)).rest_length_dynamics
+    assert undamped.n_instructions() < damped.n_instructions()
+    assert undamped.nnz_in() == damped.nnz_in()  # the velocities are part of the state
+
+
+def test_undamped_string_forces_do_not_depend_on_the_velocities(prism):
+    dependence = {}
+    for damping in (0.0, 1.0):
+        law = tc.LinearStrings(100.0, damping)
+        function = tc.Model(prism, strings=law).string_force_density
+        dependence[damping] = ca.DM(function.jac_sparsity(0, 0))[:, 18:].nnz()
+    assert dependence[0.0] == 0
+    assert dependence[1.0] > 0
+
+
+def test_a_string_law_costs_nothing_where_force_density_is_the_input(prism):
+    plain, with_law = (
+        tc.Model(prism, strings=law).dynamics for law in (None, tc.LinearStrings(100.0, 1.0))
+    )
+    assert cost(plain) == cost(with_law)
+
+
+def test_holding_rest_lengths_costs_more_than_holding_force_densities(prism):
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    assert model.dynamics.n_instructions() < model.rest_length_dynamics.n_instructions()
+
+
+def test_a_scene_without_string_nodes_is_cheaper(prism):
+    assert cheaper(tc.Model(prism).dynamics, tc.Model(weighted_prism()).dynamics)
+
+
+def test_string_nodes_cost_only_themselves():
+    """One point mass and one string more, again and again: the same few instructions each."""
+
+    def count(points):
+        nodes = np.vstack([np.arange(4.0 + points), np.zeros((2, 4 + points))])
+        nodes[1, 1::2] = 1.0
+        chain = [[3, 4]] + [[4 + i, 5 + i] for i in range(points - 1)] if points else []
+        structure = tc.Structure(
+            nodes, [[0, 1], [2, 3]], [[1, 2], *chain], 1.0, 0.1 if points else None
+        )
+        return tc.Model(structure).dynamics.n_instructions()
+
+    growth = np.diff([count(points) for points in (1, 2, 3, 4)])
+    assert len(set(growth)) == 1
+    assert 0 < growth[0] < 30
+
+
+def test_a_scene_without_bars_has_no_bar_terms():
+    chain = tc.Structure(
+        [[0.0, 1.0, 2.0], [0.0] * 3, [0.0] * 3], [], [[0, 1], [1, 2]], [], string_node_mass=1.0
+    )
+    # x and γ in, ẋ out; per string 3 differences and 3 products, per node 3 divisions, 3 sums.
+    assert tc.Model(chain).dynamics.n_instructions() < 80
+
+
+@pytest.mark.parametrize(
+    ("law", "function"),
+    [
+        (None, "dynamics"),
+        (None, "acceleration"),
+        (None, "stiffness_matrix"),
+        (None, "kinetic_energy"),
+        (tc.LinearStrings(100.0), "rest_length_dynamics"),
+        (tc.LinearStrings(100.0, 1.0), "rest_length_dynamics"),
+        (tc.ElasticStrings(100.0), "rest_length_dynamics"),
+    ],
+)
+def test_instructions_grow_linearly_with_the_members(prism, law, function):
+    counts = [
+        getattr(tc.Model(side_by_side(prism, copies), strings=law), function).n_instructions()
+        for copies in (1, 2, 4, 8)
+    ]
+    one = (counts[-1] - counts[0]) / 7
+    expected = counts[0] + one * (np.array([1, 2, 4, 8]) - 1)
+    np.testing.assert_allclose(counts, expected, rtol=0.01)
+
+
+def test_side_by_side_prisms_move_as_one_does(prism):
+    gamma = np.random.default_rng(0).uniform(5.0, 20.0, 9)
+    alone = np.array(tc.Model(prism).acceleration(prism.nodes, 0, gamma))
+    three = side_by_side(prism, 3)
+    together = np.array(tc.Model(three).acceleration(three.nodes, 0, np.tile(gamma, 3)))
+    np.testing.assert_allclose(together, np.hstack([alone] * 3), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_order_of_the_nodes_costs_nothing(seed):
+    structures = [random_structure(seed, bars=3, points=2)]
+    place = np.random.default_rng(seed).permutation(8)
+    first = structures[0]
+    order = np.argsort(place)
+    shuffled = tc.Structure(
+        first.nodes[:, order],
+        place[first.bars],
+        place[first.strings],
+        first.bar_mass,
+        first.string_node_mass,
+    )
+    counts = {tc.Model(each).dynamics.n_instructions() for each in (first, shuffled)}
+    assert max(counts) - min(counts) <= 0.02 * min(counts)

@@ -1,0 +1,300 @@
+"""Independent NumPy models that the package is measured against.
+
+Two formulations, neither of them the paper's:
+
+- :class:`RigidBars`: Newton and Euler, every bar a rigid body with a centre, a direction and an
+  angular velocity, every string node a point mass. Its motion is integrated with each slack/taut
+  switch located, so that no step crosses a kink.
+- :func:`node_acceleration`: Lagrange multipliers, a dense saddle-point system solved by NumPy. It
+  holds for bars of any length and for complex numbers, so that derivatives can be taken by complex
+  steps.
+
+Of the package only the :class:`Structure`, a bag of indices and masses, is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import DOP853, solve_ivp
+from scipy.optimize import brentq
+
+# How far a string may pass the border of slack before the switch is acted on, m. The border is
+# crossed within a time t in which the force is wrong by less than stiffness × this: far below
+# round-off after the integration over t.
+_BORDER = 1e-11
+
+# Where within a step the strings are looked at.
+_FRACTIONS = np.linspace(0.0, 1.0, 9)[1:]
+
+
+@dataclass(frozen=True)
+class HeldForceDensity:
+    """Strings whose force density is held."""
+
+    force_density: np.ndarray
+
+    def __call__(self, length, rate, pulls):
+        return self.force_density
+
+    def border(self, length, rate):
+        return np.ones_like(length)
+
+
+@dataclass(frozen=True)
+class HeldRestLength:
+    """Strings ``T = k (l - l0) + c dl/dt`` while longer than l0 and pulling, else T = 0."""
+
+    rest_length: np.ndarray
+    stiffness: float
+    damping: float = 0.0
+
+    def __call__(self, length, rate, pulls):
+        tension = self.stiffness * (length - self.rest_length) + self.damping * rate
+        return np.where(pulls, tension / length, 0.0)
+
+    def border(self, length, rate):
+        """Positive where a string pulls, m."""
+        stretch = length - self.rest_length
+        return np.minimum(stretch, stretch + self.damping / self.stiffness * rate)
+
+
+class RigidBars:
+    """A structure as rigid bodies and point masses.
+
+    The state is ``[r, e, p, dr/dt, w, dp/dt]``: bar centres, bar directions (unit vectors), string
+    nodes, and their rates, w the angular velocities.
+    """
+
+    def __init__(self, structure, law, external_force=None):
+        self.structure, self.law = structure, law
+        self.start, self.end = structure.bars.T
+        self.points = structure.string_nodes
+        self.mass, self.point_mass = (
+            structure.bar_mass[:, None],
+            structure.string_node_mass[:, None],
+        )
+        ends = structure.nodes[:, self.end] - structure.nodes[:, self.start]
+        self.half = 0.5 * np.linalg.norm(ends, axis=0)[:, None]
+        count = structure.nodes.shape[1]
+        self.load = np.zeros((count, 3)) if external_force is None else np.transpose(external_force)
+        self.incidence = _incidence(structure.strings, count)
+
+    # ---- between nodes and bodies ----
+
+    def state(self, nodes, velocities):
+        """Return the state of a motion of the nodes, shape (3, n) each."""
+        N, V = nodes.T, velocities.T
+        e = (N[self.end] - N[self.start]) / (2 * self.half)
+        rate = (V[self.end] - V[self.start]) / (2 * self.half)
+        position = [0.5 * (N[self.start] + N[self.end]), e, N[self.points]]
+        motion = [0.5 * (V[self.start] + V[self.end]), np.cross(e, rate), V[self.points]]
+        return np.concatenate([part.ravel() for part in position + motion])
+
+    def nodes(self, state):
+        """Return node positions and velocities, shape (3, n) each."""
+        N, V = self._placed(*self._split(state))
+        return N.T, V.T
+
+    def _split(self, state):
+        bars, points = 3 * len(self.mass), 3 * len(self.points)
+        cuts = np.cumsum([bars, bars, points, bars, bars])
+        return [part.reshape(-1, 3) for part in np.split(state, cuts)]
+
+    def _placed(self, r, e, p, rd, w, pd):
+        N, V = np.empty_like(self.load), np.empty_like(self.load)
+        arm, swing = self.half * e, self.half * _cross(w, e)
+        N[self.start], N[self.end], N[self.points] = r - arm, r + arm, p
+        V[self.start], V[self.end], V[self.points] = rd - swing, rd + swing, pd
+        return N, V
+
+    # ---- forces and motion ----
+
+    def lengths(self, state):
+        """Return string lengths and their rates."""
+        N, V = self._placed(*self._split(state))
+        return _stretch(self.incidence @ N, self.incidence @ V)
+
+    def slope(self, state, pulls):
+        """Return the time derivative of the state."""
+        r, e, p, rd, w, pd = self._split(state)
+        N, V = self._placed(r, e, p, rd, w, pd)
+        S = self.incidence @ N
+        gamma = self.law(*_stretch(S, self.incidence @ V), pulls)
+        F = self.load - self.incidence.T @ (gamma[:, None] * S)
+        first, second = F[self.start], F[self.end]
+        torque = self.half * _cross(e, second - first)
+        inertia = self.mass * (2 * self.half) ** 2 / 12
+        parts = [rd, _cross(w, e), pd, (first + second) / self.mass, torque / inertia]
+        parts.append(F[self.points] / self.point_mass)
+        return np.concatenate([part.ravel() for part in parts])
+
+    def node_acceleration(self, nodes, velocities):
+        """Return the acceleration of every node, shape (3, n)."""
+        state = self.state(nodes, velocities)
+        _, e, _, _, w, _ = self._split(state)
+        rates = self._split(self.slope(state, self.pulls(state)))
+        rdd, wd, pdd = rates[3], rates[4], rates[5]
+        swing = self.half * (_cross(wd, e) + _cross(w, _cross(w, e)))
+        acceleration = np.empty_like(self.load)
+        acceleration[self.start], acceleration[self.end] = rdd - swing, rdd + swing
+        acceleration[self.points] = pdd
+        return acceleration.T
+
+    def border(self, state):
+        """Return how far each string is from slack, m; positive where it pulls."""
+        return self.law.border(*self.lengths(state))
+
+    def pulls(self, state):
+        """Return which strings pull."""
+        return self.border(state) > 0
+
+    # ---- conserved quantities ----
+
+    def momentum(self, nodes, velocities):
+        """Return linear and angular momentum (about the origin) from the bodies."""
+        r, _, p, rd, w, pd = self._split(self.state(nodes, velocities))
+        inertia = self.mass * (2 * self.half) ** 2 / 12
+        linear = (self.mass * rd).sum(axis=0) + (self.point_mass * pd).sum(axis=0)
+        spin = (inertia * w).sum(axis=0)
+        orbit = np.cross(r, self.mass * rd).sum(axis=0)
+        return linear, spin + orbit + np.cross(p, self.point_mass * pd).sum(axis=0)
+
+    def kinetic_energy(self, nodes, velocities):
+        """Return the energy of translation and rotation, J."""
+        _, _, _, rd, w, pd = self._split(self.state(nodes, velocities))
+        inertia = self.mass * (2 * self.half) ** 2 / 12
+        parts = (self.mass * rd**2, inertia * w**2, self.point_mass * pd**2)
+        return 0.5 * sum(part.sum() for part in parts)
+
+    # ---- integration ----
+
+    def integrate(self, nodes, velocities, times, tolerance=1e-13, method=DOP853):
+        """Return node positions at the times (ascending, from 0), shape (3, n, T), and switches.
+
+        Every step ends at the next switch of a string; the time of each switch is returned.
+        """
+        state, now = self.state(nodes, velocities), 0.0
+        states = [state]
+        switches = []
+        pulls = self.pulls(state)
+        while len(states) < len(times):
+            piece = self._piece(state, now, times, len(states), pulls, tolerance, method)
+            found, state, now, crossed = piece
+            states += found
+            pulls = pulls ^ crossed
+            switches += [now] * int(crossed.any())
+        placed = [self.nodes(each)[0] for each in states]
+        return np.stack(placed, axis=2), np.array(switches)
+
+    def _piece(self, state, now, times, done, pulls, tolerance, method):
+        """Integrate to the next switch or the end, and return what was met on the way."""
+        sign = np.where(pulls, 1.0, -1.0)
+
+        def slope(_, y):
+            return self.slope(y, pulls)
+
+        def room(y):
+            return sign * self.border(y) + _BORDER
+
+        stepper = method(slope, now, state, times[-1], rtol=tolerance, atol=0.1 * tolerance)
+        found: list[np.ndarray] = []
+        while stepper.status == "running":
+            before, at = stepper.y.copy(), stepper.t
+            stepper.step()
+            assert stepper.status != "failed"
+            between = stepper.dense_output()
+            switch = _first_crossing(room, between, at, stepper.t)
+            reached = stepper.t if switch is None else switch
+            last = np.searchsorted(times, reached, side="right")
+            found += [between(time) for time in times[done + len(found) : last]]
+            if switch is not None:
+                landed = solve_ivp(
+                    slope, (at, switch), before, "DOP853", rtol=tolerance, atol=0.1 * tolerance
+                )
+                end = landed.y[:, -1]
+                return found, end, switch, room(end) < 0.5 * _BORDER
+        return found, stepper.y, stepper.t, np.zeros_like(pulls)
+
+
+def _cross(a, b):
+    """Cross products of rows: np.cross at a fifth of its cost."""
+    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
+
+
+def _stretch(S, Sd):
+    length = np.sqrt((S * S).sum(axis=1))
+    return length, (S * Sd).sum(axis=1) / length
+
+
+def _first_crossing(room, between, start, end):
+    """Return when the least room first falls below zero within a step, or None."""
+    last = start
+    for time in start + (end - start) * _FRACTIONS:
+        if room(between(time)).min() < 0:
+            return brentq(lambda t: room(between(t)).min(), last, time, xtol=1e-15, rtol=1e-15)
+        last = time
+    return None
+
+
+def node_acceleration(structure, nodes, velocities, force_density, external_force=0.0):
+    """Return node accelerations (3, n) and bar multipliers λ from the saddle-point system.
+
+    Lagrange's equations of the first kind, ``M a - Jᵀ λ = F`` with ``J a = -‖ḃ‖²``. A multiplier is
+    the compression of its bar by its length.
+    """
+    count, bars = structure.nodes.shape[1], structure.bars
+    S = structure.string_vectors(nodes)
+    incidence = _incidence(structure.strings, count)
+    forces = external_force - (force_density * S) @ incidence
+    jacobian = _incidence(bars, count)[:, :, None] * structure.bar_vectors(nodes).T[:, None, :]
+    J = jacobian.reshape(len(bars), 3 * count)
+    M = np.kron(consistent_mass(structure), np.eye(3))
+    saddle = np.block([[M, -J.T], [J, np.zeros((len(bars), len(bars)))]])
+    spread = structure.bar_vectors(velocities)
+    goal = np.concatenate([forces.T.ravel() + 0 * spread.sum(), -(spread * spread).sum(axis=0)])
+    solution = np.linalg.solve(saddle, goal)
+    return solution[: 3 * count].reshape(count, 3).T, solution[3 * count :]
+
+
+def consistent_mass(structure):
+    """Return the mass matrix (n, n), kg: a bar's mass at the two Gauss points of its length.
+
+    That rule is exact for the square of a field that is linear along the bar.
+    """
+    count = structure.nodes.shape[1]
+    M = np.zeros((count, count))
+    for place in (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)):
+        weights = np.zeros((len(structure.bars), count))
+        every = np.arange(len(structure.bars))
+        weights[every, structure.bars[:, 0]] = 1 - place
+        weights[every, structure.bars[:, 1]] = place
+        M += weights.T @ (0.5 * structure.bar_mass[:, None] * weights)
+    M[structure.string_nodes, structure.string_nodes] += structure.string_node_mass
+    return M
+
+
+def state_jacobians(structure, nodes, velocities, law, held, size=1e-30):
+    """Return ∂ẋ/∂x and ∂ẋ/∂u by complex steps, all strings taken to pull.
+
+    ``law(u)`` returns one of the held laws above for the held values u.
+    """
+
+    def slope(x, u):
+        N, V = (part.reshape(-1, 3).T for part in np.split(x, 2))
+        stretch = _stretch(structure.string_vectors(N).T, structure.string_vectors(V).T)
+        acceleration, _ = node_acceleration(structure, N, V, law(u)(*stretch, True))
+        return np.concatenate([V.T.ravel(), acceleration.T.ravel()])
+
+    x = np.concatenate([nodes.T.ravel(), velocities.T.ravel()])
+    by_state = [slope(x + 1j * size * step, held + 0j).imag / size for step in np.eye(len(x))]
+    by_input = [slope(x + 0j, held + 1j * size * step).imag / size for step in np.eye(len(held))]
+    return np.column_stack(by_state), np.column_stack(by_input)
+
+
+def _incidence(pairs, count):
+    incidence = np.zeros((len(pairs), count))
+    every = np.arange(len(pairs))
+    incidence[every, pairs[:, 0]], incidence[every, pairs[:, 1]] = -1.0, 1.0
+    return incidence

@@ -1,0 +1,44 @@
+"""The nearest point of a polyhedral set, checked by its optimality conditions."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
+
+from tenscontrol.statics.cone import nearest_in_cone
+
+
+@given(seed=st.integers(0, 10_000), rows=st.integers(2, 12), columns=st.integers(1, 4))
+def test_the_answer_satisfies_the_optimality_conditions(seed, rows, columns):
+    random = np.random.default_rng(seed)
+    directions = random.normal(size=(rows, columns))
+    # A shift inside makes it feasible.
+    offset = np.abs(random.normal(size=rows)) - directions @ random.normal(size=columns)
+    target = random.normal(size=rows)
+    found = nearest_in_cone(directions, offset, target)
+    point = directions @ found + offset
+    assert point.min() > -1e-8
+    # The gradient Dᵀ(y - target) is a combination, with weights >= 0, of the active rows of D.
+    gradient = directions.T @ (point - target)
+    active = directions[point < 1e-7]
+    if len(active) == 0:
+        np.testing.assert_allclose(gradient, 0, atol=1e-8)
+    else:
+        weights = lsq_linear(active.T, gradient, bounds=(0, np.inf), tol=1e-14).x
+        np.testing.assert_allclose(active.T @ weights, gradient, atol=1e-6)
+
+
+def test_an_empty_set_has_no_nearest_point():
+    # y1 = x >= 0 and y2 = -x - 1 >= 0 exclude each other.
+    directions, offset = np.array([[1.0], [-1.0]]), np.array([0.0, -1.0])
+    assert nearest_in_cone(directions, offset, np.ones(2)) is None
+
+
+@pytest.mark.parametrize("level", [1e-6, 1.0, 1e6])
+def test_the_answer_scales_with_the_problem(level):
+    directions = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, -1.0]])
+    offset, target = np.array([0.0, 0.0, 1.0]), np.array([2.0, 0.5, 0.0])
+    one = nearest_in_cone(directions, offset, target)
+    scaled = nearest_in_cone(directions, level * offset, level * target)
+    np.testing.assert_allclose(scaled, level * one, rtol=1e-9, atol=1e-9 * level)
