@@ -70,7 +70,7 @@ def main(output: Path, figures: bool = True) -> Morph:
     regulator = show_lqr(model, plants["force_density"][0])
     morph = show_mpc(model, rest)
     if figures:
-        from tenscontrol.demo_figures import save_figures
+        from tenscontrol.plot.demo import save_figures
 
         print("\n5. Figures")
         for path in save_figures(output, rest, plants, regulator, morph):

@@ -19,12 +19,31 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     return copy
 
 
+_KIND = {"b": "bool", "c": "complex", "U": "text (str)", "S": "bytes", "M": "datetime"}
+
+
+def _brief(value: object) -> str:
+    """Return a value as text that fits in a message."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
 def float_array(name: str, value: object) -> FloatArray:
     """Return ``value`` as a finite float array, or say which entry is not a finite number."""
+    if value is None:
+        raise TypeError(f"{name} is None, expected an array of real numbers")
+    if isinstance(value, np.ma.MaskedArray):
+        raise TypeError(f"{name} is a masked array, expected one without a mask: fill or drop")
     try:
-        array = np.array(value, dtype=float)
+        given = np.asarray(value)
     except (TypeError, ValueError) as error:
         raise TypeError(f"{name} must be an array of real numbers: {error}") from None
+    if given.dtype.kind not in "iuf":
+        kind = _KIND.get(given.dtype.kind, type(value).__name__)
+        raise TypeError(
+            f"{name} must be an array of real numbers; found {_brief(value)} of type {kind}"
+        )
+    array = given.astype(float)
     bad = np.argwhere(~np.isfinite(array))
     if len(bad):
         where = "" if array.ndim == 0 else f"[{', '.join(str(i) for i in bad[0])}]"
@@ -74,11 +93,18 @@ def non_negative(name: str, array: FloatArray, why: str) -> FloatArray:
 
 def positive_number(name: str, value: object, unit: str) -> float:
     """Return a positive finite number."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        raise TypeError(f"{name} is {value!r}, expected a positive number in {unit}")
-    if not np.isfinite(value) or value <= 0:
-        raise ValueError(f"{name} is {value!r}, expected a positive finite number in {unit}")
-    return float(value)
+        raise TypeError(f"{name} is {_brief(value)}, expected a positive number in {unit}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = np.inf
+    if not np.isfinite(number) or number <= 0:
+        found = _brief(value)
+        raise ValueError(f"{name} is {found}, expected a positive finite number in {unit}")
+    return number
 
 
 def whole_number(name: str, value: object, least: int) -> int:
@@ -97,6 +123,28 @@ def choice(name: str, value: object, options: Iterable[str]) -> str:
         quoted = ", ".join(repr(option) for option in allowed)
         raise ValueError(f"{name} is {value!r}, expected one of {quoted}")
     return value
+
+
+def truth(name: str, value: object, meaning: str) -> bool:
+    """Return True or False, and refuse what only looks like it."""
+    if not isinstance(value, bool | np.bool_):
+        raise TypeError(
+            f"{name} is {_brief(value)} ({type(value).__name__}), expected True or False: {meaning}"
+        )
+    return bool(value)
+
+
+def member_parameters(parameters: dict[str, FloatArray]) -> None:
+    """Refuse parameters that are not one number, or one per string, of one count."""
+    for name, array in parameters.items():
+        if array.ndim > 1 or array.size == 0:
+            raise ValueError(
+                f"{name} has shape {array.shape}, expected one number, or one per string"
+            )
+    counts = {array.shape for array in parameters.values() if array.ndim == 1}
+    if len(counts) > 1:
+        found = ", ".join(f"{name} {array.shape}" for name, array in parameters.items())
+        raise ValueError(f"shapes do not go together: {found}; expected one count of strings")
 
 
 def instance(name: str, value: object, kind: type, how: str) -> None:

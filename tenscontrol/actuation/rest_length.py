@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tenscontrol.dynamics import Model, StringLaw
+from tenscontrol.structure import refuse_strings_without_length
 from tenscontrol.validation import FloatArray, IntArray, frozen, instance
 
 
@@ -59,7 +60,9 @@ def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLe
     array([17.3205, 30.    ])
     """
     law = _law(model)
-    length = model.structure.string_length(nodes)
+    shape = model.structure.checked_nodes("nodes", nodes)
+    refuse_strings_without_length("nodes", model.structure, shape)
+    length = model.structure.string_length(shape)
     rest_length = law.rest_length(length, force_density)
     return RestLengths(frozen(rest_length), frozen((rest_length == length).nonzero()[0]))
 
@@ -85,8 +88,19 @@ def to_force_density(model: Model, nodes: object, rest_length: object) -> FloatA
     ------
     TypeError, ValueError
         If the model has no string law or an argument does not fit.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
+    >>> tc.to_force_density(model, prism.nodes, rest_length=0.7)[[0, 6]].round(3)
+    array([19.171, 32.233])
     """
-    return _law(model).force_density(model.structure.string_length(nodes), rest_length)
+    law = _law(model)
+    shape = model.structure.checked_nodes("nodes", nodes)
+    refuse_strings_without_length("nodes", model.structure, shape)
+    return law.force_density(model.structure.string_length(shape), rest_length)
 
 
 def _law(model: Model) -> StringLaw:

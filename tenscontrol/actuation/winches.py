@@ -12,12 +12,16 @@ from tenscontrol.validation import (
     IntArray,
     float_array,
     frozen,
+    member_parameters,
     positive,
     positive_number,
 )
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+
+_UNITS = (("rate", "speed in m/s"), ("shortest", "length in m"), ("longest", "length in m"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,31 +82,18 @@ class Winches:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        for name, unit in (
-            ("rate", "speed in m/s"),
-            ("shortest", "length in m"),
-            ("longest", "length in m"),
-        ):
+        limits = {}
+        for name, unit in _UNITS:
             value = getattr(self, name)
-            if value is None:
-                continue
-            array = float_array(name, value)
-            if array.ndim > 1:
-                raise ValueError(
-                    f"{name} has shape {array.shape}, expected one number, or one per string"
-                )
-            positive(name, np.atleast_1d(array), unit)
-            object.__setattr__(self, name, frozen(array))
-        if self.shortest is not None and self.longest is not None:
-            try:
-                crossed = np.any(self.shortest > self.longest)
-            except ValueError:
-                raise ValueError(
-                    f"shortest has shape {np.shape(self.shortest)} and longest "
-                    f"{np.shape(self.longest)}; expected one number, or one per string, in both"
-                ) from None
-            if crossed:
-                raise ValueError(f"shortest {self.shortest} m exceeds longest {self.longest} m")
+            if value is not None:
+                limits[name] = float_array(name, value)
+                positive(name, np.atleast_1d(limits[name]), unit)
+                object.__setattr__(self, name, frozen(limits[name]))
+        member_parameters(limits)
+        if self.shortest is None or self.longest is None:
+            return
+        if np.any(self.shortest > self.longest):
+            raise ValueError(f"shortest {self.shortest} m exceeds longest {self.longest} m")
 
     def move(self, current: object, wanted: object, step: float) -> WinchMove:
         """Return the rest lengths reached from ``current`` towards ``wanted`` in one sample.
@@ -131,7 +122,9 @@ class Winches:
                 f"current has shape {start.shape} and wanted {goal.shape}, expected (α,) twice: "
                 "one rest length per string"
             )
-        for name in ("rate", "shortest", "longest"):
+        positive("current", start, "rest length in m")
+        positive("wanted", goal, "rest length in m")
+        for name, _ in _UNITS:
             value = getattr(self, name)
             if value is not None and value.shape not in ((), start.shape):
                 raise ValueError(

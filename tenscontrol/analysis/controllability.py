@@ -117,7 +117,7 @@ def distinct_poles(A: FloatArray) -> np.ndarray:
             groups.append([value])
         else:
             near.append(value)
-    means = np.array([np.mean(group) for group in groups])
+    means = np.array([np.mean(group) for group in groups], dtype=complex)
     # A pole within round-off of an axis is on it.
     means.real[np.abs(means.real) < same] = 0.0
     means.imag[np.abs(means.imag) < same] = 0.0

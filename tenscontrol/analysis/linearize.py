@@ -9,11 +9,24 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.analysis.plant import INPUTS, LinearPlant
-from tenscontrol.dynamics import Model, pack_state
+from tenscontrol.dynamics import KINDS, Model, pack_state
 from tenscontrol.dynamics import coordinates as frame_of
 from tenscontrol.statics import Prestress
-from tenscontrol.structure import Structure, refuse_wrong_bar_lengths
-from tenscontrol.validation import FloatArray, choice, frozen, instance, non_negative, shaped
+from tenscontrol.structure import (
+    Structure,
+    refuse_strings_without_length,
+    refuse_wrong_bar_lengths,
+)
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    float_array,
+    frozen,
+    instance,
+    non_negative,
+    shaped,
+    truth,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -38,6 +51,22 @@ class OperatingPoint:
         γ, N/m, at least 0.
     external_force : array_like, shape (3, n), optional
         W, N.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an array is not finite or does not fit.
+
+    Examples
+    --------
+    A prism whose force densities do not balance, linearized all the same:
+
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> at = tc.OperatingPoint(prism.nodes, np.repeat([17.3205, 17.3205, 9.0], 3))
+    >>> plant = tc.linearize(tc.Model(prism), at, require_equilibrium=False)
+    >>> bool(abs(plant.drift).max() > 1)
+    True
     """
 
     nodes: FloatArray
@@ -52,6 +81,22 @@ class OperatingPoint:
             force_density: ArrayLike,
             external_force: ArrayLike | None = None,
         ) -> None: ...
+
+    def __post_init__(self) -> None:
+        nodes = float_array("nodes", self.nodes)
+        if nodes.ndim != 2 or nodes.shape[0] != 3:
+            raise ValueError(f"nodes has shape {nodes.shape}, expected (3, n): one column per node")
+        gamma = float_array("force_density", self.force_density)
+        if gamma.ndim != 1:
+            raise ValueError(
+                f"force_density has shape {gamma.shape}, expected (α,): one per string"
+            )
+        load = self.external_force
+        if load is not None:
+            load = frozen(shaped("external_force", load, nodes.shape, "one force per node"))
+        object.__setattr__(self, "nodes", frozen(nodes))
+        object.__setattr__(self, "force_density", frozen(gamma))
+        object.__setattr__(self, "external_force", load)
 
 
 def linearize(
@@ -107,6 +152,8 @@ def linearize(
     """
     instance("model", model, Model, "make one by Model(structure)")
     choice("input", input, INPUTS)
+    choice("coordinates", coordinates, KINDS)
+    truth("require_equilibrium", require_equilibrium, "whether to refuse unbalanced forces")
     nodes, gamma, load = _checked_point(model, at)
     if load.any() and not model.has_external_force:
         raise ValueError(
@@ -115,6 +162,7 @@ def linearize(
         )
     rest_length = None
     if model.strings is not None:
+        refuse_strings_without_length("at.nodes", model.structure, nodes)
         rest_length = model.strings.rest_length(_string_length(model, nodes), gamma)
     elif input == "rest_length":
         raise ValueError(
@@ -141,7 +189,21 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
     Returns
     -------
     LinearPlant
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``plant`` is not a linear plant or ``kind`` is another word.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> tc.in_coordinates(plant, "minimal")
+    LinearPlant(15 minimal coordinates, input force_density, 9 inputs)
     """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     at = OperatingPoint(plant.nodes, plant.force_density, plant.external_force)
     return linearize(plant.model, at, plant.input, kind, require_equilibrium=False)
 

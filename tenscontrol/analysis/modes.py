@@ -86,8 +86,8 @@ def modes(plant: LinearPlant) -> Modes:
 
     Raises
     ------
-    TypeError
-        If ``plant`` is not a linear plant.
+    TypeError, ValueError
+        If ``plant`` is not a linear plant, or has no coordinates.
 
     Examples
     --------
@@ -107,6 +107,11 @@ def modes(plant: LinearPlant) -> Modes:
        8       2.44339   0.0000  elastic
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    if plant.degrees_of_freedom == 0:
+        raise ValueError(
+            f"plant has no {plant.coordinates.kind} coordinates, so there are no modes; "
+            "'minimal' coordinates hold the motions as one body"
+        )
     r = plant.degrees_of_freedom
     stiffness, friction = -plant.A[r:, :r], -plant.A[r:, r:]
     if plant.coordinates.kind == "nodes":
@@ -174,7 +179,7 @@ def _undamped(
     for first, last in _clusters(values, limit):
         vectors[:, first:last], found = _unmixed(vectors[:, first:last], kinds)
         labels += found
-    poles = np.sqrt(-values.astype(complex))
+    poles = np.sqrt((-values).astype(complex))
     return poles, vectors, labels
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.analysis import LinearPlant
-from tenscontrol.validation import FloatArray, float_array
+from tenscontrol.validation import FloatArray, float_array, instance
 
 _TOLERANCE = 1e-12
 
@@ -65,7 +65,22 @@ def energy_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
     -------
     Q : ndarray, shape (2r, 2r)
     R : ndarray, shape (α, α)
+
+    Raises
+    ------
+    TypeError
+        If ``plant`` is not a linear plant.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> Q, R = tc.energy_weights(plant)
+    >>> Q[0, 0].round(1), Q[9, 9], R[0, 0].round(3)
+    (np.float64(235.7), np.float64(1.0), np.float64(0.048))
     """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     r = plant.degrees_of_freedom
     highest = max(float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)), 1.0)
     push = float(np.linalg.norm(plant.B, 2))

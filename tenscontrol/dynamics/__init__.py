@@ -1,6 +1,7 @@
 """The equations of motion as CasADi functions."""
 
 from tenscontrol.dynamics.coordinates import (
+    KINDS,
     Coordinates,
     affine_motions,
     coordinates,
@@ -11,6 +12,7 @@ from tenscontrol.dynamics.model import Model, pack_state, unpack_states
 from tenscontrol.dynamics.strings import ElasticStrings, LinearStrings, StringLaw
 
 __all__ = [
+    "KINDS",
     "Coordinates",
     "ElasticStrings",
     "Evaluator",

@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 
 from tenscontrol.dynamics.model import Model
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, choice, frozen, shaped
+from tenscontrol.structure import Structure, refuse_wrong_bar_lengths
+from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped
 
 # Directions whose singular value is below this fraction of the largest do not exist.
 _RANK_TOLERANCE = 1e-9
@@ -51,9 +51,31 @@ class Coordinates:
         """Number r of coordinates."""
         return int(self.basis.shape[1])
 
-    def project(self, displacements: FloatArray) -> FloatArray:
-        """Return q of node displacements, one a column, shape (3n, k): ``q = Tᵀ M vec(δN)``."""
-        return np.asarray(self._projection @ displacements)
+    def project(self, displacements: object) -> FloatArray:
+        """Return the coordinates of node displacements, ``q = Tᵀ M vec(δN)``.
+
+        Parameters
+        ----------
+        displacements : array_like, shape (3n,) or (3n, k)
+            Node by node, m; one displacement a column.
+
+        Returns
+        -------
+        ndarray, shape (r,) or (r, k)
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an entry is not a finite number, or the shape does not fit.
+        """
+        fields = float_array("displacements", displacements)
+        rows = self._projection.shape[1]
+        if fields.ndim not in (1, 2) or fields.shape[0] != rows:
+            raise ValueError(
+                f"displacements has shape {fields.shape}, expected ({rows},) or ({rows}, k): "
+                "x, y, z node by node"
+            )
+        return np.asarray(self._projection @ fields)
 
     def measure(self, nodes: object, velocities: object) -> FloatArray:
         """Return the reduced state ``z = [q; q̇]`` of a motion.
@@ -84,8 +106,8 @@ class Coordinates:
             turn, centre = self._alignment(N)
             N = turn @ (N - centre) + self._reference_centre
             V = turn @ V
-        q = self.project((N - self.nodes).ravel(order="F"))
-        return np.concatenate([q, self.project(V.ravel(order="F"))])
+        q = self._projection @ (N - self.nodes).ravel(order="F")
+        return np.concatenate([q, self._projection @ V.ravel(order="F")])
 
     def to_nodes(self, q: object) -> FloatArray:
         """Return node positions with exact bar lengths whose coordinates are q.
@@ -144,12 +166,13 @@ class Coordinates:
         ValueError
             As :meth:`to_nodes`.
         """
+        shape = self.to_nodes(q)
         rates = shaped("rates", rates, (self.count,), f"one per {self.kind} coordinate")
         velocities = (self.basis @ rates).reshape(3, -1, order="F")
         if self.kind == "nodes":
             return velocities
         bars = self.structure.bars
-        vectors = self.structure.bar_vectors(self.to_nodes(q))
+        vectors = self.structure.bar_vectors(shape)
         change = self.structure.bar_vectors(velocities)
         along = (vectors * self._axes).sum(axis=0)
         half_change = -0.5 * (vectors * change).sum(axis=0) / along * self._axes
@@ -213,9 +236,11 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
     >>> [tc.coordinates(model, kind=kind).count for kind in ("nodes", "minimal", "internal")]
     [18, 15, 9]
     """
+    instance("model", model, Model, "make one by Model(structure)")
     structure = model.structure
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
-    choice("coordinates", kind, KINDS)
+    choice("kind", kind, KINDS)
+    refuse_wrong_bar_lengths("nodes", structure, N)
     mass = model.mass_matrix()
     if kind == "nodes":
         basis = projection = np.eye(N.size)

@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.strings import StringLaw
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, instance
+from tenscontrol.validation import FloatArray, choice, instance, truth
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -67,11 +67,7 @@ class Model:
         if strings is not None:
             instance("strings", strings, StringLaw, "use LinearStrings(stiffness=...)")
             strings = strings.for_count(len(structure.strings))
-        if not isinstance(external_force, bool):
-            raise TypeError(
-                f"external_force is a {type(external_force).__name__}, expected True or False: "
-                "whether the functions take a load W"
-            )
+        truth("external_force", external_force, "whether the functions take a load W")
         self._structure = structure
         self._strings = strings
         self._external_force = external_force
@@ -169,7 +165,23 @@ class Model:
         return ca.Function("rest_length_dynamics", inputs, [self._xdot(s, gamma)], names, ["xdot"])
 
     def state_equation(self, held: str) -> ca.Function:
-        """Return ``dynamics`` or ``rest_length_dynamics`` by the name of the held input."""
+        """Return the state equation with the held input as its input.
+
+        Parameters
+        ----------
+        held : {"force_density", "rest_length"}
+
+        Returns
+        -------
+        casadi.Function
+            :attr:`dynamics` or :attr:`rest_length_dynamics`.
+
+        Raises
+        ------
+        ValueError
+            If ``held`` is another word, or the model has no string law for it.
+        """
+        choice("held", held, ("force_density", "rest_length"))
         return self.dynamics if held == "force_density" else self.rest_length_dynamics
 
     @cached_property

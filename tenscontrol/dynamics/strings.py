@@ -14,6 +14,7 @@ from tenscontrol.validation import (
     FloatArray,
     float_array,
     frozen,
+    member_parameters,
     non_negative,
     per_member,
     positive,
@@ -36,15 +37,39 @@ class StringLaw(ABC):
 
     @abstractmethod
     def tension(self, length: Any, rest_length: Any) -> Any:
-        """Return the tension of a string longer than its rest length, N (negative below)."""
+        """Return the tension of a string longer than its rest length, N (negative below).
+
+        Parameters
+        ----------
+        length : casadi.SX, shape (α, 1)
+            l, m.
+        rest_length : casadi.SX, shape (α, 1)
+            l0, m.
+        """
 
     @abstractmethod
     def taut_rest_length(self, length: Any, force_density: Any) -> Any:
-        """Return the rest length at which a taut string has this force density, m."""
+        """Return the rest length at which a taut string has this force density, m.
+
+        Parameters
+        ----------
+        length : casadi.SX, shape (α, 1)
+            l, m.
+        force_density : casadi.SX, shape (α, 1)
+            γ, N/m.
+        """
 
     @abstractmethod
     def stored_energy(self, length: Any, rest_length: Any) -> Any:
-        """Return the elastic energy, J."""
+        """Return the elastic energy, J.
+
+        Parameters
+        ----------
+        length : casadi.SX, shape (α, 1)
+            l, m.
+        rest_length : casadi.SX, shape (α, 1)
+            l0, m.
+        """
 
     @property
     @abstractmethod
@@ -62,7 +87,17 @@ class StringLaw(ABC):
         return bool(np.any(np.asarray(self.damping) > 0))
 
     def symbolic_force_density(self, length: Any, rest_length: Any, rate: Any = None) -> Any:
-        """Return the expression of γ; ``rate`` is needed only where the law is damped."""
+        """Return the expression of γ, N/m.
+
+        Parameters
+        ----------
+        length : casadi.SX, shape (α, 1)
+            l, m.
+        rest_length : casadi.SX, shape (α, 1)
+            l0, m.
+        rate : casadi.SX, shape (α, 1), optional
+            l̇, m/s; needed only where the law is damped.
+        """
         tension = self.tension(length, rest_length)
         if not self.is_damped:
             return ca.fmax(0, tension) / length
@@ -70,7 +105,22 @@ class StringLaw(ABC):
         return ca.if_else(length > rest_length, pulling, 0) / length
 
     def for_count(self, count: int) -> StringLaw:
-        """Return the same law with one parameter per string, or raise if the counts differ."""
+        """Return the same law with one parameter per string.
+
+        Parameters
+        ----------
+        count : int
+            Number α of strings.
+
+        Returns
+        -------
+        StringLaw
+
+        Raises
+        ------
+        ValueError
+            If a parameter is given for another number of strings.
+        """
         parameters = {
             field.name: per_member(field.name, getattr(self, field.name), count, "string")
             for field in fields(self)
@@ -149,17 +199,9 @@ class StringLaw(ABC):
     def _together(self, **values: object) -> list[FloatArray]:
         """Check that arguments and parameters go together, and give them one shape."""
         arrays = {name: float_array(name, value) for name, value in values.items()}
-        shapes = [np.shape(getattr(self, field.name)) for field in fields(self)]
-        try:
-            shape = np.broadcast_shapes(*(array.shape for array in arrays.values()), *shapes)
-        except ValueError:
-            found = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
-            raise ValueError(
-                f"shapes do not go together: {found}; parameters of the strings {shapes}. "
-                "Expected one number, or one per string"
-            ) from None
-        if len(shape) > 1:
-            raise ValueError(f"expected one number, or one per string; found shape {shape}")
+        own = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        member_parameters({**arrays, **own})
+        shape = np.broadcast_shapes(*(array.shape for array in [*arrays.values(), *own.values()]))
         return [np.broadcast_to(array, shape) for array in arrays.values()]
 
     @cached_property
@@ -218,15 +260,39 @@ class LinearStrings(StringLaw):
         _check_parameters(self, "stiffness")
 
     def tension(self, length: Any, rest_length: Any) -> Any:
-        """Return k (l − l0), N."""
+        """Return k (l − l0), N.
+
+        Parameters
+        ----------
+        length : casadi.SX, shape (α, 1)
+            l, m.
+        rest_length : casadi.SX, shape (α, 1)
+            l0, m.
+        """
         return ca.DM(self.stiffness) * (length - rest_length)
 
     def taut_rest_length(self, length: Any, force_density: Any) -> Any:
-        """Return l (1 − γ/k), m."""
+        """Return l (1 − γ/k), m.
+
+        Parameters
+        ----------
+        length : casadi.SX, shape (α, 1)
+            l, m.
+        force_density : casadi.SX, shape (α, 1)
+            γ, N/m.
+        """
         return length * (1 - force_density / ca.DM(self.stiffness))
 
     def stored_energy(self, length: Any, rest_length: Any) -> Any:
-        """Return ½ k max(0, l − l0)², J."""
+        """Return ½ k max(0, l − l0)², J.
+
+        Parameters
+        ----------
+        length : casadi.SX, shape (α, 1)
+            l, m.
+        rest_length : casadi.SX, shape (α, 1)
+            l0, m.
+        """
         return 0.5 * ca.DM(self.stiffness) * ca.fmax(0, length - rest_length) ** 2
 
     @property
@@ -274,16 +340,40 @@ class ElasticStrings(StringLaw):
         _check_parameters(self, "axial_rigidity")
 
     def tension(self, length: Any, rest_length: Any) -> Any:
-        """Return EA (l/l0 − 1), N."""
+        """Return EA (l/l0 − 1), N.
+
+        Parameters
+        ----------
+        length : casadi.SX, shape (α, 1)
+            l, m.
+        rest_length : casadi.SX, shape (α, 1)
+            l0, m.
+        """
         return ca.DM(self.axial_rigidity) * (length / rest_length - 1)
 
     def taut_rest_length(self, length: Any, force_density: Any) -> Any:
-        """Return EA l/(EA + γ l), m."""
+        """Return EA l/(EA + γ l), m.
+
+        Parameters
+        ----------
+        length : casadi.SX, shape (α, 1)
+            l, m.
+        force_density : casadi.SX, shape (α, 1)
+            γ, N/m.
+        """
         rigidity = ca.DM(self.axial_rigidity)
         return rigidity * length / (rigidity + force_density * length)
 
     def stored_energy(self, length: Any, rest_length: Any) -> Any:
-        """Return ½ EA/l0 max(0, l − l0)², J."""
+        """Return ½ EA/l0 max(0, l − l0)², J.
+
+        Parameters
+        ----------
+        length : casadi.SX, shape (α, 1)
+            l, m.
+        rest_length : casadi.SX, shape (α, 1)
+            l0, m.
+        """
         stretch = ca.fmax(0, length - rest_length)
         return 0.5 * ca.DM(self.axial_rigidity) * stretch**2 / rest_length
 
@@ -296,11 +386,7 @@ class ElasticStrings(StringLaw):
 def _check_parameters(law: StringLaw, stiffness: str) -> None:
     k = float_array(stiffness, getattr(law, stiffness))
     c = float_array("damping", law.damping)
-    for name, value in ((stiffness, k), ("damping", c)):
-        if value.ndim > 1:
-            raise ValueError(
-                f"{name} has shape {value.shape}, expected one number, or one per string"
-            )
+    member_parameters({stiffness: k, "damping": c})
     positive(stiffness, np.atleast_1d(k), "number")
     non_negative("damping", np.atleast_1d(c), "damping takes energy out")
     object.__setattr__(law, stiffness, frozen(k))

@@ -57,33 +57,41 @@ class DOP853(Integrator):
         from scipy import integrate
 
         def slope(time: float, x: FloatArray) -> FloatArray:
-            return self._evaluator(x, held)[0].copy()
+            rate = self._evaluator(x, held)[0].copy()
+            if not np.isfinite(rate).all():
+                # SciPy would shorten its step for ever.
+                raise FloatingPointError("the forces are no longer finite")
+            return rate
 
         times = duration * np.arange(1, outputs + 1) / outputs
         states = np.empty((len(state), outputs))
         done = steps = 0
-        with np.errstate(over="ignore", invalid="ignore"):  # a state that is not finite raises
-            stepper = integrate.DOP853(
-                slope, 0.0, state, duration, rtol=self.tolerance, atol=self.tolerance
-            )
-            while stepper.status == "running":
-                trouble = stepper.step()
-                steps += 1
-                if stepper.status == "failed" or not np.isfinite(stepper.y).all():
-                    raise IntegrationError(
-                        f"dop853 stopped after {stepper.t_old or 0.0:.6g} s: "
-                        f"{trouble or 'the state is no longer finite'}",
-                        float(stepper.t_old or 0.0),
-                        Span(states[:, :done], steps, stepper.nfev),
-                    )
-                reached = outputs
-                if stepper.status == "running":
-                    reached = int(np.searchsorted(times, stepper.t, side="right"))
-                if reached > done:
-                    # The interpolant costs three evaluations: only where a state is wanted.
-                    states[:, done:reached] = stepper.dense_output()(times[done:reached])
-                    done = reached
-                if report is not None:
-                    report(float(stepper.t))
+        stepper = None
+        try:
+            # A state that is not finite is looked for, so NumPy need not warn of it.
+            with np.errstate(over="ignore", invalid="ignore"):
+                stepper = integrate.DOP853(
+                    slope, 0.0, state, duration, rtol=self.tolerance, atol=self.tolerance
+                )
+                while stepper.status == "running":
+                    trouble = stepper.step()
+                    steps += 1
+                    if stepper.status == "failed" or not np.isfinite(stepper.y).all():
+                        raise FloatingPointError(trouble or "the state is no longer finite")
+                    reached = outputs
+                    if stepper.status == "running":
+                        reached = int(np.searchsorted(times, stepper.t, side="right"))
+                    if reached > done:
+                        # The interpolant costs three evaluations: only where a state is wanted.
+                        states[:, done:reached] = stepper.dense_output()(times[done:reached])
+                        done = reached
+                    if report is not None:
+                        report(float(stepper.t))
+        except FloatingPointError as error:
+            time = 0.0 if stepper is None else float(stepper.t_old or 0.0)
+            span = Span(states[:, :done], steps, 0 if stepper is None else stepper.nfev)
+            raise IntegrationError(
+                f"dop853 stopped after {time:.6g} s: {error}", time, span
+            ) from None
         states[:, -1] = stepper.y
         return Span(states, steps, stepper.nfev)

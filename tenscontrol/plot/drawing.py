@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.lines import Line2D
-from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from tenscontrol.plot.style import DOTTED, FORCE_MAP, FORCE_WIDTH, NORMAL, MemberStyle
 from tenscontrol.structure import Structure

@@ -16,7 +16,7 @@ from tenscontrol.dynamics import Model, StringLaw, pack_state
 from tenscontrol.integrate import DOP853, RK4, IntegrationError, Integrator, Span
 from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory, build_trajectory
-from tenscontrol.structure import refuse_wrong_bar_lengths
+from tenscontrol.structure import refuse_strings_without_length, refuse_wrong_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
     choice,
@@ -27,12 +27,17 @@ from tenscontrol.validation import (
     positive,
     positive_number,
     shaped,
+    truth,
 )
 
 METHODS = ("auto", "rk4", "dop853")
 
 # States kept of an adaptive run, unless the user says otherwise.
 _OUTPUTS = 1000
+
+# More would not be over in a day, or not fit in memory.
+_MOST_STEPS = 1e11
+_MOST_NUMBERS = 5e8
 
 
 class SimulationError(ArithmeticError):
@@ -136,6 +141,10 @@ def simulate(
     """
     instance("model", model, Model, "make one by Model(structure)")
     duration = positive_number("duration", duration, "s")
+    tolerance = positive_number("tolerance", tolerance, "m and m/s")
+    truth("progress", progress, "whether to show a progress bar")
+    if controller is not None:
+        instance("controller", controller, Controller, "make one by lqr(...) or MPC(...)")
     loop = _Loop(
         model,
         hold=_held(model, rest_length, force_density, controller, hold),
@@ -145,7 +154,7 @@ def simulate(
         step=step,
     )
     loop.output_step = _output_step(loop, output_step, duration)
-    state = _initial_state(model, nodes, velocities)
+    state = _initial_state(model, nodes, velocities, loop.hold)
     with progress_bar(duration, shown=progress) as report:
         if controller is None:
             if winches is not None or sample_time is not None:
@@ -293,7 +302,6 @@ class _Actuators:
         rest_length: object,
         sample: float,
     ) -> None:
-        instance("controller", controller, Controller, "make one by lqr(...) or MPC(...)")
         structure = loop.model.structure
         if len(controller.plant.model.structure.strings) != len(structure.strings):
             raise ValueError(
@@ -418,13 +426,15 @@ def _checked_load(model: Model, external_force: object) -> FloatArray | None:
     return shaped("external_force", external_force, shape, "one force per node")
 
 
-def _initial_state(model: Model, nodes: object, velocities: object) -> FloatArray:
+def _initial_state(model: Model, nodes: object, velocities: object, hold: str) -> FloatArray:
     structure = model.structure
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     V = np.zeros_like(N)
     if velocities is not None:
         V = structure.checked_nodes("velocities", velocities)
     refuse_wrong_bar_lengths("nodes", structure, N)
+    if hold == "rest_length":
+        refuse_strings_without_length("nodes", structure, N)
     bars, rates = structure.bar_vectors(N), structure.bar_vectors(V)
     stretching = np.abs((bars * rates).sum(axis=0)) / structure.bar_length
     allowed = 1e-8 * max(float(np.abs(V).max()), 1e-300)
@@ -438,9 +448,26 @@ def _initial_state(model: Model, nodes: object, velocities: object) -> FloatArra
 
 
 def _output_step(loop: _Loop, output_step: float | None, duration: float) -> float:
+    """Return the time between states kept, after checking that they can be kept."""
     if output_step is not None:
-        return positive_number("output_step", output_step, "s")
-    return duration / _OUTPUTS if loop.step is None else loop.step
+        name, value = "output_step", positive_number("output_step", output_step, "s")
+    elif loop.step is not None:
+        name, value = "step", loop.step
+    else:
+        return duration / _OUTPUTS
+    if loop.step is not None and duration / loop.step > _MOST_STEPS:
+        raise ValueError(
+            f"step is {loop.step:g} s, expected at least {duration / _MOST_STEPS:.1e} s: "
+            f"{duration:g} s would take {duration / loop.step:.1e} steps"
+        )
+    size = 6 * loop.model.structure.nodes.shape[1]
+    if size * duration / value > _MOST_NUMBERS:
+        raise ValueError(
+            f"{name} is {value:g} s, expected at least {size * duration / _MOST_NUMBERS:.1e} s: "
+            f"{duration / value:.1e} states of {size} numbers would be kept. "
+            "A longer output_step keeps fewer"
+        )
+    return value
 
 
 def _sample_time(controller: Controller, sample_time: float | None, step: float | None) -> float:

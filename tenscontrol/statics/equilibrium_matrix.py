@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.validation import FloatArray, IntArray, instance
 
 
 def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray:
@@ -43,6 +43,7 @@ def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray
     >>> E.shape, int(np.linalg.matrix_rank(E))
     ((18, 12), 11)
     """
+    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     alpha, beta = len(structure.strings), len(structure.bars)
     E = np.zeros((N.shape[1], 3, alpha + beta))

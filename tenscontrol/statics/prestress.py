@@ -150,7 +150,9 @@ def prestress(
         level = positive_number("force_density", force_density, "N/m")
         particular = Vt[:rank].T @ ((U[:, :rank].T @ w) / sizes[:rank])
         _refuse_unbalanced(E, particular, w, "no member forces balance external_force")
-        strings = structure.strings_in(reference or structure.string_groups[0])
+        strings = structure.strings_in(
+            structure.string_groups[0] if reference is None else reference
+        )
         densities = _nearest_to_uniform(particular, states, strings, level, alpha)
         if densities is None:
             raise ValueError(_infeasible(structure, states, sizes, bool(w.any())))

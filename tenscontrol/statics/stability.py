@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, frozen, instance, shaped
 
 _TOLERANCE = 1e-9
 
@@ -81,16 +81,52 @@ def stability(
         and affine_free
         and largest > 0
     )
-    return Stability(is_stable, is_super, np.asarray(mechanism_stiffness), defect)
+    return Stability(is_stable, is_super, frozen(mechanism_stiffness), defect)
 
 
 def stress_matrix(
-    structure: Structure, force_density: FloatArray, bar_force_density: FloatArray
+    structure: Structure, force_density: object, bar_force_density: object
 ) -> FloatArray:
-    """Return Ω = K_s at rest, shape (n, n), N/m: ``N Ω`` is the load the members need."""
+    """Return the stress matrix Ω, K_s at rest: ``N Ω`` is the load the members need.
+
+    Parameters
+    ----------
+    structure : Structure
+    force_density : array_like, shape (α,)
+        γ of the strings, N/m, positive in tension.
+    bar_force_density : array_like, shape (β,)
+        λ of the bars, N/m, positive in compression.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        N/m, symmetric; rows sum to zero.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is not finite or does not fit.
+
+    Notes
+    -----
+    Goyal & Skelton, eq. (9), with the λ of rest.
+
+    Examples
+    --------
+    The stress matrix of a prism in balance has rank n − 4:
+
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> stress = tc.stress_matrix(prism, *tc.prism_force_density(3, 10.0))
+    >>> int(np.linalg.matrix_rank(stress, tol=1e-9))
+    2
+    """
+    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    gamma = shaped("force_density", force_density, (len(structure.strings),), "one per string")
+    lam = shaped("bar_force_density", bar_force_density, (len(structure.bars),), "one per bar")
     n = structure.nodes.shape[1]
     pairs = np.vstack([structure.strings, structure.bars])
-    weights = np.concatenate([force_density, -bar_force_density])
+    weights = np.concatenate([gamma, -lam])
     stress = np.zeros((n, n))
     start, end = pairs[:, 0], pairs[:, 1]
     np.add.at(stress, (start, start), weights)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
     from scipy.sparse import csr_array
+
+# Squares and fourth powers of lengths must stay within double precision.
+_LARGEST = 1e70
 
 # A bar shorter than this fraction of the structure's size has no direction in double precision.
 _ZERO_LENGTH = 1e-12
@@ -115,6 +119,7 @@ class Structure:
         _refuse_repeats(bars, strings)
         _refuse_shared_bar_nodes(bars)
         _refuse_untouched_nodes(bars, strings, count)
+        _refuse_vast(nodes)
         _refuse_short_bars(nodes, bars)
         put = object.__setattr__  # the dataclass is frozen for everyone else
         put(self, "nodes", frozen(nodes))
@@ -144,14 +149,14 @@ class Structure:
         return positive("string_node_mass", mass, "mass in kg")
 
     def _checked_groups(self) -> tuple[str, ...]:
-        if self.string_groups is None:
+        given: Any = self.string_groups
+        if given is None:
             return ("string",) * len(self.strings)
-        given = cast("object", self.string_groups)  # users without a type checker
-        if isinstance(given, str):
+        if isinstance(given, str) or not isinstance(given, Iterable):
             raise TypeError(
-                f"string_groups is the text {given!r}, expected a sequence with one name per string"
+                f"string_groups is {given!r}, expected a sequence with one name per string"
             )
-        groups = tuple(self.string_groups)
+        groups = tuple(given)
         if len(groups) != len(self.strings):
             raise ValueError(
                 f"string_groups has {len(groups)} names, "
@@ -185,13 +190,47 @@ class Structure:
         """Bar lengths l, m, shape (β,). They stay what they are in the reference shape."""
         return frozen(np.linalg.norm(self.bar_vectors(self.nodes), axis=0))
 
-    def bar_vectors(self, nodes: FloatArray) -> FloatArray:
-        """Return the bar vectors B = N C_nbᵀ C_bᵀ, m, shape (3, β), from start to end node."""
-        return nodes[:, self.bars[:, 1]] - nodes[:, self.bars[:, 0]]
+    def bar_vectors(self, nodes: object) -> FloatArray:
+        """Return the bar vectors B = N C_nbᵀ C_bᵀ from start to end node.
 
-    def string_vectors(self, nodes: FloatArray) -> FloatArray:
-        """Return the string vectors S = N C_sᵀ, m, shape (3, α), from start to end node."""
-        return nodes[:, self.strings[:, 1]] - nodes[:, self.strings[:, 0]]
+        Parameters
+        ----------
+        nodes : array_like, shape (3, n)
+            Node positions, m, or velocities, m/s.
+
+        Returns
+        -------
+        ndarray, shape (3, β)
+            m, or m/s.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If ``nodes`` does not fit.
+        """
+        N = self.checked_nodes("nodes", nodes)
+        return np.asarray(N[:, self.bars[:, 1]] - N[:, self.bars[:, 0]])
+
+    def string_vectors(self, nodes: object) -> FloatArray:
+        """Return the string vectors S = N C_sᵀ from start to end node.
+
+        Parameters
+        ----------
+        nodes : array_like, shape (3, n)
+            Node positions, m, or velocities, m/s.
+
+        Returns
+        -------
+        ndarray, shape (3, α)
+            m, or m/s.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If ``nodes`` does not fit.
+        """
+        N = self.checked_nodes("nodes", nodes)
+        return np.asarray(N[:, self.strings[:, 1]] - N[:, self.strings[:, 0]])
 
     def string_length(self, nodes: object = None) -> FloatArray:
         """Return the string lengths, m, shape (α,), of the reference shape or of ``nodes``.
@@ -231,7 +270,23 @@ class Structure:
         return found
 
     def checked_nodes(self, name: str, nodes: object) -> FloatArray:
-        """Return ``nodes`` as a finite array of shape (3, n), or raise naming the argument."""
+        """Return node positions or velocities as an array, or raise naming the argument.
+
+        Parameters
+        ----------
+        name : str
+            What the message calls them.
+        nodes : array_like, shape (3, n)
+
+        Returns
+        -------
+        ndarray, shape (3, n)
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an entry is not a finite number, or the shape does not fit.
+        """
         shape = self.nodes.shape
         return shaped(name, nodes, (3, shape[1]), "one column of x, y, z per node of the structure")
 
@@ -279,25 +334,24 @@ class Structure:
 def _members(name: str, pairs: Any, count: int) -> IntArray:
     """Check index pairs: shape (·, 2), whole numbers, in range, not from a node to itself."""
     array = float_array(name, pairs)
-    if array.size == 0:
+    if array.shape in ((0,), (0, 2)):
         return np.zeros((0, 2), dtype=np.int64)
     if array.ndim != 2 or array.shape[1] != 2:
         raise ValueError(
             f"{name} has shape {array.shape}, expected (count, 2): a start and an end node each"
         )
-    whole = array.astype(np.int64)
-    for i, (start, end) in enumerate(whole):
-        if (whole[i] != array[i]).any():
-            raise TypeError(f"{name}[{i}] is {array[i].tolist()}, expected two whole numbers")
-        for node in (start, end):
+    for i, pair in enumerate(array.tolist()):
+        for node in pair:
+            if not node.is_integer():
+                raise TypeError(f"{name}[{i}] is {pair}, expected two whole numbers")
             if not 0 <= node < count:
                 raise ValueError(
-                    f"{name}[{i}] names node {node}, expected 0 to {count - 1}: "
+                    f"{name}[{i}] names node {node:g}, expected 0 to {count - 1}: "
                     f"there are {count} nodes, counted from 0"
                 )
-        if start == end:
-            raise ValueError(f"{name}[{i}] joins node {start} to itself")
-    return whole
+        if pair[0] == pair[1]:
+            raise ValueError(f"{name}[{i}] joins node {pair[0]:g} to itself")
+    return array.astype(np.int64)
 
 
 def _refuse_repeats(bars: IntArray, strings: IntArray) -> None:
@@ -335,6 +389,15 @@ def _refuse_untouched_nodes(bars: IntArray, strings: IntArray, count: int) -> No
             f"nothing touches node {untouched[0]}"
             + (f" (nor {len(untouched) - 1} more)" if len(untouched) > 1 else "")
             + "; remove it, or join it by a bar or a string"
+        )
+
+
+def _refuse_vast(nodes: FloatArray) -> None:
+    largest = float(np.abs(nodes).max())
+    if largest > _LARGEST:
+        raise ValueError(
+            f"nodes has entries up to {largest:g} m, expected at most {_LARGEST:g} m: "
+            "squares of lengths would overflow"
         )
 
 

@@ -60,7 +60,7 @@ def test_arrays_are_mapped_entry_by_entry(law, seed, count):
 @every_law
 @given(length=lengths)
 def test_zero_force_density_means_just_taut(law, length):
-    assert law.rest_length(length, 0.0) == length
+    assert law.rest_length(length, 0.0) == pytest.approx(length, rel=2.3e-16)
     assert law.force_density(length, length) == 0.0
 
 
@@ -119,7 +119,7 @@ def test_strings_longer_than_the_gap_give_no_force(prism, law):
 def test_the_rest_lengths_of_a_prestress_keep_the_structure_still(prism, rest, law):
     model = tc.Model(prism, strings=law)
     held = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
-    run = tc.simulate(model, 0.5, rest_length=held, tolerance=1e-10)
+    run = tc.simulate(model, 0.5, rest_length=held, step=1e-3)
     assert np.abs(run.nodes - prism.nodes[:, :, None]).max() < 1e-12
 
 

@@ -1,11 +1,11 @@
-"""Bar lengths of a shape: measured, and restored."""
+"""Lengths in a shape: checked, and restored."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from tenscontrol.structure.structure import Structure
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, instance
 
 # How far, relative to its length, a bar may be off in a shape given by the user.
 _TOLERANCE = 1e-8
@@ -39,6 +39,7 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     >>> bool(np.allclose(np.linalg.norm(prism.bar_vectors(nodes), axis=0), prism.bar_length))
     True
     """
+    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     moved = structure.checked_nodes("nodes", nodes).copy()
     vectors = structure.bar_vectors(moved)
     length = np.linalg.norm(vectors, axis=0)
@@ -61,4 +62,16 @@ def refuse_wrong_bar_lengths(name: str, structure: Structure, nodes: FloatArray)
             f"in {name}, bar {worst} has length {length[worst]:.9g} m, expected "
             f"{structure.bar_length[worst]:.9g} m as in the structure; bars are rigid. "
             "restore_bar_lengths(structure, nodes) mends a shape"
+        )
+
+
+def refuse_strings_without_length(name: str, structure: Structure, nodes: FloatArray) -> None:
+    """Raise if the ends of a string are at the same place: its force has no direction."""
+    length = structure.string_length(nodes)
+    short = np.flatnonzero(length <= 1e-12 * length.max(initial=0.0))
+    if len(short):
+        start, end = structure.strings[short[0]]
+        raise ValueError(
+            f"in {name}, strings[{short[0]}] has no length: nodes {start} and {end} are at the "
+            "same place, so that its force has no direction"
         )

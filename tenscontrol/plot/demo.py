@@ -6,21 +6,20 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from tenscontrol import plot
 from tenscontrol.analysis import LinearPlant, Modes
 from tenscontrol.control import LQR
 from tenscontrol.plot.space import new_space
 from tenscontrol.statics import Prestress
+from tenscontrol.validation import FloatArray
 
 if TYPE_CHECKING:
     from tenscontrol.demo import Morph
-
-# Files are written, no window is opened: works without a display.
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402 - after the choice above
 
 
 def save_figures(
@@ -49,26 +48,25 @@ def save_figures(
     yield _saved(prism_figure(rest), output / "prism.png")
     for name, (plant, found) in plants.items():
         shapes = plot.mode_shapes(plant, found)
-        yield _saved(shapes[0].ax.figure, output / f"modes_{name}.png")
+        yield _saved(_figure(shapes[0].ax), output / f"modes_{name}.png")
     yield _saved(pole_figure(regulator), output / "poles.png")
     yield _saved(morph_figure(morph), output / "closed_loop.png")
-    yield _saved(next(iter(plot.health(morph.run).values())).ax.figure, output / "health.png")
-    yield plot.animate(morph.run, output / "closed_loop.gif", target=morph.target.nodes, fps=16)
+    yield _saved(_figure(plot.health(morph.run)["energy"].ax), output / "health.png")
+    yield plot.animate(morph.run, output / "closed_loop.gif", target=_laid_over(morph), fps=16)
 
 
-def prism_figure(rest: Prestress) -> plt.Figure:
+def prism_figure(rest: Prestress) -> Figure:
     """Return the prism with its force densities."""
-    drawing = plot.structure(rest.structure, force_density=rest.force_density)
-    return drawing.ax.figure
+    return _figure(plot.structure(rest.structure, force_density=rest.force_density).ax)
 
 
-def pole_figure(regulator: LQR) -> plt.Figure:
+def pole_figure(regulator: LQR) -> Figure:
     """Return the poles without and with feedback."""
     open_loop = np.linalg.eigvals(regulator.plant.A)
-    return plot.poles({"open loop": open_loop, "LQR": regulator.poles}).ax.figure
+    return _figure(plot.poles({"open loop": open_loop, "LQR": regulator.poles}).ax)
 
 
-def morph_figure(morph: Morph) -> plt.Figure:
+def morph_figure(morph: Morph) -> Figure:
     """Return the way to the new height: start and end in space, height, γ and rest lengths."""
     from tenscontrol.demo import TARGET
 
@@ -101,7 +99,18 @@ def morph_figure(morph: Morph) -> plt.Figure:
     return figure
 
 
-def _saved(figure: plt.Figure, path: Path) -> Path:
+def _laid_over(morph: Morph) -> FloatArray:
+    """Return the target with its centre where the prism ends, since nothing holds that in place."""
+    end, target = morph.run.nodes[:, :, -1], morph.target.nodes
+    return np.asarray(target + (end - target).mean(axis=1, keepdims=True))
+
+
+def _figure(ax: Axes) -> Figure:
+    assert isinstance(ax.figure, Figure)  # not a figure within a figure: it was just made
+    return ax.figure
+
+
+def _saved(figure: Figure, path: Path) -> Path:
     figure.savefig(path, dpi=130)
     plt.close(figure)
     return path

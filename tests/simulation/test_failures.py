@@ -1,0 +1,87 @@
+"""Motions that run away: the error carries what was good."""
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tests.simulation.test_closed_loop import Script
+
+
+def stiff_model():
+    """Strings of 1e6 N/m: their modes need steps far below a millisecond."""
+    return tc.Model(tc.prism(), strings=tc.LinearStrings(1e6))
+
+
+def tight():
+    return 0.8 * tc.prism().string_length()
+
+
+@pytest.fixture(scope="module")
+def failure():
+    """rk4 with a step some thirty times too long."""
+    with pytest.raises(tc.SimulationError) as info:
+        tc.simulate(stiff_model(), 2.0, rest_length=tight(), step=1e-2)
+    return info.value
+
+
+def test_the_message_says_when_and_what_to_try(failure):
+    assert "the simulation stopped at 0." in str(failure)
+    assert "try a step below 0.01 s" in str(failure)
+    assert ".trajectory" in str(failure)
+
+
+def test_the_cause_is_an_integration_error(failure):
+    assert isinstance(failure.__cause__, tc.IntegrationError)
+    assert isinstance(failure, ArithmeticError)
+
+
+def test_the_trajectory_holds_the_finite_part(failure):
+    run = failure.trajectory
+    assert 0 < run.time[-1] < 2.0
+    assert len(run.time) == run.nodes.shape[2] == run.force_density.shape[1] > 5
+    assert np.isfinite(run.nodes).all()
+    assert np.isfinite(run.velocities).all()
+    assert run.steps >= len(run.time) - 1
+
+
+def test_the_trajectory_is_that_of_a_shorter_run(failure):
+    shorter = tc.simulate(stiff_model(), 0.05, rest_length=tight(), step=1e-2)
+    np.testing.assert_allclose(failure.trajectory.nodes[:, :, :6], shorter.nodes, rtol=1e-9)
+
+
+def test_a_short_enough_step_cures_it():
+    run = tc.simulate(stiff_model(), 0.05, rest_length=tight(), step=1e-4)
+    assert np.abs(run.nodes).max() < 2.0
+    assert np.abs(run.bar_length_error).max() < 1e-2
+
+
+def test_a_failure_in_the_first_step_leaves_the_start():
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e200))
+    with pytest.raises(tc.SimulationError) as info:
+        tc.simulate(model, 1.0, rest_length=tight(), step=0.1)
+    run = info.value.trajectory
+    assert run.time.tolist() == [0.0]
+    np.testing.assert_array_equal(run.nodes[:, :, 0], tc.prism().nodes)
+
+
+def test_the_adaptive_method_fails_loudly_too():
+    """A tolerance so loose that a bar loses its length and with it its direction."""
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e4))
+    with pytest.raises(tc.SimulationError, match="dop853 stopped after") as info:
+        tc.simulate(model, 2.0, rest_length=tight(), tolerance=1e-2)
+    run = info.value.trajectory
+    assert 0 < run.time[-1] < 2.0
+    assert np.isfinite(run.nodes).all()
+
+
+def test_in_closed_loop_the_record_comes_with_it(rest):
+    model = stiff_model()
+    plant = tc.linearize(model, rest, "rest_length")
+    controller = Script(plant, [tight()], step=0.02)
+    with pytest.raises(tc.SimulationError) as info:
+        tc.simulate(model, 2.0, controller=controller, step=1e-2)
+    run = info.value.trajectory
+    assert np.isfinite(run.nodes).all()
+    # Every command that was given is on record, the last one's sample included.
+    assert len(run.control.time) == len(controller.seen)
+    assert run.control.time[-1] <= run.time[-1] < run.control.time[-1] + 0.02
