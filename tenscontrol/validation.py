@@ -30,6 +30,27 @@ def _brief(value: object) -> str:
 
 def float_array(name: str, value: object) -> FloatArray:
     """Return ``value`` as a finite float array, or say which entry is not a finite number."""
+    array = _real_array(name, value)
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        where = "" if array.ndim == 0 else f"[{', '.join(str(i) for i in bad[0])}]"
+        raise ValueError(
+            f"{name}{where} is {array[tuple(bad[0])]}, expected a finite number; "
+            f"{len(bad)} of {array.size} entries are not finite"
+        )
+    return array
+
+
+def measured(name: str, value: object, shape: tuple[int, ...]) -> FloatArray:
+    """Return a measurement as an array of this shape; it may hold what is not finite."""
+    array = _real_array(name, value)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}, expected {shape}: one column per node")
+    return array
+
+
+def _real_array(name: str, value: object) -> FloatArray:
+    """Return ``value`` as a new float array, if it is made of real numbers."""
     if value is None:
         raise TypeError(f"{name} is None, expected an array of real numbers")
     if isinstance(value, np.ma.MaskedArray):
@@ -43,15 +64,7 @@ def float_array(name: str, value: object) -> FloatArray:
         raise TypeError(
             f"{name} must be an array of real numbers; found {_brief(value)} of type {kind}"
         )
-    array = given.astype(float)
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
-        where = "" if array.ndim == 0 else f"[{', '.join(str(i) for i in bad[0])}]"
-        raise ValueError(
-            f"{name}{where} is {array[tuple(bad[0])]}, expected a finite number; "
-            f"{len(bad)} of {array.size} entries are not finite"
-        )
-    return array
+    return given.astype(float)
 
 
 def shaped(name: str, value: object, shape: tuple[int, ...], meaning: str) -> FloatArray:

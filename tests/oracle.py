@@ -245,15 +245,15 @@ def node_acceleration(structure, nodes, velocities, force_density, external_forc
     the compression of its bar by its length.
     """
     count, bars = structure.nodes.shape[1], structure.bars
-    S = structure.string_vectors(nodes)
-    incidence = _incidence(structure.strings, count)
-    forces = external_force - (force_density * S) @ incidence
-    jacobian = _incidence(bars, count)[:, :, None] * structure.bar_vectors(nodes).T[:, None, :]
+    along_strings, along_bars = _incidence(structure.strings, count), _incidence(bars, count)
+    S = nodes @ along_strings.T
+    forces = external_force - (force_density * S) @ along_strings
+    jacobian = along_bars[:, :, None] * (along_bars @ nodes.T)[:, None, :]
     J = jacobian.reshape(len(bars), 3 * count)
     M = np.kron(consistent_mass(structure), np.eye(3))
     saddle = np.block([[M, -J.T], [J, np.zeros((len(bars), len(bars)))]])
-    spread = structure.bar_vectors(velocities)
-    goal = np.concatenate([forces.T.ravel() + 0 * spread.sum(), -(spread * spread).sum(axis=0)])
+    spread = velocities @ along_bars.T
+    goal = np.concatenate([forces.T.ravel(), -(spread * spread).sum(axis=0)])
     solution = np.linalg.solve(saddle, goal)
     return solution[: 3 * count].reshape(count, 3).T, solution[3 * count :]
 
@@ -281,9 +281,11 @@ def state_jacobians(structure, nodes, velocities, law, held, size=1e-30):
     ``law(u)`` returns one of the held laws above for the held values u.
     """
 
+    incidence = _incidence(structure.strings, structure.nodes.shape[1])
+
     def slope(x, u):
         N, V = (part.reshape(-1, 3).T for part in np.split(x, 2))
-        stretch = _stretch(structure.string_vectors(N).T, structure.string_vectors(V).T)
+        stretch = _stretch(incidence @ N.T, incidence @ V.T)
         acceleration, _ = node_acceleration(structure, N, V, law(u)(*stretch, True))
         return np.concatenate([V.T.ravel(), acceleration.T.ravel()])
 

@@ -241,7 +241,7 @@ STRUCTURE = [
     refused("string_node_mass nan", lambda: line(string_node_mass=[NAN, 0.1]), ValueError,
             r"string_node_mass\[0\] is nan"),
     refused("string_groups one text", lambda: line(string_groups="top"), TypeError,
-            r"string_groups is the text 'top'"),
+            r"string_groups is .*'top'"),
     refused("string_groups too few", lambda: line(string_groups=["a"]), ValueError,
             r"string_groups has 1 names, expected 2"),
     refused("string_groups not a name", lambda: line(string_groups=["a", "b c"]), ValueError,
@@ -308,7 +308,7 @@ STATICS = [
     refused("force_density none", lambda: tc.prestress(prism(), None), TypeError,
             r"force_density is None"),
     refused("force_density text", lambda: tc.prestress(prism(), "17"), TypeError,
-            r"force_density is '17'"),
+            r"force_density .*'17'"),
     refused("force_density zero", lambda: tc.prestress(prism(), 0.0), ValueError,
             r"force_density is 0\.0, .*positive"),
     refused("force_density negative number", lambda: tc.prestress(prism(), -1.0), ValueError,
@@ -316,7 +316,7 @@ STATICS = [
     refused("force_density nan", lambda: tc.prestress(prism(), NAN), ValueError,
             r"force_density is nan"),
     refused("force_density bool", lambda: tc.prestress(prism(), True), TypeError,
-            r"force_density is True"),
+            r"force_density .*True"),
     refused("force_density too few", lambda: tc.prestress(prism(), gamma()[:8]), ValueError,
             r"force_density has shape \(8,\), expected \(9,\)"),
     refused("force_density a row", lambda: tc.prestress(prism(), gamma()[None, :]), ValueError,
@@ -736,6 +736,86 @@ CLOSED_LOOP = [
             r"γ = 200 N/m on string 0.*stiffness 100 N/m.*max_force_density below 100"),
 ]
 
+CONTROL = [
+    refused("lqr of a model", lambda: tc.lqr(model(), 1.0, 1.0), TypeError,
+            r"plant is a Model, expected LinearPlant"),
+    refused("lqr Q too small", lambda: tc.lqr(plant(), np.eye(9), 1.0), ValueError,
+            r"Q has shape \(9, 9\), expected \(\), \(18,\) or \(18, 18\)"),
+    refused("lqr Q negative", lambda: tc.lqr(plant(), -1.0, 1.0), ValueError,
+            r"Q has the eigenvalue -1, expected at least 0"),
+    refused("lqr Q lopsided", lambda: tc.lqr(plant(), np.triu(np.ones((18, 18))), 1.0), ValueError,
+            r"Q is not symmetric"),
+    refused("lqr Q nan", lambda: tc.lqr(plant(), NAN, 1.0), ValueError, r"Q is nan"),
+    refused("lqr R zero", lambda: tc.lqr(plant(), 1.0, 0.0), ValueError,
+            r"R has the eigenvalue 0, expected positive"),
+    refused("lqr R of states", lambda: tc.lqr(plant(), 1.0, np.eye(18)), ValueError,
+            r"R has shape \(18, 18\), expected \(\), \(9,\) or \(9, 9\)"),
+    refused("lqr step zero", lambda: tc.lqr(plant(), 1.0, 1.0, step=0.0), ValueError,
+            r"step is 0\.0, expected a positive"),
+    refused("lqr limit below the prestress",
+            lambda: tc.lqr(plant(), 1.0, 1.0, max_force_density=20.0), ValueError,
+            r"max_force_density\[6\] is 20 N/m, but string 6 has 30 N/m"),
+    refused("lqr limit for rest lengths",
+            lambda: tc.lqr(tc.linearize(elastic(), rest(), input="rest_length"), 1.0, 1.0,
+                           max_force_density=50.0),
+            ValueError, r"max_force_density limits plants with input='force_density'"),
+    refused("lqr in nodes", lambda: tc.lqr(plant("nodes"), 1.0, 1.0), ValueError,
+            r"18 of the 36 states .*coordinates='internal'"),
+    refused("lqr without weight", lambda: tc.lqr(plant(), 0.0, 1.0), ValueError, r"weight in Q"),
+    refused("energy_weights of a model", lambda: tc.energy_weights(model()), TypeError,
+            r"plant is a Model, expected LinearPlant"),
+    refused("MPC of a model", lambda: tc.MPC(model(), 5, 0.02, 50.0), TypeError,
+            r"plant is a Model, expected LinearPlant"),
+    refused("MPC on rest lengths",
+            lambda: tc.MPC(tc.linearize(elastic(), rest(), input="rest_length"), 5, 0.02, 50.0),
+            ValueError, r"plant has input='rest_length', but MPC commands force densities"),
+    refused("MPC in minimal", lambda: tc.MPC(plant("minimal"), 5, 0.02, 50.0), ValueError,
+            r"12 of the 30 states .*coordinates='internal'"),
+    refused("horizon zero", lambda: tc.MPC(plant(), 0, 0.02, 50.0), ValueError,
+            r"horizon is 0, expected a whole number of at least 1"),
+    refused("horizon half", lambda: tc.MPC(plant(), 2.5, 0.02, 50.0), TypeError,
+            r"horizon is 2\.5, expected a whole number"),
+    refused("MPC step negative", lambda: tc.MPC(plant(), 5, -0.02, 50.0), ValueError,
+            r"step is -0\.02, expected a positive"),
+    refused("MPC without limit", lambda: tc.MPC(plant(), 5, 0.02, None), TypeError,
+            r"max_force_density is None"),
+    refused("MPC limit nan", lambda: tc.MPC(plant(), 5, 0.02, NAN), ValueError,
+            r"max_force_density is nan"),
+    refused("MPC limit of eight", lambda: tc.MPC(plant(), 5, 0.02, np.full(8, 50.0)), ValueError,
+            r"max_force_density has shape \(8,\), expected \(\) or \(9,\)"),
+    refused("MPC change negative", lambda: tc.MPC(plant(), 5, 0.02, 50.0, max_change=-1.0),
+            ValueError, r"max_change\[0\] is -1, expected a positive"),
+    refused("MPC form", lambda: tc.MPC(plant(), 5, 0.02, 50.0, form="dense"), ValueError,
+            r"form is 'dense', expected one of 'auto', 'condensed', 'sparse'"),
+    refused("MPC tolerance", lambda: tc.MPC(plant(), 5, 0.02, 50.0, tolerance=0.0), ValueError,
+            r"tolerance is 0\.0"),
+    refused("MPC iterations", lambda: tc.MPC(plant(), 5, 0.02, 50.0, max_iterations=0), ValueError,
+            r"max_iterations is 0"),
+    refused("MPC unknown keyword", lambda: tc.MPC(plant(), 5, 0.02, 50.0, horizont=3), TypeError,
+            r"horizont"),
+    refused("MPC reference transposed",
+            lambda: tc.MPC(plant(), 5, 0.02, 50.0, reference=nodes().T), ValueError,
+            r"reference has shape \(6, 3\), expected \(3, 6\)"),
+    refused("MPC reference of other nodes",
+            lambda: tc.MPC(plant(), 5, 0.02, 50.0,
+                           reference=tc.Reference([0.0], np.ones((3, 4, 1)))),
+            ValueError, r"reference\.nodes has shape \(3, 4, 1\), expected \(3, 6, 1\)"),
+    refused("Reference times descend", lambda: tc.Reference([1.0, 0.0], np.ones((3, 6, 2))),
+            ValueError, r"time\[1\] is 0 s after time\[0\] = 1 s"),
+    refused("Reference of no time", lambda: tc.Reference([], np.ones((3, 6, 0))), ValueError,
+            r"time has shape \(0,\)"),
+    refused("Reference of one shape", lambda: tc.Reference([0.0, 1.0], nodes()), ValueError,
+            r"nodes has shape \(3, 6\), expected \(3, n, 2\)"),
+    refused("Reference nan", lambda: tc.Reference([0.0], np.full((3, 6, 1), NAN)), ValueError,
+            r"nodes\[0, 0, 0\] is nan"),
+    refused("measured transposed",
+            lambda: tc.MPC(plant(), 5, 0.02, 50.0).command(0.0, nodes().T, STILL), ValueError,
+            r"nodes has shape \(6, 3\), expected \(3, 6\)"),
+    refused("measured text",
+            lambda: tc.MPC(plant(), 5, 0.02, 50.0).command(0.0, "here", STILL), TypeError,
+            r"nodes .*'here'"),
+]
+
 # fmt: on
 
 CASES = [
@@ -750,6 +830,7 @@ CASES = [
     *ACTUATION,
     *OPEN_LOOP,
     *CLOSED_LOOP,
+    *CONTROL,
 ]
 
 
@@ -762,6 +843,28 @@ def test_bad_input_is_refused_by_name(call, exception, message):
 
 
 # ---- found in review: each of these got through, or fell over without naming the culprit ----
+
+
+class Stubborn(tc.Controller):
+    """A controller of a user's own, which commands the same whatever happens."""
+
+    def __init__(self, value, plant_of_its_own=None):
+        designed_on = plant() if plant_of_its_own is None else plant_of_its_own
+        super().__init__(designed_on, 0.001, np.zeros(9), np.full(9, 50.0))
+        self.value = value
+
+    def command(self, time, nodes, velocities):
+        return tc.Command(self.value, "ok")
+
+    def reset(self):
+        pass
+
+    def _decide(self, time, state):
+        return self.value, "ok"
+
+    def _fall_back(self, reason):
+        return self.value, reason
+
 
 # fmt: off
 NOT_AN_ARRAY = [
@@ -911,9 +1014,29 @@ NOT_THE_VALUE = [
     refused("step of too many states", lambda: run(step=1e-18), ValueError, r"step is 1e-18"),
 ]
 
+NOT_A_COMMAND = [
+    refused("command of another count", lambda: closed(controller=Stubborn(np.ones(8))),
+            ValueError, r"command.*shape \(8,\), expected \(9,\)"),
+    refused("command for one string", lambda: closed(controller=Stubborn(np.ones(1))),
+            ValueError, r"command.*shape \(1,\), expected \(9,\)"),
+    refused("command nan", lambda: closed(controller=Stubborn(np.full(9, NAN)), model=model()),
+            ValueError, r"command.*\[0\] is nan"),
+    refused("command of pushing strings",
+            lambda: closed(controller=Stubborn(-np.ones(9)), model=model()),
+            ValueError, r"command.*\[0\] is -1"),
+    refused("command of negative rest lengths",
+            lambda: closed(controller=Stubborn(-np.ones(9), winch_regulator().plant)),
+            ValueError, r"command.*\[0\] is -1"),
+]
 # fmt: on
 
-FOUND_IN_REVIEW = [*NOT_AN_ARRAY, *NOT_THE_CLASS, *NOT_THE_SHAPE, *NOT_THE_VALUE]
+FOUND_IN_REVIEW = [
+    *NOT_AN_ARRAY,
+    *NOT_THE_CLASS,
+    *NOT_THE_SHAPE,
+    *NOT_THE_VALUE,
+    *NOT_A_COMMAND,
+]
 
 
 @pytest.mark.parametrize(("call", "exception", "message"), FOUND_IN_REVIEW)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.analysis import LinearPlant
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.validation import FloatArray, frozen, measured
 
 OK = "ok"
 BAD_MEASUREMENT = "measurement not finite"
@@ -91,16 +91,11 @@ class Controller(ABC):
 
         Raises
         ------
-        ValueError
-            If an array has the wrong shape.
+        TypeError, ValueError
+            If an array is not of numbers or has the wrong shape.
         """
         shape = self._plant.nodes.shape
-        N, V = np.asarray(nodes, dtype=float), np.asarray(velocities, dtype=float)
-        for name, array in (("nodes", N), ("velocities", V)):
-            if array.shape != shape:
-                raise ValueError(
-                    f"{name} has shape {array.shape}, expected {shape}: one column per node"
-                )
+        N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
         if np.isfinite(N).all() and np.isfinite(V).all():
             wish, status = self._decide(time, self._plant.measure(N, V))
         else:

@@ -7,7 +7,7 @@ from tenscontrol.dynamics.coordinates import (
     coordinates,
     rigid_motions,
 )
-from tenscontrol.dynamics.evaluator import Evaluator
+from tenscontrol.dynamics.evaluator import Evaluator, evaluate_columns
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
 from tenscontrol.dynamics.strings import ElasticStrings, LinearStrings, StringLaw
 
@@ -21,6 +21,7 @@ __all__ = [
     "StringLaw",
     "affine_motions",
     "coordinates",
+    "evaluate_columns",
     "pack_state",
     "rigid_motions",
     "unpack_states",

@@ -43,6 +43,29 @@ class Evaluator:
         return self._outputs
 
 
+def evaluate_columns(function: ca.Function, *columns: FloatArray) -> list[FloatArray]:
+    """Evaluate a function of column vectors at T of them, one a column of each argument.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Dense column vectors in and out.
+    *columns : ndarray, shape (size of the input, T)
+
+    Returns
+    -------
+    list of ndarray, shape (size of the output, T)
+    """
+    count = columns[0].shape[1]
+    results = Evaluator(function.map(count))(*(_as_stored(column) for column in columns))
+    return [result.reshape(-1, count, order="F") for result in results]
+
+
+def _as_stored(column: FloatArray) -> FloatArray:
+    """Return a matrix in the shape in which an evaluator holds it."""
+    return column.ravel() if column.shape[1] == 1 else column
+
+
 def _dense(sparsity: ca.Sparsity) -> FloatArray:
     if not sparsity.is_dense():
         raise ValueError(f"the function has a sparse argument {sparsity.dim()}, expected dense")

@@ -156,7 +156,8 @@ class StringLaw(ABC):
         )
         positive("length", np.atleast_1d(length), "length in m")
         positive("rest_length", np.atleast_1d(rest_length), "length in m")
-        return _evaluated(self._force_density_function, length, rest_length, rate)
+        gamma = _evaluated(self._force_density_function, length, rest_length, rate)
+        return _representable("force density", gamma, bool(np.isfinite(gamma).all()))
 
     def rest_length(self, length: object, force_density: object) -> FloatArray:
         """Return the rest length at which strings of this length have this force density.
@@ -194,7 +195,8 @@ class StringLaw(ABC):
                 f"stiffness {np.atleast_1d(limit)[i]:g} N/m: the rest length would not be "
                 "positive. Use stiffer strings or less force"
             )
-        return _evaluated(self._rest_length_function, length, gamma)
+        rest = _evaluated(self._rest_length_function, length, gamma)
+        return _representable("rest length", rest, bool((rest > 0).all()))
 
     def _together(self, **values: object) -> list[FloatArray]:
         """Check that arguments and parameters go together, and give them one shape."""
@@ -400,3 +402,13 @@ def _evaluated(function: ca.Function, *arguments: FloatArray) -> FloatArray:
     if function.size1_in(0) == 1:
         columns = [column[None, :] for column in columns]
     return np.array(function(*columns), dtype=float).reshape(shape)
+
+
+def _representable(what: str, values: FloatArray, fine: bool) -> FloatArray:
+    """Refuse a result that left the range of double precision."""
+    if not fine:
+        raise ValueError(
+            f"the {what} {values} is out of the range of double precision: "
+            "lengths, force densities and stiffness differ by too many powers of ten"
+        )
+    return values

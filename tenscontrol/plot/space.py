@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from types import MappingProxyType
 from typing import Any
 
 import matplotlib as mpl
@@ -17,7 +18,7 @@ from tenscontrol.validation import FloatArray
 SIZE = (5.0, 4.5)  # inches
 
 # Room for the axes in the figure: what they hold keeps away from their edges by itself.
-FILLED = {"left": 0.0, "right": 0.97, "bottom": 0.0, "top": 1.0}
+FILLED = MappingProxyType({"left": 0.0, "right": 0.97, "bottom": 0.0, "top": 1.0})
 
 _MARGIN = 0.05  # around the nodes, relative to the largest extent
 _THINNEST = 0.25  # least extent of the box in a direction, relative to the largest

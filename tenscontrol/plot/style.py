@@ -7,6 +7,7 @@ strings in their width and in how dark they are.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ DOTTED: Any = (0, (1.0, 2.2))
 CURVE_WIDTH = 1.3
 REFERENCE_COLOR = "0.35"
 REFERENCE_WIDTH = 1.0
-GRID = {"color": "0.9", "linewidth": 0.6}
+GRID = MappingProxyType({"color": "0.9", "linewidth": 0.6})
 
 # Force densities: light is little, dark is much, in grey print too. The lightest
 # part of the map is left out: it is lost on white paper.

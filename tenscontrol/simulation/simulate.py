@@ -318,6 +318,7 @@ class _Actuators:
         if loop.hold == "force_density" and (winches is not None or rest_length is not None):
             raise ValueError("winches and rest_length have no meaning where γ is held")
         self._structure = structure
+        self._input = controller.input
         self._law = loop.model.strings
         self._winches = winches
         self._sample = sample
@@ -332,12 +333,20 @@ class _Actuators:
         if self._convert:
             _refuse_unreachable(controller, loop.model)
 
+    def _checked(self, value: object) -> FloatArray:
+        """Return a command, or raise: a controller from elsewhere may promise what it does not."""
+        count = len(self._structure.strings)
+        wanted = shaped("command.value", value, (count,), "one per string")
+        if self._input == "force_density":
+            return non_negative("command.value", wanted, "a string can only pull")
+        return positive("command.value", wanted, "rest length in m")
+
     def apply(self, command: Command, nodes: FloatArray) -> WinchMove:
-        wanted = command.value
+        wanted = self._checked(command.value)
         if self._convert:
             length = np.linalg.norm(self._structure.string_vectors(nodes), axis=0)
             assert isinstance(self._law, StringLaw)  # a rest length is held
-            wanted = self._law.rest_length(length, command.value)
+            wanted = self._law.rest_length(length, wanted)
         if self._winches is None:
             none = np.zeros(0, dtype=np.int64)
             move = WinchMove(frozen(wanted), none, none)

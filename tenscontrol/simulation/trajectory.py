@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.dynamics import Model, unpack_states
+from tenscontrol.dynamics import Model, evaluate_columns, unpack_states
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, frozen
 
@@ -154,14 +154,15 @@ def build_trajectory(
     nodes, velocities = unpack_states(states)
     if held == "force_density":
         force_density, rest_length = inputs, None
-        potential = _row(model.potential_energy(states, inputs))
+        (potential,) = evaluate_columns(model.potential_energy, states, inputs)
     else:
-        force_density = np.array(model.string_force_density(states, inputs))
+        (force_density,) = evaluate_columns(model.string_force_density, states, inputs)
         rest_length = frozen(inputs)
-        potential = _row(model.elastic_energy(states, inputs))
+        (potential,) = evaluate_columns(model.elastic_energy, states, inputs)
     if load is not None:
         potential = potential - np.einsum("in,int->t", load, nodes)
-    linear, angular = (np.array(part) for part in model.momentum(states))
+    (kinetic,) = evaluate_columns(model.kinetic_energy, states)
+    linear, angular = evaluate_columns(model.momentum, states)
     bars = nodes[:, structure.bars[:, 1]] - nodes[:, structure.bars[:, 0]]
     error = np.linalg.norm(bars, axis=0) - structure.bar_length[:, None]
     return Trajectory(
@@ -171,8 +172,8 @@ def build_trajectory(
         velocities=frozen(velocities),
         force_density=frozen(force_density),
         rest_length=rest_length,
-        kinetic_energy=frozen(_row(model.kinetic_energy(states))),
-        potential_energy=frozen(potential),
+        kinetic_energy=frozen(kinetic[0]),
+        potential_energy=frozen(potential[0]),
         momentum=frozen(linear),
         angular_momentum=frozen(angular),
         bar_length_error=frozen(error),
@@ -182,7 +183,3 @@ def build_trajectory(
         evaluations=work[1],
         control=control,
     )
-
-
-def _row(values: object) -> FloatArray:
-    return np.array(values).ravel()

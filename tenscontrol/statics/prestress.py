@@ -14,6 +14,7 @@ from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
+    float_array,
     frozen,
     instance,
     non_negative,
@@ -146,8 +147,9 @@ def prestress(
     rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes[0]))
     states = Vt[rank:].T
 
-    if np.ndim(force_density) == 0:  # type: ignore[arg-type]
-        level = positive_number("force_density", force_density, "N/m")
+    given = float_array("force_density", force_density)
+    if given.ndim == 0:
+        level = positive_number("force_density", float(given), "N/m")
         particular = Vt[:rank].T @ ((U[:, :rank].T @ w) / sizes[:rank])
         _refuse_unbalanced(E, particular, w, "no member forces balance external_force")
         strings = structure.strings_in(
@@ -159,7 +161,7 @@ def prestress(
     else:
         if reference is not None:
             raise ValueError("reference goes with a single force_density, not with an array")
-        gamma = shaped("force_density", force_density, (alpha,), "one per string")
+        gamma = shaped("force_density", given, (alpha,), "one per string")
         non_negative("force_density", gamma, "a string can only pull")
         bars = np.linalg.lstsq(E[:, alpha:], w - E[:, :alpha] @ gamma, rcond=None)[0]
         densities = np.concatenate([gamma, bars])

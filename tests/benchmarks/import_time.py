@@ -1,4 +1,7 @@
-"""Time that ``import tenscontrol`` adds to numpy. Run: ``python -m tests.benchmarks.import_time``."""
+"""Time that ``import tenscontrol`` adds to numpy.
+
+Run: ``python -m tests.benchmarks.import_time``.
+"""
 
 from __future__ import annotations
 

@@ -34,7 +34,9 @@ def main() -> None:
     evaluator = Evaluator(function)
     fast = seconds(lambda: evaluator(state, gamma))
     slow = seconds(lambda: function(state, gamma))
-    print(f"\none call: {1e6 * fast:.2f} µs through the buffer, {slow / fast:.0f} times that without")
+    print(
+        f"\none call: {1e6 * fast:.2f} µs through the buffer, {slow / fast:.0f} times that without"
+    )
 
 
 def with_string_node(prism: tc.Structure) -> tc.Structure:
