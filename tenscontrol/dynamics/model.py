@@ -214,7 +214,7 @@ class Model:
         """``(x, gamma) -> energy``: ½ Σ γ l², J: what strings store whose γ is held."""
         s = self._symbols()
         S = kernel.differences(s["N"], self._structure.strings)
-        energy = ca.mtimes(kernel.dots(S, S), s["gamma"]) / 2
+        energy = ca.densify(ca.mtimes(kernel.dots(S, S), s["gamma"]) / 2)
         return ca.Function(
             "potential_energy", [s["x"], s["gamma"]], [energy], ["x", "gamma"], ["energy"]
         )
@@ -224,7 +224,7 @@ class Model:
         """``(x, rest_length) -> energy``: what strings store whose rest length is held, J."""
         s = self._symbols()
         law = self._needed_strings()
-        energy = ca.sum1(law.stored_energy(self._string_length(s), s["rest_length"]))
+        energy = ca.densify(ca.sum1(law.stored_energy(self._string_length(s), s["rest_length"])))
         return ca.Function(
             "elastic_energy",
             [s["x"], s["rest_length"]],
