@@ -1,6 +1,7 @@
 """Open- and closed-loop simulation."""
 
-from tenscontrol.simulation.simulate import SimulationError, simulate
+from tenscontrol.simulation.loop import SimulationError
+from tenscontrol.simulation.simulate import simulate
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
 
 __all__ = ["ControlRecord", "SimulationError", "Trajectory", "simulate"]
