@@ -44,7 +44,7 @@ def run_closed_loop(
     # The allowance keeps round-off from adding a last sample of no length.
     for k in range(ceil(duration / sample - 1e-9)):
         loop.now = k * sample
-        N, V = (part.reshape(3, n, order="F") for part in np.split(state, 2))
+        N, V = (part.reshape(3, n, order="F") for part in np.split(state.copy(), 2))
         began = perf_counter()
         command = controller.command(loop.now, N, V)
         taken = perf_counter() - began

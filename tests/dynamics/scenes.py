@@ -62,7 +62,7 @@ def random_force_density(structure, seed):
 
 def random_turn(seed):
     """A random rotation matrix."""
-    return Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+    return Rotation.random(None, np.random.default_rng(seed)).as_matrix()
 
 
 def renumbered(structure, place):
