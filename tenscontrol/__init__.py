@@ -47,7 +47,6 @@ if TYPE_CHECKING:
         StringLaw,
         coordinates,
     )
-    from tenscontrol.integrate import IntegrationError
     from tenscontrol.simulation import ControlRecord, SimulationError, Trajectory, simulate
     from tenscontrol.statics import (
         Prestress,
@@ -89,7 +88,7 @@ _HOME = {
         "StringLaw",
         "coordinates",
     ],
-    "integrate": ["IntegrationError"],
+    "integrate": [],
     "simulation": ["ControlRecord", "SimulationError", "Trajectory", "simulate"],
     "structure": ["Structure", "prism", "prism_radius", "restore_bar_lengths"],
     "statics": [

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from tenscontrol.dynamics import Model, StringLaw
 from tenscontrol.structure import refuse_strings_without_length
 from tenscontrol.validation import FloatArray, IntArray, frozen, instance
@@ -64,7 +66,8 @@ def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLe
     refuse_strings_without_length("nodes", model.structure, shape)
     length = model.structure.string_length(shape)
     rest_length = law.rest_length(length, force_density)
-    return RestLengths(frozen(rest_length), frozen((rest_length == length).nonzero()[0]))
+    wanted = np.broadcast_to(np.asarray(force_density, dtype=float), length.shape)
+    return RestLengths(frozen(rest_length), frozen(np.flatnonzero(wanted == 0)))
 
 
 def to_force_density(model: Model, nodes: object, rest_length: object) -> FloatArray:

@@ -14,7 +14,7 @@ _TOLERANCE = 1e-9
 
 # Eigenvalues closer than this fraction of the largest are one: round-off splits
 # a double pole by about 1e-8.
-_SAME_POLE = 1e-5
+_SAME_POLE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)

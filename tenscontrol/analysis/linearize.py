@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 # far below a force density that is off by any amount one would care about.
 _EQUILIBRIUM_TOLERANCE = 1e-8
 
+# Beyond this the coordinates do not close: without a load the residual is round-off.
+_INVARIANCE_TOLERANCE = 1e-8
+
 # Asking for the linear model of a string this close to slack is asking for a kink.
 _SLACK_TOLERANCE = 1e-9
 
@@ -175,7 +178,15 @@ def linearize(
         _refuse_kink(gamma)
     held = gamma if input == "force_density" else rest_length
     xdot, A_x, B_x = _derivatives(model, input, nodes, held, load)
-    return _reduced(model, input, nodes, coordinates, (xdot, A_x, B_x), gamma, rest_length, load)
+    plant = _reduced(model, input, nodes, coordinates, (xdot, A_x, B_x), gamma, rest_length, load)
+    if require_equilibrium and plant.invariance_residual > _INVARIANCE_TOLERANCE:
+        raise ValueError(
+            f"coordinates={coordinates!r} leave out motions that take part: "
+            f"{plant.invariance_residual:.1e} of the accelerations lie outside of them. A load "
+            "that stays as it is while the structure turns couples turning and change of shape; "
+            "use coordinates='minimal'"
+        )
+    return plant
 
 
 def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:

@@ -12,9 +12,15 @@ from tenscontrol.analysis.plant import LinearPlant
 from tenscontrol.dynamics import affine_motions, rigid_motions
 from tenscontrol.validation import FloatArray, frozen, instance
 
-# Stiffness eigenvalues closer than this fraction of the largest belong together,
-# and those below it are zero.
-_TOLERANCE = 1e-6
+# Stiffness eigenvalues below this fraction of the largest are zero: round-off is at 1e-15,
+# and a soft mechanism beside strings of 1e9 N/m is still at 1e-8.
+_ZERO = 1e-11
+
+# Eigenvalues this close to each other, relative to themselves, are one frequency.
+_EQUAL = 1e-7
+
+# A stiffness matrix this far from symmetric, relative to its size, is not that of a rest.
+_SYMMETRIC = 1e-9
 
 # A mode is named after a kind of motion that has at least this share of its kinetic energy.
 _SHARE = 0.95
@@ -116,10 +122,10 @@ def modes(plant: LinearPlant) -> Modes:
     stiffness, friction = -plant.A[r:, :r], -plant.A[r:, r:]
     if plant.coordinates.kind == "nodes":
         poles, vectors, labels = _node_modes(plant)
-    elif np.abs(friction).max(initial=0.0) == 0.0:
+    elif not friction.any() and _is_symmetric(stiffness):
         poles, vectors, labels = _undamped(stiffness, _kinds(plant))
     else:
-        poles, vectors, labels = _damped(stiffness, friction, _kinds(plant))
+        poles, vectors, labels = _general(stiffness, friction, _kinds(plant))
     order = np.lexsort([_rank(labels), np.round(np.abs(poles), 9)])
     poles, vectors = poles[order], vectors[:, order]
     size = np.abs(poles)
@@ -173,23 +179,26 @@ def _undamped(
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Modes of q̈ + K q = 0 with symmetric K: real shapes, sorted within equal frequencies."""
     values, vectors = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-    limit = _TOLERANCE * np.abs(values).max(initial=0.0)
-    values[np.abs(values) < limit] = 0.0
+    values[np.abs(values) < _ZERO * np.abs(values).max(initial=0.0)] = 0.0
     labels: list[str] = []
-    for first, last in _clusters(values, limit):
+    for first, last in _clusters(values):
         vectors[:, first:last], found = _unmixed(vectors[:, first:last], kinds)
         labels += found
     poles = np.sqrt((-values).astype(complex))
     return poles, vectors, labels
 
 
-def _damped(
+def _is_symmetric(matrix: FloatArray) -> bool:
+    return bool(np.abs(matrix - matrix.T).max() <= _SYMMETRIC * np.abs(matrix).max())
+
+
+def _general(
     stiffness: FloatArray, friction: FloatArray, kinds: dict[str, FloatArray]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Modes of q̈ + D q̇ + K q = 0, the motions free of both set apart."""
-    free = _null(
-        np.vstack([stiffness / np.abs(stiffness).max(), friction / np.abs(friction).max()])
-    )
+    sizes = (max(float(np.abs(part).max()), 1e-300) for part in (stiffness, friction))
+    scaled = [part / size for part, size in zip((stiffness, friction), sizes, strict=True)]
+    free = _null(np.vstack(scaled))
     held = _null(free.T) if free.shape[1] else np.eye(len(stiffness))
     size = held.shape[1]
     A = np.zeros((2 * size, 2 * size))
@@ -220,9 +229,9 @@ def _node_modes(plant: LinearPlant) -> tuple[np.ndarray, np.ndarray, list[str]]:
     )
 
 
-def _clusters(values: FloatArray, limit: float) -> list[tuple[int, int]]:
+def _clusters(values: FloatArray) -> list[tuple[int, int]]:
     """Return the runs of equal values in a sorted array."""
-    breaks = np.flatnonzero(np.diff(values) > limit) + 1
+    breaks = np.flatnonzero(np.diff(values) > _EQUAL * np.abs(values[1:])) + 1
     edges = [0, *breaks.tolist(), len(values)]
     return list(pairwise(edges))
 
@@ -261,4 +270,4 @@ def _span(plant: LinearPlant, fields: FloatArray) -> FloatArray:
 
 def _null(matrix: FloatArray) -> FloatArray:
     _, sizes, Vt = np.linalg.svd(matrix)
-    return np.asarray(Vt[int(np.count_nonzero(sizes > 1e-9 * sizes.max(initial=0.0))) :].T)
+    return np.asarray(Vt[int(np.count_nonzero(sizes > _ZERO * sizes.max(initial=0.0))) :].T)

@@ -363,8 +363,8 @@ class ElasticStrings(StringLaw):
         force_density : casadi.SX, shape (α, 1)
             γ, N/m.
         """
-        rigidity = ca.DM(self.axial_rigidity)
-        return rigidity * length / (rigidity + force_density * length)
+        # Written so that γ = 0 gives l exactly.
+        return length / (1 + force_density * length / ca.DM(self.axial_rigidity))
 
     def stored_energy(self, length: Any, rest_length: Any) -> Any:
         """Return ½ EA/l0 max(0, l − l0)², J.

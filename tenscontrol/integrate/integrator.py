@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
-import numpy as np
 
 from tenscontrol.validation import FloatArray
 
@@ -98,19 +97,3 @@ class Integrator(ABC):
         IntegrationError
             If the state grows beyond all bounds or the step size vanishes.
         """
-
-
-def refuse_not_finite(span: Span, duration: float, outputs: int, hint: str) -> None:
-    """Raise with the good part of a span if a state in it is not finite."""
-    good = np.isfinite(span.states).all(axis=0)
-    if good.all():
-        return
-    count = int(np.argmin(good))
-    time = duration * count / outputs
-    kept = Span(span.states[:, :count], span.steps, span.evaluations)
-    raise IntegrationError(
-        f"the state is no longer finite between {time:.6g} s and "
-        f"{duration * (count + 1) / outputs:.6g} s; {hint}",
-        time,
-        kept,
-    )

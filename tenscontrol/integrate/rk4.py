@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.integrate.integrator import Integrator, Report, Span, refuse_not_finite
+from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span
 from tenscontrol.validation import FloatArray, positive_number
 
 # Output states per call into CasADi: long enough that the call costs nothing,
@@ -57,10 +57,16 @@ class RK4(Integrator):
             result = self._chunk(inner, count)(current, held, step)[0].reshape(-1, count, order="F")
             states[:, done : done + count] = result
             done += count
-            taken = Span(states[:, :done], done * inner, 4 * done * inner)
-            refuse_not_finite(
-                taken, duration * done / outputs, done, f"try a step below {step:g} s"
-            )
+            good = int(np.isfinite(states[:, :done]).all(axis=0).sum())
+            if good < done:
+                # Once not finite, never finite again: the good states come first.
+                time = duration * good / outputs
+                raise IntegrationError(
+                    f"the state is no longer finite between {time:.6g} s and "
+                    f"{duration * (good + 1) / outputs:.6g} s; try a step below {step:g} s",
+                    time,
+                    Span(states[:, :good], good * inner, 4 * good * inner),
+                )
             current = states[:, done - 1]
             if report is not None:
                 report(duration * done / outputs)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
 from tenscontrol.actuation import Winches
@@ -25,6 +27,9 @@ from tenscontrol.validation import (
 
 # States kept of an adaptive run, unless the user says otherwise.
 _OUTPUTS = 1000
+
+# A bar off its length by more than this fraction tells of a motion that is not accurate.
+_STRETCH = 1e-3
 
 # More would not be over in a day, or not fit in memory.
 _MOST_STEPS = 1e11
@@ -103,6 +108,12 @@ def simulate(
     SimulationError
         If the motion runs away; it carries the motion up to there.
 
+    Warns
+    -----
+    RuntimeWarning
+        If a bar is off its length by more than a thousandth: the integration
+        was too coarse.
+
     Examples
     --------
     A prism let go with too little force in its vertical strings:
@@ -138,9 +149,25 @@ def simulate(
                 raise ValueError("winches and sample_time go with a controller")
             value = _held_value(model, rest_length, force_density)
             loop.run(state, value, duration, report)
-            return loop.trajectory(None)
-        return run_closed_loop(
-            loop, state, duration, controller, rest_length, winches, sample_time, report
+            run = loop.trajectory(None)
+        else:
+            run = run_closed_loop(
+                loop, state, duration, controller, rest_length, winches, sample_time, report
+            )
+    _warn_of_stretched_bars(run)
+    return run
+
+
+def _warn_of_stretched_bars(run: Trajectory) -> None:
+    stretch = np.abs(run.bar_length_error) / run.structure.bar_length[:, None]
+    if stretch.size and stretch.max() > _STRETCH:
+        bar, k = np.unravel_index(int(stretch.argmax()), stretch.shape)
+        finer = "a smaller tolerance" if run.step is None else f"a step below {run.step:g} s"
+        warnings.warn(
+            f"bar {bar} is off its length by {100 * stretch[bar, k]:.2g} % at "
+            f"{run.time[k]:.4g} s: the motion is not accurate. Try {finer}",
+            RuntimeWarning,
+            stacklevel=3,
         )
 
 

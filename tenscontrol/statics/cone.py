@@ -8,6 +8,7 @@ from tenscontrol.validation import FloatArray
 
 # In the scaled problem every quantity is of order one; round-off stays far below this.
 _TOLERANCE = 1e-9
+_ROUND_OFF = 1e-12
 
 
 def nearest_in_cone(
@@ -32,25 +33,82 @@ def nearest_in_cone(
     Least distance programming by non-negative least squares (Lawson & Hanson,
     *Solving Least Squares Problems*, chapter 23): exact up to round-off, and
     unique in ``D x``, so that a symmetric structure gets a symmetric answer.
+    Entries that are zero in the whole set are found first by a linear program.
     """
+    scale = max(float(np.abs(offset).max()), float(np.abs(target).max()))
+    best = _nearest(directions, offset / scale, target / scale)
+    return None if best is None else np.asarray(scale * best)
+
+
+def _nearest(D: FloatArray, offset: FloatArray, target: FloatArray) -> FloatArray | None:
+    """Solve the problem scaled to order one."""
+    # Round-off must not look like an equation.
+    D, offset = (np.where(np.abs(part) > _ROUND_OFF, part, 0.0) for part in (D, offset))
+    best = _least_squares(D, target - offset)
+    if (offset + D @ best >= -_TOLERANCE).all():
+        return best
+    free = _can_be_positive(D, offset)
+    if free is None:
+        return None
+    if not free.all():
+        # Entries that are zero everywhere become equations: what is left has an interior.
+        start = _least_squares(D[~free], -offset[~free])
+        if np.abs(offset[~free] + D[~free] @ start).max() > _TOLERANCE:
+            return None
+        along = _null_space(D[~free])
+        moved = offset + D @ start
+        rest = _nearest(D[free] @ along, moved[free], target[free])
+        return None if rest is None else np.asarray(start + along @ rest)
+    return _least_distance(D, offset, target)
+
+
+def _least_distance(D: FloatArray, offset: FloatArray, target: FloatArray) -> FloatArray | None:
+    """Solve it by non-negative least squares, where the feasible set has an interior."""
     from scipy.optimize import nnls
 
-    scale = max(float(np.abs(offset).max()), float(np.abs(target).max()))
-    offset, target = offset / scale, target / scale
-    U, sizes, Vt = np.linalg.svd(directions, full_matrices=False)
+    U, sizes, Vt = np.linalg.svd(D, full_matrices=False)
     keep = sizes > _TOLERANCE
     U, sizes, Vt = U[:, keep], sizes[keep], Vt[keep]
-    free = U.T @ (target - offset)
-    best = offset + U @ free
-    if best.size == 0 or best.min() >= -_TOLERANCE:
-        return np.asarray(scale * (Vt.T @ (free / sizes)))
-    # Minimal ‖y‖ with U y ≥ −best, the step from the free optimum.
-    matrix = np.vstack([U.T, -best[None, :]])
+    best = U.T @ (target - offset)
+    # Minimal ‖y‖ with U y ≥ −(offset + U best), the step from the free optimum.
+    matrix = np.vstack([U.T, -(offset + U @ best)[None, :]])
     goal = np.zeros(len(matrix))
     goal[-1] = 1.0
-    multipliers, distance = nnls(matrix, goal)
-    if distance < _TOLERANCE:
-        return None
+    multipliers, _ = nnls(matrix, goal)
     slack = matrix @ multipliers - goal
+    if slack[-1] > -_TOLERANCE:
+        return None
     step = -slack[:-1] / slack[-1]
-    return np.asarray(scale * (Vt.T @ ((free + step) / sizes)))
+    return np.asarray(Vt.T @ ((best + step) / sizes))
+
+
+def _can_be_positive(D: FloatArray, offset: FloatArray) -> np.ndarray | None:
+    """Return which entries of ``D x + o`` are positive somewhere in the set; None if it is empty.
+
+    One linear program: the most entries of at least 1 in the cone over the set.
+    """
+    from scipy.optimize import linprog
+
+    m, k = D.shape
+    answer = linprog(
+        c=np.concatenate([np.zeros(k + 1), -np.ones(m)]),
+        A_ub=np.hstack([-D, -offset[:, None], np.eye(m)]),
+        b_ub=np.zeros(m),
+        bounds=[(None, None)] * k + [(1, None)] + [(0, 1)] * m,
+        method="highs",
+    )
+    if answer.status == 2:
+        return None
+    if answer.status != 0:
+        raise ArithmeticError(f"the linear program of the prestress failed: {answer.message}")
+    return np.asarray(answer.x[k + 1 :] > 0.5)
+
+
+def _least_squares(A: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.lstsq(A, b, rcond=_TOLERANCE)[0])
+
+
+def _null_space(A: FloatArray) -> FloatArray:
+    _, sizes, Vt = np.linalg.svd(A)
+    rank = int(np.count_nonzero(sizes > _TOLERANCE * sizes.max(initial=0.0)))
+    return np.asarray(Vt[rank:].T)

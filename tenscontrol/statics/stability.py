@@ -25,9 +25,10 @@ class Stability:
         strict minimum of the energy, whatever the string stiffness).
     is_super_stable : bool
         Whether the stress matrix is positive semidefinite with the least
-        possible rank defect 4, and no affine motion keeps all member lengths
-        (Connelly 1999, doi:10.1007/0-306-47029-3_3): stable at any level of
-        prestress, and rigid in any dimension.
+        possible rank defect (4 in space, 3 for a flat structure), and no
+        affine motion keeps all member lengths (Connelly 1999,
+        doi:10.1007/0-306-47029-3_3): stable at any level of prestress, and
+        rigid in any dimension.
     mechanism_stiffness : ndarray, shape (k,)
         Eigenvalues of the prestress energy on the mechanisms, N/m, ascending.
     stress_matrix_rank_defect : int
@@ -58,7 +59,6 @@ def stability(
     -------
     Stability
     """
-    n = structure.nodes.shape[1]
     taut = force_density > _TOLERANCE * np.abs(force_density).max(initial=0.0)
     stress = stress_matrix(structure, force_density, bar_force_density)
     largest = float(np.abs(stress).max(initial=0.0))
@@ -74,10 +74,11 @@ def stability(
 
     eigenvalues = np.linalg.eigvalsh(stress)
     defect = int(np.count_nonzero(np.abs(eigenvalues) <= _TOLERANCE * largest))
-    affine_free = _affine_motions_keeping_length(structure, taut) == 0
+    axes = _axes(structure)
+    affine_free = _affine_motions_keeping_length(structure, taut, axes) == 0
     is_super = bool(
         eigenvalues.min() > -_TOLERANCE * largest
-        and defect == min(4, n)
+        and defect == axes.shape[1] + 1
         and affine_free
         and largest > 0
     )
@@ -154,10 +155,18 @@ def _without_rigid(structure: Structure, motions: FloatArray) -> FloatArray:
     return np.asarray(free)
 
 
-def _affine_motions_keeping_length(structure: Structure, taut: FloatArray) -> int:
+def _affine_motions_keeping_length(structure: Structure, taut: FloatArray, axes: FloatArray) -> int:
     """Return how many independent symmetric G have ``vᵀ G v = 0`` for every member vector v."""
     strings = structure.string_vectors(structure.nodes)[:, taut]
-    vectors = np.hstack([strings, structure.bar_vectors(structure.nodes)])
-    x, y, z = vectors / np.linalg.norm(vectors, axis=0)
-    conic = np.column_stack([x * x, y * y, z * z, 2 * x * y, 2 * y * z, 2 * x * z])
+    vectors = axes.T @ np.hstack([strings, structure.bar_vectors(structure.nodes)])
+    vectors = vectors / np.linalg.norm(vectors, axis=0)
+    rows, columns = np.triu_indices(axes.shape[1])
+    conic = (vectors[rows] * vectors[columns]).T
     return int(_null_space(conic).shape[1])
+
+
+def _axes(structure: Structure) -> FloatArray:
+    """Return orthonormal directions in which the structure extends, shape (3, d)."""
+    centred = structure.nodes - structure.nodes.mean(axis=1, keepdims=True)
+    U, sizes, _ = np.linalg.svd(centred, full_matrices=False)
+    return np.asarray(U[:, sizes > _TOLERANCE * max(float(sizes.max()), 1e-300)])

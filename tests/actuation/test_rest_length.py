@@ -128,3 +128,10 @@ def test_one_number_serves_all_strings(prism):
     one = tc.to_rest_length(model, prism.nodes, 20.0).rest_length
     each = tc.to_rest_length(model, prism.nodes, np.full(9, 20.0)).rest_length
     np.testing.assert_array_equal(one, each)
+
+
+@pytest.mark.parametrize("law", [tc.LinearStrings(3.0), tc.ElasticStrings(3.0)])
+def test_no_force_density_is_exactly_the_just_taut_length_and_counted_as_slack(prism, law):
+    found = tc.to_rest_length(tc.Model(prism, strings=law), prism.nodes, 0.0)
+    np.testing.assert_array_equal(found.rest_length, prism.string_length())
+    np.testing.assert_array_equal(found.slack, np.arange(9))

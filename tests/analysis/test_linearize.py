@@ -265,3 +265,13 @@ def test_force_density_of_a_slack_string_is_an_input_like_others(prism):
 def test_a_plant_is_read_only(rest, name):
     with pytest.raises(ValueError, match="read-only"):
         getattr(prism_plant(rest, "rest_length"), name)[...] = 0.0
+
+
+def test_internal_coordinates_are_refused_where_a_load_couples_turning_and_shape(prism):
+    gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
+    load = tc.equilibrium_matrix(prism) @ np.r_[gamma, 12.0, 12.0, 12.0]
+    rest = tc.prestress(prism, gamma, external_force=load.reshape(3, 6, order="F"))
+    model = tc.Model(prism, external_force=True)
+    with pytest.raises(ValueError, match=r"coordinates='internal' leave out motions .*'minimal'"):
+        tc.linearize(model, rest)
+    assert tc.linearize(model, rest, coordinates="minimal").invariance_residual < 1e-12

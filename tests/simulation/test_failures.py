@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.integrate import IntegrationError
 from tests.simulation.test_closed_loop import Script
 
 
@@ -31,7 +32,7 @@ def test_the_message_says_when_and_what_to_try(failure):
 
 
 def test_the_cause_is_an_integration_error(failure):
-    assert isinstance(failure.__cause__, tc.IntegrationError)
+    assert isinstance(failure.__cause__, IntegrationError)
     assert isinstance(failure, ArithmeticError)
 
 
@@ -45,7 +46,8 @@ def test_the_trajectory_holds_the_finite_part(failure):
 
 
 def test_the_trajectory_is_that_of_a_shorter_run(failure):
-    shorter = tc.simulate(stiff_model(), 0.05, rest_length=tight(), step=1e-2)
+    with pytest.warns(RuntimeWarning, match=r"bar \d is off its length by .* step below 0\.01 s"):
+        shorter = tc.simulate(stiff_model(), 0.05, rest_length=tight(), step=1e-2)
     np.testing.assert_allclose(failure.trajectory.nodes[:, :, :6], shorter.nodes, rtol=1e-9)
 
 
@@ -85,3 +87,10 @@ def test_in_closed_loop_the_record_comes_with_it(rest):
     # Every command that was given is on record, the last one's sample included.
     assert len(run.control.time) == len(controller.seen)
     assert run.control.time[-1] <= run.time[-1] < run.control.time[-1] + 0.02
+
+
+def test_a_motion_that_stretches_bars_is_returned_with_a_warning():
+    """A tolerance too loose for stiff strings: nothing breaks, but the motion means nothing."""
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e5))
+    with pytest.warns(RuntimeWarning, match="bar .* is off its length .* smaller tolerance"):
+        tc.simulate(model, 1.0, rest_length=tight(), tolerance=1e-3)

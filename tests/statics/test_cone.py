@@ -42,3 +42,13 @@ def test_the_answer_scales_with_the_problem(level):
     one = nearest_in_cone(directions, offset, target)
     scaled = nearest_in_cone(directions, level * offset, level * target)
     np.testing.assert_allclose(scaled, level * one, rtol=1e-9, atol=1e-9 * level)
+
+
+def test_a_set_without_interior_is_not_taken_for_an_empty_one():
+    """Entries that can only be zero: one equation in the guise of two inequalities."""
+    directions = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [1.0, -1.0]])
+    offset = np.array([0.1, -0.1, -0.3, 0.7])
+    found = nearest_in_cone(directions, offset, np.array([1.0, 1.0, 1.0, -1.0]))
+    point = directions @ found + offset
+    np.testing.assert_allclose(point[:2], 0, atol=1e-9)
+    assert point.min() > -1e-9

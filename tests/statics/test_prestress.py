@@ -1,8 +1,10 @@
 """Self-stress and prestress: the prism in closed form, refusals, several states, loads."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import linprog, minimize
 from scipy.spatial.transform import Rotation
 
 import tenscontrol as tc
@@ -244,3 +246,34 @@ def test_results_are_read_only(rest):
     for name in ("force_density", "bar_force_density", "external_force"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(rest, name)[...] = 0.0
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_prestress_refuses_exactly_where_a_linear_program_is_infeasible(seed):
+    """Four diagonals added to a square prism at random: many sets of γ have no interior."""
+    prism = tc.prism(4)
+    members = {frozenset(pair) for pair in np.vstack([prism.strings, prism.bars]).tolist()}
+    free = [pair for pair in combinations(range(8), 2) if frozenset(pair) not in members]
+    chosen = np.random.default_rng(seed).permutation(len(free))[:4]
+    structure = tc.Structure(
+        prism.nodes,
+        prism.bars,
+        np.vstack([prism.strings, np.array(free)[chosen]]),
+        bar_mass=1.0,
+        string_groups=prism.string_groups + ("extra",) * 4,
+    )
+    E = tc.equilibrium_matrix(structure)
+    top = np.zeros(E.shape[1])
+    top[:4] = 0.25
+    bounds = [(0, None)] * 16 + [(None, None)] * 4
+    program = linprog(
+        np.zeros(20), A_eq=np.vstack([E, top]), b_eq=np.r_[np.zeros(24), 10.0], bounds=bounds
+    )
+    if program.status == 2:
+        with pytest.raises(ValueError, match="no force densities"):
+            tc.prestress(structure, 10.0)
+    else:
+        found = tc.prestress(structure, 10.0)
+        assert found.force_density.min() >= 0.0
+        assert found.force_density[:4].mean() == pytest.approx(10.0)
+        assert found.residual < 1e-9 * found.force_density.max()

@@ -117,3 +117,11 @@ def test_stability_does_not_depend_on_where_and_how_the_structure_lies(prism):
     here = tc.prestress(prism, force_density=TOP_FORCE_DENSITY).stability
     np.testing.assert_allclose(there.mechanism_stiffness, here.mechanism_stiffness, rtol=1e-9)
     assert there.is_super_stable
+
+
+def test_a_flat_square_with_crossed_bars_is_super_stable():
+    """Its stress matrix has the least rank defect of a flat structure, 3."""
+    structure = square(bars=[[0, 2], [1, 3]], strings=[[0, 1], [1, 2], [2, 3], [3, 0]])
+    rest = tc.prestress(structure, 10.0)
+    assert rest.stability.stress_matrix_rank_defect == 3
+    assert rest.is_super_stable

@@ -1,0 +1,138 @@
+"""Five seconds of the prism with slack strings: error against run time, beside peers.
+
+Run: ``python -m tests.benchmarks.simulation``. MuJoCo takes part if it is installed
+(extra ``bench``). Errors are those of node 0 over all milliseconds, against an
+independent rigid-body model with every slack-taut switch located. Times are of the
+integration alone, for all; ratios are to the first row, from one run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import tenscontrol as tc
+from tenscontrol.dynamics import Evaluator, pack_state
+from tenscontrol.integrate import RK4
+from tests.dynamics.scenes import paper_force_density, rest_lengths
+from tests.oracle import HeldRestLength, RigidBars
+
+DURATION, OUTPUTS, STIFFNESS, REPEATS = 5.0, 5000, 100.0, 5
+
+
+def main() -> None:
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(STIFFNESS))
+    l0 = rest_lengths(prism, paper_force_density(9.0), STIFFNESS)
+    state = pack_state(prism.nodes, np.zeros((3, 6)))
+    times = DURATION * np.arange(1, OUTPUTS + 1) / OUTPUTS
+    law = HeldRestLength(l0, STIFFNESS)
+    truth, switches = RigidBars(prism, law).integrate(
+        prism.nodes, np.zeros((3, 6)), np.concatenate([[0.0], times])
+    )
+    truth = truth[:, 0, 1:]
+
+    integrator = RK4(model.rest_length_dynamics, DURATION / OUTPUTS)
+    evaluator = Evaluator(model.rest_length_dynamics)
+
+    def ours() -> np.ndarray:
+        return integrator.advance(state, l0, DURATION, OUTPUTS).states[:3]
+
+    def scipy_run(tolerance: float) -> Callable[[], np.ndarray]:
+        def run() -> np.ndarray:
+            return solve_ivp(
+                lambda t, x: evaluator(x, l0)[0].copy(), (0.0, DURATION), state,
+                method="DOP853", t_eval=times, rtol=tolerance, atol=tolerance,
+            ).y[:3]  # fmt: skip
+
+        return run
+
+    runs = {"tenscontrol rk4, step 1e-3": ours}
+    runs |= {f"SciPy DOP853, {t:g}": scipy_run(t) for t in (1e-4, 1e-6, 1e-8)}
+    runs |= mujoco_runs(prism, l0)
+    print(f"prism, γ_v = 9 N/m, k = {STIFFNESS:g} N/m, {DURATION:g} s, {len(switches)} switches")
+    print("method                        error m     time s  time / first")
+    first = None
+    for label, run in runs.items():
+        seconds, path = timed(run)
+        first = first or seconds
+        error = np.linalg.norm(path - truth, axis=0).max()
+        print(f"{label:28s} {error:8.1e} {seconds:10.4f} {seconds / first:9.1f}")
+
+
+def timed(run: Callable[[], np.ndarray]) -> tuple[float, np.ndarray]:
+    """Return the median time of some repeats, s, and the path of node 0."""
+    path = run()
+    times = []
+    for _ in range(REPEATS):
+        began = perf_counter()
+        run()
+        times.append(perf_counter() - began)
+    return float(np.median(times)), path
+
+
+def mujoco_runs(prism: tc.Structure, l0: np.ndarray) -> dict[str, Callable[[], np.ndarray]]:
+    """Return runs of MuJoCo with spatial tendons as strings; none if it is not installed."""
+    try:
+        import mujoco
+    except ImportError:
+        print("MuJoCo is not installed: pip install '.[bench]'")
+        return {}
+    model = mujoco.MjModel.from_xml_string(prism_xml(prism, l0))
+    data = mujoco.MjData(model)
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "n0")
+
+    def run_with(method: int) -> Callable[[], np.ndarray]:
+        def run() -> np.ndarray:
+            model.opt.integrator = method
+            mujoco.mj_resetData(model, data)
+            mujoco.mj_forward(model, data)
+            path = np.empty((3, OUTPUTS))
+            for k in range(OUTPUTS):
+                mujoco.mj_step(model, data)
+                # A step leaves the sites where its last stage had them.
+                mujoco.mj_kinematics(model, data)
+                path[:, k] = data.site_xpos[site]
+            return path
+
+        return run
+
+    return {
+        "MuJoCo RK4, step 1e-3": run_with(mujoco.mjtIntegrator.mjINT_RK4),
+        "MuJoCo implicit, step 1e-3": run_with(mujoco.mjtIntegrator.mjINT_IMPLICIT),
+    }
+
+
+def prism_xml(prism: tc.Structure, l0: np.ndarray) -> str:
+    """Return the free prism as MuJoCo's XML: slender bars, tendons that only pull."""
+    bodies = []
+    for start, end in prism.bars:
+        p, q = prism.nodes[:, start], prism.nodes[:, end]
+        half = 0.5 * np.linalg.norm(q - p)
+        axis = " ".join(f"{x:.17g}" for x in (q - p) / (2 * half))
+        centre = " ".join(f"{x:.17g}" for x in 0.5 * (p + q))
+        across = half**2 / 3  # m l²/12 for 1 kg
+        bodies.append(
+            f'<body pos="{centre}" zaxis="{axis}"><freejoint/>'
+            f'<inertial pos="0 0 0" mass="1" diaginertia="{across:.17g} {across:.17g} 1e-6"/>'
+            f'<site name="n{start}" pos="0 0 {-half:.17g}"/>'
+            f'<site name="n{end}" pos="0 0 {half:.17g}"/></body>'
+        )
+    tendons = [
+        f'<spatial stiffness="{STIFFNESS}" springlength="0 {l0[i]:.17g}">'
+        f'<site site="n{start}"/><site site="n{end}"/></spatial>'
+        for i, (start, end) in enumerate(prism.strings)
+    ]
+    return (
+        f'<mujoco><compiler balanceinertia="true"/>'
+        f'<option timestep="{DURATION / OUTPUTS}" gravity="0 0 0"/>'
+        f"<worldbody>{''.join(bodies)}</worldbody>"
+        f"<tendon>{''.join(tendons)}</tendon></mujoco>"
+    )
+
+
+if __name__ == "__main__":
+    main()
