@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         Modes,
         OperatingPoint,
         controllability,
+        equilibrium,
         in_coordinates,
         linearize,
         modes,
@@ -56,7 +57,18 @@ if TYPE_CHECKING:
         prism_force_density,
         stress_matrix,
     )
-    from tenscontrol.structure import Structure, prism, prism_radius, restore_bar_lengths
+    from tenscontrol.structure import (
+        Structure,
+        net,
+        prism,
+        prism_radius,
+        restore_bar_lengths,
+        segment_counts,
+        skin,
+        spread_force_density,
+        spread_rest_length,
+        subdivide,
+    )
 
 _HOME = {
     "actuation": ["RestLengths", "WinchMove", "Winches", "to_force_density", "to_rest_length"],
@@ -66,6 +78,7 @@ _HOME = {
         "Modes",
         "OperatingPoint",
         "controllability",
+        "equilibrium",
         "in_coordinates",
         "linearize",
         "modes",
@@ -90,7 +103,18 @@ _HOME = {
     ],
     "integrate": [],
     "simulation": ["ControlRecord", "SimulationError", "Trajectory", "simulate"],
-    "structure": ["Structure", "prism", "prism_radius", "restore_bar_lengths"],
+    "structure": [
+        "Structure",
+        "net",
+        "prism",
+        "prism_radius",
+        "restore_bar_lengths",
+        "segment_counts",
+        "skin",
+        "spread_force_density",
+        "spread_rest_length",
+        "subdivide",
+    ],
     "statics": [
         "Prestress",
         "Stability",

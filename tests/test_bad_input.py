@@ -431,8 +431,12 @@ MODEL = [
     refused("Model damping count",
             lambda: tc.Model(prism(), strings=tc.ElasticStrings(1.0, damping=np.ones(3))),
             ValueError, r"damping has shape \(3,\), expected \(\) or \(9,\)"),
-    refused("Model load array", lambda: tc.Model(prism(), external_force=STILL), TypeError,
-            r"external_force is .*ndarray.*, expected True or False"),
+    refused("Model load transposed", lambda: tc.Model(prism(), external_force=np.zeros((6, 3))),
+            ValueError, r"external_force has shape \(6, 3\), expected \(3, 6\)"),
+    refused("Model gravity of two", lambda: tc.Model(prism(), gravity=[0.0, 9.81]), ValueError,
+            r"gravity has shape \(2,\), expected \(\) or \(3,\)"),
+    refused("Model gravity nan", lambda: tc.Model(prism(), gravity=NAN), ValueError,
+            r"gravity is nan"),
     refused("Model keyword", lambda: tc.Model(prism(), g=9.81), TypeError, r"argument 'g'"),
     *[
         refused(
@@ -509,7 +513,7 @@ LINEARIZE = [
             ValueError, r"not an equilibrium: node 0 is left"),
     refused("load without a load input",
             lambda: tc.linearize(model(), point(external_force=with_entry(STILL, (2, 0), 1.0))),
-            ValueError, r"carries a load, but the model has none"),
+            ValueError, r"carries another load than the model: at node 0"),
     refused("structure of other bars", lambda: tc.linearize(tc.Model(tc.prism(sides=4)), rest()),
             ValueError, r"prestress and the model differ in their bars"),
     refused("structure of other masses",

@@ -1,6 +1,7 @@
 """Linear plants: linearization, modes, controllability."""
 
 from tenscontrol.analysis.controllability import Controllability, controllability, lost_poles
+from tenscontrol.analysis.equilibrium import equilibrium
 from tenscontrol.analysis.linearize import OperatingPoint, in_coordinates, linearize
 from tenscontrol.analysis.modes import Modes, modes
 from tenscontrol.analysis.plant import INPUTS, LinearPlant
@@ -12,6 +13,7 @@ __all__ = [
     "Modes",
     "OperatingPoint",
     "controllability",
+    "equilibrium",
     "in_coordinates",
     "linearize",
     "lost_poles",

@@ -14,6 +14,7 @@ from tenscontrol.dynamics import coordinates as frame_of
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import (
     Structure,
+    refuse_moved_supports,
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
 )
@@ -158,11 +159,7 @@ def linearize(
     choice("coordinates", coordinates, KINDS)
     truth("require_equilibrium", require_equilibrium, "whether to refuse unbalanced forces")
     nodes, gamma, load = _checked_point(model, at)
-    if load.any() and not model.has_external_force:
-        raise ValueError(
-            "the operating point carries a load, but the model has none; "
-            "build it as Model(structure, external_force=True)"
-        )
+    _refuse_other_load(model, load)
     rest_length = None
     if model.strings is not None:
         refuse_strings_without_length("at.nodes", model.structure, nodes)
@@ -175,7 +172,7 @@ def linearize(
     if require_equilibrium:
         _refuse_unbalanced(model, nodes, gamma, load)
     if input == "rest_length":
-        _refuse_kink(gamma)
+        _refuse_kink(model, gamma)
     held = gamma if input == "force_density" else rest_length
     xdot, A_x, B_x = _derivatives(model, input, nodes, held, load)
     plant = _reduced(model, input, nodes, coordinates, (xdot, A_x, B_x), gamma, rest_length, load)
@@ -231,8 +228,9 @@ def _reduced(
 ) -> LinearPlant:
     xdot, A_x, B_x = derivatives
     frame = frame_of(model, nodes, kind)
-    T, P = frame.basis, frame.project(np.eye(nodes.size))
-    half, r = nodes.size, frame.count
+    rows = model.structure.free_rows
+    T, P = frame.basis[rows], frame.project(np.eye(nodes.size))[:, rows]
+    half, r = len(rows), frame.count
     A = np.zeros((2 * r, 2 * r))
     A[:r, r:] = np.eye(r)
     by_shape, by_speed = A_x[half:, :half] @ T, A_x[half:, half:] @ T
@@ -265,12 +263,11 @@ def _derivatives(
     """Return ẋ, ∂ẋ/∂x and ∂ẋ/∂u by algorithmic differentiation of the model."""
     equation = model.state_equation(held)
     x, u = ca.SX.sym("x", equation.size1_in(0)), ca.SX.sym("u", equation.size1_in(1))
-    loads = [ca.DM(load)] if model.has_external_force else []
-    xdot = equation(x, u, *loads)
+    xdot = equation(x, u, *_loads(model, load))
     function = ca.Function(
         "derivatives", [x, u], [xdot, ca.jacobian(xdot, x), ca.jacobian(xdot, u)]
     )
-    values = function(pack_state(nodes, np.zeros_like(nodes)), value)
+    values = function(pack_state(model.structure, nodes, np.zeros_like(nodes)), value)
     drift, A, B = (np.array(part.full()) for part in values)
     return drift.ravel(), A, B
 
@@ -292,6 +289,7 @@ def _checked_point(
         )
     N = structure.checked_nodes("at.nodes", nodes)
     refuse_wrong_bar_lengths("at.nodes", structure, N)
+    refuse_moved_supports("at.nodes", structure, N)
     count = len(structure.strings)
     gamma = shaped("at.force_density", at.force_density, (count,), "one per string")
     non_negative("at.force_density", gamma, "a string can only pull")
@@ -302,7 +300,7 @@ def _checked_point(
 
 
 def _refuse_other_structure(ours: Structure, theirs: Structure) -> None:
-    for what in ("bars", "strings", "bar_mass", "string_node_mass"):
+    for what in ("bars", "strings", "bar_mass", "string_node_mass", "fixed"):
         if not np.array_equal(getattr(ours, what), getattr(theirs, what)):
             raise ValueError(
                 f"the prestress and the model differ in their {what}; "
@@ -317,23 +315,50 @@ def _string_length(model: Model, nodes: FloatArray) -> FloatArray:
 def _refuse_unbalanced(
     model: Model, nodes: FloatArray, gamma: FloatArray, load: FloatArray
 ) -> None:
-    loads = [load] if model.has_external_force else []
-    acceleration = np.array(model.acceleration(nodes, np.zeros_like(nodes), gamma, *loads))
-    unbalanced = np.linalg.norm(acceleration @ model.mass_matrix().toarray(), axis=0)
+    free = model.structure.free
+    still = np.zeros((3, len(free)))
+    found = model.acceleration(nodes[:, free], still, gamma, *_loads(model, load))
+    mass = model.mass_matrix().toarray()[np.ix_(free, free)]
+    unbalanced = np.linalg.norm(np.array(found) @ mass, axis=0)
     strings = np.linalg.norm(model.structure.string_vectors(nodes), axis=0)
     scale = max(float((gamma * strings).max(initial=0.0)), float(np.abs(load).max()))
     if unbalanced.max() > _EQUILIBRIUM_TOLERANCE * scale:
-        node = int(unbalanced.argmax())
+        worst = int(unbalanced.argmax())
         raise ValueError(
-            f"not an equilibrium: node {node} is left with an unbalanced force of "
-            f"{unbalanced[node]:.3g} N, expected less than "
+            f"not an equilibrium: node {free[worst]} is left with an unbalanced force of "
+            f"{unbalanced[worst]:.3g} N, expected less than "
             f"{_EQUILIBRIUM_TOLERANCE * scale:.1e} N. Start from prestress(...), or pass "
             "require_equilibrium=False to get a plant that drifts"
         )
 
 
-def _refuse_kink(gamma: FloatArray) -> None:
-    slack = np.flatnonzero(gamma <= _SLACK_TOLERANCE * gamma.max(initial=0.0))
+def _loads(model: Model, load: FloatArray) -> list[FloatArray]:
+    """Return the load input of the model's functions: what is not built in, on the free nodes."""
+    if not model.has_external_force:
+        return []
+    return [(load - model.constant_force)[:, model.structure.free]]
+
+
+def _refuse_other_load(model: Model, load: FloatArray) -> None:
+    """Refuse a load that the model neither has built in nor takes as an input."""
+    if model.has_external_force:
+        return
+    free = model.structure.free
+    off = np.abs(load - model.constant_force)[:, free]
+    if off.size and off.max() > 1e-9 * max(float(np.abs(load).max()), 1e-300):
+        node = int(free[off.max(axis=0).argmax()])
+        raise ValueError(
+            f"the operating point carries another load than the model: at node {node} "
+            f"{load[:, node]} N against {model.constant_force[:, node]} N. Build the model with "
+            "this load, Model(structure, external_force=..., gravity=...), or find the prestress "
+            "under external_force=model.constant_force"
+        )
+
+
+def _refuse_kink(model: Model, gamma: FloatArray) -> None:
+    structure = model.structure
+    moving = ~np.isin(structure.strings, structure.fixed).all(axis=1)
+    slack = np.flatnonzero(moving & (gamma <= _SLACK_TOLERANCE * gamma.max(initial=0.0)))
     if len(slack):
         raise ValueError(
             f"string {slack[0]} has γ = {gamma[slack[0]]:g} N/m, at the border between taut and "

@@ -9,7 +9,7 @@ import numpy as np
 
 from tenscontrol.analysis.linearize import in_coordinates
 from tenscontrol.analysis.plant import LinearPlant
-from tenscontrol.dynamics import affine_motions, rigid_motions
+from tenscontrol.structure import affine_motions, left_by_supports, rigid_motions
 from tenscontrol.validation import FloatArray, frozen, instance
 
 # Stiffness eigenvalues below this fraction of the largest are zero: round-off is at 1e-15,
@@ -158,10 +158,10 @@ def _kinds(plant: LinearPlant) -> dict[str, FloatArray]:
     stretch = np.einsum("ia,aij->aj", S / np.maximum(np.linalg.norm(S, axis=0), 1e-300), change)
     bar_stretch = _bar_stretch_of(tangent, plant)
     # Affine motions count only as far as they keep the bar lengths.
-    affine = affine_motions(plant.nodes)
+    affine = left_by_supports(structure, affine_motions(plant.nodes))
     affine_bars = _bar_stretch_of(affine, plant)
     return {
-        "rigid": _span(plant, rigid_motions(plant.nodes)),
+        "rigid": _span(plant, left_by_supports(structure, rigid_motions(plant.nodes))),
         "affine": _span(plant, affine @ _null(affine_bars)),
         "mechanism": _null(np.vstack([stretch, bar_stretch])),
     }
@@ -169,7 +169,7 @@ def _kinds(plant: LinearPlant) -> dict[str, FloatArray]:
 
 def _bar_stretch_of(fields: FloatArray, plant: LinearPlant) -> FloatArray:
     structure = plant.model.structure
-    moves = fields.reshape(-1, 3, fields.shape[1])
+    moves = fields.reshape(len(fields) // 3, 3, fields.shape[1])
     change = moves[structure.bars[:, 1]] - moves[structure.bars[:, 0]]
     return np.asarray(np.einsum("ib,bij->bj", structure.bar_vectors(plant.nodes), change))
 
@@ -217,11 +217,14 @@ def _node_modes(plant: LinearPlant) -> tuple[np.ndarray, np.ndarray, list[str]]:
     inner = modes(in_coordinates(plant, "minimal"))
     count = plant.nodes.shape[1]
     shapes = inner.shape.swapaxes(0, 1).reshape(3 * count, -1)
-    bars = plant.model.structure.bars
+    structure = plant.model.structure
+    moving = np.concatenate([structure.free_bars, structure.swinging_bars])
+    bars = structure.bars[moving]
     stretched = np.zeros((count, 3, len(bars)))
-    half = plant.model.structure.bar_vectors(plant.nodes).T / 2
+    half = structure.bar_vectors(plant.nodes).T[moving] / 2
     stretched[bars[:, 0], :, np.arange(len(bars))] = -half
     stretched[bars[:, 1], :, np.arange(len(bars))] = half
+    stretched[structure.fixed] = 0.0
     return (
         np.r_[np.zeros(len(bars), complex), inner.pole],
         np.hstack([stretched.reshape(3 * count, -1), shapes]),
@@ -263,6 +266,8 @@ def _label(shape: np.ndarray, kinds: dict[str, FloatArray]) -> str:
 def _span(plant: LinearPlant, fields: FloatArray) -> FloatArray:
     """Return an orthonormal basis, in q, of displacement fields."""
     # What the coordinates leave out is round-off beside the fields themselves.
+    if fields.shape[1] == 0:
+        return np.zeros((plant.degrees_of_freedom, 0))
     U, sizes, _ = np.linalg.svd(plant.coordinates.project(fields), full_matrices=False)
     whole = np.linalg.norm(fields, 2) * np.sqrt(plant.model.mass_matrix().sum())
     return np.asarray(U[:, sizes > 1e-9 * whole])

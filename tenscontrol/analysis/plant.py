@@ -125,9 +125,10 @@ class LinearPlant:
     @property
     def state_names(self) -> list[str]:
         """Names of z: coordinates, then rates."""
-        r, n = self.degrees_of_freedom, self.nodes.shape[1]
+        r = self.degrees_of_freedom
         if self.coordinates.kind == "nodes":
-            positions = [f"{axis}[{i}]" for i in range(n) for axis in "xyz"]
+            free = self.model.structure.free.tolist()
+            positions = [f"{axis}[{i}]" for i in free for axis in "xyz"]
         else:
             positions = [f"q[{i}]" for i in range(r)]
         return positions + [f"d{name}" for name in positions]

@@ -172,7 +172,8 @@ def _refuse_unreachable(plant: LinearPlant) -> None:
     lost = lost_poles(plant)
     if len(lost) == 0:
         return
-    beta, kind = len(plant.model.structure.bars), plant.coordinates.kind
+    structure, kind = plant.model.structure, plant.coordinates.kind
+    beta = len(structure.free_bars) + len(structure.swinging_bars)
     unreachable = controllability(plant).unreachable
     found = (
         f"{unreachable} of the {len(plant.A)} states of the plant in {kind!r} coordinates are out "

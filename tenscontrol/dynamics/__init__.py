@@ -3,9 +3,7 @@
 from tenscontrol.dynamics.coordinates import (
     KINDS,
     Coordinates,
-    affine_motions,
     coordinates,
-    rigid_motions,
 )
 from tenscontrol.dynamics.evaluator import Evaluator, evaluate_columns
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
@@ -19,10 +17,8 @@ __all__ = [
     "LinearStrings",
     "Model",
     "StringLaw",
-    "affine_motions",
     "coordinates",
     "evaluate_columns",
     "pack_state",
-    "rigid_motions",
     "unpack_states",
 ]

@@ -12,8 +12,20 @@ from functools import cached_property
 import numpy as np
 
 from tenscontrol.dynamics.model import Model
-from tenscontrol.structure import Structure, refuse_wrong_bar_lengths
-from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped
+from tenscontrol.structure import (
+    Structure,
+    left_by_supports,
+    refuse_wrong_bar_lengths,
+    rigid_motions,
+)
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    float_array,
+    frozen,
+    instance,
+    shaped,
+)
 
 # Directions whose singular value is below this fraction of the largest do not exist.
 _RANK_TOLERANCE = 1e-9
@@ -36,7 +48,7 @@ class Coordinates:
         Reference shape, m.
     basis : ndarray, shape (3n, r)
         T: a displacement is ``vec(δN) = T q``. In reduced coordinates
-        ``Tᵀ M T = I``, so that q has the unit m √kg.
+        ``Tᵀ M T = I``, so that q has the unit m √kg. Rows of fixed nodes are zero.
     """
 
     structure: Structure
@@ -102,7 +114,7 @@ class Coordinates:
         """
         N = self.structure.checked_nodes("nodes", nodes)
         V = self.structure.checked_nodes("velocities", velocities)
-        if self.kind == "internal":
+        if self.kind == "internal" and len(self.structure.fixed) < 2:
             turn, centre = self._alignment(N)
             N = turn @ (N - centre) + self._reference_centre
             V = turn @ V
@@ -134,7 +146,7 @@ class Coordinates:
         nodes = self.nodes + (self.basis @ q).reshape(3, -1, order="F")
         if self.kind == "nodes":
             return nodes
-        bars, length = self.structure.bars, self.structure.bar_length
+        length = self.structure.bar_length
         vectors = self.structure.bar_vectors(nodes)
         along = (vectors * self._axes).sum(axis=0)
         across = vectors - along * self._axes
@@ -144,9 +156,7 @@ class Coordinates:
                 f"q turns bar {int(room.argmin())} by a right angle or more from the reference "
                 "shape; these coordinates do not reach so far"
             )
-        half_change = 0.5 * (np.sqrt(room) - along) * self._axes
-        nodes[:, bars[:, 0]] -= half_change
-        nodes[:, bars[:, 1]] += half_change
+        self._stretch(nodes, (np.sqrt(room) - along) * self._axes)
         return nodes
 
     def to_velocities(self, q: object, rates: object) -> FloatArray:
@@ -171,14 +181,17 @@ class Coordinates:
         velocities = (self.basis @ rates).reshape(3, -1, order="F")
         if self.kind == "nodes":
             return velocities
-        bars = self.structure.bars
         vectors = self.structure.bar_vectors(shape)
         change = self.structure.bar_vectors(velocities)
         along = (vectors * self._axes).sum(axis=0)
-        half_change = -0.5 * (vectors * change).sum(axis=0) / along * self._axes
-        velocities[:, bars[:, 0]] -= half_change
-        velocities[:, bars[:, 1]] += half_change
+        self._stretch(velocities, -(vectors * change).sum(axis=0) / along * self._axes)
         return velocities
+
+    def _stretch(self, columns: FloatArray, change: FloatArray) -> None:
+        """Add a change to each bar vector: half at each end, or all of it at the only free one."""
+        share = self.structure.end_share
+        columns[:, self.structure.bars[:, 0]] -= share[:, 0] * change
+        columns[:, self.structure.bars[:, 1]] += share[:, 1] * change
 
     @cached_property
     def _axes(self) -> FloatArray:
@@ -190,6 +203,8 @@ class Coordinates:
         return self._centre(self.nodes)
 
     def _centre(self, nodes: FloatArray) -> FloatArray:
+        if len(self.structure.fixed):
+            return nodes[:, self.structure.fixed[:1]]
         weights = self._mass.sum(axis=1)
         return np.asarray(nodes @ weights / weights.sum())[:, None]
 
@@ -243,12 +258,13 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
     refuse_wrong_bar_lengths("nodes", structure, N)
     mass = model.mass_matrix()
     if kind == "nodes":
-        basis = projection = np.eye(N.size)
+        basis = np.eye(N.size)[:, structure.free_rows]
+        projection = basis.T
     else:
         basis = bar_basis(structure, N)
         projection = _momenta(mass, basis).T
         if kind == "internal":
-            rigid = projection @ rigid_motions(N)
+            rigid = projection @ left_by_supports(structure, rigid_motions(N))
             inside = _complement(rigid)
             basis, projection = basis @ inside, inside.T @ projection
     return Coordinates(
@@ -257,43 +273,41 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
 
 
 def bar_basis(structure: Structure, nodes: FloatArray) -> FloatArray:
-    """Return the mass-orthonormal basis of motions that keep bar lengths, shape (3n, 5β + 3σ).
+    """Return the mass-orthonormal basis of motions that keep bar lengths, shape (3n, r).
 
-    In closed form, bar by bar: three translations ``e/√m``, two rotations in
-    which the ends move by ``∓ t √(3/m)`` across the bar; three translations
-    ``e/√m_s`` for a string node.
+    In closed form, bar by bar: three translations ``e/√m`` and two rotations
+    in which the ends move by ``∓ t √(3/m)`` across the bar; for a bar that
+    swings about a fixed end two rotations ``t √(3/m)`` of the other; three
+    translations ``e/√m_s`` for a string node.
     """
-    n = nodes.shape[1]
-    bars, points = structure.bars, structure.string_nodes
-    basis = np.zeros((n, 3, 5 * len(bars) + 3 * len(points)))
-    vectors = structure.bar_vectors(nodes)
-    for i, (start, end) in enumerate(bars):
+    blocks: list[tuple[list[int], FloatArray]] = []
+    for i in structure.free_bars:
+        start, end = structure.bars[i].tolist()
         mass = structure.bar_mass[i]
-        across = np.linalg.svd(vectors[:, i][None, :])[2][1:].T * np.sqrt(3 / mass)
+        across = _across(nodes[:, end] - nodes[:, start]) * np.sqrt(3 / mass)
         shift = np.eye(3) / np.sqrt(mass)
-        basis[start, :, 5 * i : 5 * i + 5] = np.hstack([shift, -across])
-        basis[end, :, 5 * i : 5 * i + 5] = np.hstack([shift, across])
-    offset = 5 * len(bars)
-    for i, point in enumerate(points):
-        columns = slice(offset + 3 * i, offset + 3 * i + 3)
-        basis[point, :, columns] = np.eye(3) / np.sqrt(structure.string_node_mass[i])
-    return basis.reshape(3 * n, -1)
+        blocks.append(
+            ([start, end], np.array([np.hstack([shift, part]) for part in (-across, across)]))
+        )
+    for i, (hinge, tip) in zip(
+        structure.swinging_bars, structure.hinged_pairs.tolist(), strict=True
+    ):
+        across = _across(nodes[:, tip] - nodes[:, hinge]) * np.sqrt(3 / structure.bar_mass[i])
+        blocks.append(([tip], across[None]))
+    for point, mass in zip(structure.string_nodes, structure.string_node_mass, strict=True):
+        blocks.append(([int(point)], np.eye(3)[None] / np.sqrt(mass)))
+    count = sum(block.shape[2] for _, block in blocks)
+    basis = np.zeros((nodes.shape[1], 3, count))
+    column = 0
+    for places, block in blocks:
+        basis[places, :, column : column + block.shape[2]] = block
+        column += block.shape[2]
+    return basis.reshape(3 * nodes.shape[1], -1)
 
 
-def rigid_motions(nodes: FloatArray) -> FloatArray:
-    """Return the displacement fields of 3 translations and 3 rotations, shape (3n, 6)."""
-    centred = nodes - nodes.mean(axis=1, keepdims=True)
-    turns = [np.cross(axis, centred.T).ravel() for axis in np.eye(3)]
-    shifts = [np.tile(axis, nodes.shape[1]) for axis in np.eye(3)]
-    return np.column_stack([*shifts, *turns])
-
-
-def affine_motions(nodes: FloatArray) -> FloatArray:
-    """Return the displacement fields δn = G n + c, shape (3n, 12)."""
-    centred = nodes - nodes.mean(axis=1, keepdims=True)
-    shifts = [np.tile(axis, nodes.shape[1]) for axis in np.eye(3)]
-    fields = [np.outer(centred[j], axis).ravel() for axis in np.eye(3) for j in range(3)]
-    return np.column_stack([*shifts, *fields])
+def _across(vector: FloatArray) -> FloatArray:
+    """Return two orthonormal directions across a vector, shape (3, 2)."""
+    return np.asarray(np.linalg.svd(vector[None, :])[2][1:].T)
 
 
 def _momenta(mass: object, basis: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.structure import Structure
-from tenscontrol.validation import IntArray
+from tenscontrol.validation import FloatArray, IntArray
 
 # CasADi expressions carry no types of their own.
 Symbolic = Any
@@ -49,60 +49,90 @@ def node_forces(structure: Structure, N: Symbolic, gamma: Symbolic, W: Symbolic 
     return F if W is None else W + F
 
 
-def bar_force_density(
-    structure: Structure, B: Symbolic, Bd: Symbolic, bar_forces: Symbolic
-) -> Symbolic:
+def bar_force_density(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic) -> Symbolic:
     """Return λ, shape (1, β), N/m, positive in compression.
 
-    ``λ = −m ‖ḃ‖²/(12 ‖b‖²) − bᵀ f/(2 ‖b‖²)`` with f the end force minus the
-    start force. The current ‖b‖² stands where the paper has l²: the two are
-    equal on exact trajectories, and with l² an error of the bar length made by
-    an integrator would grow exponentially under compression.
+    A bar with both ends fixed is part of the support; its entry is zero.
     """
-    mass = ca.DM(structure.bar_mass).T
-    return -(mass / 12 * dots(Bd, Bd) + dots(B, bar_forces) / 2) / dots(B, B)
+    lam = ca.SX(1, len(structure.bars))
+    if len(structure.free_bars):
+        *_, free = _free_bars(structure, N, Nd, F)
+        lam[:, structure.free_bars.tolist()] = free
+    if len(structure.swinging_bars):
+        _, swinging = _swinging_bars(structure, N, Nd, F)
+        lam[:, structure.swinging_bars.tolist()] = swinging
+    return lam
 
 
 def accelerations(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic) -> Symbolic:
     """Return N̈, shape (3, n), m/s², from eq. (7), with M_s inverted in closed form.
 
-    For a bar, ``b̈ = 6/m f + 12/m λ b`` (eq. 5) and ``r̈ = (f_start + f_end)/m``
-    (eq. 4); its ends move with ``r̈ ∓ b̈/2``.
+    For a free bar, ``b̈ = 6/m f + 12/m λ b`` (eq. 5) and ``r̈ = (f_start +
+    f_end)/m`` (eq. 4); its ends move with ``r̈ ∓ b̈/2``. The free end of a bar
+    that swings has the mass m/3. Columns of fixed nodes are left empty.
     """
-    bars, string_nodes = structure.bars, structure.string_nodes
-    blocks, columns = [], []
-    if len(bars):
-        mass = ca.DM(structure.bar_mass).T
-        B, Bd, f = differences(N, bars), differences(Nd, bars), differences(F, bars)
-        lam = bar_force_density(structure, B, Bd, f)
+    Ndd = ca.SX(3, structure.nodes.shape[1])
+    if len(structure.free_bars):
+        start, end = structure.bars[structure.free_bars].T.tolist()
+        mass = _row(structure.bar_mass[structure.free_bars])
+        B, f, lam = _free_bars(structure, N, Nd, F)
         half = scale_columns(f, 3 / mass) + scale_columns(B, 6 / mass * lam)
-        start, end = bars[:, 0].tolist(), bars[:, 1].tolist()
         centre = scale_columns(F[:, start] + F[:, end], 1 / mass)
-        blocks += [centre - half, centre + half]
-        columns += [*start, *end]
-    if len(string_nodes):
+        Ndd[:, start], Ndd[:, end] = centre - half, centre + half
+    if len(structure.swinging_bars):
+        tip = structure.hinged_pairs[:, 1].tolist()
+        mass = _row(structure.bar_mass[structure.swinging_bars])
+        B, lam = _swinging_bars(structure, N, Nd, F)
+        Ndd[:, tip] = scale_columns(F[:, tip] + scale_columns(B, lam), 3 / mass)
+    if len(structure.string_nodes):
         # No string nodes, no block: a scene pays only for what it has.
-        mass = ca.DM(structure.string_node_mass).T
-        blocks.append(scale_columns(F[:, string_nodes.tolist()], 1 / mass))
-        columns += string_nodes.tolist()
-    return ca.horzcat(*blocks)[:, np.argsort(columns).tolist()]
+        points = structure.string_nodes.tolist()
+        Ndd[:, points] = scale_columns(F[:, points], 1 / _row(structure.string_node_mass))
+    return Ndd
+
+
+def _free_bars(
+    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic
+) -> tuple[Symbolic, Symbolic, Symbolic]:
+    """Return b, the end force less the start force f, and λ of the bars with two free ends.
+
+    ``λ = −m ‖ḃ‖²/(12 ‖b‖²) − bᵀ f/(2 ‖b‖²)``. The current ‖b‖² stands where
+    the paper has l²: the two are equal on exact trajectories, and with l² an
+    error of the bar length made by an integrator would grow exponentially
+    under compression.
+    """
+    bars = structure.bars[structure.free_bars]
+    B, Bd, f = (differences(columns, bars) for columns in (N, Nd, F))
+    mass = _row(structure.bar_mass[structure.free_bars])
+    return B, f, -(mass / 12 * dots(Bd, Bd) + dots(B, f) / 2) / dots(B, B)
+
+
+def _swinging_bars(
+    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic
+) -> tuple[Symbolic, Symbolic]:
+    """Return b, from the fixed to the free end, and λ of the bars that swing.
+
+    ``λ = −m ‖ḃ‖²/(3 ‖b‖²) − bᵀ f/‖b‖²`` with f the force on the free end.
+    """
+    bars = structure.hinged_pairs
+    B, Bd, f = differences(N, bars), differences(Nd, bars), F[:, bars[:, 1].tolist()]
+    mass = _row(structure.bar_mass[structure.swinging_bars])
+    return B, -(mass / 3 * dots(Bd, Bd) + dots(B, f)) / dots(B, B)
 
 
 def mass_product(structure: Structure, V: Symbolic) -> Symbolic:
     """Return V M_s, shape (3, n): M_s is m/6 [[2, 1], [1, 2]] a bar and m_s a string node."""
-    bars, string_nodes = structure.bars, structure.string_nodes
-    blocks, columns = [], []
-    if len(bars):
-        sixth = ca.DM(structure.bar_mass).T / 6
-        start, end = bars[:, 0].tolist(), bars[:, 1].tolist()
+    product = ca.SX(3, structure.nodes.shape[1])
+    if len(structure.bars):
+        sixth = _row(structure.bar_mass / 6)
+        start, end = structure.bars[:, 0].tolist(), structure.bars[:, 1].tolist()
         both = V[:, start] + V[:, end]
-        blocks += [scale_columns(both + V[:, k], sixth) for k in (start, end)]
-        columns += [*start, *end]
-    if len(string_nodes):
-        mass = ca.DM(structure.string_node_mass).T
-        blocks.append(scale_columns(V[:, string_nodes.tolist()], mass))
-        columns += string_nodes.tolist()
-    return ca.horzcat(*blocks)[:, np.argsort(columns).tolist()]
+        product[:, start] = scale_columns(both + V[:, start], sixth)
+        product[:, end] = scale_columns(both + V[:, end], sixth)
+    if len(structure.string_nodes):
+        points = structure.string_nodes.tolist()
+        product[:, points] = scale_columns(V[:, points], _row(structure.string_node_mass))
+    return product
 
 
 def stiffness(structure: Structure, gamma: Symbolic, lam: Symbolic) -> Symbolic:
@@ -116,6 +146,10 @@ def stiffness(structure: Structure, gamma: Symbolic, lam: Symbolic) -> Symbolic:
         C_bar = _gather(structure.bars, n)
         K -= ca.mtimes([C_bar.T, ca.diag(lam.T), C_bar])
     return K
+
+
+def _row(values: FloatArray) -> ca.DM:
+    return ca.DM(values).T
 
 
 def _gather(pairs: IntArray, n: int) -> ca.DM:

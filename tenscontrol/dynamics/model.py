@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.strings import StringLaw
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, choice, instance, truth
+from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped, truth
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -30,8 +30,12 @@ class Model:
     strings : StringLaw, optional
         :class:`LinearStrings` or :class:`ElasticStrings`. Needed only where
         the rest length is an input.
-    external_force : bool
-        Whether the functions take a load W, shape (3, n), N, as a further input.
+    external_force : bool or array_like, shape (3, n)
+        True: the functions take a load W on the free nodes, N, as a further
+        input. An array: that load is built in.
+    gravity : float or array_like, shape (3,), optional
+        Acceleration of free fall, m/s²; a number is downward, along −z. The
+        weight of a bar acts half at each end.
 
     Raises
     ------
@@ -42,7 +46,9 @@ class Model:
     Notes
     -----
     Goyal & Skelton, *Dynamics of Class 1 Tensegrity Systems Including Cable
-    Mass*, eqs. (2), (7)–(9). N̈ is affine in γ at any state.
+    Mass*, eqs. (2), (7)–(9). N̈ is affine in γ at any state. Where nodes are
+    fixed, all functions are in the free nodes only: n is then their number,
+    and the fixed ones stand in the functions as constants.
 
     Examples
     --------
@@ -61,16 +67,28 @@ class Model:
         self,
         structure: Structure,
         strings: StringLaw | None = None,
-        external_force: bool = False,
+        external_force: object = False,
+        gravity: object = None,
     ) -> None:
         instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
         if strings is not None:
             instance("strings", strings, StringLaw, "use LinearStrings(stiffness=...)")
             strings = strings.for_count(len(structure.strings))
-        truth("external_force", external_force, "whether the functions take a load W")
+        shape = structure.nodes.shape
+        constant = np.zeros(shape)
+        takes_load = False
+        if isinstance(external_force, bool | np.bool_):
+            takes_load = bool(external_force)
+        elif np.ndim(external_force) == 0:  # type: ignore[arg-type]
+            truth("external_force", external_force, "whether the functions take a load W")
+        else:
+            constant += shaped("external_force", external_force, shape, "one force per node, N")
+        if gravity is not None:
+            constant += _weights(structure, _gravity_vector(gravity))
         self._structure = structure
         self._strings = strings
-        self._external_force = external_force
+        self._external_force = takes_load
+        self._constant_force = frozen(constant)
 
     @property
     def structure(self) -> Structure:
@@ -86,6 +104,11 @@ class Model:
     def has_external_force(self) -> bool:
         """Whether the functions take a load W."""
         return self._external_force
+
+    @property
+    def constant_force(self) -> FloatArray:
+        """Weights and built-in load on the nodes, N, shape (3, n), all nodes."""
+        return self._constant_force
 
     def __repr__(self) -> str:
         law = "" if self._strings is None else f", {type(self._strings).__name__}"
@@ -105,7 +128,9 @@ class Model:
         """``(N, Nd, gamma[, W]) -> lambda``: λ of each bar, shape (β,), N/m, compression > 0."""
         s = self._symbols()
         inputs, names = self._inputs(s, "N", "Nd", "gamma")
-        return ca.Function("bar_force_density", inputs, [self._lambda(s).T], names, ["lambda"])
+        return ca.Function(
+            "bar_force_density", inputs, [ca.densify(self._lambda(s).T)], names, ["lambda"]
+        )
 
     @cached_property
     def stiffness_matrix(self) -> ca.Function:
@@ -200,11 +225,11 @@ class Model:
     def kinetic_energy(self) -> ca.Function:
         """``(x) -> energy``: ½ tr(Ṅ M_s Ṅᵀ), J."""
         s = self._symbols()
-        momenta = kernel.mass_product(self._structure, s["Nd"])
+        momenta = kernel.mass_product(self._structure, s["velocities"])
         return ca.Function(
             "kinetic_energy",
             [s["x"]],
-            [ca.sum2(kernel.dots(s["Nd"], momenta)) / 2],
+            [ca.sum2(kernel.dots(s["velocities"], momenta)) / 2],
             ["x"],
             ["energy"],
         )
@@ -213,7 +238,7 @@ class Model:
     def potential_energy(self) -> ca.Function:
         """``(x, gamma) -> energy``: ½ Σ γ l², J: what strings store whose γ is held."""
         s = self._symbols()
-        S = kernel.differences(s["N"], self._structure.strings)
+        S = kernel.differences(s["nodes"], self._structure.strings)
         energy = ca.densify(ca.mtimes(kernel.dots(S, S), s["gamma"]) / 2)
         return ca.Function(
             "potential_energy", [s["x"], s["gamma"]], [energy], ["x", "gamma"], ["energy"]
@@ -237,9 +262,10 @@ class Model:
     def momentum(self) -> ca.Function:
         """``(x) -> (linear, angular)``: kg m/s, and kg m²/s about the origin, shape (3,) each."""
         s = self._symbols()
-        momenta = kernel.mass_product(self._structure, s["Nd"])
+        momenta = kernel.mass_product(self._structure, s["velocities"])
         angular = sum(
-            (ca.cross(s["N"][:, i], momenta[:, i]) for i in range(momenta.shape[1])), ca.SX(3, 1)
+            (ca.cross(s["nodes"][:, i], momenta[:, i]) for i in range(momenta.shape[1])),
+            ca.SX(3, 1),
         )
         return ca.Function(
             "momentum", [s["x"]], [ca.sum2(momenta), angular], ["x"], ["linear", "angular"]
@@ -249,15 +275,27 @@ class Model:
 
     def _symbols(self) -> dict[str, Any]:
         """Return fresh symbols, with N and Nd as parts of x."""
-        n, alpha = self._structure.nodes.shape[1], len(self._structure.strings)
-        N, Nd, W = (ca.SX.sym(name, 3, n) for name in ("N", "Nd", "W"))
+        structure = self._structure
+        free, alpha = structure.free.tolist(), len(structure.strings)
+        N, Nd, W = (ca.SX.sym(name, 3, len(free)) for name in ("N", "Nd", "W"))
+        at, velocity, load = (ca.SX(3, structure.nodes.shape[1]) for _ in range(3))
+        at[:, structure.fixed.tolist()] = ca.DM(structure.nodes[:, structure.fixed])
+        at[:, free], velocity[:, free] = N, Nd
+        if self._external_force:
+            load[:, free] = W
+        if self._constant_force.any():
+            load += ca.sparsify(ca.DM(self._constant_force))
         return {
             "N": N,
             "Nd": Nd,
+            "W": W,
             "x": ca.vertcat(ca.vec(N), ca.vec(Nd)),
             "gamma": ca.SX.sym("gamma", alpha),
             "rest_length": ca.SX.sym("rest_length", alpha),
-            "W": W if self._external_force else None,
+            # All nodes, the fixed ones as constants.
+            "nodes": at,
+            "velocities": velocity,
+            "load": load if load.nnz() else None,
         }
 
     def _inputs(self, s: dict[str, Any], *names: str) -> tuple[list[Any], list[str]]:
@@ -265,23 +303,22 @@ class Model:
         return [s[name] for name in every], every
 
     def _forces(self, s: dict[str, Any], gamma: Any) -> Any:
-        return kernel.node_forces(self._structure, s["N"], gamma, s["W"])
+        return kernel.node_forces(self._structure, s["nodes"], gamma, s["load"])
 
     def _ndd(self, s: dict[str, Any], gamma: Any) -> Any:
-        Ndd = kernel.accelerations(self._structure, s["N"], s["Nd"], self._forces(s, gamma))
-        return ca.densify(Ndd)
+        forces = self._forces(s, gamma)
+        Ndd = kernel.accelerations(self._structure, s["nodes"], s["velocities"], forces)
+        return ca.densify(Ndd[:, self._structure.free.tolist()])
 
     def _xdot(self, s: dict[str, Any], gamma: Any) -> Any:
         return ca.vertcat(ca.vec(s["Nd"]), ca.vec(self._ndd(s, gamma)))
 
     def _lambda(self, s: dict[str, Any]) -> Any:
-        bars = self._structure.bars
-        F = self._forces(s, s["gamma"])
-        B, Bd, f = (kernel.differences(columns, bars) for columns in (s["N"], s["Nd"], F))
-        return kernel.bar_force_density(self._structure, B, Bd, f)
+        forces = self._forces(s, s["gamma"])
+        return kernel.bar_force_density(self._structure, s["nodes"], s["velocities"], forces)
 
     def _string_length(self, s: dict[str, Any]) -> Any:
-        S = kernel.differences(s["N"], self._structure.strings)
+        S = kernel.differences(s["nodes"], self._structure.strings)
         return ca.sqrt(kernel.dots(S, S)).T
 
     def _law_force_density(self, s: dict[str, Any]) -> Any:
@@ -289,7 +326,10 @@ class Model:
         length = self._string_length(s)
         rate = None
         if law.is_damped:
-            S, Sd = (kernel.differences(s[k], self._structure.strings) for k in ("N", "Nd"))
+            S, Sd = (
+                kernel.differences(s[part], self._structure.strings)
+                for part in ("nodes", "velocities")
+            )
             rate = kernel.dots(S, Sd).T / length
         return law.symbolic_force_density(length, s["rest_length"], rate)
 
@@ -302,15 +342,37 @@ class Model:
         return self._strings
 
 
-def pack_state(nodes: FloatArray, velocities: FloatArray) -> FloatArray:
-    """Return ``x = [vec(N); vec(Ṅ)]``, shape (6n,), from two (3, n) arrays."""
-    return np.concatenate([nodes.ravel(order="F"), velocities.ravel(order="F")])
+def pack_state(structure: Structure, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
+    """Return ``x = [vec(N); vec(Ṅ)]`` of the free nodes, shape (6n,), from two (3, ·) arrays."""
+    parts = (nodes[:, structure.free], velocities[:, structure.free])
+    return np.concatenate([part.ravel(order="F") for part in parts])
 
 
-def unpack_states(states: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return nodes and velocities, shape (3, n, T) each, from states of shape (6n, T)."""
-    half, count = states.shape[0] // 2, states.shape[1]
-    nodes, velocities = (
-        part.reshape(-1, 3, count).swapaxes(0, 1) for part in np.split(states, [half])
-    )
+def unpack_states(structure: Structure, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return all nodes and velocities, shape (3, ·, T) each, from states of shape (6n, T)."""
+    shape = (*structure.nodes.shape, states.shape[1])
+    nodes, velocities = np.zeros(shape), np.zeros(shape)
+    nodes[:] = structure.nodes[:, :, None]
+    halves = np.split(states, [states.shape[0] // 2])
+    for target, half in zip((nodes, velocities), halves, strict=True):
+        target[:, structure.free] = half.reshape(-1, 3, states.shape[1]).swapaxes(0, 1)
     return nodes, velocities
+
+
+def _gravity_vector(gravity: object) -> FloatArray:
+    vector = float_array("gravity", gravity)
+    if vector.ndim == 0:
+        return np.array([0.0, 0.0, -float(vector)])
+    if vector.shape != (3,):
+        raise ValueError(
+            f"gravity has shape {vector.shape}, expected () or (3,): m/s² downward, or a vector"
+        )
+    return vector
+
+
+def _weights(structure: Structure, gravity: FloatArray) -> FloatArray:
+    """Return the weights at the nodes, N, shape (3, n): half a bar's at each of its ends."""
+    mass = np.zeros(structure.nodes.shape[1])
+    mass[structure.bars] = structure.bar_mass[:, None] / 2
+    mass[structure.string_nodes] = structure.string_node_mass
+    return np.outer(gravity, mass)

@@ -10,9 +10,10 @@ import numpy as np
 
 from tenscontrol.actuation import Winches, WinchMove
 from tenscontrol.control.controller import Command, Controller
-from tenscontrol.dynamics import Model, StringLaw
+from tenscontrol.dynamics import Model, StringLaw, unpack_states
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
+from tenscontrol.structure import spread_force_density, spread_rest_length
 from tenscontrol.validation import (
     FloatArray,
     frozen,
@@ -40,19 +41,22 @@ def run_closed_loop(
     actuators = _Actuators(loop, controller, winches, rest_length, sample)
     controller.reset()
     log = _Log(loop.hold)
-    n = loop.model.structure.nodes.shape[1]
+    seen = controller.plant.nodes.shape[1]  # of a subdivision, the nodes of its parent come first
     # The allowance keeps round-off from adding a last sample of no length.
     for k in range(ceil(duration / sample - 1e-9)):
         loop.now = k * sample
-        N, V = (part.reshape(3, n, order="F") for part in np.split(state.copy(), 2))
+        N, V = (part[:, :, 0] for part in unpack_states(loop.model.structure, state[:, None]))
         began = perf_counter()
-        command = controller.command(loop.now, N, V)
+        command = controller.command(loop.now, N[:, :seen], V[:, :seen])
         taken = perf_counter() - began
-        move = actuators.apply(command, N)
+        move, held = actuators.apply(command, N)
         log.add(loop.now, command, move, taken)
         span = min(sample, duration - loop.now)
-        state = loop.run(state, move.rest_length, span, report, lambda: log.record(sample))
+        state = loop.run(state, held, span, report, lambda: log.record(sample))
     return loop.trajectory(log.record(sample))
+
+
+_NONE = frozen(np.zeros(0, dtype=np.int64))
 
 
 class _Actuators:
@@ -66,14 +70,10 @@ class _Actuators:
         rest_length: object,
         sample: float,
     ) -> None:
-        structure = loop.model.structure
-        if len(controller.plant.model.structure.strings) != len(structure.strings):
-            raise ValueError(
-                f"the controller commands {len(controller.plant.model.structure.strings)} strings, "
-                f"but the model has {len(structure.strings)}"
-            )
+        self._wiring = _Wiring(controller, loop.model)
         if winches is not None:
             instance("winches", winches, Winches, "make them by Winches(rate=...)")
+        self._hold = loop.hold
         self._convert = loop.hold == "rest_length" and controller.input == "force_density"
         if controller.input == "rest_length" and loop.hold == "force_density":
             raise ValueError(
@@ -81,44 +81,94 @@ class _Actuators:
             )
         if loop.hold == "force_density" and (winches is not None or rest_length is not None):
             raise ValueError("winches and rest_length have no meaning where γ is held")
-        self._structure = structure
         self._input = controller.input
         self._law = loop.model.strings
         self._winches = winches
         self._sample = sample
         self._current: FloatArray | None = None
         if rest_length is not None:
-            self._current = checked_rest_length(loop.model, rest_length)
+            self._current = self._wiring.checked_rest_length(rest_length)
         elif winches is not None and winches.rate is not None:
             raise ValueError(
                 "winches with a rate need rest_length: where they stand at the start, m; "
                 "to_rest_length(model, nodes, force_density) finds it"
             )
         if self._convert:
-            _refuse_unreachable(controller, loop.model)
+            _refuse_unreachable(controller, loop.model, self._wiring)
 
     def _checked(self, value: object) -> FloatArray:
         """Return a command, or raise: a controller from elsewhere may promise what it does not."""
-        count = len(self._structure.strings)
-        wanted = shaped("command.value", value, (count,), "one per string")
+        wanted = shaped("command.value", value, (self._wiring.count,), "one per string")
         if self._input == "force_density":
             return non_negative("command.value", wanted, "a string can only pull")
         return positive("command.value", wanted, "rest length in m")
 
-    def apply(self, command: Command, nodes: FloatArray) -> WinchMove:
+    def apply(self, command: Command, nodes: FloatArray) -> tuple[WinchMove, FloatArray]:
+        """Return what the actuators did, one entry a winch, and what is held, one a string."""
         wanted = self._checked(command.value)
+        if self._hold == "force_density":
+            return WinchMove(frozen(wanted), _NONE, _NONE), self._wiring.spread_force_density(
+                wanted
+            )
         if self._convert:
-            length = np.linalg.norm(self._structure.string_vectors(nodes), axis=0)
             assert isinstance(self._law, StringLaw)  # a rest length is held
-            wanted = self._law.rest_length(length, wanted)
+            gamma = self._wiring.spread_force_density(wanted)
+            wanted = self._wiring.gather(self._law.rest_length(self._wiring.lengths(nodes), gamma))
         if self._winches is None:
-            none = np.zeros(0, dtype=np.int64)
-            move = WinchMove(frozen(wanted), none, none)
+            move = WinchMove(frozen(wanted), _NONE, _NONE)
         else:
             start = wanted if self._current is None else self._current
             move = self._winches.move(start, wanted, self._sample)
         self._current = move.rest_length
-        return move
+        return move, self._wiring.spread_rest_length(move.rest_length)
+
+
+class _Wiring:
+    """Which strings of the plant a controller commands: its own, or the segments of each."""
+
+    def __init__(self, controller: Controller, model: Model) -> None:
+        structure, designed = model.structure, controller.plant.model.structure
+        self._structure = structure
+        self.count = len(designed.strings)
+        self.nodes = designed.nodes.shape[1]
+        same = self.count == len(structure.strings) and self.nodes == structure.nodes.shape[1]
+        parent = structure.parent
+        self._cut = not same
+        if not same and (
+            structure.string_parent is None
+            or parent is None
+            or (self.count, self.nodes) != (len(parent.strings), parent.nodes.shape[1])
+        ):
+            raise ValueError(
+                f"the controller was designed on {self.nodes} nodes and {self.count} strings, but "
+                f"the model has {structure.nodes.shape[1]} and {len(structure.strings)}, and is no "
+                "subdivision of a structure like that"
+            )
+
+    def checked_rest_length(self, rest_length: object) -> FloatArray:
+        """Return where the winches stand, one a string of the controller."""
+        values = per_member("rest_length", rest_length, self.count, "string of the controller")
+        return positive("rest_length", values, "length in m")
+
+    def lengths(self, nodes: FloatArray) -> FloatArray:
+        """Return the string lengths, m."""
+        return np.asarray(np.linalg.norm(self._structure.string_vectors(nodes), axis=0))
+
+    def gather(self, values: FloatArray) -> FloatArray:
+        """Return the sum over the segments of each commanded string."""
+        if not self._cut:
+            return values
+        total = np.zeros(self.count)
+        np.add.at(total, self._structure.string_parent, values)
+        return total
+
+    def spread_force_density(self, gamma: FloatArray) -> FloatArray:
+        """Return γ of each string of the plant."""
+        return spread_force_density(self._structure, gamma) if self._cut else gamma
+
+    def spread_rest_length(self, rest_length: FloatArray) -> FloatArray:
+        """Return the rest length of each string of the plant."""
+        return spread_rest_length(self._structure, rest_length) if self._cut else rest_length
 
 
 class _Log:
@@ -172,16 +222,16 @@ def _sample_time(controller: Controller, sample_time: float | None, step: float 
     return step
 
 
-def _refuse_unreachable(controller: Controller, model: Model) -> None:
+def _refuse_unreachable(controller: Controller, model: Model, wiring: _Wiring) -> None:
     """Refuse a controller that may command a γ which no rest length gives."""
     law = model.strings
     assert law is not None  # a rest length is held
-    largest, limit = controller.bounds[1], law.largest_force_density
+    largest, limit = wiring.spread_force_density(controller.bounds[1]), law.largest_force_density
     over = np.flatnonzero(largest >= limit)
     if len(over):
         i = over[0]
         raise ValueError(
             f"the controller may command γ = {largest[i]:g} N/m on string {i}, but a string of "
             f"stiffness {limit[i]:g} N/m stays below that whatever its rest length. Give the "
-            f"controller max_force_density below {limit[i]:g}"
+            "controller a lower max_force_density"
         )

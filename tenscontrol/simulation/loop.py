@@ -37,7 +37,7 @@ class Loop:
 
     model: Model
     hold: str
-    load: FloatArray | None
+    load: FloatArray
     method: str
     tolerance: float
     step: float | None
@@ -60,9 +60,10 @@ class Loop:
                 "step goes with method 'rk4'; 'dop853' chooses its own steps by tolerance"
             )
         equation = self.model.state_equation(self.hold)
-        if self.load is not None:
+        if self.model.has_external_force:
             x, u = (ca.SX.sym(name, equation.size1_in(i)) for i, name in enumerate("xu"))
-            equation = ca.Function("loaded", [x, u], [equation(x, u, ca.DM(self.load))])
+            given = ca.DM((self.load - self.model.constant_force)[:, self.model.structure.free])
+            equation = ca.Function("loaded", [x, u], [equation(x, u, given)])
         self.integrator: Integrator
         if self.method == "rk4":
             assert self.step is not None  # checked above

@@ -13,7 +13,11 @@ from tenscontrol.simulation.closed_loop import checked_rest_length, run_closed_l
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.structure import refuse_strings_without_length, refuse_wrong_bar_lengths
+from tenscontrol.structure import (
+    refuse_moved_supports,
+    refuse_strings_without_length,
+    refuse_wrong_bar_lengths,
+)
 from tenscontrol.validation import (
     FloatArray,
     choice,
@@ -71,11 +75,14 @@ def simulate(
         Motion at the start, m and m/s; the reference shape at rest if not given.
         Bars must have their lengths, and must not be stretching.
     rest_length : float or array_like, shape (α,), optional
-        Rest lengths, m. With a controller: where the winches stand at the start.
+        Rest lengths, m. With a controller: where the winches stand at the
+        start, one per string that it commands.
     force_density : float or array_like, shape (α,), optional
         γ, N/m.
     controller : Controller, optional
-        For example ``lqr(...)`` or ``MPC(...)``. It is reset first.
+        For example ``lqr(...)`` or ``MPC(...)``. It is reset first. One that
+        was designed on the parent of a subdivided structure sees the parent's
+        nodes and commands the parent's strings.
     hold : {"rest_length", "force_density"}, optional
         What the actuators hold between samples. The rest length if the model
         has a string law, else γ.
@@ -203,17 +210,20 @@ def _held_value(model: Model, rest_length: object, force_density: object) -> Flo
     return non_negative("force_density", gamma, "a string can only pull")
 
 
-def _checked_load(model: Model, external_force: object) -> FloatArray | None:
+def _checked_load(model: Model, external_force: object) -> FloatArray:
+    """Return all that acts on the nodes from outside, N, shape (3, n)."""
     if not model.has_external_force:
         if external_force is not None:
             raise ValueError(
-                "the model takes no load; build it as Model(structure, external_force=True)"
+                "the model takes no load as an input; build it as "
+                "Model(structure, external_force=True)"
             )
-        return None
+        return model.constant_force
     shape = model.structure.nodes.shape
     if external_force is None:
         raise ValueError("the model takes a load: give external_force, shape (3, n), N")
-    return shaped("external_force", external_force, shape, "one force per node")
+    given = shaped("external_force", external_force, shape, "one force per node")
+    return given + model.constant_force
 
 
 def _initial_state(model: Model, nodes: object, velocities: object, hold: str) -> FloatArray:
@@ -223,6 +233,11 @@ def _initial_state(model: Model, nodes: object, velocities: object, hold: str) -
     if velocities is not None:
         V = structure.checked_nodes("velocities", velocities)
     refuse_wrong_bar_lengths("nodes", structure, N)
+    refuse_moved_supports("nodes", structure, N)
+    moving = np.flatnonzero(V[:, structure.fixed].any(axis=0))
+    if len(moving):
+        node = structure.fixed[moving[0]]
+        raise ValueError(f"velocities move the fixed node {node} by {V[:, node]} m/s, expected 0")
     if hold == "rest_length":
         refuse_strings_without_length("nodes", structure, N)
     bars, rates = structure.bar_vectors(N), structure.bar_vectors(V)
@@ -234,7 +249,7 @@ def _initial_state(model: Model, nodes: object, velocities: object, hold: str) -
             f"velocities stretch bar {worst} at {stretching[worst]:.3g} m/s, expected 0: bars "
             "are rigid. plant.to_velocities(q, rates) gives velocities that bars can have"
         )
-    return pack_state(N, V)
+    return pack_state(structure, N, V)
 
 
 def _output_step(loop: Loop, output_step: float | None, duration: float) -> float:

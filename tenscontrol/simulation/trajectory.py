@@ -23,7 +23,8 @@ class ControlRecord:
     command : ndarray, shape (α, K)
         What the controller asked for, in the unit of its input.
     applied : ndarray, shape (α, K)
-        What the actuators held: γ, N/m, or rest lengths, m.
+        What the actuators held: γ, N/m, or rest lengths, m, one a string of
+        the controller.
     status : tuple of str, length K
         Status of each command; ``"ok"`` where all went well.
     winch_rate : ndarray, shape (α, K)
@@ -68,7 +69,7 @@ class Trajectory:
     kinetic_energy, potential_energy : ndarray, shape (T,)
         J. The potential energy is ½ Σ γ l² where γ is held, the elastic
         energy of the strings where rest lengths are, less ``tr(Wᵀ N)`` where
-        a load acts. It jumps where a controller changes its command.
+        weights or a load act. It jumps where a controller changes its command.
     momentum, angular_momentum : ndarray, shape (3, T)
         kg m/s, and kg m²/s about the origin.
     bar_length_error : ndarray, shape (β, T)
@@ -136,7 +137,7 @@ class Trajectory:
 
 def build_trajectory(
     model: Model,
-    load: FloatArray | None,
+    load: FloatArray,
     held: str,
     time: FloatArray,
     states: FloatArray,
@@ -151,7 +152,7 @@ def build_trajectory(
     Energies and momenta are evaluated by the model's own functions, all times at once.
     """
     structure = model.structure
-    nodes, velocities = unpack_states(states)
+    nodes, velocities = unpack_states(structure, states)
     if held == "force_density":
         force_density, rest_length = inputs, None
         (potential,) = evaluate_columns(model.potential_energy, states, inputs)
@@ -159,7 +160,7 @@ def build_trajectory(
         (force_density,) = evaluate_columns(model.string_force_density, states, inputs)
         rest_length = frozen(inputs)
         (potential,) = evaluate_columns(model.elastic_energy, states, inputs)
-    if load is not None:
+    if load.any():
         potential = potential - np.einsum("in,int->t", load, nodes)
     (kinetic,) = evaluate_columns(model.kinetic_energy, states)
     linear, angular = evaluate_columns(model.momentum, states)

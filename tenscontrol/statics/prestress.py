@@ -10,7 +10,7 @@ import numpy as np
 from tenscontrol.statics.cone import nearest_in_cone
 from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
 from tenscontrol.statics.stability import Stability, stability
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, rigid_basis
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -141,21 +141,25 @@ def prestress(
     load = np.zeros((3, n))
     if external_force is not None:
         load = shaped("external_force", external_force, (3, n), "one force per node, N")
-    E = equilibrium_matrix(structure)
-    w = load.ravel(order="F")
+    # Fixed nodes take any force; a member between two of them is part of the support.
+    rows = structure.free_rows
+    live = _live_members(structure)
+    E = equilibrium_matrix(structure)[rows][:, live]
+    w = load.ravel(order="F")[rows]
+    live_strings = live[:alpha]
+    count = int(live_strings.sum())
     U, sizes, Vt = np.linalg.svd(E)
-    rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes[0]))
+    rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
     states = Vt[rank:].T
 
     given = float_array("force_density", force_density)
     if given.ndim == 0:
         level = positive_number("force_density", float(given), "N/m")
         particular = Vt[:rank].T @ ((U[:, :rank].T @ w) / sizes[:rank])
-        _refuse_unbalanced(E, particular, w, "no member forces balance external_force")
-        strings = structure.strings_in(
-            structure.string_groups[0] if reference is None else reference
-        )
-        densities = _nearest_to_uniform(particular, states, strings, level, alpha)
+        _refuse_unbalanced(structure, E, particular, w, "no member forces balance external_force")
+        group = structure.string_groups[0] if reference is None else reference
+        strings = np.flatnonzero(np.isin(np.flatnonzero(live_strings), structure.strings_in(group)))
+        densities = _nearest_to_uniform(particular, states, strings, level, count)
         if densities is None:
             raise ValueError(_infeasible(structure, states, sizes, bool(w.any())))
     else:
@@ -163,18 +167,22 @@ def prestress(
             raise ValueError("reference goes with a single force_density, not with an array")
         gamma = shaped("force_density", given, (alpha,), "one per string")
         non_negative("force_density", gamma, "a string can only pull")
-        bars = np.linalg.lstsq(E[:, alpha:], w - E[:, :alpha] @ gamma, rcond=None)[0]
-        densities = np.concatenate([gamma, bars])
-    _refuse_unbalanced(E, densities, w, "force_density does not balance")
-    rigid = _rigid_motions(structure)
+        pull = gamma[live_strings]
+        bars = np.linalg.lstsq(E[:, count:], w - E[:, :count] @ pull, rcond=None)[0]
+        densities = np.concatenate([pull, bars])
+    _refuse_unbalanced(structure, E, densities, w, "force_density does not balance")
+    every = np.zeros(len(live))
+    if given.ndim:
+        every[:alpha] = given
+    every[live] = densities
     return Prestress(
         structure=structure,
-        force_density=frozen(densities[:alpha]),
-        bar_force_density=frozen(densities[alpha:]),
+        force_density=frozen(every[:alpha]),
+        bar_force_density=frozen(every[alpha:]),
         external_force=frozen(load),
-        residual=float(np.abs(E @ densities - w).max()),
+        residual=float(np.abs(E @ densities - w).max(initial=0.0)),
         self_stress_states=states.shape[1],
-        mechanisms=3 * n - rigid - rank,
+        mechanisms=len(rows) - rigid_basis(structure).shape[1] - rank,
     )
 
 
@@ -218,22 +226,23 @@ def _infeasible(structure: Structure, states: FloatArray, sizes: FloatArray, loa
     )
 
 
-def _refuse_unbalanced(E: FloatArray, densities: FloatArray, w: FloatArray, what: str) -> None:
+def _refuse_unbalanced(
+    structure: Structure, E: FloatArray, densities: FloatArray, w: FloatArray, what: str
+) -> None:
     unbalanced = (E @ densities - w).reshape(-1, 3)
     size = np.linalg.norm(unbalanced, axis=1)
     scale = max(float(np.abs(E * densities).max(initial=0.0)), float(np.abs(w).max(initial=0.0)))
     if size.max() > _RESIDUAL_TOLERANCE * scale:
-        node = int(size.argmax())
+        worst = int(size.argmax())
         raise ValueError(
-            f"{what}: node {node} is left with an unbalanced force of {size[node]:.3g} N, "
+            f"{what}: node {structure.free[worst]} is left with an unbalanced force of "
+            f"{size[worst]:.3g} N, "
             f"expected less than {_RESIDUAL_TOLERANCE * scale:.1e} N. "
             "prestress(structure, force_density=<one number>) finds force densities that balance"
         )
 
 
-def _rigid_motions(structure: Structure) -> int:
-    """Return the number of independent rigid-body motions: 6, or 5 for nodes on a line."""
-    centred = structure.nodes - structure.nodes.mean(axis=1, keepdims=True)
-    spread = np.linalg.svd(centred, compute_uv=False)
-    extended = int(np.count_nonzero(spread > _RANK_TOLERANCE * max(spread[0], 1e-300)))
-    return 3 + {0: 0, 1: 2, 2: 3, 3: 3}[extended]
+def _live_members(structure: Structure) -> np.ndarray:
+    """Return which strings, then bars, have a free end."""
+    pairs = np.vstack([structure.strings, structure.bars])
+    return np.asarray(~np.isin(pairs, structure.fixed).all(axis=1))

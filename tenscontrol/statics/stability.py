@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, rigid_basis
 from tenscontrol.validation import FloatArray, frozen, instance, shaped
 
 _TOLERANCE = 1e-9
@@ -28,12 +28,12 @@ class Stability:
         possible rank defect (4 in space, 3 for a flat structure), and no
         affine motion keeps all member lengths (Connelly 1999,
         doi:10.1007/0-306-47029-3_3): stable at any level of prestress, and
-        rigid in any dimension.
+        rigid in any dimension. Fixed nodes take away from the rank defect what
+        they hold of the affine motions.
     mechanism_stiffness : ndarray, shape (k,)
         Eigenvalues of the prestress energy on the mechanisms, N/m, ascending.
     stress_matrix_rank_defect : int
-        Dimension of the null space of the stress matrix, at least 4 for a
-        structure that fills space.
+        Dimension of the null space of the stress matrix of the free nodes.
     """
 
     is_stable: bool
@@ -63,23 +63,27 @@ def stability(
     stress = stress_matrix(structure, force_density, bar_force_density)
     largest = float(np.abs(stress).max(initial=0.0))
 
-    members = equilibrium_matrix(structure)[
-        :, np.concatenate([taut, np.ones(len(structure.bars), bool)])
-    ]
-    flexes = _without_rigid(structure, _null_space(members.T))
+    carrying = np.concatenate([taut, np.ones(len(structure.bars), bool)])
+    members = equilibrium_matrix(structure)[structure.free_rows][:, carrying]
+    flexes = _null_space(members.T)
+    flexes = flexes @ _null_space(rigid_basis(structure)[structure.free_rows].T @ flexes)
+    free = stress[np.ix_(structure.free, structure.free)]
     # vec(N) is node by node, so the energy ½ tr(N Ω Nᵀ) has the matrix Ω ⊗ I₃.
-    energy = flexes.T @ np.kron(stress, np.eye(3)) @ flexes
+    energy = flexes.T @ np.kron(free, np.eye(3)) @ flexes
     mechanism_stiffness = np.linalg.eigvalsh(0.5 * (energy + energy.T))
     is_stable = bool((mechanism_stiffness > _TOLERANCE * largest).all()) and largest > 0
 
-    eigenvalues = np.linalg.eigvalsh(stress)
+    eigenvalues = np.linalg.eigvalsh(free)
     defect = int(np.count_nonzero(np.abs(eigenvalues) <= _TOLERANCE * largest))
     axes = _axes(structure)
+    held = structure.nodes[:, structure.fixed]
+    supported = np.linalg.matrix_rank(np.vstack([held, np.ones(held.shape[1])]))
+    least = axes.shape[1] + 1 - int(supported)
     affine_free = _affine_motions_keeping_length(structure, taut, axes) == 0
     is_super = bool(
         eigenvalues.min() > -_TOLERANCE * largest
-        and defect == axes.shape[1] + 1
-        and affine_free
+        and defect == least
+        and (affine_free or least == 0)
         and largest > 0
     )
     return Stability(is_stable, is_super, frozen(mechanism_stiffness), defect)
@@ -141,18 +145,6 @@ def _null_space(matrix: FloatArray) -> FloatArray:
     _, sizes, Vt = np.linalg.svd(matrix)
     rank = int(np.count_nonzero(sizes > _TOLERANCE * sizes.max(initial=0.0)))
     return np.asarray(Vt[rank:].T)
-
-
-def _without_rigid(structure: Structure, motions: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of the motions orthogonal to all rigid-body motions."""
-    n = structure.nodes.shape[1]
-    centred = structure.nodes - structure.nodes.mean(axis=1, keepdims=True)
-    size = max(float(np.abs(centred).max()), 1e-300)
-    turns = [np.cross(axis, centred.T / size).ravel() for axis in np.eye(3)]
-    shifts = [np.tile(axis, n) for axis in np.eye(3)]
-    rigid = np.column_stack([*shifts, *turns])
-    free = motions @ _null_space(rigid.T @ motions)
-    return np.asarray(free)
 
 
 def _affine_motions_keeping_length(structure: Structure, taut: FloatArray, axes: FloatArray) -> int:

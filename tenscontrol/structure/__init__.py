@@ -1,18 +1,44 @@
 """What a tensegrity structure is: nodes, bars, strings, masses."""
 
 from tenscontrol.structure.lengths import (
+    refuse_moved_supports,
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
     restore_bar_lengths,
 )
+from tenscontrol.structure.motions import (
+    affine_motions,
+    left_by_supports,
+    rigid_basis,
+    rigid_motions,
+)
+from tenscontrol.structure.net import net
 from tenscontrol.structure.prism import prism, prism_radius
+from tenscontrol.structure.skin import skin
 from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.subdivide import (
+    segment_counts,
+    spread_force_density,
+    spread_rest_length,
+    subdivide,
+)
 
 __all__ = [
     "Structure",
+    "affine_motions",
+    "left_by_supports",
+    "net",
     "prism",
     "prism_radius",
+    "refuse_moved_supports",
     "refuse_strings_without_length",
     "refuse_wrong_bar_lengths",
     "restore_bar_lengths",
+    "rigid_basis",
+    "rigid_motions",
+    "segment_counts",
+    "skin",
+    "spread_force_density",
+    "spread_rest_length",
+    "subdivide",
 ]

@@ -12,7 +12,9 @@ _TOLERANCE = 1e-8
 
 
 def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
-    """Return the nodes with every bar stretched about its centre to its true length.
+    """Return the nodes with every bar stretched to its true length.
+
+    A bar is stretched about its centre, or about its fixed end.
 
     Parameters
     ----------
@@ -24,7 +26,7 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     Returns
     -------
     ndarray, shape (3, n)
-        Node positions, m. Bar centres, bar directions and string nodes are unchanged.
+        Node positions, m. Bar directions and string nodes are unchanged.
 
     Raises
     ------
@@ -46,9 +48,10 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     lost = np.flatnonzero(length == 0)
     if len(lost):
         raise ValueError(f"the ends of bar {lost[0]} are at the same place: it has no direction")
-    half_change = 0.5 * vectors * (structure.bar_length / length - 1)
-    moved[:, structure.bars[:, 0]] -= half_change
-    moved[:, structure.bars[:, 1]] += half_change
+    change = vectors * (structure.bar_length / length - 1)
+    share = structure.end_share
+    moved[:, structure.bars[:, 0]] -= share[:, 0] * change
+    moved[:, structure.bars[:, 1]] += share[:, 1] * change
     return moved
 
 
@@ -74,4 +77,16 @@ def refuse_strings_without_length(name: str, structure: Structure, nodes: FloatA
         raise ValueError(
             f"in {name}, strings[{short[0]}] has no length: nodes {start} and {end} are at the "
             "same place, so that its force has no direction"
+        )
+
+
+def refuse_moved_supports(name: str, structure: Structure, nodes: FloatArray) -> None:
+    """Raise if a fixed node is not where the structure has it."""
+    off = np.linalg.norm(nodes - structure.nodes, axis=0)[structure.fixed]
+    size = float(np.ptp(structure.nodes, axis=1).max())
+    if off.size and off.max() > _TOLERANCE * size:
+        node = int(structure.fixed[off.argmax()])
+        raise ValueError(
+            f"in {name}, the fixed node {node} is {off.max():.3g} m from its place "
+            f"{structure.nodes[:, node]} m"
         )

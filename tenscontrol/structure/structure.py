@@ -14,6 +14,7 @@ from tenscontrol.validation import (
     IntArray,
     float_array,
     frozen,
+    instance,
     per_member,
     positive,
     shaped,
@@ -37,8 +38,8 @@ class Structure:
     """A class-1 tensegrity structure: rigid bars in a net of strings.
 
     No two bars share a node. Nodes keep the order in which they are given, in
-    every output. A node on a bar is a *bar node*; any other node is a *string
-    node*, a point mass.
+    every output. A node on a bar is a *bar node*. A node on no bar is a *string
+    node*, a point mass, unless it is fixed. A *fixed node* stays where it is.
 
     Parameters
     ----------
@@ -53,9 +54,19 @@ class Structure:
     string_node_mass : float or array_like, shape (σ,), optional
         Mass of each string node, kg, in ascending order of node index.
         Needed when there are string nodes, refused when there are none.
+    fixed : sequence of int, optional
+        Nodes that are held in place. They cost no state and no mass. A bar
+        with one fixed end swings about it; one with both ends fixed is part of
+        the support.
     string_groups : sequence of str, length α, optional
         A group name for each string, used in names of signals and to refer to
         strings in words. All are ``"string"`` when not given.
+    parent : Structure, optional
+        The structure that this one was made from; :func:`subdivide` and
+        :func:`skin` set it. Its nodes are the first of this one.
+    string_parent : array_like of int, shape (α,), optional
+        For each string, the index of the string of ``parent`` that it is a
+        segment of; :func:`subdivide` sets it.
 
     Raises
     ------
@@ -64,7 +75,8 @@ class Structure:
     ValueError
         If a shape does not fit, an index is out of range, a member joins a
         node to itself or repeats another, two bars share a node, a node has no
-        member, a bar has no length, or a mass is missing or not positive. The
+        member, a bar has no length, a mass is missing or not positive, a fixed
+        node is named twice, or ``string_parent`` does not fit ``parent``. The
         message names the culprit.
 
     Notes
@@ -93,6 +105,9 @@ class Structure:
     bar_mass: FloatArray
     string_node_mass: FloatArray = None  # type: ignore[assignment]  # replaced in __post_init__
     string_groups: tuple[str, ...] = None  # type: ignore[assignment]  # replaced in __post_init__
+    fixed: IntArray = ()  # type: ignore[assignment]  # replaced in __post_init__
+    parent: Structure | None = None
+    string_parent: IntArray | None = None
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
@@ -104,6 +119,9 @@ class Structure:
             bar_mass: ArrayLike,
             string_node_mass: ArrayLike | None = None,
             string_groups: Sequence[str] | None = None,
+            fixed: ArrayLike = (),
+            parent: Structure | None = None,
+            string_parent: ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -125,16 +143,21 @@ class Structure:
         put(self, "nodes", frozen(nodes))
         put(self, "bars", frozen(bars))
         put(self, "strings", frozen(strings))
+        put(self, "fixed", frozen(_fixed_nodes(self.fixed, count)))
         bar_mass = per_member("bar_mass", self.bar_mass, len(bars), "bar")
         put(self, "bar_mass", frozen(positive("bar_mass", bar_mass, "mass in kg")))
         put(self, "string_node_mass", frozen(self._checked_string_node_mass()))
         put(self, "string_groups", self._checked_groups())
+        if self.parent is not None:
+            instance("parent", self.parent, Structure, "the structure that this one was made from")
+        if self.string_parent is not None:
+            put(self, "string_parent", frozen(self._checked_string_parent()))
 
     def _checked_string_node_mass(self) -> FloatArray:
         if len(self.string_nodes) == 0:
             if self.string_node_mass is not None and np.size(self.string_node_mass) > 0:
                 raise ValueError(
-                    "string_node_mass is given, but every node is on a bar; leave it out"
+                    "string_node_mass is given, but every node is on a bar or fixed; leave it out"
                 )
             return np.zeros(0)
         if self.string_node_mass is None:
@@ -169,6 +192,27 @@ class Structure:
                 )
         return groups
 
+    def _checked_string_parent(self) -> IntArray:
+        if self.parent is None:
+            raise ValueError("string_parent is given without parent, whose strings it counts")
+        count = len(self.parent.strings)
+        array = shaped("string_parent", self.string_parent, (len(self.strings),), "one per string")
+        for i, string in enumerate(array.tolist()):
+            if not string.is_integer():
+                raise TypeError(f"string_parent[{i}] is {string:g}, expected a whole number")
+            if not 0 <= string < count:
+                raise ValueError(
+                    f"string_parent[{i}] is {string:g}, expected 0 to {count - 1}: "
+                    f"the parent has {count} strings, counted from 0"
+                )
+        missing = np.setdiff1d(np.arange(count), array)
+        if len(missing):
+            raise ValueError(
+                f"string_parent leaves out string {missing[0]} of the parent, "
+                "expected at least one segment of each"
+            )
+        return array.astype(np.int64)
+
     def __repr__(self) -> str:
         return (
             f"Structure({self.nodes.shape[1]} nodes, {len(self.bars)} bars, "
@@ -182,8 +226,41 @@ class Structure:
 
     @cached_property
     def string_nodes(self) -> IntArray:
-        """Indices of the nodes on no bar, ascending, shape (σ,)."""
-        return frozen(np.setdiff1d(np.arange(self.nodes.shape[1]), self.bars.ravel()))
+        """Indices of the free nodes on no bar, ascending, shape (σ,)."""
+        return frozen(np.setdiff1d(self.free, self.bars.ravel()))
+
+    @cached_property
+    def free(self) -> IntArray:
+        """Indices of the nodes that are not fixed, ascending."""
+        return frozen(np.setdiff1d(np.arange(self.nodes.shape[1]), self.fixed))
+
+    @cached_property
+    def free_rows(self) -> IntArray:
+        """Rows of ``vec(N)`` that belong to free nodes, ascending."""
+        return frozen((3 * self.free[:, None] + np.arange(3)).ravel())
+
+    @cached_property
+    def free_bars(self) -> IntArray:
+        """Indices of the bars with two free ends."""
+        return frozen(np.flatnonzero(~np.isin(self.bars, self.fixed).any(axis=1)))
+
+    @cached_property
+    def swinging_bars(self) -> IntArray:
+        """Indices of the bars that swing about a fixed end."""
+        return frozen(np.flatnonzero(np.isin(self.bars, self.fixed).sum(axis=1) == 1))
+
+    @cached_property
+    def hinged_pairs(self) -> IntArray:
+        """Fixed and free node of each swinging bar, shape (·, 2)."""
+        pairs = self.bars[self.swinging_bars]
+        turned = np.isin(pairs[:, 1], self.fixed)
+        return frozen(np.where(turned[:, None], pairs[:, ::-1], pairs))
+
+    @cached_property
+    def end_share(self) -> FloatArray:
+        """Share of a bar's change that falls on each end, shape (β, 2): none on a fixed one."""
+        free = ~np.isin(self.bars, self.fixed)
+        return frozen(free / np.maximum(free.sum(axis=1, keepdims=True), 1))
 
     @cached_property
     def bar_length(self) -> FloatArray:
@@ -317,7 +394,7 @@ class Structure:
 
     @property
     def C_ns(self) -> csr_array:  # noqa: N802
-        """Selects the string nodes, shape (σ, n): ``N_s = N C_nsᵀ``."""
+        """Selects the free string nodes, shape (σ, n): ``N_s = N C_nsᵀ``."""
         return _selection(self.string_nodes, self.nodes.shape[1])
 
     @property
@@ -327,7 +404,7 @@ class Structure:
 
     @property
     def C_ss(self) -> csr_array:  # noqa: N802
-        """The columns of C_s that belong to string nodes, shape (α, σ)."""
+        """The columns of C_s that belong to free string nodes, shape (α, σ)."""
         return self.C_s[:, self.string_nodes]
 
 
@@ -352,6 +429,25 @@ def _members(name: str, pairs: Any, count: int) -> IntArray:
         if pair[0] == pair[1]:
             raise ValueError(f"{name}[{i}] joins node {pair[0]:g} to itself")
     return array.astype(np.int64)
+
+
+def _fixed_nodes(nodes: Any, count: int) -> IntArray:
+    """Check the indices of fixed nodes and return them in ascending order."""
+    array = np.atleast_1d(float_array("fixed", nodes))
+    if array.ndim != 1:
+        raise ValueError(f"fixed has shape {array.shape}, expected a sequence of node indices")
+    for i, node in enumerate(array.tolist()):
+        if not node.is_integer():
+            raise TypeError(f"fixed[{i}] is {node:g}, expected a whole number")
+        if not 0 <= node < count:
+            raise ValueError(
+                f"fixed[{i}] is node {node:g}, expected 0 to {count - 1}: "
+                f"there are {count} nodes, counted from 0"
+            )
+    indices, counts = np.unique(array.astype(np.int64), return_counts=True)
+    if (counts > 1).any():
+        raise ValueError(f"fixed names node {indices[counts.argmax()]} twice")
+    return np.asarray(indices)
 
 
 def _refuse_repeats(bars: IntArray, strings: IntArray) -> None:

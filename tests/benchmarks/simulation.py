@@ -27,7 +27,7 @@ def main() -> None:
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(STIFFNESS))
     l0 = rest_lengths(prism, paper_force_density(9.0), STIFFNESS)
-    state = pack_state(prism.nodes, np.zeros((3, 6)))
+    state = pack_state(prism, prism.nodes, np.zeros((3, 6)))
     times = DURATION * np.arange(1, OUTPUTS + 1) / OUTPUTS
     law = HeldRestLength(l0, STIFFNESS)
     truth, switches = RigidBars(prism, law).integrate(

@@ -1,0 +1,397 @@
+"""Skins: panels of a structure covered by a mesh of strings, finer with each iteration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from tenscontrol.structure.structure import Structure
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    float_array,
+    instance,
+    per_member,
+    positive,
+    positive_number,
+    whole_number,
+)
+
+# Corners further off the plane of their panel than this part of its size are refused. Nodes
+# written down with four digits pass.
+_PLANAR = 1e-4
+
+# Lengths and areas below this fraction of the panel's are none.
+_ZERO = 1e-9
+
+Loop = tuple[int, ...]
+
+
+def skin(
+    structure: Structure,
+    panels: str | Sequence[object],
+    iterations: int = 1,
+    node_mass: float | None = None,
+    panel_mass: object = None,
+    areal_density: object = None,
+    group: str = "skin",
+) -> Structure:
+    """Return the structure with panels covered by an elastic skin, a mesh of strings.
+
+    Each panel gets a node at its centre, the mean of its corners, and strings
+    from it to the corners. This is repeated inside each new triangle, n
+    ``iterations`` in all. Nodes and strings of ``structure`` come first, in
+    their order; the new ones follow panel by panel. The result has
+    ``structure`` as its ``parent``.
+
+    Parameters
+    ----------
+    structure : Structure
+    panels : sequence, or one name
+        Each entry is a name or a loop: three or more node indices, around the
+        panel. A string group whose strings form closed loops is a name:
+        ``"top"`` and ``"bottom"`` of a prism. ``"sides"`` are the 2q triangles
+        between neighbouring vertical strings of a prism.
+    iterations : int
+        n, at least 0. With 0 the result is ``structure``.
+    node_mass : float, optional
+        Mass of each new node, kg.
+    panel_mass : float or array_like, shape (p,), optional
+        Mass of each panel, kg, instead: one number for all, or one per panel,
+        each triangle of ``"sides"`` counted.
+    areal_density : float or array_like, shape (p,), optional
+        Mass of each panel over its area, kg/m², instead.
+    group : str
+        String group of the new strings.
+
+    Returns
+    -------
+    Structure
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a panel is no known name (the message lists those there are) or no
+        loop of nodes; if a loop has fewer than three nodes or names one twice,
+        lies further off a plane than 1e-4 of its size, crosses itself, or is
+        so bent inwards that its centre does not see every edge; if two panels
+        have the same nodes; if not exactly one mass is given, or it is not
+        positive.
+
+    Notes
+    -----
+    After Goyal & Skelton, *Dynamics of Class 1 Tensegrity Systems Including
+    Cable Mass*, example 2. A panel with v corners gets, after n ≥ 1 iterations,
+    ::
+
+        nodes      1 + v + 3v + … = 1 + v (3ⁿ⁻¹ − 1)/2
+        strings    v + 3v + 9v + … = v (3ⁿ − 1)/2
+
+    A skin has strings along its edges: where an edge of a panel is neither a
+    bar nor a string, a string is added, once for the panels that share it. The
+    sides of a prism are bounded by its top, bottom and vertical strings and,
+    since four nodes of a side are in no plane, by a new string along the
+    diagonal that has no bar.
+
+    The mass of a panel is spread evenly over its area. Each triangle of the
+    final mesh gives its mass in equal parts to those of its corners that are
+    new nodes: what a corner of the panel would carry goes to the new nodes
+    around, since bars and supports can carry no point mass. So the mass of a
+    panel is exact, and its moments of inertia grow towards those of the sheet
+    with n.
+
+    One force density for all new strings pulls each new node evenly to all
+    sides, so it is at rest. A skin stretched by the strain ε in the reference
+    shape has ``rest_length = skinned.string_length() / (1 + ε)`` in its strings.
+
+    Examples
+    --------
+    The prism of the paper's example 2:
+
+    >>> import tenscontrol as tc
+    >>> skinned = tc.skin(tc.prism(), ("top", "bottom"), iterations=2, node_mass=0.01)
+    >>> skinned, len(skinned.strings_in("skin"))
+    (Structure(14 nodes, 3 bars, 33 strings), 24)
+
+    A panel given by its nodes:
+
+    >>> tc.skin(tc.prism(), [(0, 1, 3)], panel_mass=0.05).string_node_mass
+    array([0.05])
+    """
+    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    count = whole_number("iterations", iterations, least=0)
+    if not isinstance(group, str) or not group.isidentifier():
+        raise ValueError(f"group is {group!r}, expected a name of letters, digits and _")
+    loops = _loops(structure, panels)
+    density = _density(loops, structure.nodes, node_mass, panel_mass, areal_density)
+    if count == 0:
+        return structure
+
+    known = structure.nodes.shape[1]
+    places = list(structure.nodes.T)
+    mass: list[float] = []
+    strings: list[tuple[int, int]] = []
+    joined = {frozenset(pair) for pair in [*structure.bars.tolist(), *structure.strings.tolist()]}
+    for loop, per_area in zip(loops.values(), density, strict=True):
+        for edge in _edges(loop):
+            if frozenset(edge) not in joined:
+                joined.add(frozenset(edge))
+                strings.append(edge)
+        polygons = [loop]
+        for _ in range(count):
+            triangles: list[Loop] = []
+            for corners in polygons:
+                centre = len(places)
+                places.append(np.mean([places[i] for i in corners], axis=0))
+                strings += [(corner, centre) for corner in corners]
+                triangles += [(a, b, centre) for a, b in _edges(corners)]
+            polygons = triangles
+        mass += [0.0] * (len(places) - known - len(mass))
+        for triangle, area in zip(polygons, _areas(polygons, places), strict=True):
+            new = [i for i in triangle if i >= known]
+            for i in new:
+                mass[i - known] += per_area * area / len(new)
+    if node_mass is not None:
+        mass = [float(node_mass)] * len(mass)
+    return Structure(
+        nodes=np.column_stack(places),
+        bars=structure.bars,
+        strings=np.vstack([structure.strings, strings]),
+        bar_mass=structure.bar_mass,
+        string_node_mass=np.concatenate([structure.string_node_mass, mass]),
+        string_groups=[*structure.string_groups, *[group] * len(strings)],
+        fixed=structure.fixed,
+        parent=structure,
+    )
+
+
+def _edges(loop: Loop) -> list[tuple[int, int]]:
+    """Return the pairs of neighbours around a loop."""
+    return list(zip(loop, loop[1:] + loop[:1], strict=True))
+
+
+def _areas(triangles: Sequence[Loop], places: Sequence[FloatArray] | FloatArray) -> FloatArray:
+    """Return the areas of triangles of nodes, m²; ``places`` are rows x, y, z."""
+    a, b, c = np.asarray(places)[np.array(triangles)].transpose(1, 0, 2)
+    area: FloatArray = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return area
+
+
+def _density(
+    loops: dict[str, Loop],
+    nodes: FloatArray,
+    node_mass: object,
+    panel_mass: object,
+    areal_density: object,
+) -> FloatArray:
+    """Return the areal density of each panel, kg/m²; zeros where nodes have their own mass."""
+    masses = {"node_mass": node_mass, "panel_mass": panel_mass, "areal_density": areal_density}
+    given = [name for name, value in masses.items() if value is not None]
+    if len(given) != 1:
+        raise ValueError(
+            f"found {' and '.join(given) or 'no mass'}, expected exactly one of node_mass (kg, of "
+            "each new node), panel_mass (kg, of each panel) and areal_density (kg/m²)"
+        )
+    if node_mass is not None:
+        positive_number("node_mass", node_mass, "kg")
+        return np.zeros(len(loops))
+    name = given[0]
+    value = per_member(name, masses[name], len(loops), "panel")
+    positive(name, value, "mass in kg" if name == "panel_mass" else "areal density in kg/m²")
+    if name == "areal_density":
+        return value
+    for k, loop in enumerate(loops.values()):
+        corners = nodes[:, loop].T
+        centre = len(loop)
+        places = np.vstack([corners, corners.mean(axis=0)])
+        fan = [(a, b, centre) for a, b in _edges(tuple(range(centre)))]
+        value[k] /= _areas(fan, places).sum()
+    return value
+
+
+# ---- which panels ----
+
+
+def _loops(structure: Structure, panels: object) -> dict[str, Loop]:
+    """Return the node loops of all panels, checked, by what messages call them."""
+    if isinstance(panels, str):
+        panels = (panels,)
+    if not isinstance(panels, Iterable):
+        raise TypeError(f"panels is {panels!r}, expected a sequence of panel names and node loops")
+    named = _named_panels(structure)
+    found: dict[str, Loop] = {}
+    owner: dict[frozenset[int], str] = {}
+    entries = list(panels)
+    if not entries:
+        raise ValueError("panels is empty, expected at least one panel name or node loop")
+    for i, entry in enumerate(entries):
+        if isinstance(entry, str):
+            if entry not in named:
+                known = ", ".join(repr(name) for name in named) or "none"
+                raise ValueError(
+                    f"panels[{i}] is {entry!r}, expected a name of panels of this structure "
+                    f"({known}), or a loop of node indices"
+                )
+            several = len(named[entry]) > 1
+            loops = {
+                f"panels[{i}], {entry!r}" + (f" number {k}" if several else ""): loop
+                for k, loop in enumerate(named[entry])
+            }
+        else:
+            loops = {f"panels[{i}]": _given_loop(f"panels[{i}]", entry, structure.nodes.shape[1])}
+        for name, loop in loops.items():
+            key = frozenset(loop)
+            if key in owner:
+                raise ValueError(f"{name} has the same nodes as {owner[key]}; give a panel once")
+            owner[key] = name
+            _refuse_bad_shape(name, loop, structure.nodes)
+        found |= loops
+    return found
+
+
+def _given_loop(name: str, entry: object, count: int) -> Loop:
+    """Return a loop given by its nodes, or say what is wrong with it."""
+    array = float_array(name, entry)
+    if array.ndim != 1:
+        hint = "; a single loop is given as panels=[loop]" if array.ndim == 0 else ""
+        raise ValueError(
+            f"{name} has shape {array.shape}, expected a panel name or a sequence of node "
+            f"indices{hint}"
+        )
+    for node in array.tolist():
+        if not node.is_integer():
+            raise TypeError(f"{name} names node {node:g}, expected whole numbers")
+        if not 0 <= node < count:
+            raise ValueError(
+                f"{name} names node {node:g}, expected 0 to {count - 1}: "
+                f"there are {count} nodes, counted from 0"
+            )
+    if len(array) < 3:
+        raise ValueError(f"{name} has {len(array)} nodes, expected at least 3 around a panel")
+    indices, times = np.unique(array, return_counts=True)
+    if (times > 1).any():
+        raise ValueError(
+            f"{name} names node {indices[times.argmax()]:g} twice, expected each corner once; "
+            "the loop closes by itself"
+        )
+    return tuple(int(node) for node in array)
+
+
+def _named_panels(structure: Structure) -> dict[str, list[Loop]]:
+    """Return the loops of each string group that is made of closed loops, and the sides."""
+    named = {}
+    for group in dict.fromkeys(structure.string_groups):
+        loops = _closed_loops(structure.strings[structure.strings_in(group)])
+        if loops:
+            named[group] = loops
+    sides = _sides(structure, named)
+    if sides:
+        named.setdefault("sides", sides)
+    return named
+
+
+def _closed_loops(strings: IntArray) -> list[Loop]:
+    """Return the loops that these strings form, or none if not every string is in one."""
+    near: dict[int, list[int]] = {}
+    for a, b in strings.tolist():
+        near.setdefault(a, []).append(b)
+        near.setdefault(b, []).append(a)
+    if any(len(others) != 2 for others in near.values()):
+        return []
+    loops, left = [], dict(near)
+    for start, (second, _) in near.items():
+        if start in left:
+            loop = [start]
+            before, here = start, second
+            while here != start:
+                loop.append(here)
+                before, here = here, next(i for i in near[here] if i != before)
+            for node in loop:
+                del left[node]
+            loops.append(tuple(loop))
+    return loops
+
+
+def _sides(structure: Structure, named: dict[str, list[Loop]]) -> list[Loop]:
+    """Return the two triangles of each side of a prism, or none for another structure."""
+    rings = [named.get(name, []) for name in ("top", "bottom")]
+    if any(len(ring) != 1 for ring in rings) or "vertical" not in structure.string_groups:
+        return []
+    top, bottom = rings[0][0], rings[1][0]
+    below = {}
+    for a, b in structure.strings[structure.strings_in("vertical")].tolist():
+        below[a], below[b] = b, a
+    if set(below) != {*top, *bottom} or {below[i] for i in top} != set(bottom):
+        return []
+    bars = {frozenset(pair) for pair in structure.bars.tolist()}
+    around = {frozenset(edge) for edge in _edges(bottom)}
+    triangles: list[Loop] = []
+    for a, b in _edges(top):
+        if frozenset((below[a], below[b])) not in around:
+            return []
+        if frozenset((a, below[b])) in bars:
+            triangles += [(a, b, below[a]), (b, below[b], below[a])]
+        elif frozenset((b, below[a])) in bars:
+            triangles += [(a, b, below[b]), (a, below[b], below[a])]
+        else:
+            return []
+    return triangles
+
+
+# ---- whether a loop is a panel ----
+
+
+def _refuse_bad_shape(name: str, loop: Loop, nodes: FloatArray) -> None:
+    """Raise if a loop is not flat, has no area, crosses itself, or hides an edge."""
+    corners = nodes[:, loop] - nodes[:, loop].mean(axis=1, keepdims=True)
+    axes, sizes, _ = np.linalg.svd(corners, full_matrices=False)
+    size = 2 * float(np.linalg.norm(corners, axis=0).max())
+    if sizes[1] <= _ZERO * sizes[0]:
+        raise ValueError(f"{name} has no area: its nodes {list(loop)} are on a line")
+    off = np.abs(axes[:, 2] @ corners)
+    if off.max() > _PLANAR * size:
+        raise ValueError(
+            f"{name} is not flat: node {loop[int(off.argmax())]} is {off.max():.3g} m off the "
+            f"plane of its nodes, expected at most {_PLANAR * size:.3g} m "
+            f"({_PLANAR:g} of its size); cut it into triangles"
+        )
+    flat = axes[:, :2].T @ corners / size
+    edges = [(k, (k + 1) % len(loop)) for k in range(len(loop))]
+    for i, first in enumerate(edges):
+        for second in edges[i + 1 :]:
+            if not {*first} & {*second} and _meet(*flat[:, first].T, *flat[:, second].T):
+                pairs = [" to ".join(str(loop[k]) for k in edge) for edge in (first, second)]
+                raise ValueError(
+                    f"{name} crosses itself: its edges {pairs[0]} and {pairs[1]} meet; "
+                    "give the nodes in order around the panel"
+                )
+    fan = np.array([_turn(np.zeros(2), flat[:, a], flat[:, b]) for a, b in edges])
+    fan *= np.sign(fan.sum())
+    if fan.min() <= _ZERO:
+        a, b = edges[int(fan.argmin())]
+        raise ValueError(
+            f"{name} is bent inwards: its edge {loop[a]} to {loop[b]} cannot be seen from its "
+            "centre, the mean of its corners; cut it into convex panels"
+        )
+
+
+def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    """Return twice the signed area of a flat triangle: positive if it turns left."""
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def _meet(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
+    """Return whether the segments from a to b and from c to d, in a plane, cross or touch."""
+    sides = (_turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b))
+    if sides[0] * sides[1] < 0 and sides[2] * sides[3] < 0:
+        return True
+    ends = ((c, a, b), (d, a, b), (a, c, d), (b, c, d))
+    return any(_distance(*end) <= _ZERO for end in ends)
+
+
+def _distance(p: FloatArray, a: FloatArray, b: FloatArray) -> float:
+    """Return the distance of a point from the segment from a to b."""
+    along = b - a
+    share = np.clip((p - a) @ along / max(float(along @ along), _ZERO**2), 0.0, 1.0)
+    return float(np.linalg.norm(p - a - share * along))

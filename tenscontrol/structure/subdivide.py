@@ -1,0 +1,285 @@
+"""Strings cut into segments with point masses between, and values of strings spread over them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tenscontrol.structure.lengths import refuse_strings_without_length
+from tenscontrol.structure.structure import Structure
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    frozen,
+    instance,
+    non_negative,
+    per_member,
+    positive_number,
+)
+
+
+def subdivide(
+    structure: Structure,
+    segments: object,
+    node_mass: float | None = None,
+    string_mass: object = None,
+) -> Structure:
+    """Return the structure with its strings cut into segments, joined by point masses.
+
+    Each string becomes a straight chain of equal segments. The nodes of
+    ``structure`` come first, in their order; the new ones follow string by
+    string, each string from its start to its end. Bars, masses, fixed nodes
+    and groups are kept; a segment is in the group of its string. The result
+    has ``structure`` as its ``parent`` and names the string that each segment
+    is a part of in ``string_parent``.
+
+    Parameters
+    ----------
+    structure : Structure
+    segments : int or array_like of int, shape (α,)
+        Number s of segments, one for all strings or one per string. A string
+        with s = 1 is left as it is.
+    node_mass : float, optional
+        Mass of each new node, kg.
+    string_mass : float or array_like, shape (α,), optional
+        Mass of each whole string, kg, instead of ``node_mass``; 0 for a string
+        that is not cut.
+
+    Returns
+    -------
+    Structure
+        With ``Σ (s − 1)`` nodes more and ``Σ s`` strings.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``segments`` is not a whole number of at least 1; if not exactly one
+        of ``node_mass`` and ``string_mass`` is given; if a mass is not
+        positive, or belongs to a string that is not cut and so has no node to
+        carry it; if a string has no length.
+
+    Notes
+    -----
+    After Goyal & Skelton, *Dynamics of Class 1 Tensegrity Systems Including
+    Cable Mass*, example 1.
+
+    ``string_mass`` m is shared by the s − 1 new nodes, ``m/(s − 1)`` each: the
+    ends of a string may be bars, which cannot carry a point mass, and none of
+    the mass is to be lost. The frequencies of a cut string then approach those
+    of the uniform string with an error of order 1/s. ``node_mass = m/s``
+    leaves the two outer half segments without mass, and the error is of order
+    1/s².
+
+    A chain has the stiffness, damping and tension of its string when each
+    segment has s times the stiffness, s times the damping and s times the
+    force density, and rest length l0/s: see :func:`segment_counts`,
+    :func:`spread_force_density` and :func:`spread_rest_length`. The paper's
+    words "all string members are given stiffness values of 100 N/m" can also
+    be read segment by segment: that is ``LinearStrings(stiffness=100.0)``, and
+    each chain is then s times softer than its string.
+
+    Examples
+    --------
+    The prism of the paper's example 1:
+
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> massive = tc.subdivide(prism, segments=4, node_mass=0.01)
+    >>> massive
+    Structure(33 nodes, 3 bars, 36 strings)
+    >>> massive.parent is prism, massive.string_parent[:6]
+    (True, array([0, 0, 0, 0, 1, 1]))
+
+    Strings that keep the stiffness of 100 N/m that they had whole:
+
+    >>> strings = tc.LinearStrings(stiffness=100.0 * tc.segment_counts(massive))
+    """
+    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    counts = _counts(segments, len(structure.strings))
+    mass = _point_masses(counts, node_mass, string_mass)
+    if len(mass):
+        refuse_strings_without_length("structure.nodes", structure, structure.nodes)
+    known = structure.nodes.shape[1]
+
+    # The new nodes: of string i, the j-th of s − 1.
+    new = counts - 1
+    string = np.repeat(np.arange(len(counts)), new)
+    first = np.cumsum(new) - new
+    share = (np.arange(new.sum()) - first[string] + 1) / counts[string]
+    start, end = structure.nodes[:, structure.strings[string]].transpose(2, 0, 1)
+    nodes = np.hstack([structure.nodes, (1 - share) * start + share * end])
+
+    # A chain: start, new nodes, end. Its segments are the pairs of neighbours.
+    pairs = []
+    for i, (a, b) in enumerate(structure.strings):
+        chain = np.r_[a, known + first[i] + np.arange(new[i]), b]
+        pairs.append(np.column_stack([chain[:-1], chain[1:]]))
+    string_parent = np.repeat(np.arange(len(counts)), counts)
+    return Structure(
+        nodes=nodes,
+        bars=structure.bars,
+        strings=np.vstack(pairs) if pairs else structure.strings,
+        bar_mass=structure.bar_mass,
+        string_node_mass=np.concatenate([structure.string_node_mass, mass]),
+        string_groups=[structure.string_groups[i] for i in string_parent],
+        fixed=structure.fixed,
+        parent=structure,
+        string_parent=string_parent,
+    )
+
+
+def segment_counts(structure: Structure) -> IntArray:
+    """Return, for each segment, how many segments its string was cut into.
+
+    Stiffness and damping of a string times this number are those that a
+    segment needs for the chain to act as the whole string did: segments act in
+    series.
+
+    Parameters
+    ----------
+    structure : Structure
+        Made by :func:`subdivide`.
+
+    Returns
+    -------
+    ndarray of int, shape (α,)
+        One number for each string of ``structure``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``structure`` was not made by :func:`subdivide`.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> massive = tc.subdivide(tc.prism(), [2, 2, 2, 2, 2, 2, 3, 3, 3], string_mass=0.04)
+    >>> tc.segment_counts(massive)[[0, 1, -1]]
+    array([2, 2, 3])
+    >>> strings = tc.LinearStrings(stiffness=100.0 * tc.segment_counts(massive))
+    """
+    string_parent = _subdivided(structure)[1]
+    return frozen(np.bincount(string_parent)[string_parent])
+
+
+def spread_force_density(structure: Structure, force_density: object) -> FloatArray:
+    """Return the force densities of segments under the tension that their strings had whole.
+
+    A segment has the tension of its string on 1/s of the length, so γ is s
+    times that of the string.
+
+    Parameters
+    ----------
+    structure : Structure
+        Made by :func:`subdivide`.
+    force_density : float or array_like, shape (α,)
+        γ of each string of ``structure.parent``, N/m, at least 0.
+
+    Returns
+    -------
+    ndarray, shape (α′,)
+        γ of each string of ``structure``, N/m.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``structure`` was not made by :func:`subdivide`, or
+        ``force_density`` does not fit its parent or is negative.
+
+    Examples
+    --------
+    A prism at rest is at rest with its strings cut:
+
+    >>> import tenscontrol as tc
+    >>> rest = tc.prestress(tc.prism(), force_density=17.3205)
+    >>> massive = tc.subdivide(rest.structure, segments=4, node_mass=0.01)
+    >>> cut = tc.prestress(massive, tc.spread_force_density(massive, rest.force_density))
+    >>> cut.force_density[0].round(4), cut.residual < 1e-12
+    (np.float64(69.282), True)
+    """
+    parent, string_parent = _subdivided(structure)
+    gamma = per_member("force_density", force_density, len(parent.strings), "string of the parent")
+    non_negative("force_density", gamma, "a string can only pull")
+    return np.asarray((gamma * np.bincount(string_parent))[string_parent])
+
+
+def spread_rest_length(structure: Structure, rest_length: object) -> FloatArray:
+    """Return the rest lengths of segments that make up the rest lengths of their strings.
+
+    Parameters
+    ----------
+    structure : Structure
+        Made by :func:`subdivide`.
+    rest_length : float or array_like, shape (α,)
+        l0 of each string of ``structure.parent``, m, at least 0.
+
+    Returns
+    -------
+    ndarray, shape (α′,)
+        l0 of each string of ``structure``, m: l0/s of the string that it is a segment of.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``structure`` was not made by :func:`subdivide`, or ``rest_length``
+        does not fit its parent or is negative.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> massive = tc.subdivide(tc.prism(), segments=4, node_mass=0.01)
+    >>> tc.spread_rest_length(massive, 0.8)[:2]
+    array([0.2, 0.2])
+    """
+    parent, string_parent = _subdivided(structure)
+    length = per_member("rest_length", rest_length, len(parent.strings), "string of the parent")
+    non_negative("rest_length", length, "it is a length")
+    return np.asarray((length / np.bincount(string_parent))[string_parent])
+
+
+def _subdivided(structure: Structure) -> tuple[Structure, IntArray]:
+    """Return parent and string parents, or refuse a structure that has none."""
+    instance("structure", structure, Structure, "make one by subdivide(...)")
+    if structure.parent is None or structure.string_parent is None:
+        raise ValueError(
+            "structure has no string_parent, expected a structure made by subdivide(...); "
+            "segments=1 leaves the strings as they are"
+        )
+    return structure.parent, structure.string_parent
+
+
+def _counts(segments: object, count: int) -> IntArray:
+    """Return the number of segments of each string."""
+    if isinstance(segments, bool):
+        raise TypeError(f"segments is {segments}, expected a whole number of at least 1")
+    counts = per_member("segments", segments, count, "string")
+    single = np.ndim(segments) == 0  # type: ignore[arg-type]  # array-like, as per_member saw
+    for i, s in enumerate(counts.tolist()):
+        name = "segments" if single else f"segments[{i}]"
+        if not s.is_integer():
+            raise TypeError(f"{name} is {s:g}, expected a whole number of at least 1")
+        if s < 1:
+            raise ValueError(f"{name} is {s:g}, expected at least 1; 1 leaves the string as it is")
+    return counts.astype(np.int64)
+
+
+def _point_masses(counts: IntArray, node_mass: object, string_mass: object) -> FloatArray:
+    """Return the mass of each new node."""
+    if (node_mass is None) == (string_mass is None):
+        found = "no mass" if node_mass is None else "node_mass and string_mass"
+        raise ValueError(
+            f"found {found}, expected exactly one of node_mass (kg, of each new node) and "
+            "string_mass (kg, of each whole string)"
+        )
+    new = counts - 1
+    if node_mass is not None:
+        return np.full(int(new.sum()), positive_number("node_mass", node_mass, "kg"))
+    mass = per_member("string_mass", string_mass, len(counts), "string")
+    for i, (m, points) in enumerate(zip(mass.tolist(), new.tolist(), strict=True)):
+        if points == 0 and m != 0:
+            raise ValueError(
+                f"string_mass[{i}] is {m:g}, but string {i} is not cut (segments is 1) and has "
+                "no node to carry it; cut it, or give an array with 0 there"
+            )
+        if points > 0 and m <= 0:
+            raise ValueError(f"string_mass[{i}] is {m:g}, expected a positive mass in kg")
+    return np.repeat(mass / np.maximum(new, 1), new)
