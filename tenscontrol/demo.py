@@ -125,8 +125,12 @@ def show_lqr(model: Model, plant: LinearPlant) -> LQR:
     )
     Q, R = energy_weights(plant)
     regulator = lqr(plant, Q, 0.1 * R)
+    print("   closed-loop poles, 1/s:")
+    upper = regulator.poles[regulator.poles.imag >= 0]
+    for row in np.array_split(upper[np.argsort(upper.real)], 3):
+        print("   " + "".join(f"  {pole.real:8.3f} ± {pole.imag:6.3f}j" for pole in row))
     print(
-        f"   closed-loop poles: real parts {regulator.poles.real.min():.2f} to "
+        f"   real parts {regulator.poles.real.min():.2f} to "
         f"{regulator.poles.real.max():.2f} 1/s; Riccati residual {regulator.riccati_residual:.0e}"
     )
     start = disturbed(plant)
@@ -164,13 +168,12 @@ def show_mpc(model: Model, rest: Prestress) -> Morph:
     assert record is not None  # a controller was given
     solve = 1e3 * record.computing_time
     rate = np.abs(record.winch_rate).max()
-    counts = ", ".join(f"{count} {status}" for status, count in record.status_count.items())
     print(
         f"   height {morph.height[0]:.4f} m -> {morph.height[-1]:.6f} m in {DURATION:g} s: ", end=""
     )
     print(f"error {1e3 * morph.height_error:+.3f} mm")
     print(f"   smallest γ {run.force_density.min():.3f} N/m; largest winch rate {rate:.3f} m/s")
-    print(f"   commands: {counts}; winches too slow in {(record.rate_limited > 0).sum()} samples")
+    print(f"   winches too slow in {(record.rate_limited > 0).sum()} samples")
     print(
         f"   {len(solve)} commands, {np.median(solve):.2f} ms median, "
         f"{np.percentile(solve, 99):.2f} ms 99th percentile, for a sample of {1e3 * SAMPLE:g} ms"

@@ -734,7 +734,7 @@ CLOSED_LOOP = [
             ValueError, r"rest_length has shape \(8,\), expected \(\) or \(9,\)"),
     refused("controller of another structure",
             lambda: closed(controller=pentagon_regulator(), sample_time=0.001), ValueError,
-            r"controller commands 15 strings, but the model has 9"),
+            r"designed on Structure\(10 nodes.*the model has Structure\(6 nodes"),
     refused("controller beyond the stiffness",
             lambda: closed(controller=regulator(max_force_density=200.0)), ValueError,
             r"γ = 200 N/m on string 0.*stiffness 100 N/m.*max_force_density below 100"),

@@ -95,6 +95,32 @@ class Winches:
         if np.any(self.shortest > self.longest):
             raise ValueError(f"shortest {self.shortest} m exceeds longest {self.longest} m")
 
+    def refuse_out_of_range(self, name: str, rest_length: FloatArray) -> None:
+        """Raise if winches cannot stand at these rest lengths, shape (α,), m.
+
+        Parameters
+        ----------
+        name : str
+            What the message calls them.
+        rest_length : ndarray, shape (α,)
+            m.
+
+        Raises
+        ------
+        ValueError
+            Naming the first string out of range.
+        """
+        low = 0.0 if self.shortest is None else self.shortest
+        high = np.inf if self.longest is None else self.longest
+        out = np.flatnonzero((rest_length < low) | (rest_length > high))
+        if len(out):
+            i = out[0]
+            least, most = (np.broadcast_to(limit, rest_length.shape)[i] for limit in (low, high))
+            raise ValueError(
+                f"{name}[{i}] is {rest_length[i]:g} m, expected {least:g} to {most:g} m: "
+                "the range of the winches"
+            )
+
     def move(self, current: object, wanted: object, step: float) -> WinchMove:
         """Return the rest lengths reached from ``current`` towards ``wanted`` in one sample.
 

@@ -89,7 +89,7 @@ def controllability(plant: LinearPlant) -> Controllability:
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     poles = distinct_poles(plant.A)
-    margins = [_margin(plant, pole) for pole in poles]
+    margins = [_margin(plant.A, plant.B, pole) for pole in poles]
     return Controllability(
         pole=frozen(poles),
         margin=frozen(np.array(margins)),
@@ -98,11 +98,17 @@ def controllability(plant: LinearPlant) -> Controllability:
 
 
 def lost_poles(plant: LinearPlant) -> np.ndarray:
-    """Return the poles in the closed right half plane that no input reaches."""
-    poles: np.ndarray = distinct_poles(plant.A)
-    scale = np.linalg.norm(np.hstack([plant.A, plant.B]), 2)
-    slow = poles.real > -_SAME_POLE * np.abs(poles).max()
-    lost = [pole for pole in poles[slow] if _margin(plant, pole) < _TOLERANCE * scale]
+    """Return the poles in the closed right half plane that no input reaches.
+
+    Tested on a plant scaled to frequencies and inputs of order one, so that
+    the answer does not depend on units.
+    """
+    poles = distinct_poles(plant.A)
+    A, B, highest = _scaled(plant)
+    if B.shape[1]:
+        B = B / max(float(np.linalg.norm(B, 2)), 1e-300)
+    slow = poles.real >= -_SAME_POLE * np.abs(poles).max(initial=0.0)
+    lost = [pole for pole in poles[slow] if _margin(A, B, pole / highest) < _TOLERANCE]
     return np.array(lost, dtype=complex)
 
 
@@ -124,21 +130,23 @@ def distinct_poles(A: FloatArray) -> np.ndarray:
     return means[means.imag >= 0]
 
 
-def _margin(plant: LinearPlant, pole: complex) -> float:
-    pencil = np.hstack([pole * np.eye(len(plant.A)) - plant.A, plant.B])
+def _margin(A: FloatArray, B: FloatArray, pole: complex) -> float:
+    pencil = np.hstack([pole * np.eye(len(A)) - A, B])
     return float(np.linalg.svd(pencil, compute_uv=False)[-1])
 
 
-def _reachable(plant: LinearPlant) -> int:
-    """Return the dimension of the reachable space, by block Arnoldi with full orthogonalization.
-
-    Displacements are scaled by the highest frequency, so that all entries of A are of one size.
-    """
+def _scaled(plant: LinearPlant) -> tuple[FloatArray, FloatArray, float]:
+    """Return A and B in time units of the highest frequency, and that frequency, rad/s."""
     r = plant.degrees_of_freedom
-    highest = max(float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)), 1e-12)
+    highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
     scale = np.r_[np.full(r, highest), np.ones(r)]
-    A = scale[:, None] * plant.A / scale / highest
-    block = scale[:, None] * plant.B
+    return scale[:, None] * plant.A / scale / highest, scale[:, None] * plant.B, highest
+
+
+def _reachable(plant: LinearPlant) -> int:
+    """Return the dimension of the reachable space, by block Arnoldi with full orthogonalization."""
+    A, block, _ = _scaled(plant)
+    r = plant.degrees_of_freedom
     basis = np.zeros((2 * r, 0))
     while block.shape[1] and basis.shape[1] < 2 * r:
         size = float(np.linalg.norm(block, 2))

@@ -10,7 +10,7 @@ import numpy as np
 from tenscontrol.analysis.linearize import in_coordinates
 from tenscontrol.analysis.plant import LinearPlant
 from tenscontrol.structure import affine_motions, left_by_supports, rigid_motions
-from tenscontrol.validation import FloatArray, frozen, instance
+from tenscontrol.validation import FloatArray, IntArray, frozen, instance
 
 # Stiffness eigenvalues below this fraction of the largest are zero: round-off is at 1e-15,
 # and a soft mechanism beside strings of 1e9 N/m is still at 1e-8.
@@ -142,9 +142,9 @@ def modes(plant: LinearPlant) -> Modes:
     )
 
 
-def _rank(labels: list[str]) -> list[int]:
+def _rank(labels: list[str]) -> IntArray:
     names = ["constraint", "rigid", "affine", "mechanism", "elastic"]
-    return [names.index(label) for label in labels]
+    return np.array([names.index(label) for label in labels], dtype=np.int64)
 
 
 def _kinds(plant: LinearPlant) -> dict[str, FloatArray]:
@@ -171,7 +171,8 @@ def _bar_stretch_of(fields: FloatArray, plant: LinearPlant) -> FloatArray:
     structure = plant.model.structure
     moves = fields.reshape(len(fields) // 3, 3, fields.shape[1])
     change = moves[structure.bars[:, 1]] - moves[structure.bars[:, 0]]
-    return np.asarray(np.einsum("ib,bij->bj", structure.bar_vectors(plant.nodes), change))
+    along = structure.bar_vectors(plant.nodes) / structure.bar_length
+    return np.asarray(np.einsum("ib,bij->bj", along, change))
 
 
 def _undamped(

@@ -166,7 +166,7 @@ class LinearPlant:
         """
         import control
 
-        if np.abs(self.drift).max(initial=0.0) > 1e-8 * max(1.0, np.abs(self.A).max()):
+        if np.abs(self.drift).max(initial=0.0) > 1e-8 * max(1.0, np.abs(self.A).max(initial=0.0)):
             raise ValueError(
                 "the plant drifts: it was linearized away from an equilibrium, "
                 "and a StateSpace cannot say so. Use A, B and drift"

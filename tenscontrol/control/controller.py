@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.analysis import LinearPlant
-from tenscontrol.validation import FloatArray, frozen, measured
+from tenscontrol.validation import FloatArray, float_array, frozen, measured
 
 OK = "ok"
 BAD_MEASUREMENT = "measurement not finite"
@@ -92,8 +92,10 @@ class Controller(ABC):
         Raises
         ------
         TypeError, ValueError
-            If an array is not of numbers or has the wrong shape.
+            If an array is not of numbers or has the wrong shape, or the time is
+            not a finite number.
         """
+        time = float(float_array("time", time))
         shape = self._plant.nodes.shape
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
         if np.isfinite(N).all() and np.isfinite(V).all():

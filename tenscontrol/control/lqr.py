@@ -10,6 +10,7 @@ from tenscontrol.analysis import LinearPlant, controllability, lost_poles
 from tenscontrol.control.bounds import input_bounds
 from tenscontrol.control.controller import OK, Controller
 from tenscontrol.control.weights import weight_matrix
+from tenscontrol.dynamics import coordinates
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number
 
 # A Riccati residual above this fraction of its terms means that the solution is wrong.
@@ -117,6 +118,10 @@ def lqr(
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     states, inputs = plant.B.shape
+    if states == 0 or inputs == 0:
+        raise ValueError(
+            f"plant has {states} states and {inputs} inputs, so there is nothing to control"
+        )
     state_weight = weight_matrix("Q", Q, states, definite=False)
     input_weight = weight_matrix("R", R, inputs, definite=True)
     bounds = input_bounds(plant, max_force_density)
@@ -131,7 +136,7 @@ def lqr(
         else:
             A, B, _ = plant.discretize(positive_number("step", step, "s"))
             K, P, poles = control.dlqr(A, B, state_weight, input_weight)
-    except np.linalg.LinAlgError as error:
+    except (np.linalg.LinAlgError, ValueError) as error:
         raise ValueError(
             f"the Riccati equation has no stabilizing solution: {error}. An undamped mode without "
             "weight in Q is one reason; weights that differ by many powers of ten are another"
@@ -172,25 +177,31 @@ def _refuse_unreachable(plant: LinearPlant) -> None:
     lost = lost_poles(plant)
     if len(lost) == 0:
         return
-    structure, kind = plant.model.structure, plant.coordinates.kind
-    beta = len(structure.free_bars) + len(structure.swinging_bars)
-    unreachable = controllability(plant).unreachable
-    found = (
-        f"{unreachable} of the {len(plant.A)} states of the plant in {kind!r} coordinates are out "
-        "of reach of the strings"
-    )
-    if kind == "internal":
-        poles = ", ".join(f"{pole:.4g}" for pole in lost)
-        raise ValueError(
-            f"{found}, at the poles {poles} 1/s, which do not decay by themselves. Damping, other "
-            "strings or another prestress would mend that; controllability(plant) says more"
-        )
+    kind, unreachable = plant.coordinates.kind, controllability(plant).unreachable
+    counts = {
+        each: coordinates(plant.model, plant.nodes, each).count
+        for each in ("nodes", "minimal", "internal")
+    }
     what = []
     if kind == "nodes":
-        what.append(f"{2 * beta} are the lengths of the {beta} bars and their rates")
-        unreachable -= 2 * beta
-    what.append(f"{unreachable} are motions of the structure as one body")
+        what.append(
+            (2 * (counts["nodes"] - counts["minimal"]), "are lengths of bars and their rates")
+        )
+    if kind != "internal":
+        rigid = 2 * (counts["minimal"] - counts["internal"])
+        what.append((rigid, "are motions of the structure as one body"))
+    inner = unreachable - sum(count for count, _ in what)
+    if inner:
+        poles = ", ".join(f"{pole:.4g}" for pole in lost)
+        what.append((inner, f"are changes of shape, at the poles {poles} 1/s"))
+    advice = (
+        "Damping, other strings or another prestress would mend that; controllability(plant) "
+        "says more"
+        if inner
+        else "Internal forces change neither: linearize with coordinates='internal'"
+    )
+    listed = " and ".join(f"{count} {meaning}" for count, meaning in what if count)
     raise ValueError(
-        f"{found}: {' and '.join(what)}, and internal forces change neither. "
-        "Linearize with coordinates='internal'"
+        f"{unreachable} of the {len(plant.A)} states of the plant in {kind!r} coordinates are out "
+        f"of reach of the strings, and do not decay by themselves: {listed}. {advice}"
     )

@@ -164,7 +164,7 @@ class MPC(Controller):
             high=self._high - plant.force_density,
             change=change,
             length=length,
-            level=float(plant.force_density.max()),
+            level=float(plant.force_density.max()) or float(self._high.max()),
             feedback=regulator.gain,
         )
         if choice("form", form, FORMS) == "auto":

@@ -26,7 +26,7 @@ class Status(Enum):
     NOT_CONVEX = "not convex"
     INTERRUPTED = "interrupted"
     UNSOLVED = "unsolved"
-    BAD_DATA = "data not finite"
+    BAD_DATA = "data not finite or too large"
 
 
 # Every status that OSQP can return.
@@ -43,6 +43,9 @@ _STATUS = {
     "OSQP_SIGINT": Status.INTERRUPTED,
     "OSQP_UNSOLVED": Status.UNSOLVED,
 }
+
+
+_LARGEST = 1e20
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +143,9 @@ class QuadraticProgram:
                 raise ValueError(
                     f"{name} has shape {vector.shape}, expected ({self._shapes[name]},)"
                 )
-        if not np.isfinite(q).all() or np.isnan(l).any() or np.isnan(u).any():
+        # OSQP takes 1e30 for infinite, and loses its digits long before.
+        largest = max(np.abs(q).max(initial=0.0), l.max(initial=0.0), -u.min(initial=0.0))
+        if not largest < _LARGEST or np.isnan(l).any() or np.isnan(u).any():
             return QPSolution(Status.BAD_DATA, None, None, 0)
         if (l > u).any():
             return QPSolution(Status.INFEASIBLE, None, None, 0)

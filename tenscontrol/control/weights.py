@@ -52,10 +52,10 @@ def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatA
 def energy_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
     """Return weights that make displacement, speed and input commensurate.
 
-    With ω the highest frequency of the plant and b the largest acceleration
-    that a unit input gives: ω² for displacements and 1 for rates, so that a
-    free vibration costs the same at any moment, and b²/ω² for inputs, the
-    cost of the displacement that the input would hold.
+    With ω the highest frequency of the plant (1 rad/s if all are zero) and b
+    the largest acceleration that a unit input gives: ω² for displacements and
+    1 for rates, so that a free vibration costs the same at any moment, and
+    b²/ω² for inputs, the cost of the displacement that the input would hold.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def energy_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     r = plant.degrees_of_freedom
-    highest = max(float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)), 1.0)
+    highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
     push = float(np.linalg.norm(plant.B, 2))
     Q = np.diag(np.r_[np.full(r, highest**2), np.ones(r)])
     return Q, np.eye(plant.B.shape[1]) * (push / highest) ** 2

@@ -100,8 +100,9 @@ def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -
         capstyle="round",
         zorder=style.layer + 0.3,
     )
-    ax.add_collection3d(strings)
-    ax.add_collection3d(bars)
+    for members, pairs in ((strings, structure.strings), (bars, structure.bars)):
+        if len(pairs):  # Matplotlib cannot find the limits of nothing
+            ax.add_collection3d(members)
     (dots,) = ax.plot(
         *nodes,
         linestyle="none",

@@ -13,7 +13,7 @@ from tenscontrol.control.controller import Command, Controller
 from tenscontrol.dynamics import Model, StringLaw, unpack_states
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
-from tenscontrol.structure import spread_force_density, spread_rest_length
+from tenscontrol.structure import Structure, spread_force_density, spread_rest_length
 from tenscontrol.validation import (
     FloatArray,
     frozen,
@@ -40,10 +40,10 @@ def run_closed_loop(
     sample = _sample_time(controller, sample_time, loop.step)
     actuators = _Actuators(loop, controller, winches, rest_length, sample)
     controller.reset()
-    log = _Log(loop.hold)
+    log = _Log(loop.hold, actuators.start)
     seen = controller.plant.nodes.shape[1]  # of a subdivision, the nodes of its parent come first
     # The allowance keeps round-off from adding a last sample of no length.
-    for k in range(ceil(duration / sample - 1e-9)):
+    for k in range(max(1, ceil(duration / sample - 1e-9))):
         loop.now = k * sample
         N, V = (part[:, :, 0] for part in unpack_states(loop.model.structure, state[:, None]))
         began = perf_counter()
@@ -85,14 +85,17 @@ class _Actuators:
         self._law = loop.model.strings
         self._winches = winches
         self._sample = sample
-        self._current: FloatArray | None = None
+        self.start: FloatArray | None = None
         if rest_length is not None:
-            self._current = self._wiring.checked_rest_length(rest_length)
+            self.start = self._wiring.checked_rest_length(rest_length)
+            if winches is not None:
+                winches.refuse_out_of_range("rest_length", self.start)
         elif winches is not None and winches.rate is not None:
             raise ValueError(
                 "winches with a rate need rest_length: where they stand at the start, m; "
                 "to_rest_length(model, nodes, force_density) finds it"
             )
+        self._current = self.start
         if self._convert:
             _refuse_unreachable(controller, loop.model, self._wiring)
 
@@ -130,19 +133,15 @@ class _Wiring:
         structure, designed = model.structure, controller.plant.model.structure
         self._structure = structure
         self.count = len(designed.strings)
-        self.nodes = designed.nodes.shape[1]
-        same = self.count == len(structure.strings) and self.nodes == structure.nodes.shape[1]
+        self._cut = False
+        if _same_members(designed, structure):
+            return
+        self._cut = True
         parent = structure.parent
-        self._cut = not same
-        if not same and (
-            structure.string_parent is None
-            or parent is None
-            or (self.count, self.nodes) != (len(parent.strings), parent.nodes.shape[1])
-        ):
+        if parent is None or structure.string_parent is None or not _same_members(designed, parent):
             raise ValueError(
-                f"the controller was designed on {self.nodes} nodes and {self.count} strings, but "
-                f"the model has {structure.nodes.shape[1]} and {len(structure.strings)}, and is no "
-                "subdivision of a structure like that"
+                f"the controller was designed on {designed!r}, but the model has {structure!r} "
+                "with other bars, strings or fixed nodes, and is no subdivision of it"
             )
 
     def checked_rest_length(self, rest_length: object) -> FloatArray:
@@ -159,6 +158,7 @@ class _Wiring:
         if not self._cut:
             return values
         total = np.zeros(self.count)
+        assert self._structure.string_parent is not None  # a subdivision
         np.add.at(total, self._structure.string_parent, values)
         return total
 
@@ -171,11 +171,20 @@ class _Wiring:
         return spread_rest_length(self._structure, rest_length) if self._cut else rest_length
 
 
+def _same_members(one: Structure, other: Structure) -> bool:
+    """Whether nodes, bars, strings and supports go together; masses and lengths may differ."""
+    return one.nodes.shape == other.nodes.shape and all(
+        np.array_equal(getattr(one, what), getattr(other, what))
+        for what in ("bars", "strings", "fixed")
+    )
+
+
 class _Log:
     """Collects what becomes the control record."""
 
-    def __init__(self, hold: str) -> None:
+    def __init__(self, hold: str, start: FloatArray | None) -> None:
         self._hold = hold
+        self._start = start
         self._rows: list[tuple[float, Command, WinchMove, float]] = []
 
     def add(self, time: float, command: Command, move: WinchMove, taken: float) -> None:
@@ -186,7 +195,8 @@ class _Log:
         applied = np.column_stack([move.rest_length for move in moves])
         rate = np.zeros_like(applied)
         if self._hold == "rest_length":
-            rate[:, 1:] = np.diff(applied, axis=1) / sample
+            before = applied[:, :1] if self._start is None else self._start[:, None]
+            rate = np.diff(applied, axis=1, prepend=before) / sample
         return ControlRecord(
             time=frozen(np.array(times)),
             command=frozen(np.column_stack([command.value for command in commands])),
@@ -227,11 +237,12 @@ def _refuse_unreachable(controller: Controller, model: Model, wiring: _Wiring) -
     law = model.strings
     assert law is not None  # a rest length is held
     largest, limit = wiring.spread_force_density(controller.bounds[1]), law.largest_force_density
+    segments = wiring.spread_force_density(np.ones(wiring.count))
     over = np.flatnonzero(largest >= limit)
     if len(over):
         i = over[0]
         raise ValueError(
             f"the controller may command γ = {largest[i]:g} N/m on string {i}, but a string of "
             f"stiffness {limit[i]:g} N/m stays below that whatever its rest length. Give the "
-            "controller a lower max_force_density"
+            f"controller max_force_density below {limit[i] / segments[i]:g}"
         )

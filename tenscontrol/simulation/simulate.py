@@ -99,8 +99,9 @@ def simulate(
     step : float, optional
         Step of ``"rk4"``, s.
     output_step : float, optional
-        Time between returned states, s. Every step of ``"rk4"``, or a
-        thousandth of the duration, if not given.
+        Largest time between returned states, s; the end of each sample is
+        returned as well. Every step of ``"rk4"``, or a thousandth of the
+        duration, if not given.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 

@@ -29,7 +29,8 @@ class ControlRecord:
         Status of each command; ``"ok"`` where all went well.
     winch_rate : ndarray, shape (α, K)
         Change of the rest length at the start of each sample over the sample
-        time, m/s; zero where γ is held.
+        time, m/s; zero where γ is held. The first counts from where the
+        winches stood, if that was given.
     rate_limited, range_limited : ndarray of int, shape (K,)
         Number of winches that met a limit.
     computing_time : ndarray, shape (K,)
@@ -77,7 +78,8 @@ class Trajectory:
     method : str
         The integrator.
     step : float or None
-        Its step, s; None where it chose its own.
+        The step asked for, s; what is taken is shortened so that steps fill a
+        span. None where the integrator chose its own.
     steps, evaluations : int
         Integrator steps and evaluations of the right-hand side.
     control : ControlRecord or None
@@ -129,6 +131,10 @@ class Trajectory:
                 f"{count} {name}" for name, count in self.control.status_count.items()
             )
             lines.append(f"commands          {counts}")
+            slow = int((self.control.rate_limited > 0).sum())
+            out = int((self.control.range_limited > 0).sum())
+            if slow or out:
+                lines.append(f"winches           too slow in {slow} samples, out of range in {out}")
         return "\n".join(lines)
 
     def __repr__(self) -> str:

@@ -26,6 +26,9 @@ from tenscontrol.validation import (
 # round-off, far below what a real member contributes.
 _RANK_TOLERANCE = 1e-9
 
+# Force densities below this fraction of the largest are zero.
+_ROUND_OFF = 1e-12
+
 # Unbalanced force above this fraction of the largest member force is not round-off.
 _RESIDUAL_TOLERANCE = 1e-9
 
@@ -156,7 +159,10 @@ def prestress(
     if given.ndim == 0:
         level = positive_number("force_density", float(given), "N/m")
         particular = Vt[:rank].T @ ((U[:, :rank].T @ w) / sizes[:rank])
-        _refuse_unbalanced(structure, E, particular, w, "no member forces balance external_force")
+        _refuse_unbalanced(
+            structure, E, particular, w, "no member forces balance external_force",
+            "In this shape the load meets a mechanism; equilibrium(model, ...) lets the shape give",
+        )  # fmt: skip
         group = structure.string_groups[0] if reference is None else reference
         strings = np.flatnonzero(np.isin(np.flatnonzero(live_strings), structure.strings_in(group)))
         densities = _nearest_to_uniform(particular, states, strings, level, count)
@@ -170,7 +176,10 @@ def prestress(
         pull = gamma[live_strings]
         bars = np.linalg.lstsq(E[:, count:], w - E[:, :count] @ pull, rcond=None)[0]
         densities = np.concatenate([pull, bars])
-    _refuse_unbalanced(structure, E, densities, w, "force_density does not balance")
+    _refuse_unbalanced(
+        structure, E, densities, w, "force_density does not balance",
+        "prestress(structure, force_density=<one number>) finds force densities that balance",
+    )  # fmt: skip
     every = np.zeros(len(live))
     if given.ndim:
         every[:alpha] = given
@@ -204,7 +213,8 @@ def _nearest_to_uniform(
         return None
     densities = at + moves @ free
     # What round-off leaves below zero is zero; the residual is checked afterwards.
-    densities[:alpha] = np.maximum(densities[:alpha], 0.0)
+    gamma = densities[:alpha]
+    gamma[gamma < _ROUND_OFF * np.abs(densities).max()] = 0.0
     return np.asarray(densities)
 
 
@@ -227,7 +237,7 @@ def _infeasible(structure: Structure, states: FloatArray, sizes: FloatArray, loa
 
 
 def _refuse_unbalanced(
-    structure: Structure, E: FloatArray, densities: FloatArray, w: FloatArray, what: str
+    structure: Structure, E: FloatArray, densities: FloatArray, w: FloatArray, what: str, hint: str
 ) -> None:
     unbalanced = (E @ densities - w).reshape(-1, 3)
     size = np.linalg.norm(unbalanced, axis=1)
@@ -238,7 +248,7 @@ def _refuse_unbalanced(
             f"{what}: node {structure.free[worst]} is left with an unbalanced force of "
             f"{size[worst]:.3g} N, "
             f"expected less than {_RESIDUAL_TOLERANCE * scale:.1e} N. "
-            "prestress(structure, force_density=<one number>) finds force densities that balance"
+            f"{hint}"
         )
 
 

@@ -5,6 +5,7 @@ import pytest
 
 import tenscontrol as tc
 from tests.analysis.scenes import INPUTS, KINDS, prism_plant, weighted_rest
+from tests.dynamics.scenes import TOP_FORCE_DENSITY
 from tests.oracle import consistent_mass
 
 # docs: theory, section 4.
@@ -186,3 +187,12 @@ def test_light_string_nodes_add_the_modes_of_masses_on_springs():
     np.testing.assert_allclose(found[9:15], across, rtol=0.01)
     np.testing.assert_allclose(found[15:], along, rtol=0.01)
     assert found[8] < 0.2 * across
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_labels_do_not_depend_on_the_size(size):
+    prism = tc.prism(radius=0.5 * size, height=size)
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    plant = tc.linearize(model, tc.prestress(prism, TOP_FORCE_DENSITY), input="rest_length")
+    labels = tc.modes(plant).label
+    assert (labels[0], labels[-1]) == ("mechanism", "affine")

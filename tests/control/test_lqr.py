@@ -121,7 +121,7 @@ def test_measurement_that_is_not_finite_gives_the_equilibrium(model, rest):
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
-        ("nodes", "18 of the 36 .*6 are the lengths of the 3 bars.*12 are motions .* one body"),
+        ("nodes", "18 of the 36 .*6 are lengths of bars and their rates and 12 are motions"),
         ("minimal", "12 of the 30 .*12 are motions of the structure as one body"),
     ],
 )
@@ -129,6 +129,64 @@ def test_forms_with_unreachable_states_are_refused_with_a_count(model, rest, kin
     plant = tc.linearize(model, rest, coordinates=kind)
     with pytest.raises(ValueError, match=expected + ".*coordinates='internal'"):
         tc.lqr(plant, 1.0, 1.0)
+
+
+def solver(change):
+    """Return python-control's lqr with its answer changed."""
+    import control
+
+    original = control.lqr
+
+    def changed(*arguments):
+        return change(*original(*arguments))
+
+    return changed
+
+
+def test_a_wrong_riccati_solution_is_not_passed_on(model, rest, monkeypatch):
+    plant = tc.linearize(model, rest)
+    wrong = solver(lambda K, P, poles: (K, 1.01 * P, poles))
+    monkeypatch.setattr("control.lqr", wrong)
+    with pytest.raises(ValueError, match=r"left with a residual of .* not to be trusted"):
+        tc.lqr(plant, 1.0, 1e-3)
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.1])
+def test_poles_that_do_not_decay_are_not_passed_on(model, rest, monkeypatch, pole):
+    plant = tc.linearize(model, rest)
+    unstable = solver(lambda K, P, poles: (K, P, np.r_[pole, poles[1:]]))
+    monkeypatch.setattr("control.lqr", unstable)
+    with pytest.raises(ValueError, match="closed loop is not stable"):
+        tc.lqr(plant, 1.0, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("length", "mass", "gamma"),
+    [(1.0, 1e-6, 1.0), (1.0, 1e12, 1.0), (1e-6, 1.0, 1.0), (1e3, 1.0, 1e-6), (1.0, 1.0, 1e6)],
+)
+def test_design_does_not_depend_on_units(length, mass, gamma):
+    """The same prism in other units: the same gain, scaled."""
+
+    def design(length, mass, gamma):
+        prism = tc.prism(radius=0.5 * length, height=length, bar_mass=mass)
+        plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3) * gamma))
+        Q, R = tc.energy_weights(plant)
+        regulator = tc.lqr(plant, Q, 0.1 * R)
+        # Node displacement 1 % of the length in the direction of the first basis-free shape.
+        nodes = plant.nodes + 0.01 * length * np.sin(np.arange(18)).reshape(3, 6)
+        return regulator.command(0.0, nodes, np.zeros((3, 6))).value / gamma
+
+    np.testing.assert_allclose(design(length, mass, gamma), design(1.0, 1.0, 1.0), rtol=1e-5)
+
+
+def test_unreachable_changes_of_shape_are_told_from_motions_as_one_body(prism):
+    """Without prestress the twist is out of reach: two states that 'internal' does not cure."""
+    bare = tc.prestress(prism, np.zeros(9))
+    expected = "12 are motions of the structure as one body and 2 are changes of shape"
+    with pytest.raises(ValueError, match=expected):
+        tc.lqr(tc.linearize(tc.Model(prism), bare, coordinates="minimal"), 1.0, 1.0)
+    with pytest.raises(ValueError, match=r"2 of the 18 .* 2 are changes of shape, at the poles 0"):
+        tc.lqr(tc.linearize(tc.Model(prism), bare), 1.0, 1.0)
 
 
 def test_mode_without_weight_is_refused(model, rest):

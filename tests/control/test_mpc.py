@@ -271,3 +271,30 @@ def test_program_answers_infeasible_unbounded_and_bad_data_without_a_solution():
 def test_form_is_chosen_by_size(plant):
     assert tc.MPC(plant, 20, 0.02, 60.0).form == "condensed"
     assert tc.MPC(plant, 100, 0.02, 60.0).form == "sparse"
+
+
+def test_an_operating_point_without_prestress_can_be_controlled():
+    """All twelve lines between the ends of the bars as strings: in reach without any force."""
+    prism = tc.prism()
+    bars = {frozenset(pair) for pair in prism.bars.tolist()}
+    pairs = [[i, j] for i in range(6) for j in range(i) if frozenset((i, j)) not in bars]
+    full = tc.Structure(prism.nodes, prism.bars, pairs, 1.0)
+    plant = tc.linearize(tc.Model(full), tc.prestress(full, np.zeros(12)))
+    command = tc.MPC(plant, 5, 0.02, 40.0).command(0.0, pushed(plant, 0.01), STILL)
+    assert command.status == "ok"
+    assert command.value.max() > 0
+
+
+def test_data_too_large_for_the_solver_never_reach_it(plant, capfd):
+    mpc = tc.MPC(plant, 5, 0.02, 60.0)
+    command = mpc.command(0.0, plant.nodes * 1e100, STILL)
+    assert command.status == "data not finite or too large: equilibrium held"
+    assert capfd.readouterr().out == ""
+
+
+def test_the_plan_lies_within_the_bounds(plant):
+    mpc = tc.MPC(plant, 20, 0.02, 40.0, tolerance=1e-2, R=1e-3)
+    for seed in range(10):
+        mpc.command(0.0, pushed(plant, 0.08, seed), STILL)
+        assert mpc.plan.min() >= 0.0
+        assert mpc.plan.max() <= 40.0

@@ -298,3 +298,51 @@ def test_commands_are_within_the_bounds(model, by_force):
     run = tc.simulate(model, 0.04, controller=controller, hold="force_density", step=1e-3)
     assert (run.control.command.min(), run.control.command.max()) == (0.0, 60.0)
     assert run.force_density.min() == 0.0
+
+
+def test_the_first_move_of_the_winches_counts_from_where_they_stood(prism):
+    rest = tc.prestress(prism, 30 / np.sqrt(3))
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    plant = tc.linearize(model, rest)
+    mpc = tc.MPC(plant, 10, 0.02, 80.0)
+    start = plant.to_nodes(np.r_[0.03, np.zeros(8)])
+    stood = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
+    run = tc.simulate(model, 0.1, start, controller=mpc, rest_length=stood, step=1e-3)
+    first = (run.control.applied[:, 0] - stood) / 0.02
+    np.testing.assert_allclose(run.control.winch_rate[:, 0], first)
+    assert np.abs(first).max() > 0.1
+
+
+def test_winches_at_their_limits_are_in_the_summary(prism):
+    rest = tc.prestress(prism, 30 / np.sqrt(3))
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    plant = tc.linearize(model, rest)
+    mpc = tc.MPC(plant, 10, 0.02, 80.0)
+    start = plant.to_nodes(np.r_[0.03, np.zeros(8)])
+    stood = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
+    winches = tc.Winches(rate=0.01, shortest=0.7)
+    run = tc.simulate(
+        model, 0.2, start, controller=mpc, rest_length=stood, winches=winches, step=1e-3
+    )
+    slow = int((run.control.rate_limited > 0).sum())
+    assert slow > 0
+    assert f"winches           too slow in {slow} samples" in run.summary()
+    with pytest.raises(ValueError, match=r"rest_length\[0\] is 0\.7\d* m, expected 0\.8 to inf m"):
+        tc.simulate(
+            model, 0.1, start, controller=mpc, rest_length=stood, step=1e-3,
+            winches=tc.Winches(shortest=0.8),
+        )  # fmt: skip
+
+
+def test_a_controller_for_other_strings_is_refused_even_if_the_number_agrees(prism):
+    plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
+    mpc = tc.MPC(plant, 5, 0.02, 80.0)
+    turned = tc.Structure(prism.nodes, prism.bars, prism.strings[::-1], 1.0)
+    with pytest.raises(ValueError, match="with other bars, strings or fixed nodes"):
+        tc.simulate(tc.Model(turned), 0.1, controller=mpc, step=1e-3)
+
+
+def test_a_span_of_almost_nothing_is_one_sample(prism):
+    plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
+    run = tc.simulate(tc.Model(prism), 1e-12, controller=tc.MPC(plant, 5, 0.02, 80.0), step=1e-3)
+    assert len(run.control.time) == 1

@@ -86,5 +86,7 @@ def test_a_controller_of_another_structure_is_refused():
     mpc = tc.MPC(plant, 5, 0.02, 80.0)
     other = tc.subdivide(tc.prism(4), 2, node_mass=0.01)
     model = tc.Model(other, strings=tc.LinearStrings(200.0))
-    with pytest.raises(ValueError, match=r"designed on 6 nodes and 9 strings, but .* 20 and 24"):
+    with pytest.raises(
+        ValueError, match=r"designed on Structure\(6 nodes.* has Structure\(20 nodes"
+    ):
         tc.simulate(model, 0.1, controller=mpc, step=1e-3)

@@ -361,7 +361,7 @@ REFUSED = {
     "spike": (
         lambda: on_sheet([(0, 0), (2, 0), (1, 0), (1, 2)]),
         ValueError,
-        "panels[0] ",
+        "panels[0] crosses itself: its edges 0 to 1 and 2 to 3 meet",
     ),
     "arrow": (
         lambda: on_sheet([(0, 0), (4, 4), (0, 1), (-4, 4)]),
