@@ -211,3 +211,14 @@ def test_flat_axes_and_other_objects_are_refused(prism, flat):
         tc.plot.structure(prism.nodes)
     with pytest.raises(ValueError, match=r"nodes has shape \(3, 2\)"):
         tc.plot.structure(prism).update(np.zeros((3, 2)))
+
+
+def test_structures_of_bars_only_and_of_strings_only_are_drawn():
+    bar = tc.Structure([[0, 1], [0, 0], [0, 0]], [[0, 1]], np.zeros((0, 2)), 2.0)
+    with pytest.warns(UserWarning, match="hold"):
+        net = tc.net(3, 3, 0.5, node_mass=0.1, fixed=None)
+    for structure in (bar, net):
+        drawing = tc.plot.structure(structure)
+        drawing.ax.figure.canvas.draw()
+        assert len(drawing.bars.get_segments()) == len(structure.bars)
+        plt.close(drawing.ax.figure)
