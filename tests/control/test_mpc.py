@@ -298,3 +298,17 @@ def test_the_plan_lies_within_the_bounds(plant):
         mpc.command(0.0, pushed(plant, 0.08, seed), STILL)
         assert mpc.plan.min() >= 0.0
         assert mpc.plan.max() <= 40.0
+
+
+def test_a_failed_solve_leaves_nothing_behind():
+    """After data that cannot be solved, the answer is that of a fresh program."""
+    from scipy.sparse import csc_array
+
+    P, A = csc_array(np.diag([2.0, 1.0])), csc_array(np.array([[1.0, 1.0], [1.0, -1.0]]))
+    used, fresh = (QuadraticProgram(P, A, 1e-9, 4000) for _ in range(2))
+    q, low, high = np.array([1.0, -1.0]), np.array([-1.0, -1.0]), np.array([0.2, 0.3])
+    assert used.solve(q, np.array([1.0, 1.0]), np.array([np.inf, np.inf])).status is Status.SOLVED
+    short = QuadraticProgram(P, A, 1e-15, 1)
+    assert short.solve(q, low, high).status is Status.OUT_OF_ITERATIONS
+    again, first = (program.solve(q, low, high) for program in (used, fresh))
+    np.testing.assert_allclose(again.x, first.x, atol=1e-7)

@@ -346,3 +346,10 @@ def test_a_span_of_almost_nothing_is_one_sample(prism):
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
     run = tc.simulate(tc.Model(prism), 1e-12, controller=tc.MPC(plant, 5, 0.02, 80.0), step=1e-3)
     assert len(run.control.time) == 1
+
+
+def test_work_is_counted_over_all_samples(prism):
+    plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
+    run = tc.simulate(tc.Model(prism), 0.2, controller=tc.MPC(plant, 5, 0.02, 80.0), step=1e-3)
+    assert run.steps == 200
+    assert run.evaluations == 800
