@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         LinearPlant,
         Modes,
         OperatingPoint,
+        command_parents,
         controllability,
         equilibrium,
         in_coordinates,
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
         StringLaw,
         coordinates,
     )
+    from tenscontrol.scene import Scene, SceneError, load_scene
     from tenscontrol.simulation import ControlRecord, SimulationError, Trajectory, simulate
     from tenscontrol.statics import (
         Prestress,
@@ -65,6 +67,7 @@ if TYPE_CHECKING:
         restore_bar_lengths,
         segment_counts,
         skin,
+        skin_rest_length,
         spread_force_density,
         spread_rest_length,
         subdivide,
@@ -77,6 +80,7 @@ _HOME = {
         "LinearPlant",
         "Modes",
         "OperatingPoint",
+        "command_parents",
         "controllability",
         "equilibrium",
         "in_coordinates",
@@ -102,6 +106,7 @@ _HOME = {
         "coordinates",
     ],
     "integrate": [],
+    "scene": ["Scene", "SceneError", "load_scene"],
     "simulation": ["ControlRecord", "SimulationError", "Trajectory", "simulate"],
     "structure": [
         "Structure",
@@ -111,6 +116,7 @@ _HOME = {
         "restore_bar_lengths",
         "segment_counts",
         "skin",
+        "skin_rest_length",
         "spread_force_density",
         "spread_rest_length",
         "subdivide",

@@ -60,3 +60,4 @@ def test_control_string_mass():
         assert len(values) == 13
         assert max(values) < 1e-4
         assert values[0] < max(values)  # mass is noticed
+    assert found["left_with_full"] < 1e-3

@@ -81,6 +81,8 @@ MAY_IMPORT = {
     "simulation": {"integrate", "actuation", "dynamics", "structure", "control.controller"},
     "accuracy": {"simulation", "integrate", "actuation", "analysis", "dynamics", "statics"}
     | {"structure"},
+    "scene": {"simulation", "control", "actuation", "analysis", "dynamics", "statics"}
+    | {"structure"},
     "plot": None,  # everything
 }
 
@@ -601,6 +603,7 @@ def values():
         regulator.command(0.0, prism.nodes, still),
         tc.Reference([0.0], prism.nodes[:, :, None]),
         mpc.statistics,
+        tc.load_scene(PROJECT / "examples" / "scenes" / "prism_free.toml"),
     ]
     return {type(value).__name__: value for value in found}
 

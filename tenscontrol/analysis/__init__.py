@@ -2,7 +2,12 @@
 
 from tenscontrol.analysis.controllability import Controllability, controllability, lost_poles
 from tenscontrol.analysis.equilibrium import equilibrium
-from tenscontrol.analysis.linearize import OperatingPoint, in_coordinates, linearize
+from tenscontrol.analysis.linearize import (
+    OperatingPoint,
+    command_parents,
+    in_coordinates,
+    linearize,
+)
 from tenscontrol.analysis.modes import Modes, modes
 from tenscontrol.analysis.plant import INPUTS, LinearPlant
 
@@ -12,6 +17,7 @@ __all__ = [
     "LinearPlant",
     "Modes",
     "OperatingPoint",
+    "command_parents",
     "controllability",
     "equilibrium",
     "in_coordinates",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -17,6 +17,8 @@ from tenscontrol.structure import (
     refuse_moved_supports,
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
+    segment_counts,
+    spread_force_density,
 )
 from tenscontrol.validation import (
     FloatArray,
@@ -212,8 +214,78 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
     LinearPlant(15 minimal coordinates, input force_density, 9 inputs)
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    at = OperatingPoint(plant.nodes, plant.force_density, plant.external_force)
-    return linearize(plant.model, at, plant.input, kind, require_equilibrium=False)
+    whole = plant.commanded is not plant.model.structure
+    gamma = plant.force_density
+    if whole:
+        gamma = spread_force_density(plant.model.structure, gamma)
+    at = OperatingPoint(plant.nodes, gamma, plant.external_force)
+    other = linearize(plant.model, at, plant.input, kind, require_equilibrium=False)
+    return command_parents(other) if whole else other
+
+
+def command_parents(plant: LinearPlant) -> LinearPlant:
+    """Return the plant of a subdivided structure with one input for each uncut string.
+
+    A winch winds a whole string, not its segments: γ of a string gives s times
+    γ to each of its s segments, its rest length l0 gives l0/s.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        Of a model whose structure was made by :func:`subdivide`.
+
+    Returns
+    -------
+    LinearPlant
+        With the states of ``plant`` and the inputs of the parent. Controllers
+        designed on it know the strings' own vibrations, and run on that model.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``plant`` is not a linear plant of a subdivided structure, or the
+        segments of a string differ in their force density.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> massive = tc.subdivide(tc.prism(), segments=2, node_mass=0.01)
+    >>> gamma = tc.spread_force_density(massive, tc.prism_force_density(3, 17.3205)[0])
+    >>> plant = tc.linearize(tc.Model(massive), tc.prestress(massive, gamma))
+    >>> plant.B.shape, tc.command_parents(plant).B.shape
+    ((72, 18), (72, 9))
+    """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    structure = plant.model.structure
+    parent, of = structure.parent, structure.string_parent
+    if parent is None or of is None:
+        raise ValueError(
+            "the plant is not that of a subdivided structure; subdivide(structure, ...) makes one"
+        )
+    if plant.commanded is parent:
+        return plant
+    count = len(parent.strings)
+    segments = segment_counts(structure)
+    gamma = np.zeros(count)
+    gamma[of] = plant.force_density / segments
+    if not np.allclose(spread_force_density(structure, gamma), plant.force_density, rtol=1e-9):
+        raise ValueError(
+            "the segments of a string differ in their force density, so that no force density "
+            "of the whole string gives the operating point"
+        )
+    spread = np.zeros((len(of), count))
+    share = segments if plant.input == "force_density" else 1 / segments
+    spread[np.arange(len(of)), of] = share
+    rest_length = None
+    if plant.rest_length is not None:
+        rest_length = frozen(np.bincount(of, weights=plant.rest_length, minlength=count))
+    return replace(
+        plant,
+        B=frozen(plant.B @ spread),
+        commanded=parent,
+        force_density=frozen(gamma),
+        rest_length=rest_length,
+    )
 
 
 def _reduced(
@@ -246,6 +318,7 @@ def _reduced(
         A=frozen(A),
         B=frozen(np.vstack([np.zeros((r, B_x.shape[1])), P @ B_x[half:]])),
         drift=frozen(np.concatenate([np.zeros(r), P @ xdot[half:]])),
+        commanded=model.structure,
         force_density=frozen(gamma),
         rest_length=None if rest_length is None else frozen(rest_length),
         external_force=frozen(load),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tenscontrol.dynamics import Coordinates, Model
+from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, positive_number
 
 if TYPE_CHECKING:
@@ -35,10 +36,13 @@ class LinearPlant:
     B : ndarray, shape (2r, α)
     drift : ndarray, shape (2r,)
         Zero at an equilibrium up to round-off.
+    commanded : Structure
+        The structure whose strings are the inputs: that of the model, or its
+        parent after :func:`command_parents`.
     force_density : ndarray, shape (α,)
-        γ at the operating point, N/m.
+        γ of the commanded strings at the operating point, N/m.
     rest_length : ndarray, shape (α,), or None
-        Rest lengths at the operating point, m; None without a string law.
+        Their rest lengths at the operating point, m; None without a string law.
     external_force : ndarray, shape (3, n)
         W, N.
     invariance_residual : float
@@ -51,6 +55,7 @@ class LinearPlant:
     A: FloatArray
     B: FloatArray
     drift: FloatArray
+    commanded: Structure
     force_density: FloatArray
     rest_length: FloatArray | None
     external_force: FloatArray
@@ -139,7 +144,7 @@ class LinearPlant:
         symbol = "gamma" if self.input == "force_density" else "rest_length"
         seen: dict[str, int] = {}
         names = []
-        for group in self.model.structure.string_groups:
+        for group in self.commanded.string_groups:
             seen[group] = seen.get(group, -1) + 1
             names.append(f"{symbol}_{group}[{seen[group]}]")
         return names

@@ -139,6 +139,7 @@ class MPC(Controller):
             )
         if max_force_density is None:
             raise TypeError("max_force_density is None, expected a positive number in N/m")
+        step = positive_number("step", step, "s")
         super().__init__(plant, step, *input_bounds(plant, max_force_density))
         states, count = plant.B.shape
         length = whole_number("horizon", horizon, least=1)

@@ -6,6 +6,7 @@ what was drawn, and never shows a window.
 
 from tenscontrol.plot.animation import animate
 from tenscontrol.plot.drawing import Drawing
+from tenscontrol.plot.files import save_figure
 from tenscontrol.plot.health import health
 from tenscontrol.plot.history import Curves, history
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
@@ -23,6 +24,7 @@ __all__ = [
     "history",
     "mode_shapes",
     "poles",
+    "save_figure",
     "structure",
     "trajectory",
 ]

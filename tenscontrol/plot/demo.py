@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from tenscontrol import plot
 from tenscontrol.analysis import LinearPlant, Modes
 from tenscontrol.control import LQR
+from tenscontrol.plot.files import save_figure
 from tenscontrol.plot.space import new_space
 from tenscontrol.statics import Prestress
 from tenscontrol.validation import FloatArray
@@ -45,13 +46,13 @@ def save_figures(
     ------
     Path
     """
-    yield _saved(prism_figure(rest), output / "prism.png")
+    yield save_figure(prism_figure(rest), output / "prism.png")
     for name, (plant, found) in plants.items():
         shapes = plot.mode_shapes(plant, found)
-        yield _saved(_figure(shapes[0].ax), output / f"modes_{name}.png")
-    yield _saved(pole_figure(regulator), output / "poles.png")
-    yield _saved(morph_figure(morph), output / "closed_loop.png")
-    yield _saved(_figure(plot.health(morph.run)["energy"].ax), output / "health.png")
+        yield save_figure(_figure(shapes[0].ax), output / f"modes_{name}.png")
+    yield save_figure(pole_figure(regulator), output / "poles.png")
+    yield save_figure(morph_figure(morph), output / "closed_loop.png")
+    yield save_figure(_figure(plot.health(morph.run)["energy"].ax), output / "health.png")
     yield plot.animate(morph.run, output / "closed_loop.gif", target=_laid_over(morph), fps=16)
 
 
@@ -108,9 +109,3 @@ def _laid_over(morph: Morph) -> FloatArray:
 def _figure(ax: Axes) -> Figure:
     assert isinstance(ax.figure, Figure)  # not a figure within a figure: it was just made
     return ax.figure
-
-
-def _saved(figure: Figure, path: Path) -> Path:
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-    return path

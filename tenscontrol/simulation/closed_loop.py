@@ -130,17 +130,19 @@ class _Wiring:
     """Which strings of the plant a controller commands: its own, or the segments of each."""
 
     def __init__(self, controller: Controller, model: Model) -> None:
-        structure, designed = model.structure, controller.plant.model.structure
+        structure, designed = model.structure, controller.plant.commanded
+        seen = controller.plant.model.structure
         self._structure = structure
         self.count = len(designed.strings)
-        self._cut = False
-        if _same_members(designed, structure):
-            return
-        self._cut = True
+        self._cut = not _same_members(designed, structure)
         parent = structure.parent
-        if parent is None or structure.string_parent is None or not _same_members(designed, parent):
+        fits = _same_members(seen, structure)
+        if self._cut:
+            whole = parent is not None and structure.string_parent is not None
+            fits = whole and _same_members(designed, parent) and (fits or seen is designed)
+        if not fits:
             raise ValueError(
-                f"the controller was designed on {designed!r}, but the model has {structure!r} "
+                f"the controller was designed on {seen!r}, but the model has {structure!r} "
                 "with other bars, strings or fixed nodes, and is no subdivision of it"
             )
 
@@ -171,11 +173,15 @@ class _Wiring:
         return spread_rest_length(self._structure, rest_length) if self._cut else rest_length
 
 
-def _same_members(one: Structure, other: Structure) -> bool:
+def _same_members(one: Structure, other: Structure | None) -> bool:
     """Whether nodes, bars, strings and supports go together; masses and lengths may differ."""
-    return one.nodes.shape == other.nodes.shape and all(
-        np.array_equal(getattr(one, what), getattr(other, what))
-        for what in ("bars", "strings", "fixed")
+    return (
+        other is not None
+        and one.nodes.shape == other.nodes.shape
+        and all(
+            np.array_equal(getattr(one, what), getattr(other, what))
+            for what in ("bars", "strings", "fixed")
+        )
     )
 
 

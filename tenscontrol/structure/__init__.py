@@ -13,6 +13,7 @@ from tenscontrol.structure.motions import (
     rigid_motions,
 )
 from tenscontrol.structure.net import net
+from tenscontrol.structure.prestretch import skin_rest_length
 from tenscontrol.structure.prism import prism, prism_radius
 from tenscontrol.structure.skin import skin
 from tenscontrol.structure.structure import Structure
@@ -38,6 +39,7 @@ __all__ = [
     "rigid_motions",
     "segment_counts",
     "skin",
+    "skin_rest_length",
     "spread_force_density",
     "spread_rest_length",
     "subdivide",

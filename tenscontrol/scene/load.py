@@ -1,0 +1,192 @@
+"""From a scene file to a scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from tenscontrol.actuation import to_rest_length
+from tenscontrol.dynamics import Model
+from tenscontrol.scene.control import build_controller, build_winches
+from tenscontrol.scene.document import Document, Table, read_document
+from tenscontrol.scene.forces import build_force_density, build_law, build_loads
+from tenscontrol.scene.members import build_structure
+from tenscontrol.scene.scene import Scene
+from tenscontrol.scene.start import build_start
+from tenscontrol.validation import positive_number
+
+_HOLD = ("force_density", "rest_length")
+
+
+def load_scene(file: str | Path) -> Scene:
+    """Return the scene that a TOML file describes.
+
+    Parameters
+    ----------
+    file : str or Path
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    TypeError
+        If ``file`` is no path.
+    SceneError
+        A ValueError: if the file cannot be read, is not TOML, lacks a table,
+        has an unknown table or key or a value of another kind, or asks for
+        what cannot be; with file, line and key, and what is allowed.
+
+    Notes
+    -----
+    Nodes and velocities are lists of ``[x, y, z]``, one for each node. All
+    quantities are in SI units. A quantity of the strings is a number for all,
+    a list, or a table by string group. The tables:
+
+    ``[structure]``
+        ``generator = "prism"`` with the arguments of :func:`prism`, or
+        ``nodes``, ``bars``, ``strings``, ``bar_mass``, ``string_node_mass``,
+        ``string_groups``; with either, ``fixed``.
+    ``[skin]``, ``[subdivide]``
+        The arguments of :func:`skin` and :func:`subdivide`. A skin comes
+        first; both cut and skinned, its strings are cut too.
+    ``[strings]``
+        ``law = "linear"`` with ``stiffness`` or ``law = "elastic"`` with
+        ``axial_rigidity``; ``damping``. ``per = "string"``: values of a whole
+        string, which its segments in series keep. ``per = "segment"``: values
+        of each segment.
+    ``[loads]``
+        ``gravity``; ``forces = [{node = 0, force = [0.0, 0.0, 1.0]}]``.
+    ``[prestress]``
+        ``force_density``: a number, for which a state of self-stress is
+        sought as by :func:`prestress`, with ``reference``; or the γ of all
+        strings, in balance or not. ``per`` as above: a segment under the
+        tension of its string has s times its γ.
+    ``[start]``
+        ``velocities``; ``disturbance``, how far the farthest node is moved at
+        random, with ``seed``.
+    ``[run]``
+        ``duration``; ``step`` (RK4) or ``tolerance`` (DOP853), ``method``,
+        ``output_step``; ``hold``, ``"rest_length"`` where there are
+        ``[strings]``, else ``"force_density"``.
+    ``[controller]``
+        ``kind = "mpc"`` or ``"lqr"`` with the arguments of :class:`MPC` or
+        :func:`lqr`; of the latter also ``input`` and ``sample_time``. It is
+        designed about the prestress, on the structure with its strings whole.
+    ``[winches]``
+        The arguments of :class:`Winches`.
+
+    Examples
+    --------
+    >>> import tempfile, tenscontrol as tc
+    >>> from pathlib import Path
+    >>> text = '''
+    ... [structure]
+    ... generator = "prism"
+    ... [prestress]
+    ... force_density = {top = 17.3205, bottom = 17.3205, vertical = 9.0}
+    ... [run]
+    ... duration = 0.5
+    ... step = 1e-3
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "prism.toml")
+    ...     _ = file.write_text(text, encoding="utf-8")
+    ...     scene = tc.load_scene(file)
+    >>> scene.structure, scene.hold, scene.simulate()
+    (Structure(6 nodes, 3 bars, 9 strings), 'force_density', Trajectory(0.5 s, 501 states, rk4))
+    """
+    if not isinstance(file, str | Path):
+        raise TypeError(f"file is a {type(file).__name__}, expected a path")
+    document = read_document(file)
+    structure = build_structure(document)
+    laws = build_law(document, structure)
+    gravity, forces = build_loads(document, structure)
+    law, whole_law = (None, None) if laws is None else laws
+    with document.table("loads").checked():
+        model = Model(
+            structure,
+            strings=law,
+            external_force=False if forces is None else forces,
+            gravity=gravity,
+        )
+    force_density = build_force_density(document, structure, model.constant_force)
+    run = document.table("run")
+    settings = _settings(run)
+    hold = run.choice("hold", _HOLD, _HOLD[laws is not None])
+    if hold == "rest_length" and laws is None:
+        raise run.error("hold", "in [run], hold is 'rest_length', which needs a table [strings]")
+    rest_length = None
+    if hold == "rest_length":
+        with document.table("prestress").checked("force_density"):
+            found = to_rest_length(model, structure.nodes, force_density)
+        rest_length = found.rest_length
+    controller = build_controller(document, structure, whole_law, gravity, forces, force_density)
+    winches = build_winches(document, structure)
+    _refuse_contradictions(document, hold)
+    nodes, velocities = build_start(document, structure)
+    return Scene(
+        file=document.file,
+        model=model,
+        nodes=nodes,
+        velocities=velocities,
+        force_density=force_density,
+        rest_length=rest_length,
+        controller=controller,
+        winches=winches,
+        sample_time=document.table("controller").get("sample_time"),
+        hold=hold,
+        **settings,
+    )
+
+
+def _settings(run: Table) -> dict[str, Any]:
+    """Return duration, step, tolerance, output step and method, checked."""
+    settings: dict[str, Any] = {"duration": run.need("duration")}
+    settings |= {
+        "tolerance": 1e-6,
+        "method": run.choice("method", ("auto", "rk4", "dop853"), "auto"),
+    }
+    settings |= run.given("step", "tolerance", "output_step")
+    for key in ("duration", "step", "tolerance", "output_step"):
+        if key in run:
+            with run.checked(key):
+                positive_number(key, run.get(key), run.keys[key][1])
+    if settings["method"] == "rk4" and "step" not in run:
+        raise run.error("method", "in [run], method is 'rk4', which needs step, s")
+    if settings["method"] == "dop853" and "step" in run:
+        raise run.error("step", "in [run], step goes with method 'rk4'; 'dop853' takes tolerance")
+    if "step" in run and "tolerance" in run:
+        raise run.error(
+            "tolerance", "in [run], expected one of step (RK4) and tolerance (DOP853), found both"
+        )
+    return {"step": None, "output_step": None} | settings
+
+
+def _refuse_contradictions(document: Document, hold: str) -> None:
+    """Raise if a table has no use beside the others."""
+    controller, winches = document.table("controller"), document.table("winches")
+    if document.has("winches"):
+        if not document.has("controller"):
+            raise winches.error(None, "[winches] goes with a table [controller]")
+        if hold == "force_density":
+            raise winches.error(
+                None, "[winches] limits rest lengths, but [run] holds force_density"
+            )
+    if controller.get("input") == "rest_length" and hold == "force_density":
+        raise controller.error(
+            "input", "in [controller], input is 'rest_length', but [run] holds force_density"
+        )
+    if not document.has("controller"):
+        return
+    run = document.table("run")
+    sampled = "step" in controller or "sample_time" in controller or "step" in run
+    if controller.get("kind") == "lqr" and not sampled:
+        raise controller.error(
+            None, "[controller] lacks the key sample_time or step, s, and [run] has no step"
+        )
+    if "step" in controller and "sample_time" in controller:
+        raise controller.error(
+            "sample_time", "in [controller], sample_time is given beside step; give one of them"
+        )

@@ -1,0 +1,151 @@
+"""The command, called as the shell calls it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.cli import main
+
+SCENES = Path(__file__).parent.parent.parent / "examples" / "scenes"
+
+AT_REST = """\
+[structure]
+generator = "prism"
+[strings]
+law = "linear"
+stiffness = 100.0
+[prestress]
+force_density = 17.3205
+[run]
+duration = 0.1
+step = 1e-2
+"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    file = tmp_path / "rest.toml"
+    file.write_text(AT_REST, encoding="utf-8")
+    return file
+
+
+def refused(capsys, *arguments):
+    """What the command says on stderr, after checking that it ends with status 2."""
+    assert main([str(argument) for argument in arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("tenscontrol: ")
+    assert "Traceback" not in err
+    return err
+
+
+def test_simulate_saves_motion_and_figures(tmp_path, capsys, scene):
+    folder = tmp_path / "new" / "folder"
+    assert main(["simulate", str(scene), "--output", str(folder)]) == 0
+    assert {file.name for file in folder.iterdir()} == {
+        "trajectory.npz",
+        "trajectory.png",
+        "health.png",
+        "structure.png",
+    }
+    out = capsys.readouterr().out
+    run = tc.load_scene(scene).simulate()
+    assert out.startswith(run.summary())
+    assert all(str(file) in out for file in folder.iterdir())
+    with np.load(folder / "trajectory.npz") as saved:
+        np.testing.assert_array_equal(saved["nodes"], run.nodes)
+        np.testing.assert_array_equal(saved["rest_length"], run.rest_length)
+        np.testing.assert_array_equal(saved["structure_strings"], run.structure.strings)
+        assert float(saved["step"]) == 0.01
+
+
+def test_the_folder_is_named_after_the_scene(tmp_path, monkeypatch, scene):
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", "rest.toml"]) == 0
+    assert (tmp_path / "tenscontrol-rest" / "health.png").exists()
+
+
+def test_closed_loop_is_saved_with_its_record(tmp_path, capsys):
+    text = (SCENES / "prism_mpc.toml").read_text(encoding="utf-8")
+    file = tmp_path / "short.toml"
+    file.write_text(text.replace("duration = 3.0", "duration = 0.1"), encoding="utf-8")
+    assert main(["simulate", str(file), "--output", str(tmp_path)]) == 0
+    assert "commands          5 ok" in capsys.readouterr().out
+    with np.load(tmp_path / "trajectory.npz") as saved:
+        assert saved["control_status"].tolist() == ["ok"] * 5
+        assert saved["control_applied"].shape == (9, 5)
+
+
+def test_scene_without_strings(tmp_path):
+    file = tmp_path / "pendulum.toml"
+    file.write_text(
+        "[structure]\nnodes=[[0,0,0],[1,0,0]]\nbars=[[0,1]]\nstrings=[]\nbar_mass=1\nfixed=[0]\n"
+        "[loads]\ngravity=9.81\n[run]\nduration=0.2\n",
+        encoding="utf-8",
+    )
+    assert main(["simulate", str(file), "--output", str(tmp_path)]) == 0
+    assert (tmp_path / "trajectory.png").exists()
+
+
+@pytest.mark.parametrize(("held", "highest"), [("force_density", 2.44339), ("rest_length", 5.1646)])
+def test_modes_prints_the_table(tmp_path, capsys, scene, held, highest):
+    assert main(["modes", str(scene), "--input", held, "--output", str(tmp_path / "m")]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"{held.replace('_', ' ')} held\nmode  frequency Hz")
+    assert f"{highest:.5f}" in out
+    assert (tmp_path / "m" / "modes.png").exists()
+
+
+def test_modes_as_the_scene_says(tmp_path, capsys, scene):
+    assert main(["modes", str(scene), "--coordinates", "minimal", "--output", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("rest length held")
+    assert out.count("rigid") == 6
+
+
+def test_modes_away_from_rest_are_refused(tmp_path, capsys):
+    err = refused(capsys, "modes", SCENES / "prism_free.toml", "--output", tmp_path / "none")
+    assert "prism_free.toml: " in err
+    assert "not at rest" in err
+    assert not (tmp_path / "none").exists()
+
+
+def test_broken_scenes_are_refused(tmp_path, capsys, scene):
+    scene.write_text(AT_REST.replace("stiffness", "stifness"), encoding="utf-8")
+    for command in ("simulate", "modes"):
+        err = refused(capsys, command, scene, "--output", tmp_path / "none")
+        assert "rest.toml:5: " in err
+        assert "did you mean 'stiffness'?" in err
+    assert not (tmp_path / "none").exists()
+    assert "cannot be read" in refused(capsys, "simulate", tmp_path / "missing.toml")
+
+
+def test_a_scene_that_the_simulation_refuses(tmp_path, capsys, scene):
+    scene.write_text(AT_REST.replace("duration = 0.1", "duration = 1e12"), encoding="utf-8")
+    err = refused(capsys, "simulate", scene, "--output", tmp_path)
+    assert "rest.toml: step is 0.01 s, expected at least" in err
+
+
+def test_a_motion_that_runs_away_is_saved_up_to_there(tmp_path, capsys, scene):
+    text = AT_REST.replace("17.3205", "{top = 0, bottom = 0, vertical = 1e20}")
+    text = text.replace("step = 1e-2", 'step = 1e-2\nhold = "force_density"')
+    scene.write_text(text, encoding="utf-8")
+    folder = tmp_path / "saved"
+    assert main(["simulate", str(scene), "--output", str(folder)]) == 2
+    assert "stopped at" in capsys.readouterr().err
+    assert (folder / "trajectory.npz").exists()
+
+
+def test_a_folder_that_cannot_be_made(tmp_path, capsys, scene):
+    err = refused(capsys, "simulate", scene, "--output", scene / "below")
+    assert "cannot write to" in err
+
+
+def test_unknown_commands_and_missing_scenes_end_with_status_two(capsys):
+    for arguments in ([], ["simulate"], ["fly"], ["modes", "x.toml", "--input", "torque"]):
+        with pytest.raises(SystemExit) as ended:
+            main(arguments)
+        assert ended.value.code == 2
+    assert "usage: tenscontrol" in capsys.readouterr().err

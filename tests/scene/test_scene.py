@@ -1,0 +1,718 @@
+"""Scene files: what they give, and what is said of broken ones."""
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.scene import SceneError
+from tenscontrol.scene.lines import key_lines
+
+SCENES = Path(__file__).parent.parent.parent / "examples" / "scenes"
+
+PRISM = """\
+[structure]
+generator = "prism"
+[strings]
+law = "linear"
+stiffness = 100.0
+[prestress]
+force_density = 17.3205
+[run]
+duration = 0.1
+step = 1e-2
+"""
+
+
+@pytest.fixture
+def load(tmp_path):
+    """A function that writes a scene file and loads it."""
+
+    def write_and_load(text):
+        file = tmp_path / "scene.toml"
+        file.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return tc.load_scene(file)
+
+    return write_and_load
+
+
+def shipped(name, **settings):
+    return replace(tc.load_scene(SCENES / f"{name}.toml"), **settings)
+
+
+# ---- what scenes give ----
+
+
+def test_values_come_through(load):
+    scene = load(
+        """
+[structure]
+generator = "prism"
+sides = 4
+radius = 0.4
+height = 0.9
+top_radius = 0.3
+bar_mass = [1.0, 1.1, 1.2, 1.3]
+handedness = "right"
+fixed = [4, 5]
+[strings]
+law = "elastic"
+axial_rigidity = {top = 200, bottom = 300, vertical = 400}
+damping = 0.5
+[loads]
+gravity = [0.0, 0.0, -3.7]
+forces = [{node = 1, force = [0.1, 0.2, 0.3]}]
+[prestress]
+force_density = {top = 1.0, bottom = 2.0, vertical = 3}
+[start]
+velocities = [[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0],
+  [0, 0, 0]]
+[run]
+duration = 2
+tolerance = 1e-7
+output_step = 0.1
+method = "dop853"
+"""
+    )
+    prism = tc.prism(4, 0.4, 0.9, 0.3, [1.0, 1.1, 1.2, 1.3], "right")
+    forces = np.zeros((3, 8))
+    forces[:, 1] = 0.1, 0.2, 0.3
+    law = tc.ElasticStrings(np.repeat([200.0, 300.0, 400.0], 4), 0.5)
+    model = tc.Model(replace(prism, fixed=[4, 5]), law, forces, [0.0, 0.0, -3.7])
+    gamma = np.repeat([1.0, 2.0, 3.0], 4)
+    np.testing.assert_array_equal(scene.nodes, prism.nodes)
+    np.testing.assert_array_equal(scene.structure.bar_mass, prism.bar_mass)
+    np.testing.assert_array_equal(scene.structure.fixed, [4, 5])
+    np.testing.assert_array_equal(scene.model.constant_force, model.constant_force)
+    np.testing.assert_array_equal(scene.model.strings.axial_rigidity, law.axial_rigidity)
+    np.testing.assert_array_equal(scene.model.strings.damping, 0.5)
+    np.testing.assert_array_equal(scene.force_density, gamma)
+    wound = tc.to_rest_length(model, prism.nodes, gamma).rest_length
+    np.testing.assert_array_equal(scene.rest_length, wound)
+    assert (scene.duration, scene.tolerance, scene.output_step) == (2, 1e-7, 0.1)
+    assert (scene.method, scene.hold, scene.step) == ("dop853", "rest_length", None)
+    assert len(scene.simulate().time) == 21
+
+
+def test_structure_by_its_members(load):
+    scene = load(
+        """
+run = {duration = 0.1}
+[structure]
+nodes = [
+  [0, 0, 0],
+  [1, 0, 0],  # a comment, and a bracket ]
+  [2, 0, 0],
+  [3, 0, 0],
+]
+bars = [[1, 2]]
+strings = [[0, 1], [2, 3]]
+bar_mass = 2
+string_node_mass = 0.1
+string_groups = ["left", "right"]
+[prestress.force_density]
+left = 1
+right = 2
+"""
+    )
+    assert scene.structure.string_groups == ("left", "right")
+    np.testing.assert_array_equal(scene.structure.string_nodes, [0, 3])
+    np.testing.assert_array_equal(scene.force_density, [1, 2])
+    assert scene.hold == "force_density"
+    assert scene.simulate().time[-1] == pytest.approx(0.1)
+
+
+def test_pendulum_without_strings(load):
+    scene = load(
+        "[structure]\nnodes=[[0,0,0],[0,0,-1]]\nbars=[[0,1]]\nstrings=[]\nbar_mass=1\nfixed=[0]\n"
+        "[loads]\ngravity=9.81\n[run]\nduration=0.2\n"
+        "[start]\nvelocities=[[0,0,0],[1,0,0]]\n"
+    )
+    run = scene.simulate()
+    assert np.ptp(run.energy) < 1e-5
+    assert run.nodes[0, 1, -1] > 0.15
+
+
+def test_a_number_is_a_balance_and_a_table_is_not(load):
+    scene = load(PRISM)
+    np.testing.assert_allclose(scene.force_density[[0, -1]], [17.3205, 30.0], rtol=1e-5)
+    plant = scene.linearize("force_density")
+    assert tc.modes(plant).frequency[-1] == pytest.approx(2.44339, abs=1e-5)
+    with pytest.raises(ValueError, match="not at rest"):
+        shipped("prism_free").linearize()
+
+
+@pytest.mark.parametrize("law", ["linear", "elastic"])
+def test_cut_strings_act_as_whole_ones(load, law):
+    stiffness = "stiffness" if law == "linear" else "axial_rigidity"
+    scene = load(
+        PRISM.replace("linear", law)
+        .replace("stiffness", stiffness)
+        .replace("100.0", "100\ndamping=2")
+        + "[subdivide]\nsegments={top=2,bottom=3,vertical=4}\n"
+        "string_mass={top=0.1,bottom=0.1,vertical=0.2}\n"
+    )
+    structure = scene.structure
+    count = tc.segment_counts(structure)
+    np.testing.assert_array_equal(np.bincount(structure.string_parent), np.repeat([2, 3, 4], 3))
+    np.testing.assert_array_equal(scene.model.strings.damping, 2.0 * count)
+    # The tension of a segment is that of its string, also where the string is longer.
+    longer = 1.1 * structure.string_length()
+    gamma = scene.model.strings.force_density(longer, scene.rest_length)
+    parent = structure.parent
+    model = tc.Model(
+        parent,
+        strings=load(PRISM.replace("linear", law).replace("stiffness", stiffness)).model.strings,
+    )
+    rest = tc.prestress(parent, 17.3205)
+    wound = tc.to_rest_length(model, parent.nodes, rest.force_density).rest_length
+    whole = model.strings.force_density(1.1 * parent.string_length(), wound)
+    np.testing.assert_allclose(gamma, tc.spread_force_density(structure, whole), rtol=1e-12)
+    assert scene.linearize().invariance_residual < 1e-8
+
+
+def test_values_of_segments_are_taken_as_they_are():
+    whole, literal = shipped("prism_massive_strings"), shipped("prism_massive_literal")
+    assert set(whole.model.strings.stiffness) == {400.0}
+    assert set(literal.model.strings.stiffness) == {100.0}
+    np.testing.assert_allclose(whole.force_density, 4 * literal.force_density, rtol=1e-12)
+    np.testing.assert_allclose(whole.rest_length, literal.rest_length, rtol=1e-12)
+
+
+@pytest.mark.parametrize("per", ["string", "segment"])
+@pytest.mark.parametrize(
+    "controller", ["input = 'rest_length'", "max_force_density = {top=40,bottom=40,vertical=45}"]
+)
+def test_controller_commands_whole_strings(load, per, controller):
+    scene = load(
+        PRISM.replace("100.0", f"100.0\nper='{per}'\ndamping=1")
+        .replace("step = 1e-2", "tolerance = 1e-6")
+        .replace("17.3205", f"17.3205\nper='{per}'")
+        + "[subdivide]\nsegments = 2\nnode_mass = 0.001\n"
+        f"[controller]\nkind = 'lqr'\nsample_time = 0.01\n{controller}\n"
+        "[winches]\nrate = {top=1.0,bottom=1.0,vertical=2.0}\n[start]\ndisturbance = 0.005\n"
+    )
+    plant = scene.controller.plant
+    assert len(plant.model.structure.strings) == 9
+    factor = 1.0 if per == "string" else 0.5
+    np.testing.assert_allclose(plant.model.strings.stiffness, 100.0 * factor)
+    np.testing.assert_allclose(plant.model.strings.damping, factor)
+    np.testing.assert_allclose(plant.force_density[0], 17.3205 * factor)
+    run = scene.simulate()
+    assert set(run.control.status) <= {"ok", "saturated"}
+    assert run.control.applied.shape[0] == 9
+    assert scene.winches.rate[-1] == 2.0
+
+
+def test_elastic_segments_in_series(load):
+    scene = load(
+        PRISM.replace('"linear"\nstiffness', '"elastic"\nper = "segment"\naxial_rigidity')
+        + "[subdivide]\nsegments = 2\nnode_mass = 0.01\n[controller]\nkind = 'lqr'\n"
+    )
+    np.testing.assert_allclose(scene.controller.plant.model.strings.axial_rigidity, 100.0)
+
+
+def test_disturbance_is_as_large_as_it_says(load):
+    moved = [load(PRISM + f"[start]\ndisturbance = 0.02\nseed = {seed}\n") for seed in (1, 1, 2)]
+    off = np.linalg.norm(moved[0].nodes - moved[0].structure.nodes, axis=0)
+    assert off.max() == pytest.approx(0.02, rel=1e-9)
+    bars = np.linalg.norm(moved[0].structure.bar_vectors(moved[0].nodes), axis=0)
+    np.testing.assert_allclose(bars, moved[0].structure.bar_length, rtol=1e-12)
+    np.testing.assert_array_equal(moved[0].nodes, moved[1].nodes)
+    assert not np.array_equal(moved[0].nodes, moved[2].nodes)
+
+
+def test_forces_in_tables_of_their_own(load):
+    scene = load(
+        PRISM.replace("17.3205", "{top=1,bottom=1,vertical=1}")
+        + "[[loads.forces]]\nnode = 0\nforce = [1, 0, 0]\n"
+        "[[loads.forces]]\nnode = 2\nforce = [0, 1, 0]\n"
+    )
+    np.testing.assert_array_equal(scene.model.constant_force[:, [0, 2]], [[1, 0], [0, 1], [0, 0]])
+
+
+# ---- what ships ----
+
+
+def test_every_scene_that_ships_is_tested():
+    assert {file.stem for file in SCENES.glob("*.toml")} == {
+        "prism_free",
+        "prism_massive_strings",
+        "prism_massive_literal",
+        "prism_skin",
+        "prism_skin_expanding",
+        "prism_mpc",
+    }
+
+
+def test_prism_free():
+    scene = shipped("prism_free", duration=1.0)
+    np.testing.assert_allclose(scene.nodes[:, 0], [0.4830, -0.1294, 1.0], atol=5e-5)
+    np.testing.assert_allclose(scene.structure.bar_length, 1.3903, atol=5e-5)
+    run = scene.simulate()
+    assert run.nodes[2, 0].max() == pytest.approx(1.078, abs=1e-3)
+    assert (run.force_density == 0).any()
+
+
+def test_literal_reading_is_the_other_at_half_speed():
+    scene = shipped("prism_massive_strings", duration=1.0)
+    assert scene.structure.string_node_mass.sum() == pytest.approx(0.09 * 3.0)
+    run = scene.simulate()
+    slow = shipped("prism_massive_literal", duration=2.0).simulate()
+    np.testing.assert_allclose(run.nodes, slow.nodes, atol=1e-5)
+    assert run.energy[0] == pytest.approx(4 * slow.energy[0])
+
+
+def test_skin_of_a_contracting_prism_goes_slack():
+    scene = shipped("prism_skin")
+    run = scene.simulate()
+    bare = shipped("prism_free", duration=scene.duration).simulate()
+    assert run.nodes[2, 0].max() == pytest.approx(1.08, abs=5e-3)
+    assert bare.nodes[2, 0].max() == pytest.approx(1.08, abs=5e-3)
+    skin = run.force_density[scene.structure.strings_in("skin")]
+    assert len(skin) == 24
+    assert (skin == 0).mean() > 0.3
+
+
+def test_skin_of_a_contracting_prism_is_chaotic():
+    scene = shipped("prism_skin", duration=2.0)
+    pushed = scene.nodes + 1e-10 * np.random.default_rng(0).normal(size=scene.nodes.shape)
+    pushed = tc.restore_bar_lengths(scene.structure, pushed)
+    apart = scene.simulate().nodes - replace(scene, nodes=pushed).simulate().nodes
+    assert np.abs(apart[:, :, -1]).max() > 1e-3
+
+
+def test_skin_of_an_expanding_prism_stiffens_it():
+    scene = shipped("prism_skin_expanding")
+    run = scene.simulate()
+    bare = shipped("prism_free")
+    gamma = np.repeat([17.3205, 17.3205, 45.0], 3)
+    wound = tc.to_rest_length(bare.model, bare.nodes, gamma).rest_length
+    free = replace(bare, rest_length=wound).simulate()
+    fall = [1.0 - motion.nodes[2, 0].min() for motion in (run, free)]
+    assert fall[1] == pytest.approx(0.09, abs=1e-3)
+    assert fall[0] / fall[1] == pytest.approx(0.25, abs=0.02)
+    assert (run.force_density > 0).all()
+
+
+def test_prism_mpc():
+    scene = shipped("prism_mpc")
+    run = scene.simulate()
+    plant = scene.controller.plant
+    r = plant.degrees_of_freedom
+
+    def off(k):
+        q = plant.measure(run.nodes[..., k], run.velocities[..., k])[:r]
+        return np.linalg.norm(plant.to_nodes(q) - plant.nodes, axis=0).max()
+
+    assert off(0) > 0.015
+    assert off(-1) < 0.002
+    assert run.control.status_count == {"ok": 150}
+    assert np.abs(run.control.winch_rate).max() < 0.5 + 1e-9
+    assert run.force_density.min() > 0
+
+
+# ---- broken scenes ----
+
+
+def changed(old, new):
+    assert old in PRISM
+    return PRISM.replace(old, new)
+
+
+LQR = "[controller]\nkind = 'lqr'\n"
+MPC = "[controller]\nkind = 'mpc'\nhorizon = 5\nstep = 0.02\n"
+BAR = "[structure]\nnodes = [[0,0,0],[1,0,0]]\nbars = [[0,1]]\nstrings = []\nbar_mass = 1\n"
+RUN = "[run]\nduration = 1\n"
+
+# Name: text of the file, and what the message says after the name of the file.
+BROKEN = {
+    "not toml": ("[structure]\nradius 0.5\n", r":2: not TOML: Expected '='"),
+    "not closed": ("[structure]\nfixed = [1,\n2", r":3: not TOML: Unclosed array"),
+    "key twice": (
+        changed("[strings]", "[strings]\nlaw='linear'"),
+        r":5: not TOML: Cannot overwrite",
+    ),
+    "endless number": ("[run]\nduration = " + "9" * 5000, r": not TOML: Exceeds the limit"),
+    "not text": (b"[structure]\n\n# \xff\n", r":3: not UTF-8 text"),
+    "empty": ("", r": the table \[structure\] is missing"),
+    "no run": (PRISM.split("[run]")[0], r": the table \[run\] is missing"),
+    "unknown table": (
+        changed("[strings]", "[string]"),
+        r":3: a scene has no table \[string\]; did you mean 'strings'\? The tables are: "
+        r"structure, skin",
+    ),
+    "far table": (PRISM + "[camera]\n", r":11: a scene has no table \[camera\]. The tables are"),
+    "value for table": (
+        "run = 5\n" + PRISM.split("[run]")[0],
+        r":1: run is no table; write \[run\]",
+    ),
+    "table twice": ("[[run]]\nduration = 1\n" + BAR, r":1: run is no table"),
+    "unknown key": (
+        changed("stiffness", "stifness"),
+        r":5: \[strings\] has no key 'stifness'; did you mean 'stiffness'\? The keys are: law, "
+        r"stiffness, axial_rigidity",
+    ),
+    "unit in key": (
+        changed("duration", "duration_ms"),
+        r":9: \[run\] has no key 'duration_ms'; did you mean 'duration', in s\? Quantities are "
+        r"in SI",
+    ),
+    "unit in value": (
+        changed("duration = 0.1", "duration = '0.1 s'"),
+        r":9: in \[run\], duration is the text '0.1 s', expected a number in s; quantities are "
+        r"in SI",
+    ),
+    "truth for number": (
+        changed("0.1", "true"),
+        r":9: in \[run\], duration is true, expected a number in s",
+    ),
+    "no duration": (
+        changed("duration = 0.1\n", ""),
+        r":8: \[run\] lacks the key duration: a number in s",
+    ),
+    "negative duration": (
+        changed("0.1", "-1"),
+        r":9: in \[run\], duration is -1, expected a positive",
+    ),
+    "step nan": (
+        changed("1e-2", "nan"),
+        r":10: in \[run\], step is nan, expected a positive finite",
+    ),
+    "too large": (changed("100.0", "[1, 1e300]"), r":5: in .*stiffness holds 1e\+300, expected"),
+    "too many digits": (changed("0.1", "1" * 400), r":9: in \[run\], duration holds a number of"),
+    "half a segment": (
+        PRISM + "[subdivide]\nsegments = [1.5]\nnode_mass = 0.1\n",
+        r":12: in \[subdivide\], segments\[0\] is 1.5, expected a whole number",
+    ),
+    "controller step": (
+        PRISM + "[controller]\nkind = 'mpc'\nstep = 0\n",
+        r":13: in \[controller\] .*step is 0, expected a positive",
+    ),
+    "date": (
+        changed("0.1", "2020-01-01"),
+        r":9: in \[run\], duration is a date, expected a number",
+    ),
+    "generator": (
+        changed('"prism"', '"prizm"'),
+        r":2: in \[structure\] with a generator, generator is 'prizm'; did you mean 'prism'\?",
+    ),
+    "nodes beside generator": (
+        changed("[strings]", "nodes = []\n[strings]"),
+        r":3: \[structure\] with a generator has no key 'nodes'",
+    ),
+    "half a bar": (
+        changed('"prism"', '"prism"\nsides = 3.5'),
+        r":3: in \[structure\] with a generator, sides is 3.5, expected a whole number",
+    ),
+    "two sides": (
+        changed('"prism"', '"prism"\nsides = 2'),
+        r":3: in .*sides is 2, expected a whole number of at least 3",
+    ),
+    "bar masses": (
+        changed('"prism"', '"prism"\nbar_mass = [1, 2]'),
+        r":3: in .*bar_mass has shape \(2,\)",
+    ),
+    "fixed out of range": (
+        changed('"prism"', '"prism"\nfixed = [0,\n 9]'),
+        r":3: in .*fixed\[1\] is node 9, expected 0 to 5",
+    ),
+    "fixed text": (
+        changed('"prism"', '"prism"\nfixed = "top"'),
+        r":3: in .*fixed is the text 'top', expected a list of node numbers",
+    ),
+    "empty structure": ("[structure]\n" + RUN, r":1: \[structure\] is empty"),
+    "no strings key": (
+        BAR.replace("strings = []\n", "") + RUN,
+        r":1: \[structure\] without a generator lacks the key strings",
+    ),
+    "no bar mass": (
+        BAR.replace("bar_mass = 1\n", "") + RUN,
+        r":1: .*lacks the key bar_mass: .* in kg",
+    ),
+    "flat node": (
+        BAR.replace("[1,0,0]", "[1,0]") + RUN,
+        r":2: in .*nodes\[1\] is \[1, 0\], expected \[x, y, z\] in m",
+    ),
+    "node infinite": (BAR.replace("[1,0,0]", "[inf,0,0]") + RUN, r":2: in .*nodes\[0, 1\] is inf"),
+    "triple for bar": (
+        BAR.replace("[[0,1]]", "[[0,1,2]]") + RUN,
+        r":3: in .*bars\[0\] is \[0, 1, 2\], expected a pair",
+    ),
+    "bar to nowhere": (BAR.replace("[[0,1]]", "[[0,7]]") + RUN, r":3: in .*bars\[0\] names node 7"),
+    "no prestress": (
+        PRISM.replace("[prestress]\nforce_density = 17.3205\n", ""),
+        r": the table \[prestress\] is missing",
+    ),
+    "group unknown": (
+        changed("17.3205", "{tip = 1, bottom = 1, vertical = 1}"),
+        r":7: in \[prestress\], force_density names the string group 'tip', which .* did you "
+        r"mean 'top'\? Its groups are: top, bottom, vertical",
+    ),
+    "group missing": (
+        changed("17.3205", "{top = 1, vertical = 1}"),
+        r":7: in \[prestress\], force_density lacks the string group 'bottom'",
+    ),
+    "group text": (
+        changed("17.3205", "{top = 'a', bottom=1, vertical = 1}"),
+        r":7: in \[prestress\], force_density.top is the text 'a', expected a number in N/m",
+    ),
+    "count of strings": (
+        changed("17.3205", "[1, 2]"),
+        r":7: in \[prestress\], force_density has shape \(2,\)",
+    ),
+    "pushing": (
+        changed("17.3205", "{top = -1, bottom=1, vertical = 1}"),
+        r":7: in \[prestress\], force_density\[0\] is -1, expected at least 0",
+    ),
+    "beyond stiffness": (
+        changed("17.3205", "90.0"),
+        r":7: in \[prestress\], force_density\[6\] is 155.885 N/m, expected less than the "
+        r"stiffness",
+    ),
+    "reference": (
+        changed("17.3205", "17.3205\nreference = 'side'"),
+        r":8: in \[prestress\], there is no string group 'side'",
+    ),
+    "reference beside table": (
+        changed("17.3205", "{top=1,bottom=1,vertical=1}\nreference = 'top'"),
+        r":8: in \[prestress\], reference goes with a single number",
+    ),
+    "law": (
+        changed('"linear"', '"rubber"'),
+        r":4: in \[strings\], law is 'rubber'; expected one of 'linear', 'elastic'",
+    ),
+    "wrong law's key": (
+        changed("stiffness", "axial_rigidity"),
+        r":5: \[strings\] with law = 'linear' has no key 'axial_rigidity'",
+    ),
+    "no stiffness": (
+        changed("stiffness = 100.0\n", ""),
+        r":3: \[strings\] .* lacks the key stiffness: .* in N/m",
+    ),
+    "stiffness zero": (
+        changed("100.0", "0"),
+        r":5: in \[strings\] .*stiffness\[0\] is 0, expected a positive",
+    ),
+    "per": (
+        changed("100.0", "100.0\nper = 'segments'"),
+        r":6: in \[strings\] .*per is 'segments'; did you mean 'segment'\?",
+    ),
+    "gravity": (
+        PRISM + "[loads]\ngravity = [0, 9.81]\n",
+        r":12: in \[loads\], gravity is \[0, 9.81\], expected a number or \[x, y, z\] in m/s²",
+    ),
+    "gravity nan": (
+        PRISM.replace("17.3205", "{top=1,bottom=1,vertical=1}") + "[loads]\ngravity = nan\n",
+        r":12: in \[loads\], gravity is nan",
+    ),
+    "no force": (
+        PRISM + "[loads]\nforces = [{node = 1}]\n",
+        r":12: \[loads\] forces\[0\] lacks the key force: \[x, y, z\] in N",
+    ),
+    "force key": (
+        PRISM + "[loads]\nforces = [{node = 1, forse = [0,0,1]}]\n",
+        r":12: \[loads\] forces\[0\] has no key 'forse'; did you mean 'force'\?",
+    ),
+    "force node": (
+        PRISM
+        + "[[loads.forces]]\nnode = 0\nforce = [0,0,1]\n"
+        + "[[loads.forces]]\nnode = 6\nforce = [0,0,1]\n",
+        r":15: in \[loads\], forces\[1\] is on node 6, expected 0 to 5",
+    ),
+    "force twice": (
+        PRISM + "[loads]\nforces = [{node = 1, force = [0,0,1]}, {node = 1, force = [0,0,1]}]\n",
+        r":12: in \[loads\], forces\[1\] is on node 1 once more",
+    ),
+    "segments": (
+        PRISM + "[subdivide]\nsegments = 0\nnode_mass = 0.1\n",
+        r":12: in \[subdivide\], segments is 0, expected at least 1",
+    ),
+    "segments mass": (
+        PRISM + "[subdivide]\nsegments = 2\n",
+        r":11: in \[subdivide\], found no mass, expected exactly one of node_mass",
+    ),
+    "no segments": (
+        PRISM + "[subdivide]\nnode_mass = 0.1\n",
+        r":11: \[subdivide\] lacks the key segments",
+    ),
+    "weight of segments": (
+        PRISM + "[loads]\ngravity = 9.81\n[subdivide]\nsegments = 2\nnode_mass = 0.1\n",
+        r":7: in \[prestress\], force_density is a single number, for which a balance is "
+        r"sought, but",
+    ),
+    "panel": (
+        PRISM + "[skin]\npanels = ['lid']\nnode_mass = 0.1\n",
+        r":12: in \[skin\], panels\[0\] is 'lid', expected a name of panels .*'top', 'bottom', "
+        r"'sides'",
+    ),
+    "no panels": (PRISM + "[skin]\nnode_mass = 0.1\n", r":11: \[skin\] lacks the key panels"),
+    "velocities": (
+        PRISM + "[start]\nvelocities = [[0, 0, 0]]\n",
+        r":12: in \[start\], velocities has 1 entries, expected 6",
+    ),
+    "stretching": (
+        PRISM + "[start]\nvelocities = [[1,0,0],[0,0,0],[0,0,0],[0,0,0],[0,0,0],[0,0,0]]\n",
+        r":12: in \[start\], velocities stretch bar 0",
+    ),
+    "fixed moves": (
+        BAR + "fixed = [0]\n" + RUN + "[start]\nvelocities = [[0,1,0],[0,1,0]]\n",
+        r":10: in \[start\], velocities\[0\] moves a fixed node",
+    ),
+    "disturbance": (
+        PRISM + "[start]\ndisturbance = -1\n",
+        r":12: in \[start\], disturbance is -1, expected a positive",
+    ),
+    "nothing to disturb": (
+        BAR + "fixed = [0, 1]\n" + RUN + "[start]\ndisturbance = 0.1\n",
+        r":10: in \[start\], disturbance moves nothing",
+    ),
+    "lone seed": (PRISM + "[start]\nseed = 1\n", r":12: in \[start\], seed goes with disturbance"),
+    "hold": (
+        changed("1e-2", "1e-2\nhold = 'restlength'"),
+        r":11: in \[run\], hold is 'restlength'; did you mean 'rest_length'\?",
+    ),
+    "hold without law": (
+        BAR + RUN + "hold = 'rest_length'\n",
+        r":8: in \[run\], hold is 'rest_length', which needs a table \[strings\]",
+    ),
+    "method": (
+        changed("1e-2", "1e-2\nmethod = 'rk5'"),
+        r":11: in \[run\], method is 'rk5'; did you mean 'rk4'\?",
+    ),
+    "method without step": (
+        changed("step = 1e-2", "method = 'rk4'"),
+        r":10: in \[run\], method is 'rk4', which needs step",
+    ),
+    "step without method": (
+        changed("1e-2", "1e-2\nmethod = 'dop853'"),
+        r":10: in \[run\], step goes with method 'rk4'",
+    ),
+    "step and tolerance": (
+        changed("1e-2", "1e-2\ntolerance = 1e-8"),
+        r":11: in \[run\], expected one of step",
+    ),
+    "controller": (
+        PRISM + "[controller]\nkind = 'pid'\n",
+        r":12: in \[controller\], kind is 'pid'; expected one of 'lqr', 'mpc'",
+    ),
+    "controller kind": (
+        PRISM + "[controller]\nhorizon = 5\n",
+        r":11: \[controller\] lacks the key kind",
+    ),
+    "lqr horizon": (
+        PRISM + LQR + "horizon = 5\n",
+        r":13: \[controller\] with kind = 'lqr' has no key 'horizon'",
+    ),
+    "lqr not at rest": (
+        PRISM.replace("17.3205", "{top=1,bottom=1,vertical=1}") + LQR,
+        r":7: in \[prestress\], for a controller force_density does not balance",
+    ),
+    "lqr weight": (PRISM + LQR + "R = -1.0\n", r":13: in \[controller\] .*R has the eigenvalue -1"),
+    "lqr no sample": (
+        changed("step = 1e-2", "") + LQR,
+        r":11: \[controller\] lacks the key sample_time or step",
+    ),
+    "lqr both samples": (
+        PRISM + LQR + "step = 0.01\nsample_time = 0.01\n",
+        r":14: in \[controller\], sample_time is given beside step",
+    ),
+    "lqr input": (
+        changed("1e-2", "1e-2\nhold = 'force_density'") + LQR + "input = 'rest_length'\n",
+        r":14: in \[controller\], input is 'rest_length', but \[run\] holds force_density",
+    ),
+    "mpc limit missing": (
+        PRISM + MPC,
+        r":11: \[controller\] with kind = 'mpc' lacks the key max_force_density: .* in N/m",
+    ),
+    "mpc limit low": (
+        PRISM + MPC + "max_force_density = 20\n",
+        r":15: in \[controller\] .*max_force_density\[6\] is 20 N/m, but string 6 has 30",
+    ),
+    "winches alone": (
+        PRISM + "[winches]\nrate = 1\n",
+        r":11: \[winches\] goes with a table \[controller\]",
+    ),
+    "winches and force": (
+        changed("1e-2", "1e-2\nhold = 'force_density'") + LQR + "[winches]\nrate = 1\n",
+        r":14: \[winches\] limits rest lengths",
+    ),
+    "winch rate": (
+        PRISM + LQR + "[winches]\nrate = 0\n",
+        r":14: in \[winches\], rate\[0\] is 0, expected a positive",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_scenes_are_refused_by_line_and_name(load, name):
+    text, message = BROKEN[name]
+    with pytest.raises(SceneError, match=r"scene\.toml" + f"({message})"):
+        load(text)
+
+
+def test_no_broken_scene_is_like_another():
+    assert len(BROKEN) > 60
+    assert len({str(text) for text, _ in BROKEN.values()}) == len(BROKEN)
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(SceneError, match=r"none\.toml: cannot be read: No such file"):
+        tc.load_scene(tmp_path / "none.toml")
+    with pytest.raises(SceneError, match="cannot be read"):
+        tc.load_scene(tmp_path)
+    with pytest.raises(TypeError, match="file is a int, expected a path"):
+        tc.load_scene(5)
+
+
+# ---- lines ----
+
+TRICKY = '''\
+# [not.a.table]
+top = 1
+[ "a b" . c ] # a comment with ] and "
+"x = y" = "= \\" [" # quoted
+z.w = [
+  { k = "]" }, # ]
+  2,
+]
+long = """
+[not]
+key = 1 \\"""
+""""
+raw = \'\'\'
+no = 1
+\'\'\'
+[[list]]
+one = 1
+[[list]]
+one = 2
+[list.inner]
+deep = 1
+'''
+
+
+def test_lines_of_keys_are_found_in_any_toml():
+    values = tomllib.loads(TRICKY)
+    lines = key_lines(TRICKY)
+    assert {path: line for path, line in lines.items() if path[0] == "list"} == {
+        ("list",): 16,
+        ("list", 0): 16,
+        ("list", 0, "one"): 17,
+        ("list", 1): 18,
+        ("list", 1, "one"): 19,
+        ("list", 1, "inner"): 20,
+        ("list", 1, "inner", "deep"): 21,
+    }
+    inner = {path[2:]: line for path, line in lines.items() if path[:2] == ("a b", "c")}
+    assert inner == {(): 3, ("x = y",): 4, ("z",): 5, ("z", "w"): 5, ("long",): 9, ("raw",): 13}
+    assert lines["top",] == 2
+    assert set(values) == {path[0] for path in lines}
+
+
+def test_windows_line_ends_count_once(load):
+    with pytest.raises(SceneError, match=":9: "):
+        load(changed("0.1", "-1").replace("\n", "\r\n"))
