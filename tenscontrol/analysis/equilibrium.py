@@ -27,6 +27,12 @@ from tenscontrol.validation import (
 # Newton steps that polish the answer of the optimizer; each doubles the digits.
 _POLISH = 10
 
+# Unstable equilibria to leave before giving up.
+_ESCAPES = 5
+
+# Curvature of the energy below this fraction of the stiffest string's is none.
+_FLAT = 1e-9
+
 
 def equilibrium(
     model: Model,
@@ -39,7 +45,8 @@ def equilibrium(
     """Return the shape at which a structure rests under its weights and loads.
 
     The energy of the strings and the loads is minimized over the shapes that
-    keep the bar lengths, so that the equilibrium found is a stable one.
+    keep the bar lengths. An equilibrium at which the energy is not least near
+    by, such as a pendulum upside down, is left again: what is returned is stable.
 
     Parameters
     ----------
@@ -110,6 +117,12 @@ def equilibrium(
         lengths = per_member("rest_length", rest_length, count, "string")
         held, kind = positive("rest_length", lengths, "length in m"), INPUTS[1]
         refuse_strings_without_length("nodes", structure, start)
+    resultant = load.sum(axis=1)
+    if len(structure.fixed) == 0 and np.abs(resultant).max() > 1e-9 * np.abs(load).sum():
+        raise ValueError(
+            f"no equilibrium: nothing holds the structure, and its weights and loads add up to "
+            f"{resultant} N. Fix some nodes, Structure(..., fixed=[...])"
+        )
     found_nodes = _minimize(model, kind, held, load, start)
     settled = replace(structure, nodes=restore_bar_lengths(structure, found_nodes))
     if kind == "rest_length":
@@ -138,7 +151,30 @@ def _minimize(
     problem = {"x": ca.vec(N), "f": energy, "g": stretch}
     quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10}}
     solver = ca.nlpsol("equilibrium", "ipopt", problem, quiet)
-    answer = solver(x0=start[:, free].ravel(order="F"), lbg=0.0, ubg=0.0)
+    lam = ca.SX.sym("lambda", stretch.numel())
+    conditions = ca.vertcat(ca.gradient(energy + ca.dot(lam, stretch), ca.vec(N)), stretch)
+    unknowns = ca.vertcat(ca.vec(N), lam)
+    newton = ca.Function("newton", [unknowns], [conditions, ca.jacobian(conditions, unknowns)])
+    place = start[:, free].ravel(order="F")
+    size = float(np.ptp(structure.nodes, axis=1).max())
+    for _ in range(_ESCAPES):
+        point = _polished(newton, _optimized(solver, place))
+        place, downhill = point[: N.numel()], _downhill(newton, point, N.numel())
+        if downhill is None:
+            nodes = structure.nodes.copy()
+            nodes[:, free] = place.reshape(3, -1, order="F")
+            return nodes
+        # An unstable equilibrium, such as a pendulum upside down: pushed off, it falls.
+        place = place + 0.01 * size * downhill
+    raise ValueError(
+        "no stable equilibrium found: the shape comes to rest only where a small push makes it "
+        "fall. Start from other nodes"
+    )
+
+
+def _optimized(solver: ca.Function, place: FloatArray) -> FloatArray:
+    """Return positions and multipliers from the optimizer, or say what it ended with."""
+    answer = solver(x0=place, lbg=0.0, ubg=0.0)
     status = solver.stats()
     if not status["success"]:
         raise ValueError(
@@ -146,18 +182,31 @@ def _minimize(
             f"{status['iter_count']} iterations. Start from other nodes, or check that strings "
             "and supports can carry the load"
         )
-    lam = ca.SX.sym("lambda", stretch.numel())
-    conditions = ca.vertcat(ca.gradient(energy + ca.dot(lam, stretch), ca.vec(N)), stretch)
-    unknowns = ca.vertcat(ca.vec(N), lam)
-    newton = ca.Function("newton", [unknowns], [conditions, ca.jacobian(conditions, unknowns)])
-    point = np.concatenate([np.array(answer["x"]).ravel(), np.array(answer["lam_g"]).ravel()])
+    return np.concatenate([np.array(answer[part]).ravel() for part in ("x", "lam_g")])
+
+
+def _polished(newton: ca.Function, point: FloatArray) -> FloatArray:
+    """Return the point after Newton steps on the conditions of optimality."""
     for _ in range(_POLISH):
         residual, jacobian = (np.array(part.full()) for part in newton(point))
         # Least squares: motions as one body that nothing holds leave a null space.
         change = np.linalg.lstsq(jacobian, -residual.ravel(), rcond=1e-12)[0]
-        point += change
+        point = point + change
         if np.abs(change).max() < 1e-14 * np.abs(point).max():
             break
-    nodes = structure.nodes.copy()
-    nodes[:, free] = point[: N.numel()].reshape(3, -1, order="F")
-    return nodes
+    return point
+
+
+def _downhill(newton: ca.Function, point: FloatArray, count: int) -> FloatArray | None:
+    """Return a direction in which the energy falls with bar lengths kept, or None."""
+    from scipy.linalg import null_space
+
+    _, jacobian = (np.array(part.full()) for part in newton(point))
+    hessian, constraints = jacobian[:count, :count], jacobian[count:, :count]
+    free = null_space(constraints) if len(constraints) else np.eye(count)
+    if free.shape[1] == 0:
+        return None
+    values, vectors = np.linalg.eigh(free.T @ hessian @ free)
+    if values[0] >= -_FLAT * np.abs(hessian).max():
+        return None
+    return np.asarray(free @ vectors[:, 0])

@@ -14,11 +14,14 @@ from tenscontrol.dynamics import coordinates as frame_of
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import (
     Structure,
+    left_by_supports,
     refuse_moved_supports,
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
+    rigid_motions,
     segment_counts,
     spread_force_density,
+    spread_rest_length,
 )
 from tenscontrol.validation import (
     FloatArray,
@@ -181,9 +184,9 @@ def linearize(
     if require_equilibrium and plant.invariance_residual > _INVARIANCE_TOLERANCE:
         raise ValueError(
             f"coordinates={coordinates!r} leave out motions that take part: "
-            f"{plant.invariance_residual:.1e} of the accelerations lie outside of them. A load "
-            "that stays as it is while the structure turns couples turning and change of shape; "
-            "use coordinates='minimal'"
+            f"{plant.invariance_residual:.1e} of the accelerations belong to those. A load "
+            "that stays as it is while the structure turns gives turning a stiffness, and couples "
+            "it with changes of shape; use coordinates='minimal'"
         )
     return plant
 
@@ -266,25 +269,32 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
         return plant
     count = len(parent.strings)
     segments = segment_counts(structure)
-    gamma = np.zeros(count)
-    gamma[of] = plant.force_density / segments
-    if not np.allclose(spread_force_density(structure, gamma), plant.force_density, rtol=1e-9):
+    gamma = np.bincount(of, weights=plant.force_density / segments**2, minlength=count)
+    rest_length = None
+    if plant.rest_length is not None:
+        rest_length = np.bincount(of, weights=plant.rest_length, minlength=count)
+    if plant.input == "force_density":
+        whole, given = spread_force_density(structure, gamma), plant.force_density
+    else:
+        assert rest_length is not None  # it is the input
+        assert plant.rest_length is not None  # and so is that of the segments
+        whole, given = spread_rest_length(structure, rest_length), plant.rest_length
+    if not np.allclose(whole, given, rtol=1e-9):
+        what = plant.input.replace("_", " ")
         raise ValueError(
-            "the segments of a string differ in their force density, so that no force density "
-            "of the whole string gives the operating point"
+            f"the segments of a string differ in their {what}, so that no {what} of the whole "
+            "string gives the operating point. Weight makes force densities differ along a "
+            "string: linearize with input='rest_length'"
         )
     spread = np.zeros((len(of), count))
     share = segments if plant.input == "force_density" else 1 / segments
     spread[np.arange(len(of)), of] = share
-    rest_length = None
-    if plant.rest_length is not None:
-        rest_length = frozen(np.bincount(of, weights=plant.rest_length, minlength=count))
     return replace(
         plant,
         B=frozen(plant.B @ spread),
         commanded=parent,
         force_density=frozen(gamma),
-        rest_length=rest_length,
+        rest_length=None if rest_length is None else frozen(rest_length),
     )
 
 
@@ -311,6 +321,12 @@ def _reduced(
         float(np.linalg.norm(T @ (P @ part) - part)) / max(float(np.linalg.norm(part)), 1e-300)
         for part in (by_shape, by_speed)
     )
+    if kind == "internal":
+        # Motions as one body that are left out must meet no stiffness: a load may give them some.
+        rigid = left_by_supports(model.structure, rigid_motions(nodes))[rows]
+        met = float(np.linalg.norm(A_x[half:, :half] @ rigid))
+        size = float(np.linalg.norm(A_x[half:, :half]) * np.linalg.norm(rigid))
+        outside = max(outside, met / max(size, 1e-300))
     return LinearPlant(
         model=model,
         coordinates=frame,

@@ -46,7 +46,8 @@ class LinearPlant:
     external_force : ndarray, shape (3, n)
         W, N.
     invariance_residual : float
-        How far A leads out of the space of the coordinates, relative to its size.
+        How far the accelerations lead out of the space of the coordinates, or
+        answer to motions that it leaves out, relative to their size.
     """
 
     model: Model

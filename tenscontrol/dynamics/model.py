@@ -77,10 +77,11 @@ class Model:
         shape = structure.nodes.shape
         constant = np.zeros(shape)
         takes_load = False
-        if isinstance(external_force, bool | np.bool_):
-            takes_load = bool(external_force)
-        elif np.ndim(external_force) == 0:  # type: ignore[arg-type]
-            truth("external_force", external_force, "whether the functions take a load W")
+        if external_force is None or np.ndim(external_force) == 0:  # type: ignore[arg-type]
+            meaning = "whether the functions take a load W; or a built-in load, shape (3, n)"
+            takes_load = external_force is not None and truth(
+                "external_force", external_force, meaning
+            )
         else:
             constant += shaped("external_force", external_force, shape, "one force per node, N")
         if gravity is not None:

@@ -18,6 +18,7 @@ from tenscontrol.scene.kinds import (
     POINTS,
     TEXT,
     TEXTS,
+    TRUTH,
     VECTOR,
     WEIGHT,
     WHOLE,
@@ -80,6 +81,7 @@ TABLES: Mapping[str, Keys] = MappingProxyType(
             "force_density": (BY_STRING, "N/m"),
             "reference": (TEXT, ""),
             "per": (TEXT, ""),
+            "shape_gives": (TRUTH, ""),
         },
         "start": {
             "velocities": (POINTS, "m/s"),

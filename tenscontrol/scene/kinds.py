@@ -102,6 +102,10 @@ def _is_text(value: object) -> bool:
     return isinstance(value, str)
 
 
+def _is_truth(value: object) -> bool:
+    return isinstance(value, bool)
+
+
 def _is_list(value: object) -> bool:
     return isinstance(value, list)
 
@@ -121,6 +125,7 @@ def _number_or(*kinds: type) -> Callable[[object], bool]:
 NUMBER = Kind("a number", is_number)
 WHOLE = Kind("a whole number", _is_whole)
 TEXT = Kind("text", _is_text)
+TRUTH = Kind("true or false", _is_truth)
 POINT = Kind("[x, y, z]", _is_point)
 TEXTS = Kind("a list of texts", _is_list, TEXT)
 NODES = Kind("a list of node numbers", _is_list, WHOLE)

@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tenscontrol.actuation import to_rest_length
+from tenscontrol.analysis import equilibrium
 from tenscontrol.dynamics import Model
 from tenscontrol.scene.control import build_controller, build_winches
 from tenscontrol.scene.document import Document, Table, read_document
@@ -62,7 +65,10 @@ def load_scene(file: str | Path) -> Scene:
         ``force_density``: a number, for which a state of self-stress is
         sought as by :func:`prestress`, with ``reference``; or the γ of all
         strings, in balance or not. ``per`` as above: a segment under the
-        tension of its string has s times its γ.
+        tension of its string has s times its γ. ``shape_gives = true``: this
+        γ is that before weights and loads act; the shape then gives until all
+        are in balance, as :func:`equilibrium` finds it, and that is the shape
+        of the scene.
     ``[start]``
         ``velocities``; ``disturbance``, how far the farthest node is moved at
         random, with ``seed``.
@@ -111,7 +117,9 @@ def load_scene(file: str | Path) -> Scene:
             external_force=False if forces is None else forces,
             gravity=gravity,
         )
-    force_density = build_force_density(document, structure, model.constant_force)
+    gives = bool(document.table("prestress").get("shape_gives"))
+    acting = np.zeros_like(model.constant_force) if gives else model.constant_force
+    force_density = build_force_density(document, structure, acting)
     run = document.table("run")
     settings = _settings(run)
     hold = run.choice("hold", _HOLD, _HOLD[laws is not None])
@@ -122,6 +130,17 @@ def load_scene(file: str | Path) -> Scene:
         with document.table("prestress").checked("force_density"):
             found = to_rest_length(model, structure.nodes, force_density)
         rest_length = found.rest_length
+    if gives:
+        held = force_density if rest_length is None else rest_length
+        with document.table("prestress").checked("shape_gives"):
+            rest = equilibrium(model, **{hold: held})
+        structure, force_density = rest.structure, rest.force_density
+        model = Model(
+            structure,
+            strings=law,
+            external_force=False if forces is None else forces,
+            gravity=gravity,
+        )
     controller = build_controller(document, structure, whole_law, gravity, forces, force_density)
     winches = build_winches(document, structure)
     _refuse_contradictions(document, hold)

@@ -143,7 +143,7 @@ class _Wiring:
         if not fits:
             raise ValueError(
                 f"the controller was designed on {seen!r}, but the model has {structure!r} "
-                "with other bars, strings or fixed nodes, and is no subdivision of it"
+                "with other bars, strings or fixed nodes, and is no direct subdivision of it"
             )
 
     def checked_rest_length(self, rest_length: object) -> FloatArray:

@@ -139,7 +139,8 @@ def prestress(
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     n, alpha = structure.nodes.shape[1], len(structure.strings)
-    if alpha == 0:
+    given = float_array("force_density", force_density)
+    if alpha == 0 and given.ndim == 0:
         raise ValueError("the structure has no strings, so there is nothing to prestress")
     load = np.zeros((3, n))
     if external_force is not None:
@@ -155,7 +156,6 @@ def prestress(
     rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
     states = Vt[rank:].T
 
-    given = float_array("force_density", force_density)
     if given.ndim == 0:
         level = positive_number("force_density", float(given), "N/m")
         particular = Vt[:rank].T @ ((U[:, :rank].T @ w) / sizes[:rank])

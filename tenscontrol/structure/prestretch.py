@@ -44,7 +44,10 @@ def skin_rest_length(
     instance("structure", structure, Structure, "make one by skin(...)")
     parent = structure.parent
     if parent is None or structure.string_parent is not None:
-        raise ValueError("structure has no skin; skin(structure, panels, ...) makes one")
+        raise ValueError(
+            "structure has no skin, or was subdivided after: skin(structure, panels, ...) makes "
+            "one, and spread_rest_length(...) spreads the answer over segments"
+        )
     count = len(parent.strings)
     given = per_member("rest_length", rest_length, count, "string of the parent")
     positive("rest_length", given, "length in m")

@@ -245,6 +245,7 @@ def test_every_scene_that_ships_is_tested():
         "prism_skin",
         "prism_skin_expanding",
         "prism_mpc",
+        "prism_standing",
     }
 
 
@@ -296,6 +297,18 @@ def test_skin_of_an_expanding_prism_stiffens_it():
     assert fall[1] == pytest.approx(0.09, abs=1e-3)
     assert fall[0] / fall[1] == pytest.approx(0.25, abs=0.02)
     assert (run.force_density > 0).all()
+
+
+def test_prism_standing():
+    """The shape of the scene is the one that has given under the weight, and it is held."""
+    scene = shipped("prism_standing")
+    top = scene.structure.nodes[2, :3]
+    np.testing.assert_allclose(top, 1.0 - 0.0041, atol=1e-4)
+    run = scene.simulate()
+    off = np.linalg.norm(run.nodes - scene.structure.nodes[:, :, None], axis=0).max(axis=0)
+    assert off[0] > 5e-3
+    assert off[-1] < 1e-3
+    assert scene.linearize("rest_length", "minimal").degrees_of_freedom == 6
 
 
 def test_prism_mpc():
