@@ -111,6 +111,16 @@ def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -
         color=style.node_color,
         zorder=style.layer + 0.6,
     )
+    if len(structure.fixed):  # they stay where they are, so nothing updates them
+        ax.plot(
+            *nodes[:, structure.fixed],
+            linestyle="none",
+            marker="^",
+            markersize=2.2 * style.node_size,
+            markerfacecolor="white",
+            markeredgecolor=style.node_color,
+            zorder=style.layer + 0.5,
+        )
     return Drawing(structure, ax, bars, strings, dots, (), (), (), None)
 
 

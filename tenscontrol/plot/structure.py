@@ -39,7 +39,8 @@ def structure(
 ) -> Drawing:
     """Draw a structure in space: thick dark bars, thin strings, one scale in all directions.
 
-    Drawn into axes that hold a drawing already, the limits grow to hold both.
+    Fixed nodes stand on triangles. Drawn into axes that hold a drawing
+    already, the limits grow to hold both.
 
     Parameters
     ----------

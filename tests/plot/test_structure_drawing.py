@@ -222,3 +222,15 @@ def test_structures_of_bars_only_and_of_strings_only_are_drawn():
         drawing.ax.figure.canvas.draw()
         assert len(drawing.bars.get_segments()) == len(structure.bars)
         plt.close(drawing.ax.figure)
+
+
+def test_fixed_nodes_stand_on_triangles():
+    prism = tc.prism()
+    standing = tc.Structure(prism.nodes, prism.bars, prism.strings, 1.0, fixed=[3, 4])
+    drawing = tc.plot.structure(standing)
+    triangles = [line for line in drawing.ax.lines if line.get_marker() == "^"]
+    assert len(triangles) == 1
+    np.testing.assert_array_equal(np.array(triangles[0].get_data_3d()), prism.nodes[:, [3, 4]])
+    free = tc.plot.structure(prism)
+    assert all(line.get_marker() != "^" for line in free.ax.lines)
+    plt.close("all")
