@@ -168,7 +168,7 @@ def linearize(
     rest_length = None
     if model.strings is not None:
         refuse_strings_without_length("at.nodes", model.structure, nodes)
-        rest_length = model.strings.rest_length(_string_length(model, nodes), gamma)
+        rest_length = model.strings.rest_length(model.structure.string_length(nodes), gamma)
     elif input == "rest_length":
         raise ValueError(
             "the model has no string law, so the rest length is no input; "
@@ -395,10 +395,6 @@ def _refuse_other_structure(ours: Structure, theirs: Structure) -> None:
                 f"the prestress and the model differ in their {what}; "
                 "compute the prestress of the structure that the model was built for"
             )
-
-
-def _string_length(model: Model, nodes: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(model.structure.string_vectors(nodes), axis=0))
 
 
 def _refuse_unbalanced(

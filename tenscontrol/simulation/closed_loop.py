@@ -116,7 +116,9 @@ class _Actuators:
         if self._convert:
             assert isinstance(self._law, StringLaw)  # a rest length is held
             gamma = self._wiring.spread_force_density(wanted)
-            wanted = self._wiring.gather(self._law.rest_length(self._wiring.lengths(nodes), gamma))
+            wanted = self._wiring.gather(
+                self._law.rest_length(self._wiring.structure.string_length(nodes), gamma)
+            )
         if self._winches is None:
             move = WinchMove(frozen(wanted), _NONE, _NONE)
         else:
@@ -132,7 +134,7 @@ class _Wiring:
     def __init__(self, controller: Controller, model: Model) -> None:
         structure, designed = model.structure, controller.plant.commanded
         seen = controller.plant.model.structure
-        self._structure = structure
+        self.structure = structure
         self.count = len(designed.strings)
         self._cut = not _same_members(designed, structure)
         parent = structure.parent
@@ -151,26 +153,22 @@ class _Wiring:
         values = per_member("rest_length", rest_length, self.count, "string of the controller")
         return positive("rest_length", values, "length in m")
 
-    def lengths(self, nodes: FloatArray) -> FloatArray:
-        """Return the string lengths, m."""
-        return np.asarray(np.linalg.norm(self._structure.string_vectors(nodes), axis=0))
-
     def gather(self, values: FloatArray) -> FloatArray:
         """Return the sum over the segments of each commanded string."""
         if not self._cut:
             return values
         total = np.zeros(self.count)
-        assert self._structure.string_parent is not None  # a subdivision
-        np.add.at(total, self._structure.string_parent, values)
+        assert self.structure.string_parent is not None  # a subdivision
+        np.add.at(total, self.structure.string_parent, values)
         return total
 
     def spread_force_density(self, gamma: FloatArray) -> FloatArray:
         """Return γ of each string of the plant."""
-        return spread_force_density(self._structure, gamma) if self._cut else gamma
+        return spread_force_density(self.structure, gamma) if self._cut else gamma
 
     def spread_rest_length(self, rest_length: FloatArray) -> FloatArray:
         """Return the rest length of each string of the plant."""
-        return spread_rest_length(self._structure, rest_length) if self._cut else rest_length
+        return spread_rest_length(self.structure, rest_length) if self._cut else rest_length
 
 
 def _same_members(one: Structure, other: Structure | None) -> bool:

@@ -300,13 +300,19 @@ def test_commands_are_within_the_bounds(model, by_force):
     assert run.force_density.min() == 0.0
 
 
-def test_the_first_move_of_the_winches_counts_from_where_they_stood(prism):
+def wound_prism(prism):
+    """A model, an MPC, a disturbed start, and the rest lengths of the undisturbed shape."""
     rest = tc.prestress(prism, 30 / np.sqrt(3))
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     plant = tc.linearize(model, rest)
     mpc = tc.MPC(plant, 10, 0.02, 80.0)
     start = plant.to_nodes(np.r_[0.03, np.zeros(8)])
     stood = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
+    return model, mpc, start, stood
+
+
+def test_the_first_move_of_the_winches_counts_from_where_they_stood(prism):
+    model, mpc, start, stood = wound_prism(prism)
     run = tc.simulate(model, 0.1, start, controller=mpc, rest_length=stood, step=1e-3)
     first = (run.control.applied[:, 0] - stood) / 0.02
     np.testing.assert_allclose(run.control.winch_rate[:, 0], first)
@@ -314,12 +320,7 @@ def test_the_first_move_of_the_winches_counts_from_where_they_stood(prism):
 
 
 def test_winches_at_their_limits_are_in_the_summary(prism):
-    rest = tc.prestress(prism, 30 / np.sqrt(3))
-    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
-    plant = tc.linearize(model, rest)
-    mpc = tc.MPC(plant, 10, 0.02, 80.0)
-    start = plant.to_nodes(np.r_[0.03, np.zeros(8)])
-    stood = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
+    model, mpc, start, stood = wound_prism(prism)
     winches = tc.Winches(rate=0.01, shortest=0.7)
     run = tc.simulate(
         model, 0.2, start, controller=mpc, rest_length=stood, winches=winches, step=1e-3
