@@ -5,6 +5,7 @@ from tenscontrol.dynamics.coordinates import (
     Coordinates,
     coordinates,
 )
+from tenscontrol.dynamics.equation import Equation, smooth_equation
 from tenscontrol.dynamics.evaluator import Evaluator, evaluate_columns
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
 from tenscontrol.dynamics.strings import ElasticStrings, LinearStrings, StringLaw
@@ -13,6 +14,7 @@ __all__ = [
     "KINDS",
     "Coordinates",
     "ElasticStrings",
+    "Equation",
     "Evaluator",
     "LinearStrings",
     "Model",
@@ -20,5 +22,6 @@ __all__ = [
     "coordinates",
     "evaluate_columns",
     "pack_state",
+    "smooth_equation",
     "unpack_states",
 ]

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.strings import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped, truth
@@ -210,6 +211,53 @@ class Model:
         choice("held", held, ("force_density", "rest_length"))
         return self.dynamics if held == "force_density" else self.rest_length_dynamics
 
+    def equation(self, held: str, external_force: FloatArray | None = None) -> Equation:
+        """Return the state equation for an integrator, in smooth pieces.
+
+        Parameters
+        ----------
+        held : {"force_density", "rest_length"}
+        external_force : ndarray, shape (3, n), optional
+            Load that acts all the time, N, beside what is built in; for a
+            model built with ``external_force=True``.
+
+        Returns
+        -------
+        Equation
+
+        Raises
+        ------
+        ValueError
+            If ``held`` is another word, or the model has no string law for it.
+        """
+        choice("held", held, ("force_density", "rest_length"))
+        structure = self._structure
+        s = self._symbols()
+        u = s["gamma"] if held == "force_density" else s["rest_length"]
+        taut, gap, rate = ca.SX.sym("taut", 0), ca.SX(0, 1), ca.SX(0, 1)
+        gamma, damped = u, False
+        if held == "rest_length":
+            law = self._needed_strings()
+            damped = law.is_damped
+            length, rate = self._string_motion(s)
+            taut = ca.SX.sym("taut", len(structure.strings))
+            gap = law.gap(length, u, rate)
+            # Not a product: a slack string may have no length.
+            gamma = ca.if_else(taut, law.taut_force_density(length, u, rate), 0)
+        if external_force is not None:
+            total = self._constant_force + external_force
+            s["load"] = ca.sparsify(ca.DM(total)) if total.any() else None
+        x, free = s["x"], structure.free.tolist()
+        forces = ca.vec(ca.densify(self._forces(s, gamma)[:, free]))
+        q, v = x[: x.shape[0] // 2], x[x.shape[0] // 2 :]
+        return Equation(
+            slope=ca.Function("slope", [x, u, taut], [self._xdot(s, gamma)]),
+            gap=ca.Function("gap", [x, u], [ca.densify(gap), ca.densify(rate)]),
+            force=ca.Function("force", [q, v, u, taut], [forces]),
+            velocity_dependent=damped,
+            structure=structure,
+        )
+
     @cached_property
     def string_force_density(self) -> ca.Function:
         """``(x, rest_length) -> gamma``: γ of each string by the string law, N/m."""
@@ -322,16 +370,17 @@ class Model:
         S = kernel.differences(s["nodes"], self._structure.strings)
         return ca.sqrt(kernel.dots(S, S)).T
 
+    def _string_motion(self, s: dict[str, Any]) -> tuple[Any, Any]:
+        """Return the lengths of the strings and their rates, (α, 1) each."""
+        S, Sd = (
+            kernel.differences(s[part], self._structure.strings) for part in ("nodes", "velocities")
+        )
+        length = ca.sqrt(kernel.dots(S, S)).T
+        return length, kernel.dots(S, Sd).T / length
+
     def _law_force_density(self, s: dict[str, Any]) -> Any:
         law = self._needed_strings()
-        length = self._string_length(s)
-        rate = None
-        if law.is_damped:
-            S, Sd = (
-                kernel.differences(s[part], self._structure.strings)
-                for part in ("nodes", "velocities")
-            )
-            rate = kernel.dots(S, Sd).T / length
+        length, rate = self._string_motion(s)
         return law.symbolic_force_density(length, s["rest_length"], rate)
 
     def _needed_strings(self) -> StringLaw:

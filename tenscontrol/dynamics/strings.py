@@ -104,6 +104,45 @@ class StringLaw(ABC):
         pulling = ca.fmax(0, tension + ca.DM(self.damping) * rate)
         return ca.if_else(length > rest_length, pulling, 0) / length
 
+    def taut_force_density(self, length: Any, rest_length: Any, rate: Any = None) -> Any:
+        """Return the expression of γ of a string that pulls, N/m: smooth, negative beyond.
+
+        Parameters
+        ----------
+        length : casadi.SX, shape (α, 1)
+            l, m.
+        rest_length : casadi.SX, shape (α, 1)
+            l0, m.
+        rate : casadi.SX, shape (α, 1), optional
+            l̇, m/s; needed only where the law is damped.
+        """
+        tension = self.tension(length, rest_length)
+        if self.is_damped:
+            tension += ca.DM(self.damping) * rate
+        return tension / length
+
+    def gap(self, length: Any, rest_length: Any, rate: Any = None) -> Any:
+        """Return the expression of how far a string is from slack, m, positive where it pulls.
+
+        A damped string stops pulling before it is as short as its rest length
+        where it shortens fast; the tension that is left is measured in stretch.
+
+        Parameters
+        ----------
+        length : casadi.SX, shape (α, 1)
+            l, m.
+        rest_length : casadi.SX, shape (α, 1)
+            l0, m.
+        rate : casadi.SX, shape (α, 1), optional
+            l̇, m/s; needed only where the law is damped.
+        """
+        stretch = length - rest_length
+        if not self.is_damped:
+            return stretch
+        tension = self.tension(length, rest_length)
+        stiffness = ca.jtimes(tension, length, ca.DM.ones(length.shape))
+        return ca.fmin(stretch, (tension + ca.DM(self.damping) * rate) / stiffness)
+
     def for_count(self, count: int) -> StringLaw:
         """Return the same law with one parameter per string.
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import final
 
-import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Evaluator
+from tenscontrol.dynamics import Equation, Evaluator
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     Integrator,
     Report,
     Span,
+    Work,
 )
 from tenscontrol.validation import FloatArray, positive_number
 
@@ -26,8 +26,7 @@ class DOP853(Integrator):
 
     Parameters
     ----------
-    equation : casadi.Function
-        ``(x, u) -> xdot``.
+    equation : Equation
     tolerance : float
         Error allowed a step, relative to the size of each state entry, and
         absolute (m, m/s) where that is below 1.
@@ -35,7 +34,7 @@ class DOP853(Integrator):
 
     name = "dop853"
 
-    def __init__(self, equation: ca.Function, tolerance: float) -> None:
+    def __init__(self, equation: Equation, tolerance: float) -> None:
         super().__init__(equation)
         self.tolerance = positive_number("tolerance", tolerance, "m and m/s")
         if self.tolerance < _SMALLEST_TOLERANCE:
@@ -43,7 +42,7 @@ class DOP853(Integrator):
                 f"tolerance is {self.tolerance:g}, expected at least {_SMALLEST_TOLERANCE:.1e}: "
                 "double precision goes no further"
             )
-        self._evaluator = Evaluator(equation)
+        self._evaluator = Evaluator(equation.kinked_slope)
 
     def advance(
         self,
@@ -89,9 +88,12 @@ class DOP853(Integrator):
                         report(float(stepper.t))
         except FloatingPointError as error:
             time = 0.0 if stepper is None else float(stepper.t_old or 0.0)
-            span = Span(states[:, :done], steps, 0 if stepper is None else stepper.nfev)
+            span = Span(
+                states[:, :done],
+                Work(steps=steps, evaluations=0 if stepper is None else stepper.nfev),
+            )
             raise IntegrationError(
                 f"dop853 stopped after {time:.6g} s: {error}", time, span
             ) from None
         states[:, -1] = stepper.y
-        return Span(states, steps, stepper.nfev)
+        return Span(states, Work(steps=steps, evaluations=stepper.nfev))

@@ -4,14 +4,43 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
-import casadi as ca
-
+from tenscontrol.dynamics import Equation
 from tenscontrol.validation import FloatArray
 
 # Told the time reached within the span, s.
 Report = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Work:
+    """What an integration cost, and how often strings went slack or taut.
+
+    Attributes
+    ----------
+    steps : int
+        Steps taken.
+    rejections : int
+        Steps that were tried and thrown away, because their error was too large.
+    evaluations : int
+        Evaluations of the right-hand side, or of the forces.
+    switches : int
+        Strings that went slack or taut with the step made to end there, counted singly.
+    unlocated : int
+        Steps across a switch that was not located.
+    """
+
+    steps: int = 0
+    rejections: int = 0
+    evaluations: int = 0
+    switches: int = 0
+    unlocated: int = 0
+
+    def __add__(self, other: Work) -> Work:
+        return Work(
+            **{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)}
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,15 +50,11 @@ class Span:
     Attributes
     ----------
     states : ndarray, shape (states, outputs)
-    steps : int
-        Steps taken.
-    evaluations : int
-        Evaluations of the right-hand side.
+    work : Work
     """
 
     states: FloatArray
-    steps: int
-    evaluations: int
+    work: Work
 
 
 class IntegrationError(ArithmeticError):
@@ -54,14 +79,13 @@ class Integrator(ABC):
 
     Parameters
     ----------
-    equation : casadi.Function
-        ``(x, u) -> xdot``, dense column vectors.
+    equation : Equation
     """
 
     #: Name as users give it to ``simulate(method=...)``.
     name: str
 
-    def __init__(self, equation: ca.Function) -> None:
+    def __init__(self, equation: Equation) -> None:
         self._equation = equation
 
     @abstractmethod

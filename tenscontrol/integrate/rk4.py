@@ -8,8 +8,8 @@ from typing import final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Evaluator
-from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span
+from tenscontrol.dynamics import Equation, Evaluator
+from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span, Work
 from tenscontrol.validation import FloatArray, positive_number
 
 # Output states per call into CasADi: long enough that the call costs nothing,
@@ -23,18 +23,17 @@ class RK4(Integrator):
 
     Parameters
     ----------
-    equation : casadi.Function
-        ``(x, u) -> xdot``.
+    equation : Equation
     step : float
         Largest step, s. It is shortened so that a whole number fits between outputs.
     """
 
     name = "rk4"
 
-    def __init__(self, equation: ca.Function, step: float) -> None:
+    def __init__(self, equation: Equation, step: float) -> None:
         super().__init__(equation)
         self.step = positive_number("step", step, "s")
-        self._one_step = _step_function(equation)
+        self._one_step = _step_function(equation.kinked_slope)
         self._chunks: dict[tuple[int, int], Evaluator] = {}
 
     def advance(
@@ -65,12 +64,12 @@ class RK4(Integrator):
                     f"the state is no longer finite between {time:.6g} s and "
                     f"{duration * (good + 1) / outputs:.6g} s; try a step below {step:g} s",
                     time,
-                    Span(states[:, :good], good * inner, 4 * good * inner),
+                    Span(states[:, :good], Work(steps=good * inner, evaluations=4 * good * inner)),
                 )
             current = states[:, done - 1]
             if report is not None:
                 report(duration * done / outputs)
-        return Span(states, outputs * inner, 4 * outputs * inner)
+        return Span(states, Work(steps=outputs * inner, evaluations=4 * outputs * inner))
 
     def _chunk(self, inner: int, count: int) -> Evaluator:
         """Return ``(x, u, h) -> [x1 … x_count]`` with ``inner`` steps from one to the next."""

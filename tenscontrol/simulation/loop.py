@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import ceil
 
-import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Model
-from tenscontrol.integrate import DOP853, RK4, IntegrationError, Integrator, Span
+from tenscontrol.integrate import DOP853, RK4, IntegrationError, Integrator, Span, Work
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory, build_trajectory
 from tenscontrol.validation import FloatArray, choice
 
@@ -45,8 +44,7 @@ class Loop:
     time: list[FloatArray] = field(default_factory=list)
     states: list[FloatArray] = field(default_factory=list)
     inputs: list[FloatArray] = field(default_factory=list)
-    steps: int = 0
-    evaluations: int = 0
+    work: Work = field(default_factory=Work)
     now: float = 0.0
 
     def __post_init__(self) -> None:
@@ -59,11 +57,7 @@ class Loop:
             raise ValueError(
                 "step goes with method 'rk4'; 'dop853' chooses its own steps by tolerance"
             )
-        equation = self.model.state_equation(self.hold)
-        if self.model.has_external_force:
-            x, u = (ca.SX.sym(name, equation.size1_in(i)) for i, name in enumerate("xu"))
-            given = ca.DM((self.load - self.model.constant_force)[:, self.model.structure.free])
-            equation = ca.Function("loaded", [x, u], [equation(x, u, given)])
+        equation = self.model.equation(self.hold, self.load - self.model.constant_force)
         self.integrator: Integrator
         if self.method == "rk4":
             assert self.step is not None  # checked above
@@ -103,8 +97,7 @@ class Loop:
         reached = span.states.shape[1]
         times = self.now + duration * np.arange(1, reached + 1) / outputs
         self._keep(times, span.states, held)
-        self.steps += span.steps
-        self.evaluations += span.evaluations
+        self.work += span.work
 
     def _keep(self, time: FloatArray, states: FloatArray, held: FloatArray) -> None:
         self.time.append(time)
@@ -122,6 +115,6 @@ class Loop:
             np.hstack(self.inputs),
             self.method,
             self.step,
-            (self.steps, self.evaluations),
+            (self.work.steps, self.work.evaluations),
             control,
         )

@@ -35,7 +35,7 @@ def main() -> None:
     )
     truth = truth[:, 0, 1:]
 
-    integrator = RK4(model.rest_length_dynamics, DURATION / OUTPUTS)
+    integrator = RK4(model.equation("rest_length"), DURATION / OUTPUTS)
     evaluator = Evaluator(model.rest_length_dynamics)
 
     def ours() -> np.ndarray:

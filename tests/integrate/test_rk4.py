@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tenscontrol as tc
+from tenscontrol.dynamics import smooth_equation
 from tenscontrol.integrate import RK4, IntegrationError
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 from tests.oracle import HeldForceDensity, HeldRestLength, RigidBars
@@ -61,7 +62,7 @@ def test_order_of_the_step_alone():
     steps = 0.4 / 2.0 ** np.arange(4)
     errors = []
     for step in steps:
-        span = RK4(oscillator(), step).advance(np.zeros(2), np.ones(1), 2.0, 1)
+        span = RK4(smooth_equation(oscillator()), step).advance(np.zeros(2), np.ones(1), 2.0, 1)
         errors.append(np.abs(span.states[:, -1] - [1 - np.cos(2.0), np.sin(2.0)]).max())
     assert 3.9 <= fitted_order(steps, errors) <= 4.1
 
@@ -72,14 +73,14 @@ def test_a_step_of_the_method_is_that_of_runge_and_kutta():
     h, x = 0.3, np.array([0.7, -0.2])
     powers = [np.linalg.matrix_power(h * A, k) for k in range(5)]
     expected = sum(p / f for p, f in zip(powers, (1, 1, 2, 6, 24), strict=True)) @ x
-    found = RK4(oscillator(), h).advance(x, np.zeros(1), h, 1).states[:, 0]
+    found = RK4(smooth_equation(oscillator()), h).advance(x, np.zeros(1), h, 1).states[:, 0]
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-16)
 
 
 @pytest.mark.parametrize("outputs", [1, 511, 512, 513, 1500])
 def test_long_runs_are_chained_without_a_seam(outputs):
     """512 outputs make one call into CasADi; the states do not depend on where calls end."""
-    integrator = RK4(oscillator(), step=1e-3)
+    integrator = RK4(smooth_equation(oscillator()), step=1e-3)
     whole = integrator.advance(np.zeros(2), np.ones(1), outputs * 1e-3, outputs)
     state = np.zeros(2)
     for i in range(outputs):
@@ -93,35 +94,39 @@ def test_long_runs_are_chained_without_a_seam(outputs):
     step=st.floats(1e-3, 0.5),
 )
 def test_steps_fit_between_outputs_and_are_no_longer_than_asked(duration, outputs, step):
-    span = RK4(oscillator(), step).advance(np.zeros(2), np.ones(1), duration, outputs)
+    span = RK4(smooth_equation(oscillator()), step).advance(
+        np.zeros(2), np.ones(1), duration, outputs
+    )
     assert span.states.shape == (2, outputs)
-    assert span.steps % outputs == 0
-    assert duration / span.steps <= step * (1 + 1e-8)
+    assert span.work.steps % outputs == 0
+    assert duration / span.work.steps <= step * (1 + 1e-8)
     # And no more than needed.
-    assert duration / (span.steps / outputs - 1 + 1e-12) / outputs >= step * (1 - 1e-8)
-    assert span.evaluations == 4 * span.steps
+    assert duration / (span.work.steps / outputs - 1 + 1e-12) / outputs >= step * (1 - 1e-8)
+    assert span.work.evaluations == 4 * span.work.steps
     times = duration * np.arange(1, outputs + 1) / outputs
     assert np.abs(span.states[0] - (1 - np.cos(times))).max() < 0.2 * step**4 * max(1, duration)
 
 
 def test_twenty_milliseconds_are_twenty_steps_of_one():
-    span = RK4(oscillator(), 0.001).advance(np.zeros(2), np.ones(1), 0.02, 1)
-    assert span.steps == 20
+    span = RK4(smooth_equation(oscillator()), 0.001).advance(np.zeros(2), np.ones(1), 0.02, 1)
+    assert span.work.steps == 20
 
 
 def test_progress_is_reported_up_to_the_end():
     times = []
-    RK4(oscillator(), 1e-3).advance(np.zeros(2), np.ones(1), 1.2, 1200, times.append)
+    RK4(smooth_equation(oscillator()), 1e-3).advance(
+        np.zeros(2), np.ones(1), 1.2, 1200, times.append
+    )
     np.testing.assert_allclose(times, [0.512, 1.024, 1.2], rtol=1e-12)
 
 
 def test_a_state_that_leaves_all_bounds_stops_with_what_was_good():
     with pytest.raises(IntegrationError, match=r"no longer finite between .* try a step") as info:
-        RK4(explosion(), 0.05).advance(np.ones(1), np.zeros(1), 3.0, 60)
+        RK4(smooth_equation(explosion()), 0.05).advance(np.ones(1), np.zeros(1), 3.0, 60)
     error = info.value
     good = error.span.states
     assert np.isfinite(good).all()
     assert good.shape[1] == round(error.time / 0.05)
     assert 1.0 < error.time < 3.0
-    early = RK4(explosion(), 0.05).advance(np.ones(1), np.zeros(1), 0.5, 10).states
+    early = RK4(smooth_equation(explosion()), 0.05).advance(np.ones(1), np.zeros(1), 0.5, 10).states
     np.testing.assert_allclose(good[:, :10], early, rtol=1e-12)

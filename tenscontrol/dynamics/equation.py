@@ -1,0 +1,81 @@
+"""The state equation as integrators see it: smooth pieces, and where they meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from tenscontrol.structure import Structure
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """A state equation ``ẋ = f(x, u)`` that is smooth while no string goes slack or taut.
+
+    Strings whose rest length is held pull or are slack; ``taut`` says which, 1
+    or 0 for each, and is an input of its own so that a step never crosses the
+    kink between the two. Where no string can go slack (force densities are
+    held), ``taut`` has no entries. Made by :meth:`Model.equation`.
+
+    Attributes
+    ----------
+    slope : casadi.Function
+        ``(x, u, taut) -> xdot``, dense columns.
+    gap : casadi.Function
+        ``(x, u) -> (gap, gap_rate)``: how far each string is from slack, m,
+        positive where it pulls, and how fast the stretch grows, m/s.
+    force : casadi.Function or None
+        ``(q, v, u, taut) -> F``: forces on the free nodes from positions and
+        velocities, N, node by node. None for an equation that is no structure's.
+    velocity_dependent : bool
+        Whether the force depends on the velocities: some string is damped.
+    structure : Structure or None
+    """
+
+    slope: ca.Function
+    gap: ca.Function
+    force: ca.Function | None = None
+    velocity_dependent: bool = False
+    structure: Structure | None = None
+
+    @property
+    def states(self) -> int:
+        """Number of entries of x."""
+        return int(self.slope.size1_in(0))
+
+    @property
+    def inputs(self) -> int:
+        """Number of entries of u."""
+        return int(self.slope.size1_in(1))
+
+    @property
+    def switches(self) -> int:
+        """Number of strings that can go slack: entries of ``taut``."""
+        return int(self.slope.size1_in(2))
+
+    @property
+    def kinked_slope(self) -> ca.Function:
+        """``(x, u) -> xdot``: the whole equation, with its kinks."""
+        x, u = ca.SX.sym("x", self.states), ca.SX.sym("u", self.inputs)
+        return ca.Function("kinked", [x, u], [self.slope(x, u, self.gap(x, u)[0] > 0)])
+
+
+def smooth_equation(slope: ca.Function) -> Equation:
+    """Return the equation of a smooth right-hand side without a structure.
+
+    Parameters
+    ----------
+    slope : casadi.Function
+        ``(x, u) -> xdot``, dense columns.
+    """
+    x, u, taut = (
+        ca.SX.sym("x", slope.size1_in(0)),
+        ca.SX.sym("u", slope.size1_in(1)),
+        ca.SX.sym("taut", 0),
+    )
+    none = ca.SX(0, 1)
+    return Equation(
+        slope=ca.Function("slope", [x, u, taut], [slope(x, u)]),
+        gap=ca.Function("gap", [x, u], [none, none]),
+    )
