@@ -139,9 +139,11 @@ class StringLaw(ABC):
         stretch = length - rest_length
         if not self.is_damped:
             return stretch
-        tension = self.tension(length, rest_length)
-        stiffness = ca.jtimes(tension, length, ca.DM.ones(length.shape))
-        return ca.fmin(stretch, (tension + ca.DM(self.damping) * rate) / stiffness)
+        at = ca.SX.sym("at", length.shape)
+        stiffness = ca.jtimes(self.tension(at, rest_length), at, ca.DM.ones(length.shape))
+        stiffness = ca.substitute(stiffness, at, length)
+        tension = self.tension(length, rest_length) + ca.DM(self.damping) * rate
+        return ca.fmin(stretch, tension / stiffness)
 
     def for_count(self, count: int) -> StringLaw:
         """Return the same law with one parameter per string.
