@@ -49,8 +49,17 @@ if TYPE_CHECKING:
         StringLaw,
         coordinates,
     )
+    from tenscontrol.integrate import Choice, Work
     from tenscontrol.scene import Scene, SceneError, load_scene
-    from tenscontrol.simulation import ControlRecord, SimulationError, Trajectory, simulate
+    from tenscontrol.simulation import (
+        AccuracyWarning,
+        ControlRecord,
+        Health,
+        Limits,
+        SimulationError,
+        Trajectory,
+        simulate,
+    )
     from tenscontrol.statics import (
         Prestress,
         Stability,
@@ -105,9 +114,17 @@ _HOME = {
         "StringLaw",
         "coordinates",
     ],
-    "integrate": [],
+    "integrate": ["Choice", "Work"],
     "scene": ["Scene", "SceneError", "load_scene"],
-    "simulation": ["ControlRecord", "SimulationError", "Trajectory", "simulate"],
+    "simulation": [
+        "AccuracyWarning",
+        "ControlRecord",
+        "Health",
+        "Limits",
+        "SimulationError",
+        "Trajectory",
+        "simulate",
+    ],
     "structure": [
         "Structure",
         "net",

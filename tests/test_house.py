@@ -74,14 +74,14 @@ MAY_IMPORT = {
     "structure": set(),
     "statics": {"structure"},
     "dynamics": {"structure"},
-    "integrate": {"dynamics"},
+    "integrate": {"dynamics", "structure"},
     "analysis": {"dynamics", "statics", "structure"},
     "control": {"analysis", "dynamics", "statics", "structure"},
     "actuation": {"dynamics", "structure"},
     "simulation": {"integrate", "actuation", "dynamics", "structure", "control.controller"},
     "accuracy": {"simulation", "integrate", "actuation", "analysis", "dynamics", "statics"}
     | {"structure"},
-    "scene": {"simulation", "control", "actuation", "analysis", "dynamics", "statics"}
+    "scene": {"simulation", "integrate", "control", "actuation", "analysis", "dynamics", "statics"}
     | {"structure"},
     "plot": None,  # everything
 }
@@ -494,6 +494,7 @@ def test_methods_document_every_parameter(name):
 
 # Classes that users construct; the others are made by functions, and list their attributes.
 CONSTRUCTED = {
+    "Limits",
     "ElasticStrings",
     "LinearStrings",
     "MPC",
@@ -594,6 +595,10 @@ def values():
         tc.controllability(plant),
         run,
         run.control,
+        run.choice,
+        run.work,
+        run.health,
+        tc.Limits(),
         start,
         winches,
         winches.move(start.rest_length, start.rest_length, 0.01),

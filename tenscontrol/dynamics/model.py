@@ -17,6 +17,9 @@ from tenscontrol.validation import FloatArray, choice, float_array, frozen, inst
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+# A string shorter than this part of its rest length has no direction to pull in.
+_NO_LENGTH = 1e-12
+
 
 class Model:
     """The dynamics of a structure, with the force densities γ as the input.
@@ -239,11 +242,11 @@ class Model:
         if held == "rest_length":
             law = self._needed_strings()
             damped = law.is_damped
-            length, rate = self._string_motion(s)
+            # A slack string may have no length; one that pulls is longer than this.
+            length, rate = self._string_motion(s, shortest=_NO_LENGTH * u)
             taut = ca.SX.sym("taut", len(structure.strings))
             gap = law.gap(length, u, rate)
-            # Not a product: a slack string may have no length.
-            gamma = ca.if_else(taut, law.taut_force_density(length, u, rate), 0)
+            gamma = taut * law.taut_force_density(length, u, rate)
         if external_force is not None:
             total = self._constant_force + external_force
             s["load"] = ca.sparsify(ca.DM(total)) if total.any() else None
@@ -370,12 +373,14 @@ class Model:
         S = kernel.differences(s["nodes"], self._structure.strings)
         return ca.sqrt(kernel.dots(S, S)).T
 
-    def _string_motion(self, s: dict[str, Any]) -> tuple[Any, Any]:
+    def _string_motion(self, s: dict[str, Any], shortest: Any = None) -> tuple[Any, Any]:
         """Return the lengths of the strings and their rates, (α, 1) each."""
         S, Sd = (
             kernel.differences(s[part], self._structure.strings) for part in ("nodes", "velocities")
         )
         length = ca.sqrt(kernel.dots(S, S)).T
+        if shortest is not None:
+            length = ca.fmax(length, shortest)
         return length, kernel.dots(S, Sd).T / length
 
     def _law_force_density(self, s: dict[str, Any]) -> Any:

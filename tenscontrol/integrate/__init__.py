@@ -1,7 +1,25 @@
 """Integrators: one a file, one interface."""
 
+from tenscontrol.integrate.choose import Choice, choose
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span, Work
+from tenscontrol.integrate.methods import METHODS, Method
+from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6
 from tenscontrol.integrate.rk4 import RK4
 
-__all__ = ["DOP853", "RK4", "IntegrationError", "Integrator", "Report", "Span", "Work"]
+__all__ = [
+    "DOP853",
+    "METHODS",
+    "RK4",
+    "Choice",
+    "IntegrationError",
+    "Integrator",
+    "Method",
+    "Rattle",
+    "Rattle4",
+    "Rattle6",
+    "Report",
+    "Span",
+    "Work",
+    "choose",
+]

@@ -1,48 +1,75 @@
-"""The Dormand-Prince method of order 8 with error control, from SciPy."""
+"""The Dormand-Prince method of order 8 with error control."""
 
 from __future__ import annotations
 
-from typing import final
+from typing import Any, final
 
+import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Equation, Evaluator
-from tenscontrol.integrate.integrator import (
-    IntegrationError,
-    Integrator,
-    Report,
-    Span,
-    Work,
-)
+from tenscontrol.integrate.dormand_prince import MORE_STAGES, POWERS, STAGES, DormandPrince
+from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span, Work
+from tenscontrol.integrate.scales import largest_frequency, state_scale
+from tenscontrol.integrate.switching import POLISHES, crossing, landing, taut_strings
 from tenscontrol.validation import FloatArray, positive_number
 
-# SciPy warns below a hundred units of round-off and raises the tolerance by itself.
+# Below, round-off rejects every step.
 _SMALLEST_TOLERANCE = 100 * np.finfo(float).eps
+
+# Turns (steps tried) per call into CasADi, and the most numbers that they may record.
+_TURNS = 32
+_MOST_RECORDED = 4e6
+
+# How the step follows the error: by a factor 0.9 error^(-1/8) within these bounds.
+_SAFETY, _LEAST, _MOST, _ORDER = 0.9, 0.2, 10.0, 8
+
+# A step shorter than this part of the span is lost in round-off.
+_SHORTEST = 10 * np.finfo(float).eps
+
+# A longer step, times the largest frequency, makes round-off grow, which no error estimate sees.
+_STABLE = 4.0
+
+# What a turn carries beside x, its slope and taut.
+_CARRIED = ("time", "step", "stuck", "tries", "rejections", "landings", "switches", "interpolants")
 
 
 @final
 class DOP853(Integrator):
-    """Adaptive steps after Hairer, Nørsett & Wanner, by ``scipy.integrate.DOP853``.
+    """Adaptive steps of order 8; the loop over the steps runs inside CasADi (``mapaccum``).
+
+    Where a string can go slack, every step ends at each switch.
 
     Parameters
     ----------
     equation : Equation
     tolerance : float
-        Error allowed a step, relative to the size of each state entry, and
-        absolute (m, m/s) where that is below 1.
+        Error allowed a step, as part of the size of the structure for
+        positions, and of its characteristic speed for velocities.
+    project : bool
+        Whether to make the bar lengths exact after each step.
+
+    Notes
+    -----
+    See :mod:`tenscontrol.integrate.dormand_prince` for the formulas.
     """
 
     name = "dop853"
 
-    def __init__(self, equation: Equation, tolerance: float) -> None:
+    def __init__(self, equation: Equation, tolerance: float, project: bool = True) -> None:
         super().__init__(equation)
-        self.tolerance = positive_number("tolerance", tolerance, "m and m/s")
+        self.tolerance = positive_number("tolerance", tolerance, "of size and speed")
         if self.tolerance < _SMALLEST_TOLERANCE:
             raise ValueError(
                 f"tolerance is {self.tolerance:g}, expected at least {_SMALLEST_TOLERANCE:.1e}: "
                 "double precision goes no further"
             )
-        self._evaluator = Evaluator(equation.kinked_slope)
+        self._turns = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _TURNS))
+        self._chunk = Evaluator(_Turn(equation, project).function().mapaccum(self._turns))
+        x, u = ca.MX.sym("x", equation.states), ca.MX.sym("u", equation.inputs)
+        taut = taut_strings(equation, x, u)
+        self._longest: float | None = None
+        self._start = Evaluator(ca.Function("start", [x, u], [taut, equation.slope(x, u, taut)]))
 
     def advance(
         self,
@@ -53,47 +80,237 @@ class DOP853(Integrator):
         report: Report | None = None,
     ) -> Span:
         """See :meth:`Integrator.advance`."""
-        from scipy import integrate
-
-        def slope(time: float, x: FloatArray) -> FloatArray:
-            rate = self._evaluator(x, held)[0].copy()
-            if not np.isfinite(rate).all():
-                # SciPy would shorten its step for ever.
-                raise FloatingPointError("the forces are no longer finite")
-            return rate
-
-        times = duration * np.arange(1, outputs + 1) / outputs
-        states = np.empty((len(state), outputs))
-        done = steps = 0
-        stepper = None
-        try:
-            # A state that is not finite is looked for, so NumPy need not warn of it.
-            with np.errstate(over="ignore", invalid="ignore"):
-                stepper = integrate.DOP853(
-                    slope, 0.0, state, duration, rtol=self.tolerance, atol=self.tolerance
+        n, switches = self._equation.states, self._equation.switches
+        scale = state_scale(self._equation, state, held)
+        taut, slope = (part.copy() for part in self._start(state, held))
+        step = _first_step(slope, scale, duration)
+        carried = np.concatenate([state, slope, taut, [0.0, step], np.zeros(len(_CARRIED) - 2)])
+        spacing = duration / outputs
+        times: FloatArray = np.linspace(0.0, duration, outputs + 1)[1:]
+        states = np.empty((n, outputs))
+        if self._longest is None:
+            self._longest = _STABLE / max(largest_frequency(self._equation, state, held), 1e-300)
+        longest = min(self._longest, duration)
+        given = np.concatenate([held, [duration, spacing, longest], self.tolerance * scale])
+        given = np.tile(given[:, None], (1, self._turns)) if self._turns > 1 else given
+        done, told = 0, dict.fromkeys(_CARRIED, 0.0)
+        while True:
+            try:
+                after, recorded = self._chunk(carried, given)
+            except KeyboardInterrupt:
+                reached = Span(states[:, :done], _work(told))
+                raise IntegrationError("interrupted", told["time"], reached, True) from None
+            carried = after.reshape(-1, self._turns, order="F")[:, -1].copy()
+            recorded = recorded.reshape(-1, self._turns, order="F")
+            done = _interpolate(recorded, times[:-1], states, done)
+            told = dict(zip(_CARRIED, carried[2 * n + switches :].tolist(), strict=True))
+            work = _work(told)
+            if told["stuck"]:
+                raise IntegrationError(
+                    f"dop853 stopped after {told['time']:.6g} s: its step fell to "
+                    f"{told['step']:.1e} s, as the forces are no longer finite or change "
+                    "without end",
+                    told["time"],
+                    Span(states[:, :done], work),
                 )
-                while stepper.status == "running":
-                    trouble = stepper.step()
-                    steps += 1
-                    if stepper.status == "failed" or not np.isfinite(stepper.y).all():
-                        raise FloatingPointError(trouble or "the state is no longer finite")
-                    reached = outputs
-                    if stepper.status == "running":
-                        reached = int(np.searchsorted(times, stepper.t, side="right"))
-                    if reached > done:
-                        # The interpolant costs three evaluations: only where a state is wanted.
-                        states[:, done:reached] = stepper.dense_output()(times[done:reached])
-                        done = reached
-                    if report is not None:
-                        report(float(stepper.t))
-        except FloatingPointError as error:
-            time = 0.0 if stepper is None else float(stepper.t_old or 0.0)
-            span = Span(
-                states[:, :done],
-                Work(steps=steps, evaluations=0 if stepper is None else stepper.nfev),
-            )
-            raise IntegrationError(
-                f"dop853 stopped after {time:.6g} s: {error}", time, span
-            ) from None
-        states[:, -1] = stepper.y
-        return Span(states, Work(steps=steps, evaluations=stepper.nfev))
+            if report is not None:
+                report(told["time"])
+            if told["time"] >= duration:
+                states[:, -1] = carried[:n]
+                return Span(states, work)
+
+
+def _work(told: dict[str, float]) -> Work:
+    tries, landings = round(told["tries"]), round(told["landings"])
+    # A landing takes steps of its own, two slopes for its interpolant, and a new start.
+    each = (STAGES * (POLISHES + 1), 3)
+    return Work(
+        steps=tries - round(told["rejections"]),
+        rejections=round(told["rejections"]),
+        evaluations=1
+        + STAGES * tries
+        + sum(each) * landings
+        + MORE_STAGES * round(told["interpolants"]),
+        switches=round(told["switches"]),
+    )
+
+
+def _interpolate(recorded: FloatArray, times: FloatArray, states: FloatArray, done: int) -> int:
+    """Fill in the states at the times that the recorded steps reach, and return how many are."""
+    n = len(states)
+    recorded = recorded[:, recorded[1] > 0]
+    if not recorded.size:
+        return done
+    ends = recorded[0] + recorded[1]
+    # The step itself was taken to reach the time but for round-off.
+    reached = int(np.searchsorted(times, ends[-1] * (1 + 1e-14), side="right"))
+    now = times[done:reached]
+    within = recorded[:, np.minimum(np.searchsorted(ends, now), len(ends) - 1)]
+    part = (now - within[0]) / within[1]
+    value = np.zeros((n, len(now)))
+    for i, rows in enumerate(np.split(within[2 + n :], POWERS)[::-1]):
+        value = (value + rows) * (part if i % 2 == 0 else 1 - part)
+    states[:, done:reached] = value + within[2 : 2 + n]
+    return reached
+
+
+def _first_step(slope: FloatArray, scale: FloatArray, duration: float) -> float:
+    """Return a step that moves the state by a hundredth of its scale."""
+    speed = float(np.max(np.abs(slope) / scale, initial=0.0))
+    return min(duration, 0.01 / speed) if speed > 0 else duration
+
+
+class _Turn:
+    """One turn of the loop: a step is tried, then accepted, cut at a switch, or thrown away."""
+
+    def __init__(self, equation: Equation, project: bool) -> None:
+        self._equation = equation
+        self._method = DormandPrince(equation, project)
+        self._tried, self._interpolant = self._method.tried(), self._method.interpolant()
+        n = equation.states
+        sizes = {"x": n, "f": n, "taut": equation.switches}
+        self._state = [ca.MX.sym(name, size) for name, size in sizes.items()]
+        self._numbers = [ca.MX.sym(name) for name in _CARRIED]
+        self._u = ca.MX.sym("u", equation.inputs)
+        self._duration, self._spacing = ca.MX.sym("duration"), ca.MX.sym("spacing")
+        self._longest = ca.MX.sym("longest")
+        self._scale = ca.MX.sym("scale", n)
+        # The step tried.
+        self._h, self._x1, self._f1 = ca.MX.sym("h"), ca.MX.sym("x1", n), ca.MX.sym("f1", n)
+        self._error, self._K = ca.MX.sym("error"), ca.MX.sym("K", n, STAGES + 1)
+        self._inputs = [
+            *self._state,
+            *self._numbers,
+            self._u,
+            self._duration,
+            self._spacing,
+            self._longest,
+            self._scale,
+        ]
+        self._nothing = ca.DM.zeros(2 + n * (1 + POWERS))
+
+    def function(self) -> ca.Function:
+        """Return ``(z, given) -> (z, record)``, for ``mapaccum``.
+
+        The record is the time at which the step began, its length, x there, and
+        the coefficients of its interpolant; zeros where no output lies in it.
+        """
+        n, equation = self._equation.states, self._equation
+        sizes = [n, n, equation.switches, *[1] * len(_CARRIED)]
+        z = ca.MX.sym("z", sum(sizes))
+        given = ca.MX.sym("given", equation.inputs + 3 + n)
+        parts = [
+            *ca.vertsplit(z, _ends(sizes)),
+            *ca.vertsplit(given, _ends([equation.inputs, 1, 1, 1, n])),
+        ]
+        kept = self._branch("kept", [*self._state, *self._numbers], self._nothing, self._inputs)
+        going = self._going()
+        time, stuck, duration = parts[3], parts[5], parts[-4]
+        over = ca.logic_or(time >= duration, stuck)
+        choose = ca.Function.if_else("turn_or_not", kept, going)
+        return ca.Function("turn", [z, given], list(choose(over, *parts)))
+
+    def _going(self) -> ca.Function:
+        x, f, taut = self._state
+        time, step = self._numbers[:2]
+        h = ca.fmin(ca.fmin(step, self._longest), self._duration - time)
+        x1, f1, error, K = self._tried(x, f, self._u, taut, h, self._scale)
+        crossed: Any = 0
+        if self._equation.switches:
+            crossed = crossing(self._equation)(x, x1, self._u, taut, h)
+        fate = ca.if_else(error < 1, 1 + crossed, 0)
+        branches = [self._thrown_away(), self._accepted()]
+        if self._equation.switches:
+            branches.append(self._cut())
+        choose = ca.Function.conditional("fate", branches[:-1], branches[-1])
+        return ca.Function(
+            "going", self._inputs, list(choose(fate, *self._inputs, h, x1, f1, error, K))
+        )
+
+    def _thrown_away(self) -> ca.Function:
+        x, f, taut = self._state
+        finite = self._error < ca.inf
+        factor = ca.if_else(finite, ca.fmin(self._factor(), 1), _LEAST / 2)
+        shorter = self._h * factor
+        numbers = self._counted(
+            step=shorter, tries=1, rejections=1, stuck=shorter < _SHORTEST * self._duration
+        )
+        return self._branch("thrown_away", [x, f, taut, *numbers], self._nothing)
+
+    def _accepted(self) -> ca.Function:
+        x, f, taut = self._state
+        time = self._after(self._h)
+        record, made = self._recorded(x, self._x1, f, self._f1, self._K, time, self._h)
+        numbers = self._counted(
+            time=time, step=self._h * self._factor(), tries=1, interpolants=made
+        )
+        return self._branch("accepted", [self._x1, self._f1, taut, *numbers], record)
+
+    def _cut(self) -> ca.Function:
+        x, f, taut = self._state
+        land = landing(self._method.plain(), self._equation)
+        _, taut2, taken, switched = land(x, taut, self._u, self._h, self._x1)
+        x2, f2, _, K2 = self._tried(x, f, self._u, taut, taken, self._scale)
+        time = self._after(taken)
+        record, made = self._recorded(x, x2, f, f2, K2, time, taken)
+        numbers = self._counted(
+            time=time,
+            step=self._h * ca.fmin(self._factor(), 1),
+            tries=1,
+            landings=1,
+            switches=switched,
+            interpolants=made,
+        )
+        # The slope jumps with the strings.
+        f2 = self._equation.slope(x2, self._u, taut2)
+        return self._branch("cut", [x2, f2, taut2, *numbers], record)
+
+    def _branch(
+        self, name: str, state: list[Any], record: Any, inputs: list[Any] | None = None
+    ) -> ca.Function:
+        tried = [self._h, self._x1, self._f1, self._error, self._K]
+        return ca.Function(
+            name,
+            [*self._inputs, *tried] if inputs is None else inputs,
+            [ca.densify(ca.vertcat(*state)), ca.densify(ca.vertcat(record))],
+        )
+
+    def _factor(self) -> Any:
+        error = ca.fmax(self._error, 1e-16)
+        return ca.fmin(ca.fmax(_SAFETY * error ** (-1 / _ORDER), _LEAST), _MOST)
+
+    def _after(self, taken: Any) -> Any:
+        """Return the time after the step: the end of the span exactly, if it was to be reached."""
+        time = self._numbers[0]
+        return ca.if_else(taken >= self._duration - time, self._duration, time + taken)
+
+    def _recorded(self, x: Any, x1: Any, f: Any, f1: Any, K: Any, after: Any, h: Any) -> Any:
+        """Return the record of a step, and whether an output lies in it."""
+        time = self._numbers[0]
+        names = ["x", "x1", "f", "f1", "K", "u", "taut", "h"]
+        values = [x, x1, f, f1, K, self._u, self._state[2], h]
+        inputs = [ca.MX.sym(name, v.sparsity()) for name, v in zip(names, values, strict=True)]
+        made = ca.vertcat(inputs[0], ca.vec(self._interpolant(*inputs)))
+        left_out = ca.Function("left_out", inputs, [ca.DM.zeros(made.shape)])
+        choose = ca.Function.if_else(
+            "interpolant_or_not", ca.Function("made", inputs, [made]), left_out
+        )
+        # The end of the span needs no interpolant.
+        outputs = ca.floor(after / self._spacing * (1 + 1e-14)) > ca.floor(
+            time / self._spacing * (1 + 1e-14)
+        )
+        needed = ca.logic_and(outputs, after < self._duration)
+        needed = ca.logic_or(needed, ca.logic_and(outputs, time + self._spacing < after))
+        return ca.vertcat(time, h * needed, choose(needed, *values)), needed
+
+    def _counted(self, **changes: Any) -> list[Any]:
+        """Return the numbers carried: those given replaced, the counts added to."""
+        replaced = ("time", "step", "stuck")
+        return [
+            changes.get(name, old) if name in replaced else old + changes.get(name, 0)
+            for name, old in zip(_CARRIED, self._numbers, strict=True)
+        ]
+
+
+def _ends(sizes: list[int]) -> list[int]:
+    return [sum(sizes[:i]) for i in range(len(sizes) + 1)]

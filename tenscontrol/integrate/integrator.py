@@ -66,12 +66,15 @@ class IntegrationError(ArithmeticError):
         Time within the span up to which the states are good, s.
     span : Span
         What was reached, at as many output times as were.
+    interrupted : bool
+        Whether the user stopped it (Ctrl-C); nothing is wrong then.
     """
 
-    def __init__(self, message: str, time: float, span: Span) -> None:
+    def __init__(self, message: str, time: float, span: Span, interrupted: bool = False) -> None:
         super().__init__(message)
         self.time = time
         self.span = span
+        self.interrupted = interrupted
 
 
 class Integrator(ABC):
@@ -119,5 +122,6 @@ class Integrator(ABC):
         Raises
         ------
         IntegrationError
-            If the state grows beyond all bounds or the step size vanishes.
+            If the state grows beyond all bounds, the step size vanishes, or
+            the user interrupts.
         """

@@ -34,7 +34,7 @@ def save_trajectory(run: Trajectory, file: str | Path) -> Path:
     -----
     Read it by ``numpy.load(file)``. The arrays have the names of the attributes
     of :class:`Trajectory`; those of the structure and of the control record
-    come after ``structure_`` and ``control_``. What is None is left out.
+    come after ``structure_`` and ``control_``, and so on. What is None is left out.
 
     Examples
     --------
@@ -43,7 +43,7 @@ def save_trajectory(run: Trajectory, file: str | Path) -> Path:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = tc.scene.save_trajectory(run, folder + "/run.npz")
     ...     with np.load(file) as saved:
-    ...         saved["nodes"].shape, str(saved["method"]), saved["structure_bars"].shape
+    ...         saved["nodes"].shape, str(saved["choice_method"]), saved["structure_bars"].shape
     ((3, 6, 11), 'rk4', (3, 2))
     """
     arrays = _arrays("", run)
@@ -58,7 +58,7 @@ def _arrays(prefix: str, value: Any) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for field in fields(value):
         part = getattr(value, field.name)
-        if field.name in ("structure", "control", "parent") and part is not None:
+        if field.name in ("structure", "control", "parent", "choice", "work") and part is not None:
             found |= _arrays(f"{prefix}{field.name}_", part)
         elif part is not None:
             found[f"{prefix}{field.name}"] = np.asarray(part)

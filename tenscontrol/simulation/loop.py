@@ -9,11 +9,9 @@ from math import ceil
 import numpy as np
 
 from tenscontrol.dynamics import Model
-from tenscontrol.integrate import DOP853, RK4, IntegrationError, Integrator, Span, Work
+from tenscontrol.integrate import METHODS, Choice, IntegrationError, Integrator, Span, Work, choose
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory, build_trajectory
 from tenscontrol.validation import FloatArray, choice
-
-METHODS = ("auto", "rk4", "dop853")
 
 
 class SimulationError(ArithmeticError):
@@ -23,11 +21,14 @@ class SimulationError(ArithmeticError):
     ----------
     trajectory : Trajectory
         The motion up to the time of the failure.
+    interrupted : bool
+        Whether the user stopped it; nothing is wrong then.
     """
 
-    def __init__(self, message: str, trajectory: Trajectory) -> None:
+    def __init__(self, message: str, trajectory: Trajectory, interrupted: bool = False) -> None:
         super().__init__(message)
         self.trajectory = trajectory
+        self.interrupted = interrupted
 
 
 @dataclass(eq=False)
@@ -37,33 +38,44 @@ class Loop:
     model: Model
     hold: str
     load: FloatArray
+    duration: float
     method: str
     tolerance: float
     step: float | None
+    project: bool | None = None
     output_step: float = 0.0
     time: list[FloatArray] = field(default_factory=list)
     states: list[FloatArray] = field(default_factory=list)
     inputs: list[FloatArray] = field(default_factory=list)
     work: Work = field(default_factory=Work)
     now: float = 0.0
+    integrator: Integrator | None = None
+    choice: Choice | None = None
 
     def __post_init__(self) -> None:
-        choice("method", self.method, METHODS)
+        choice("method", self.method, ("auto", *METHODS))
         if self.method == "auto":
-            self.method = "dop853" if self.step is None else "rk4"
-        if self.method == "rk4" and self.step is None:
-            raise ValueError("method 'rk4' needs a step, s; for example step=1e-3")
-        if self.method == "dop853" and self.step is not None:
+            return
+        setting = METHODS[self.method].setting
+        if setting == "step" and self.step is None:
+            raise ValueError(f"method {self.method!r} needs a step, s; for example step=1e-3")
+        if setting == "tolerance" and self.step is not None:
+            fixed = [name for name, method in METHODS.items() if method.setting == "step"]
             raise ValueError(
-                "step goes with method 'rk4'; 'dop853' chooses its own steps by tolerance"
+                f"step goes with the methods {fixed}; {self.method!r} chooses its own steps by "
+                "tolerance"
             )
+
+    def _prepare(self, state: FloatArray, held: FloatArray) -> Integrator:
+        """Return the integrator, chosen for the scene if the user has not."""
         equation = self.model.equation(self.hold, self.load - self.model.constant_force)
-        self.integrator: Integrator
-        if self.method == "rk4":
-            assert self.step is not None  # checked above
-            self.integrator = RK4(equation, self.step)
+        if self.method == "auto":
+            self.choice = choose(equation, state, held, self.duration, self.tolerance, self.step)
         else:
-            self.integrator = DOP853(equation, self.tolerance)
+            setting = self.tolerance if self.step is None else self.step
+            self.choice = Choice(self.method, setting, "asked for")
+        method = METHODS[self.choice.method]
+        return method.integrator(equation, self.choice.setting, self.project)
 
     def run(
         self,
@@ -76,6 +88,8 @@ class Loop:
         """Integrate one span with the input held and return the state at its end."""
         if not self.time:
             self._keep(np.zeros(1), state[:, None], held)
+        if self.integrator is None:
+            self.integrator = self._prepare(state, held)
         outputs = max(1, ceil(duration / self.output_step - 1e-9))
         start = self.now
         try:
@@ -84,10 +98,11 @@ class Loop:
             )
         except IntegrationError as error:
             self._add(error.span, held, duration, outputs)
+            reason = f"stopped at {start + error.time:.6g} s of motion: {error}"
             raise SimulationError(
-                f"the simulation stopped at {start + error.time:.6g} s of motion: {error}. "
-                "The motion up to there is in the error's .trajectory",
-                self.trajectory(record()),
+                f"the simulation {reason}. The motion up to there is in the error's .trajectory",
+                self.trajectory(record(), reason),
+                error.interrupted,
             ) from error
         self._add(span, held, duration, outputs)
         self.now = start + duration
@@ -104,8 +119,9 @@ class Loop:
         self.states.append(states)
         self.inputs.append(np.tile(held[:, None], (1, len(time))))
 
-    def trajectory(self, control: ControlRecord | None) -> Trajectory:
+    def trajectory(self, control: ControlRecord | None, stopped: str | None = None) -> Trajectory:
         """Return what came so far."""
+        assert self.choice is not None  # made before the first span
         return build_trajectory(
             self.model,
             self.load,
@@ -113,8 +129,8 @@ class Loop:
             np.concatenate(self.time),
             np.hstack(self.states),
             np.hstack(self.inputs),
-            self.method,
-            self.step,
-            (self.work.steps, self.work.evaluations),
+            self.choice,
+            self.work,
             control,
+            stopped,
         )

@@ -10,7 +10,8 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import Controller
 from tenscontrol.dynamics import Model, pack_state
 from tenscontrol.simulation.closed_loop import checked_rest_length, run_closed_loop
-from tenscontrol.simulation.loop import Loop
+from tenscontrol.simulation.health import AccuracyWarning, Limits
+from tenscontrol.simulation.loop import Loop, SimulationError
 from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import (
@@ -31,9 +32,6 @@ from tenscontrol.validation import (
 
 # States kept of an adaptive run, unless the user says otherwise.
 _OUTPUTS = 1000
-
-# A bar off its length by more than this fraction tells of a motion that is not accurate.
-_STRETCH = 1e-3
 
 # More would not be over in a day, or not fit in memory.
 _MOST_STEPS = 1e11
@@ -57,6 +55,8 @@ def simulate(
     tolerance: float = 1e-6,
     step: float | None = None,
     output_step: float | None = None,
+    project: bool | None = None,
+    limits: Limits | None = None,
     progress: bool = False,
 ) -> Trajectory:
     """Return the motion of a model.
@@ -92,16 +92,25 @@ def simulate(
         For a controller without a sample time of its own, s; else ``step``.
     external_force : array_like, shape (3, n), optional
         Constant load W, N, for a model built with ``external_force=True``.
-    method : {"auto", "rk4", "dop853"}
-        ``"auto"`` is ``"rk4"`` where ``step`` is given, else ``"dop853"``.
+    method : str
+        ``"auto"``, or one of :data:`METHODS`. ``"auto"`` is ``"rk4"`` where
+        ``step`` is given; else it chooses by the largest string frequency, and
+        says so in ``run.choice``.
     tolerance : float
-        Error allowed a step of ``"dop853"``, relative, and absolute in m and m/s.
+        Error allowed a step of a method that chooses its own steps, as part of
+        the size of the structure and of its characteristic speed.
     step : float, optional
-        Step of ``"rk4"``, s.
+        Step of a method with a fixed step, s.
     output_step : float, optional
         Largest time between returned states, s; the end of each sample is
-        returned as well. Every step of ``"rk4"``, or a thousandth of the
-        duration, if not given.
+        returned as well. Every fixed step, or a thousandth of the duration, if
+        not given.
+    project : bool, optional
+        Whether to make the bar lengths exact after each step, for a method
+        from which they drift. If not given, methods that control their error
+        do, and RK4 does not: its drift tells of too long a step.
+    limits : Limits, optional
+        Limits on the figures in ``run.health``; ``Limits()`` if not given.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 
@@ -114,13 +123,15 @@ def simulate(
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit, with its name.
     SimulationError
-        If the motion runs away; it carries the motion up to there.
+        If the motion runs away, or passes a limit that is set to raise; it
+        carries the motion up to there.
 
     Warns
     -----
+    AccuracyWarning
+        If the motion passes a limit: the integration was too coarse.
     RuntimeWarning
-        If a bar is off its length by more than a thousandth: the integration
-        was too coarse.
+        If the user interrupts; the motion up to there is returned.
 
     Examples
     --------
@@ -139,44 +150,55 @@ def simulate(
     duration = positive_number("duration", duration, "s")
     tolerance = positive_number("tolerance", tolerance, "m and m/s")
     truth("progress", progress, "whether to show a progress bar")
+    if project is not None:
+        truth("project", project, "whether to make bar lengths exact after each step")
+    if limits is not None:
+        instance("limits", limits, Limits, "make them by Limits(bar_length_error=...)")
     if controller is not None:
         instance("controller", controller, Controller, "make one by lqr(...) or MPC(...)")
     loop = Loop(
         model,
         hold=_held(model, rest_length, force_density, controller, hold),
         load=_checked_load(model, external_force),
+        duration=duration,
         method=method,
         tolerance=tolerance,
         step=step,
+        project=project,
     )
     loop.output_step = _output_step(loop, output_step, duration)
     state = _initial_state(model, nodes, velocities, loop.hold)
-    with progress_bar(duration, shown=progress) as report:
-        if controller is None:
-            if winches is not None or sample_time is not None:
-                raise ValueError("winches and sample_time go with a controller")
-            value = _held_value(model, rest_length, force_density)
-            loop.run(state, value, duration, report)
-            run = loop.trajectory(None)
-        else:
-            run = run_closed_loop(
-                loop, state, duration, controller, rest_length, winches, sample_time, report
-            )
-    _warn_of_stretched_bars(run)
+    try:
+        with progress_bar(duration, shown=progress) as report:
+            if controller is None:
+                if winches is not None or sample_time is not None:
+                    raise ValueError("winches and sample_time go with a controller")
+                value = _held_value(model, rest_length, force_density)
+                loop.run(state, value, duration, report)
+                run = loop.trajectory(None)
+            else:
+                run = run_closed_loop(
+                    loop, state, duration, controller, rest_length, winches, sample_time, report
+                )
+    except SimulationError as error:
+        if not error.interrupted:
+            raise
+        warnings.warn(f"the simulation {error.trajectory.stopped}", RuntimeWarning, stacklevel=2)
+        return error.trajectory
+    _check(run, Limits() if limits is None else limits)
     return run
 
 
-def _warn_of_stretched_bars(run: Trajectory) -> None:
-    stretch = np.abs(run.bar_length_error) / run.structure.bar_length[:, None]
-    if stretch.size and stretch.max() > _STRETCH:
-        bar, k = np.unravel_index(int(stretch.argmax()), stretch.shape)
-        finer = "a smaller tolerance" if run.step is None else f"a step below {run.step:g} s"
-        warnings.warn(
-            f"bar {bar} is off its length by {100 * stretch[bar, k]:.2g} % at "
-            f"{run.time[k]:.4g} s: the motion is not accurate. Try {finer}",
-            RuntimeWarning,
-            stacklevel=3,
-        )
+def _check(run: Trajectory, limits: Limits) -> None:
+    """Warn or raise where the motion passes a limit."""
+    passed = limits.passed(run.health)
+    if not passed:
+        return
+    finer = "a smaller tolerance" if run.step is None else f"a step below {run.step:g} s"
+    text = f"{'; '.join(passed)}: the motion may not be accurate. Try {finer}"
+    if limits.action == "raise":
+        raise SimulationError(text, run)
+    warnings.warn(text, AccuracyWarning, stacklevel=3)
 
 
 def _held(

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.dynamics import Model, evaluate_columns, unpack_states
+from tenscontrol.integrate import METHODS, Choice, Work
+from tenscontrol.simulation.health import Health
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, frozen
 
@@ -75,15 +77,18 @@ class Trajectory:
         kg m/s, and kg m²/s about the origin.
     bar_length_error : ndarray, shape (β, T)
         Current length less true length of each bar, m.
-    method : str
-        The integrator.
-    step : float or None
-        The step asked for, s; what is taken is shortened so that steps fill a
-        span. None where the integrator chose its own.
-    steps, evaluations : int
-        Integrator steps and evaluations of the right-hand side.
+    choice : Choice
+        The integration method, its step or tolerance, and why it was chosen.
+    work : Work
+        Steps, rejections, evaluations of the right-hand side, switches.
+    conserves_energy : bool
+        Whether nothing takes or gives energy: no damping, no controller.
+    conserves_momentum : bool
+        Whether nothing holds or pushes the structure from outside.
     control : ControlRecord or None
         What the controller did; None in open loop.
+    stopped : str or None
+        Why the motion ends early; None where it does not.
     """
 
     structure: Structure
@@ -97,11 +102,65 @@ class Trajectory:
     momentum: FloatArray
     angular_momentum: FloatArray
     bar_length_error: FloatArray
-    method: str
-    step: float | None
-    steps: int
-    evaluations: int
+    choice: Choice
+    work: Work
+    conserves_energy: bool
+    conserves_momentum: bool
     control: ControlRecord | None
+    stopped: str | None = None
+
+    @property
+    def method(self) -> str:
+        """Name of the integration method."""
+        return self.choice.method
+
+    @property
+    def step(self) -> float | None:
+        """The step asked for, s; None where the integrator chose its own.
+
+        What is taken is shortened so that steps fill a span.
+        """
+        return self.choice.setting if METHODS[self.method].setting == "step" else None
+
+    @property
+    def steps(self) -> int:
+        """Number of steps."""
+        return self.work.steps
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations of the right-hand side."""
+        return self.work.evaluations
+
+    @property
+    def health(self) -> Health:
+        """Figures that tell whether to trust the motion."""
+        moved = float(np.abs(self.energy - self.energy[0]).max())
+        # Near rest hardly any energy is kinetic: a millionth of all is then the measure.
+        scale = max(float(self.kinetic_energy.max()), 1e-6 * float(np.abs(self.energy).max()))
+        changes: list[float | None] = [None, None]
+        if self.conserves_momentum:
+            changes = [
+                _share(float(np.abs(part - part[:, :1]).max()), largest)
+                for part, largest in zip(
+                    (self.momentum, self.angular_momentum), self._largest_momenta(), strict=True
+                )
+            ]
+        stretch = np.abs(self.bar_length_error) / self.structure.bar_length[:, None]
+        return Health(
+            energy_error=_share(moved, scale) if self.conserves_energy else None,
+            momentum_change=changes[0],
+            angular_momentum_change=changes[1],
+            bar_length_error=float(stretch.max(initial=0.0)),
+            work=self.work,
+        )
+
+    def _largest_momenta(self) -> tuple[float, float]:
+        """Return the largest linear and angular momentum that the mass could have, as scales."""
+        mass = self.structure.bar_mass.sum() + self.structure.string_node_mass.sum()
+        momentum = float(np.sqrt(2 * mass * self.kinetic_energy.max()))
+        centre = self.nodes.mean(axis=1, keepdims=True)
+        return momentum, momentum * float(np.abs(self.nodes - centre).max())
 
     @property
     def energy(self) -> FloatArray:
@@ -115,13 +174,15 @@ class Trajectory:
         -------
         str
         """
-        step = "own steps" if self.step is None else f"step {self.step:g} s"
+        own = f"tolerance {self.choice.setting:g}"
+        step = own if self.step is None else f"step {self.step:g} s"
         drift = np.abs(self.bar_length_error).max(initial=0.0)
         momentum = np.ptp(self.momentum, axis=1).max()
         angular = np.ptp(self.angular_momentum, axis=1).max()
         lines = [
             f"{self.time[-1]:g} s by {self.method}, {step}: {self.steps} steps, "
             f"{self.evaluations} evaluations",
+            *self._details(),
             f"energy            {self.energy[0]:.6g} J at start, {self.energy[-1]:.6g} J at end",
             f"momentum change   {momentum:.1e} kg m/s, angular {angular:.1e} kg m²/s",
             f"bar-length error  {drift:.1e} m",
@@ -137,6 +198,21 @@ class Trajectory:
                 lines.append(f"winches           too slow in {slow} samples, out of range in {out}")
         return "\n".join(lines)
 
+    def _details(self) -> list[str]:
+        """Return what is told only where there is something to tell."""
+        lines = []
+        if self.stopped is not None:
+            lines.append(f"ended early       {self.stopped}")
+        if self.choice.reason != "asked for":
+            lines.append(f"method            {self.choice.reason}")
+        if self.work.rejections:
+            lines.append(f"rejected steps    {self.work.rejections}")
+        if self.work.switches:
+            lines.append(f"slack or taut     {self.work.switches} times")
+        if self.work.unlocated:
+            lines.append(f"not located       {self.work.unlocated} steps across a switch")
+        return lines
+
     def __repr__(self) -> str:
         return f"Trajectory({self.time[-1]:g} s, {len(self.time)} states, {self.method})"
 
@@ -148,16 +224,16 @@ def build_trajectory(
     time: FloatArray,
     states: FloatArray,
     inputs: FloatArray,
-    method: str,
-    step: float | None,
-    work: tuple[int, int],
+    choice: Choice,
+    work: Work,
     control: ControlRecord | None,
+    stopped: str | None,
 ) -> Trajectory:
     """Return the trajectory of states (6n, T) under held inputs (α, T).
 
     Energies and momenta are evaluated by the model's own functions, all times at once.
     """
-    structure = model.structure
+    structure, strings = model.structure, model.strings
     nodes, velocities = unpack_states(structure, states)
     if held == "force_density":
         force_density, rest_length = inputs, None
@@ -184,9 +260,15 @@ def build_trajectory(
         momentum=frozen(linear),
         angular_momentum=frozen(angular),
         bar_length_error=frozen(error),
-        method=method,
-        step=step,
-        steps=work[0],
-        evaluations=work[1],
+        choice=choice,
+        work=work,
+        conserves_energy=control is None
+        and (held == "force_density" or (strings is not None and not strings.is_damped)),
+        conserves_momentum=not load.any() and not len(structure.fixed),
         control=control,
+        stopped=stopped,
     )
+
+
+def _share(change: float, scale: float) -> float:
+    return change / scale if scale > 0 else change

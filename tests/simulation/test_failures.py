@@ -46,7 +46,9 @@ def test_the_trajectory_holds_the_finite_part(failure):
 
 
 def test_the_trajectory_is_that_of_a_shorter_run(failure):
-    with pytest.warns(RuntimeWarning, match=r"bar \d is off its length by .* step below 0\.01 s"):
+    with pytest.warns(
+        RuntimeWarning, match=r"bar length error .* above its limit .* step below 0\.01 s"
+    ):
         shorter = tc.simulate(stiff_model(), 0.05, rest_length=tight(), step=1e-2)
     np.testing.assert_allclose(failure.trajectory.nodes[:, :, :6], shorter.nodes, rtol=1e-9)
 
@@ -60,7 +62,7 @@ def test_a_short_enough_step_cures_it():
 def test_a_failure_in_the_first_step_leaves_the_start():
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e200))
     with pytest.raises(tc.SimulationError) as info:
-        tc.simulate(model, 1.0, rest_length=tight(), step=0.1)
+        tc.simulate(model, 1.0, rest_length=tight(), step=0.1, method="rk4")
     run = info.value.trajectory
     assert run.time.tolist() == [0.0]
     np.testing.assert_array_equal(run.nodes[:, :, 0], tc.prism().nodes)
@@ -70,7 +72,7 @@ def test_the_adaptive_method_fails_loudly_too():
     """A tolerance so loose that a bar loses its length and with it its direction."""
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e4))
     with pytest.raises(tc.SimulationError, match="dop853 stopped after") as info:
-        tc.simulate(model, 2.0, rest_length=tight(), tolerance=1e-2)
+        tc.simulate(model, 2.0, rest_length=tight(), tolerance=1e-2, project=False)
     run = info.value.trajectory
     assert 0 < run.time[-1] < 2.0
     assert np.isfinite(run.nodes).all()
@@ -92,5 +94,5 @@ def test_in_closed_loop_the_record_comes_with_it(rest):
 def test_a_motion_that_stretches_bars_is_returned_with_a_warning():
     """A tolerance too loose for stiff strings: nothing breaks, but the motion means nothing."""
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e5))
-    with pytest.warns(RuntimeWarning, match="bar .* is off its length .* smaller tolerance"):
-        tc.simulate(model, 1.0, rest_length=tight(), tolerance=1e-3)
+    with pytest.warns(RuntimeWarning, match="bar length error .* smaller tolerance"):
+        tc.simulate(model, 1.0, rest_length=tight(), tolerance=1e-4, project=False)

@@ -1,0 +1,71 @@
+"""Scales of a motion, against which errors are measured."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.dynamics import Equation, Evaluator
+from tenscontrol.validation import FloatArray
+
+_POWER_ITERATIONS = 60
+
+
+def state_scale(equation: Equation, state: FloatArray, held: FloatArray) -> FloatArray:
+    """Return the size of each entry of the state, shape (states,).
+
+    For positions it is the length of the longest bar or string; for velocities
+    the larger of the fastest node's and the speed that the forces at the start
+    give the whole structure over its own size. So the answer does not change
+    with units or place. An equation that is no structure's has the entry itself
+    and 1.
+    """
+    structure, force = equation.structure, equation.force
+    if structure is None or force is None:
+        return 1 + np.abs(state)
+    q, v = np.split(state, 2)
+    taut = (np.array(equation.gap(state, held)[0]) > 0).astype(float)
+    forces = np.abs(np.array(force(q, v, held, taut))).max(initial=0.0)
+    nodes = structure.nodes
+    members = np.vstack([structure.bars, structure.strings])
+    size = np.linalg.norm(nodes[:, members[:, 1]] - nodes[:, members[:, 0]], axis=0).max()
+    mass = structure.bar_mass.sum() + structure.string_node_mass.sum()
+    speed = max(np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass), 1e-300)
+    return np.repeat([size, speed], len(q))
+
+
+def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -> float:
+    """Return the largest frequency of small motions about a state with all strings taut, rad/s.
+
+    By power iteration on the derivative of the accelerations with respect to
+    the positions: its largest eigenvalue is -ω².
+
+    Parameters
+    ----------
+    equation : Equation
+    state : ndarray, shape (states,)
+    held : ndarray, shape (inputs,)
+
+    Returns
+    -------
+    float
+        0 for an equation that is no structure's.
+    """
+    if equation.structure is None:
+        return 0.0
+    n = equation.states // 2
+    x, u = ca.SX.sym("x", 2 * n), ca.SX.sym("u", equation.inputs)
+    direction = ca.SX.sym("direction", n)
+    slope = equation.slope(x, u, ca.DM.ones(equation.switches))[n:]
+    along = ca.jtimes(slope, x, ca.vertcat(direction, ca.DM.zeros(n)))
+    product = Evaluator(ca.Function("product", [x, u, direction], [along]))
+    vector: FloatArray = np.random.default_rng(0).standard_normal(n)
+    square = 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_POWER_ITERATIONS):
+            vector = vector / np.linalg.norm(vector)
+            vector = product(state, held, vector)[0].copy()
+            square = float(np.linalg.norm(vector))
+            if not np.isfinite(square) or square == 0.0:
+                break
+        return float(np.sqrt(square))

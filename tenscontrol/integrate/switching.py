@@ -1,0 +1,266 @@
+"""Steps that end where a string goes slack or taut.
+
+A step across the kink of a string loses the order of every method. So a step is
+taken with the strings that pull and those that are slack as they are at its
+start. If one of them changes within, the step is taken again, only as far as
+there, and the rest follows with the string changed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from tenscontrol.dynamics import Equation
+
+# How far a string may pass the border of slack before it is acted on, as part of its rest
+# length. It covers round-off, so that strings that switch together by symmetry are taken
+# together, and a string that was switched does not switch back at once. The force is wrong by
+# the stiffness times this, for as long as the string needs to cross it.
+_BAND = 1e-11
+
+# The search inside a step: samples, how often it zooms in on the samples next to the first
+# crossing, and true steps to the place found. The interpolant is off by O(h⁶), its slope by
+# O(h⁵), so each true step gains several digits.
+_SAMPLES = 8
+_ZOOMS = 5
+POLISHES = 4
+
+# Pieces that one step may be cut into; the rest is then taken whole, and counted.
+_PIECES = 8
+
+# What is left of a step below this part of it is round-off.
+_REST = 1e-13
+
+#: What a located step counts: tries of a step, each with the evaluations of one; landings on a
+#: switch, with two evaluations beside their tries; strings switched; rests taken whole.
+COUNTS = ("tries", "landings", "switches", "unlocated")
+
+
+def located(step: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(x, taut, u, h) -> (x1, taut1, counts)``: a step of a method, cut at switches.
+
+    Parameters
+    ----------
+    step : casadi.Function
+        ``(x, u, taut, h) -> x1``, one step of a method for fixed ``taut``.
+    equation : Equation
+
+    Returns
+    -------
+    casadi.Function
+        ``counts`` are the numbers of :data:`COUNTS`.
+    """
+    x, taut, u, h, x1 = _symbols(equation)
+    attempt, land = _attempt(step, equation), landing(step, equation)
+    uncut = ca.Function("uncut", [x, taut, u, h, x1], [x1, taut, _count(tries=1)])
+    # After the first switch, piece by piece; no time left is the rule after one or two.
+    x2, taut2, taken, switched = land(x, taut, u, h, x1)
+    counts = _count(tries=1 + POLISHES, landings=1, switches=switched)
+    pieces = _piece(attempt, land, equation).fold(_PIECES)
+    held = ca.repmat(ca.vertcat(u, h), 1, _PIECES)
+    state = pieces(ca.vertcat(x2, taut2, h - taken, counts), held)
+    rest = _rest(step, equation)(state, u, h)
+    cut = ca.Function("cut", [x, taut, u, h, x1], list(rest))
+    either = ca.Function.if_else("either", cut, uncut)
+    end, crossed = attempt(x, taut, u, h)
+    return ca.Function("located", [x, taut, u, h], list(either(crossed, x, taut, u, h, end)))
+
+
+def taut_strings(equation: Equation, x: Any, u: Any) -> Any:
+    """Return the expression of which strings pull in a state, 1 or 0 each."""
+    return equation.gap(x, u)[0] > 0
+
+
+def crossing(equation: Equation) -> ca.Function:
+    """Return ``(x, x1, u, taut, h) -> crossed``: whether a string may switch within a step.
+
+    A string that is inside at both ends, but goes out at the start and comes in
+    at the end, is taken as a crossing where the tangents at both ends meet
+    outside: no less can be said without looking at the inside of the step.
+    """
+    n = equation.states
+    x, x1 = ca.SX.sym("x", n), ca.SX.sym("x1", n)
+    u, taut = ca.SX.sym("u", equation.inputs), ca.SX.sym("taut", equation.switches)
+    h = ca.SX.sym("h")
+    sign = 2 * taut - 1
+    (gap0, rate0), (gap1, rate1) = equation.gap(x, u), equation.gap(x1, u)
+    room0, room1 = sign * gap0 + _BAND * u, sign * gap1 + _BAND * u
+    out, back = -sign * rate0, sign * rate1
+    # The tangents room0 - out t and room1 - back (h - t) meet below zero.
+    below = back * room0 + out * room1 < out * back * h
+    dips = ca.logic_and(ca.logic_and(out > 0, back > 0), below)
+    found = ca.mmax(ca.logic_or(room1 < 0, dips))
+    if equation.velocity_dependent:
+        # The border of a damped string has other tangents: look at the middle.
+        q, v, q1, v1 = x[: n // 2], x[n // 2 :], x1[: n // 2], x1[n // 2 :]
+        middle = ca.vertcat((q + q1) / 2 + h / 8 * (v - v1), 1.5 / h * (q1 - q) - (v + v1) / 4)
+        found = ca.fmax(found, ca.mmax(sign * equation.gap(middle, u)[0] + _BAND * u < 0))
+    # A state that is not finite is not searched.
+    found = ca.if_else(ca.sumsqr(x1) < ca.inf, found, 0)
+    return ca.Function("crossing", [x, x1, u, taut, h], [found])
+
+
+def landing(step: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(x, taut, u, h, x1) -> (x2, taut2, taken, switched)``: the step to the first switch.
+
+    The switch is sought on the quintic interpolant of positions, velocities and
+    accelerations at both ends, then approached by true steps. Where there is
+    none after all, the step is returned as it was.
+    """
+    x, taut, u, h, x1 = _symbols(equation)
+    room, zoom = _room_inside(equation), _zoom()
+    ends = [x, equation.slope(x, u, taut), x1, equation.slope(x1, u, taut), u, taut, h]
+    low, high, found = ca.MX(0), ca.MX(1), ca.MX(0)
+    for _ in range(_ZOOMS):
+        parts = low + (high - low) * ca.DM(range(1, _SAMPLES + 1)).T / _SAMPLES
+        _, least = room.map(_SAMPLES)(*(ca.repmat(end, 1, _SAMPLES) for end in ends), parts)
+        low, high, found = zoom(low, high, least)
+    (inside, _), (outside, out) = room(*ends, low), room(*ends, high)
+    # The string that is out first; several, where they are out together.
+    chosen = outside <= out + 0.5 * _BAND * ca.mmin(u)
+    before, after = (ca.dot(chosen, value) / ca.sum1(chosen) for value in (inside, outside))
+    speed = (after - before) / (high - low)
+    reached = _approach(step, equation).fold(POLISHES)(
+        ca.vertcat(low - before / speed, low, before, speed, x1),
+        *(ca.repmat(a, 1, POLISHES) for a in (x, taut, u, h, chosen)),
+    )
+    part, end = reached[1], reached[4:]
+    # Whatever else has reached the border and is on its way out switches with it.
+    at_border = (2 * taut - 1) * equation.gap(end, u)[0] <= 0.5 * _BAND * u
+    switch = ca.logic_and(at_border, outside < inside)
+    outputs = [
+        ca.if_else(found, end, x1),
+        ca.if_else(found, ca.fabs(taut - switch), taut),
+        ca.if_else(found, part * h, h),
+        ca.if_else(found, ca.sum1(switch), 0),
+    ]
+    return ca.Function("landing", [x, taut, u, h, x1], outputs)
+
+
+def _attempt(step: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(x, taut, u, h) -> (x1, crossed)``."""
+    x, taut, u, h, _ = _symbols(equation)
+    end = step(x, u, taut, h)
+    return ca.Function("attempt", [x, taut, u, h], [end, crossing(equation)(x, end, u, taut, h)])
+
+
+def _room_inside(equation: Equation) -> ca.Function:
+    """Return ``(x, xd, x1, xd1, u, taut, h, part) -> (room, least)`` inside a step."""
+    n = equation.states
+    x, xd, x1, xd1 = (ca.SX.sym(name, n) for name in ("x", "xd", "x1", "xd1"))
+    u, taut = ca.SX.sym("u", equation.inputs), ca.SX.sym("taut", equation.switches)
+    h, s = ca.SX.sym("h"), ca.SX.sym("part")
+    q0, v0, q1, v1 = x[: n // 2], h * x[n // 2 :], x1[: n // 2], h * x1[n // 2 :]
+    a0, a1 = h**2 * xd[n // 2 :], h**2 * xd1[n // 2 :]
+    # The polynomial of degree 5 with these values, slopes and curvatures at both ends.
+    d, e, f = q1 - q0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
+    c3, c4, c5 = 10 * d - 4 * e + f / 2, -15 * d + 7 * e - f, 6 * d - 3 * e + f / 2
+    q = q0 + s * (v0 + s * (a0 / 2 + s * (c3 + s * (c4 + s * c5))))
+    v = (v0 + s * (a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h
+    room = (2 * taut - 1) * equation.gap(ca.vertcat(q, v), u)[0] + _BAND * u
+    return ca.Function("room", [x, xd, x1, xd1, u, taut, h, s], [room, ca.mmin(room)])
+
+
+def _zoom() -> ca.Function:
+    """Return ``(low, high, rooms) -> (low, high, found)``: the samples next to the crossing.
+
+    ``rooms`` are the least rooms at equal parts of the bracket, the last at its
+    end. Where none is negative, the bracket closes in on the lowest.
+    """
+    low, high, rooms = ca.SX.sym("low"), ca.SX.sym("high"), ca.SX.sym("rooms", 1, _SAMPLES)
+    first, last, least = ca.SX(0), ca.SX(1), ca.SX(ca.inf)
+    for j in range(_SAMPLES):
+        lower = rooms[j] < least
+        first = ca.if_else(lower, j, first)
+        last = ca.if_else(lower, min(j + 2, _SAMPLES), last)
+        least = ca.if_else(lower, rooms[j], least)
+    for j in reversed(range(_SAMPLES)):
+        first = ca.if_else(rooms[j] < 0, j, first)
+        last = ca.if_else(rooms[j] < 0, j + 1, last)
+    width = (high - low) / _SAMPLES
+    ends = [low + first * width, low + last * width]
+    return ca.Function("zoom", [low, high, rooms], [*ends, least < 0])
+
+
+def _approach(step: ca.Function, equation: Equation) -> ca.Function:
+    """Return one true step towards the switch by the secant method, for ``fold``.
+
+    The state is the part of the step to take next, the part last taken, the
+    room there, its slope along the step, and where the part last taken led.
+    """
+    x, taut, u, h, _ = _symbols(equation)
+    state = ca.MX.sym("state", 4 + equation.states)
+    chosen = ca.MX.sym("chosen", equation.switches)
+    wanted, before, gap_before, speed = state[0], state[1], state[2], state[3]
+    # A string that only grazes the border has no slope to follow.
+    part = ca.fmin(ca.fmax(ca.if_else(speed < 0, wanted, 0), 0), 1)
+    end = step(x, u, taut, part * h)
+    gap = ca.dot(chosen, (2 * taut - 1) * equation.gap(end, u)[0]) / ca.sum1(chosen)
+    # Closer than this, the difference is round-off.
+    apart = ca.fabs(part - before) > 1e-6
+    secant = (gap - gap_before) / ca.if_else(apart, part - before, 1)
+    speed = ca.if_else(ca.logic_and(apart, secant < 0), secant, speed)
+    following = ca.vertcat(part - gap / speed, part, gap, speed, end)
+    return ca.Function("approach", [state, x, taut, u, h, chosen], [following])
+
+
+def _piece(attempt: ca.Function, land: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(state, [u; h]) -> state``: the next piece of a step, for ``fold``.
+
+    The state is x, taut, the time left, and the counts; nothing happens once no time is left.
+    """
+    x, taut, u, _, x1 = _symbols(equation)
+    left, counts = ca.MX.sym("left"), ca.MX.sym("counts", len(COUNTS))
+    inputs = [x, taut, left, counts, u]
+    over = ca.Function("over", [*inputs, x1], [ca.vertcat(x1, taut, 0, counts + _count(tries=1))])
+    x2, taut2, taken, switched = land(x, taut, u, left, x1)
+    more = _count(tries=1 + POLISHES, landings=1, switches=switched)
+    again = ca.Function(
+        "again", [*inputs, x1], [ca.vertcat(x2, taut2, left - taken, counts + more)]
+    )
+    end, crossed = attempt(x, taut, u, left)
+    either = ca.Function.if_else("either_piece", again, over)
+    going = ca.Function("going", inputs, [either(crossed, *inputs, end)])
+    done = ca.Function("done", inputs, [ca.vertcat(*inputs[:-1])])
+    state, held = ca.MX.sym("state", going.size1_out(0)), ca.MX.sym("held", equation.inputs + 1)
+    parts = _split(state, equation)
+    choose = ca.Function.if_else("choose", going, done)
+    some = parts[2] > _REST * held[-1]
+    x, taut, left, counts = parts
+    return ca.Function("piece", [state, held], [choose(some, x, taut, left, counts, held[:-1])])
+
+
+def _rest(step: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(state, u, h) -> (x, taut, counts)``: what is left of a step, taken whole."""
+    x, taut, u, h, _ = _symbols(equation)
+    left, counts = ca.MX.sym("left"), ca.MX.sym("counts", len(COUNTS))
+    inputs = [x, taut, left, counts, u]
+    end = step(x, u, taut, left)
+    whole = [end, taut_strings(equation, end, u), counts + _count(tries=1, unlocated=1)]
+    choose = ca.Function.if_else(
+        "choose_rest",
+        ca.Function("whole", inputs, whole),
+        ca.Function("none", inputs, [x, taut, counts]),
+    )
+    state = ca.MX.sym("state", equation.states + equation.switches + 1 + len(COUNTS))
+    parts = _split(state, equation)
+    return ca.Function("rest", [state, u, h], list(choose(parts[2] > _REST * h, *parts, u)))
+
+
+def _symbols(equation: Equation) -> tuple[Any, Any, Any, Any, Any]:
+    """Return fresh symbols for x, taut, u, h and the x after a step."""
+    sizes = {"x": equation.states, "taut": equation.switches, "u": equation.inputs, "h": 1}
+    x, taut, u, h = (ca.MX.sym(name, size) for name, size in sizes.items())
+    return x, taut, u, h, ca.MX.sym("x1", equation.states)
+
+
+def _split(state: Any, equation: Equation) -> list[Any]:
+    sizes = (equation.states, equation.switches, 1, len(COUNTS))
+    ends = [sum(sizes[:i]) for i in range(len(sizes) + 1)]
+    return list(ca.vertsplit(state, ends))
+
+
+def _count(**counted: Any) -> Any:
+    return ca.vertcat(*(counted.get(name, 0) for name in COUNTS))
