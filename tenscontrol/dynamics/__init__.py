@@ -1,5 +1,6 @@
 """The equations of motion as CasADi functions."""
 
+from tenscontrol.dynamics.compiled import Compiled, compiled
 from tenscontrol.dynamics.coordinates import (
     KINDS,
     Coordinates,
@@ -12,6 +13,7 @@ from tenscontrol.dynamics.strings import ElasticStrings, LinearStrings, StringLa
 
 __all__ = [
     "KINDS",
+    "Compiled",
     "Coordinates",
     "ElasticStrings",
     "Equation",
@@ -19,6 +21,7 @@ __all__ = [
     "LinearStrings",
     "Model",
     "StringLaw",
+    "compiled",
     "coordinates",
     "evaluate_columns",
     "pack_state",

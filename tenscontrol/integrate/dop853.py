@@ -48,6 +48,8 @@ class DOP853(Integrator):
         positions, and of its characteristic speed for velocities.
     project : bool
         Whether to make the bar lengths exact after each step.
+    machine_code : bool
+        Whether to compile the steps, where there is a C compiler.
 
     Notes
     -----
@@ -56,7 +58,9 @@ class DOP853(Integrator):
 
     name = "dop853"
 
-    def __init__(self, equation: Equation, tolerance: float, project: bool = True) -> None:
+    def __init__(
+        self, equation: Equation, tolerance: float, project: bool = True, machine_code: bool = False
+    ) -> None:
         super().__init__(equation)
         self.tolerance = positive_number("tolerance", tolerance, "of size and speed")
         if self.tolerance < _SMALLEST_TOLERANCE:
@@ -65,7 +69,8 @@ class DOP853(Integrator):
                 "double precision goes no further"
             )
         self._turns = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _TURNS))
-        self._chunk = Evaluator(_Turn(equation, project).function().mapaccum(self._turns))
+        turns = _Turn(equation, project).function().mapaccum(self._turns)
+        self._chunk = Evaluator(self._as_compiled(turns, machine_code))
         x, u = ca.MX.sym("x", equation.states), ca.MX.sym("u", equation.inputs)
         taut = taut_strings(equation, x, u)
         self._longest: float | None = None

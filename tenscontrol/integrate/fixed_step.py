@@ -14,9 +14,9 @@ from tenscontrol.integrate.projection import projected
 from tenscontrol.integrate.switching import COUNTS, located, taut_strings
 from tenscontrol.validation import FloatArray, positive_number
 
-# Steps per call into CasADi: long enough that the call costs nothing, short enough that a long
-# run reports its progress; what is left over is made up of shorter calls.
-_CHUNKS = (512, 32, 1)
+# Steps in a block, and blocks in a call into CasADi: enough that the call costs nothing, few enough
+# that a long run reports its progress and a short one does not wait for steps left out.
+_BLOCK, _MANY = 32, 16
 
 
 class FixedStep(Integrator):
@@ -31,18 +31,24 @@ class FixedStep(Integrator):
         Largest step, s. It is shortened so that a whole number fits between outputs.
     project : bool
         Whether to make the bar lengths exact after each step.
+    machine_code : bool
+        Whether to compile the steps, where there is a C compiler.
     """
 
     #: Evaluations of the right-hand side, or of the forces, in one step.
     evaluations_per_step: int
 
-    def __init__(self, equation: Equation, step: float, project: bool = False) -> None:
+    def __init__(
+        self, equation: Equation, step: float, project: bool = False, machine_code: bool = False
+    ) -> None:
         super().__init__(equation)
         self.step = positive_number("step", step, "s")
         one = self.step_function(equation)
-        self._one_step = _carried(projected(one, equation) if project else one, equation)
-        self._chunks: dict[int, Evaluator] = {}
-        x, u = ca.SX.sym("x", equation.states), ca.SX.sym("u", equation.inputs)
+        step_of_all = _carried(projected(one, equation) if project else one, equation)
+        self._size = int(step_of_all.size1_in(0))
+        block = self._as_compiled(_block(step_of_all), machine_code)
+        self._blocks = {1: Evaluator(block), _MANY: Evaluator(block.mapaccum(_MANY))}
+        x, u = ca.MX.sym("x", equation.states), ca.MX.sym("u", equation.inputs)
         self._taut = Evaluator(ca.Function("taut", [x, u], [taut_strings(equation, x, u)]))
 
     @abstractmethod
@@ -68,12 +74,20 @@ class FixedStep(Integrator):
         carried = np.concatenate([state, taut, np.zeros(len(COUNTS))])[: self._size]
         done = 0
         while done < total:
-            size = next(size for size in _CHUNKS if size <= total - done)
+            blocks = _MANY if total - done >= _MANY * _BLOCK else 1
+            size = min(blocks * _BLOCK, total - done)
+            steps: FloatArray = np.zeros(blocks * _BLOCK)
+            steps[:size] = step
+            inputs = held
+            if blocks > 1:
+                steps = steps.reshape(blocks, _BLOCK).T
+                inputs = np.tile(held[:, None], (1, blocks))
             try:
-                result = self._chunk(size)(carried, held, step)[0].reshape(-1, size, order="F")
+                result = self._blocks[blocks](carried, inputs, steps)[0]
             except KeyboardInterrupt:
                 reached = Span(states[:, : done // inner], self._work(done, carried))
                 raise IntegrationError("interrupted", step * done, reached, True) from None
+            result = result.reshape(self._size, -1, order="F")[:, :size]
             first = -(-(done + 1) // inner)  # the next output
             kept = result[:n, first * inner - done - 1 :: inner]
             states[:, first - 1 : first - 1 + kept.shape[1]] = kept
@@ -94,10 +108,6 @@ class FixedStep(Integrator):
                 report(step * done)
         return Span(states, self._work(total, carried))
 
-    @property
-    def _size(self) -> int:
-        return int(self._one_step.size1_in(0))
-
     def _work(self, steps: int, carried: FloatArray) -> Work:
         if not self._equation.switches:
             return Work(steps=steps, evaluations=self.evaluations_per_step * steps)
@@ -109,16 +119,16 @@ class FixedStep(Integrator):
             unlocated=unlocated,
         )
 
-    def _chunk(self, size: int) -> Evaluator:
-        """Return ``(z, u, h) -> [z1 … z_size]``, one column a step."""
-        if size not in self._chunks:
-            z = ca.MX.sym("z", self._size)
-            u, h = ca.MX.sym("u", self._equation.inputs), ca.MX.sym("h")
-            # Held inputs are repeated: mapaccum wants one column a step.
-            held = [ca.repmat(u, 1, size), ca.repmat(h, 1, size)]
-            many = self._one_step.mapaccum(size) if size > 1 else self._one_step
-            self._chunks[size] = Evaluator(ca.Function("chunk", [z, u, h], [many(z, *held)]))
-        return self._chunks[size]
+
+def _block(step: ca.Function) -> ca.Function:
+    """Return ``(z, u, [h1 h2 …]) -> [z1 z2 …]``, one column a step; none is taken where h is 0."""
+    z, u, h = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
+    same = ca.Function("same", [z, u, h], [z])
+    step_or_not = ca.Function.if_else("step_or_not", step, same)
+    maybe = ca.Function("maybe", [z, u, h], [step_or_not(h > 0, z, u, h)])
+    steps = ca.MX.sym("h", _BLOCK)
+    many = maybe.mapaccum(_BLOCK)(z, ca.repmat(u, 1, _BLOCK), steps.T)
+    return ca.Function("block", [z, u, steps], [many])
 
 
 def _carried(step: ca.Function, equation: Equation) -> ca.Function:

@@ -6,7 +6,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
-from tenscontrol.dynamics import Equation
+import casadi as ca
+
+from tenscontrol.dynamics import Equation, compiled
 from tenscontrol.validation import FloatArray
 
 # Told the time reached within the span, s.
@@ -88,8 +90,19 @@ class Integrator(ABC):
     #: Name as users give it to ``simulate(method=...)``.
     name: str
 
+    #: What runs the steps: ``"virtual machine"`` (CasADi's) or ``"machine code"`` (compiled C).
+    back_end = "virtual machine"
+
     def __init__(self, equation: Equation) -> None:
         self._equation = equation
+
+    def _as_compiled(self, function: ca.Function, wanted: bool) -> ca.Function:
+        """Return a function in machine code, if that is wanted and there is a compiler."""
+        code = compiled(function) if wanted else None
+        if code is None:
+            return function
+        self.back_end = "machine code"
+        return code.function
 
     @abstractmethod
     def advance(

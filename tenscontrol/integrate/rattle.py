@@ -198,9 +198,11 @@ class _Rattle(FixedStep):
 
     order: int
 
-    def __init__(self, equation: Equation, step: float) -> None:
+    def __init__(
+        self, equation: Equation, step: float, project: bool = False, machine_code: bool = False
+    ) -> None:
         self.evaluations_per_step = rattle_evaluations(equation, self.order)
-        super().__init__(equation, step)
+        super().__init__(equation, step, project, machine_code)
 
     def step_function(self, equation: Equation) -> ca.Function:
         """See :meth:`FixedStep.step_function`."""

@@ -24,7 +24,7 @@ _BAND = 1e-11
 # crossing, and true steps to the place found. The interpolant is off by O(h⁶), its slope by
 # O(h⁵), so each true step gains several digits.
 _SAMPLES = 8
-_ZOOMS = 5
+_ZOOMS = 3
 POLISHES = 4
 
 # Pieces that one step may be cut into; the rest is then taken whole, and counted.
@@ -55,14 +55,12 @@ def located(step: ca.Function, equation: Equation) -> ca.Function:
     x, taut, u, h, x1 = _symbols(equation)
     attempt, land = _attempt(step, equation), landing(step, equation)
     uncut = ca.Function("uncut", [x, taut, u, h, x1], [x1, taut, _count(tries=1)])
-    # After the first switch, piece by piece; no time left is the rule after one or two.
     x2, taut2, taken, switched = land(x, taut, u, h, x1)
     counts = _count(tries=1 + POLISHES, landings=1, switches=switched)
-    pieces = _piece(attempt, land, equation).fold(_PIECES)
-    held = ca.repmat(ca.vertcat(u, h), 1, _PIECES)
-    state = pieces(ca.vertcat(x2, taut2, h - taken, counts), held)
-    rest = _rest(step, equation)(state, u, h)
-    cut = ca.Function("cut", [x, taut, u, h, x1], list(rest))
+    finish = _finish(step, _piece(attempt, land, equation), equation)
+    state = finish(ca.vertcat(x2, taut2, h - taken, counts), ca.vertcat(u, h))
+    end, end_taut, _, counts = _split(state, equation)
+    cut = ca.Function("cut", [x, taut, u, h, x1], [end, end_taut, counts])
     either = ca.Function.if_else("either", cut, uncut)
     end, crossed = attempt(x, taut, u, h)
     return ca.Function("located", [x, taut, u, h], list(either(crossed, x, taut, u, h, end)))
@@ -81,9 +79,10 @@ def crossing(equation: Equation) -> ca.Function:
     outside: no less can be said without looking at the inside of the step.
     """
     n = equation.states
-    x, x1 = ca.SX.sym("x", n), ca.SX.sym("x1", n)
-    u, taut = ca.SX.sym("u", equation.inputs), ca.SX.sym("taut", equation.switches)
-    h = ca.SX.sym("h")
+    symbols = _kind(equation)
+    x, x1 = symbols.sym("x", n), symbols.sym("x1", n)
+    u, taut = symbols.sym("u", equation.inputs), symbols.sym("taut", equation.switches)
+    h = symbols.sym("h")
     sign = 2 * taut - 1
     (gap0, rate0), (gap1, rate1) = equation.gap(x, u), equation.gap(x1, u)
     room0, room1 = sign * gap0 + _BAND * u, sign * gap1 + _BAND * u
@@ -110,14 +109,15 @@ def landing(step: ca.Function, equation: Equation) -> ca.Function:
     none after all, the step is returned as it was.
     """
     x, taut, u, h, x1 = _symbols(equation)
-    room, zoom = _room_inside(equation), _zoom()
-    ends = [x, equation.slope(x, u, taut), x1, equation.slope(x1, u, taut), u, taut, h]
+    inside_step, zoom = _interpolant(equation), _zoom(equation)
+    ends = [x, equation.slope(x, u, taut), x1, equation.slope(x1, u, taut), h]
+    within = [inside_step(*ends), u, taut, h]
     low, high, found = ca.MX(0), ca.MX(1), ca.MX(0)
     for _ in range(_ZOOMS):
-        parts = low + (high - low) * ca.DM(range(1, _SAMPLES + 1)).T / _SAMPLES
-        _, least = room.map(_SAMPLES)(*(ca.repmat(end, 1, _SAMPLES) for end in ends), parts)
-        low, high, found = zoom(low, high, least)
-    (inside, _), (outside, out) = room(*ends, low), room(*ends, high)
+        low, high, found = zoom(*within, low, high)
+    room = _room(equation)
+    inside, outside = room(*within, low), room(*within, high)
+    out = ca.mmin(outside)
     # The string that is out first; several, where they are out together.
     chosen = outside <= out + 0.5 * _BAND * ca.mmin(u)
     before, after = (ca.dot(chosen, value) / ca.sum1(chosen) for value in (inside, outside))
@@ -146,42 +146,66 @@ def _attempt(step: ca.Function, equation: Equation) -> ca.Function:
     return ca.Function("attempt", [x, taut, u, h], [end, crossing(equation)(x, end, u, taut, h)])
 
 
-def _room_inside(equation: Equation) -> ca.Function:
-    """Return ``(x, xd, x1, xd1, u, taut, h, part) -> (room, least)`` inside a step."""
-    n = equation.states
-    x, xd, x1, xd1 = (ca.SX.sym(name, n) for name in ("x", "xd", "x1", "xd1"))
-    u, taut = ca.SX.sym("u", equation.inputs), ca.SX.sym("taut", equation.switches)
-    h, s = ca.SX.sym("h"), ca.SX.sym("part")
+def _interpolant(equation: Equation) -> ca.Function:
+    """Return ``(x, xd, x1, xd1, h) -> coefficients`` of the positions inside a step.
+
+    They belong to the polynomial of degree 5 with the positions, velocities and
+    accelerations at both ends; one column a power of the part of the step.
+    """
+    symbols, n = _kind(equation), equation.states
+    x, xd, x1, xd1 = (symbols.sym(name, n) for name in ("x", "xd", "x1", "xd1"))
+    h = symbols.sym("h")
     q0, v0, q1, v1 = x[: n // 2], h * x[n // 2 :], x1[: n // 2], h * x1[n // 2 :]
     a0, a1 = h**2 * xd[n // 2 :], h**2 * xd1[n // 2 :]
-    # The polynomial of degree 5 with these values, slopes and curvatures at both ends.
     d, e, f = q1 - q0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
-    c3, c4, c5 = 10 * d - 4 * e + f / 2, -15 * d + 7 * e - f, 6 * d - 3 * e + f / 2
-    q = q0 + s * (v0 + s * (a0 / 2 + s * (c3 + s * (c4 + s * c5))))
-    v = (v0 + s * (a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h
-    room = (2 * taut - 1) * equation.gap(ca.vertcat(q, v), u)[0] + _BAND * u
-    return ca.Function("room", [x, xd, x1, xd1, u, taut, h, s], [room, ca.mmin(room)])
+    higher = (10 * d - 4 * e + f / 2, -15 * d + 7 * e - f, 6 * d - 3 * e + f / 2)
+    return ca.Function("interpolant", [x, xd, x1, xd1, h], [ca.horzcat(q0, v0, a0 / 2, *higher)])
 
 
-def _zoom() -> ca.Function:
-    """Return ``(low, high, rooms) -> (low, high, found)``: the samples next to the crossing.
+def _room(equation: Equation) -> ca.Function:
+    """Return ``(coefficients, u, taut, h, part) -> room`` of each string inside a step."""
+    symbols, n = _kind(equation), equation.states
+    coefficients = symbols.sym("coefficients", n // 2, 6)
+    u, taut = symbols.sym("u", equation.inputs), symbols.sym("taut", equation.switches)
+    h, s = symbols.sym("h"), symbols.sym("part")
+    q: Any = 0
+    v: Any = 0
+    for power in range(5, -1, -1):
+        q = q * s + coefficients[:, power]
+        if power:
+            v = v * s + power * coefficients[:, power]
+    room = (2 * taut - 1) * equation.gap(ca.vertcat(q, v / h), u)[0] + _BAND * u
+    return ca.Function("room", [coefficients, u, taut, h, s], [room])
 
-    ``rooms`` are the least rooms at equal parts of the bracket, the last at its
-    end. Where none is negative, the bracket closes in on the lowest.
+
+def _zoom(equation: Equation) -> ca.Function:
+    """Return ``(coefficients, u, taut, h, low, high) -> (low, high, found)``.
+
+    The least room is sampled at equal parts of the bracket, and the bracket
+    closes in on the samples next to the first that is negative; where none is,
+    on the lowest.
     """
-    low, high, rooms = ca.SX.sym("low"), ca.SX.sym("high"), ca.SX.sym("rooms", 1, _SAMPLES)
-    first, last, least = ca.SX(0), ca.SX(1), ca.SX(ca.inf)
-    for j in range(_SAMPLES):
-        lower = rooms[j] < least
+    symbols, room = _kind(equation), _room(equation)
+    within = [symbols.sym(room.name_in(i), room.sparsity_in(i)) for i in range(4)]
+    low, high = symbols.sym("low"), symbols.sym("high")
+    width = (high - low) / _SAMPLES
+    rooms = [ca.mmin(room(*within, low + (j + 1) * width)) for j in range(_SAMPLES)]
+    first, last, least = symbols(0), symbols(1), symbols(ca.inf)
+    for j, lowest in enumerate(rooms):
+        lower = lowest < least
         first = ca.if_else(lower, j, first)
         last = ca.if_else(lower, min(j + 2, _SAMPLES), last)
-        least = ca.if_else(lower, rooms[j], least)
+        least = ca.fmin(lowest, least)
     for j in reversed(range(_SAMPLES)):
         first = ca.if_else(rooms[j] < 0, j, first)
         last = ca.if_else(rooms[j] < 0, j + 1, last)
-    width = (high - low) / _SAMPLES
     ends = [low + first * width, low + last * width]
-    return ca.Function("zoom", [low, high, rooms], [*ends, least < 0])
+    return ca.Function("zoom", [*within, low, high], [*ends, least < 0])
+
+
+def _kind(equation: Equation) -> Any:
+    """Return the kind of symbols to write expressions of an equation in."""
+    return ca.SX if equation.slope.is_a("SXFunction") else ca.MX
 
 
 def _approach(step: ca.Function, equation: Equation) -> ca.Function:
@@ -232,21 +256,36 @@ def _piece(attempt: ca.Function, land: ca.Function, equation: Equation) -> ca.Fu
     return ca.Function("piece", [state, held], [choose(some, x, taut, left, counts, held[:-1])])
 
 
-def _rest(step: ca.Function, equation: Equation) -> ca.Function:
-    """Return ``(state, u, h) -> (x, taut, counts)``: what is left of a step, taken whole."""
-    x, taut, u, h, _ = _symbols(equation)
-    left, counts = ca.MX.sym("left"), ca.MX.sym("counts", len(COUNTS))
-    inputs = [x, taut, left, counts, u]
+def _finish(step: ca.Function, piece: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(state, [u; h]) -> state``: all that follows the first switch of a step.
+
+    As a rule that is one piece; it may be several, and what is then left is taken whole.
+    """
+    state, held = (ca.MX.sym(piece.name_in(i), piece.size1_in(i)) for i in range(2))
+    u, h = held[:-1], held[-1]
+    same = ca.Function("same", [state, held], [state])
+    x, taut, left, counts = _split(state, equation)
     end = step(x, u, taut, left)
-    whole = [end, taut_strings(equation, end, u), counts + _count(tries=1, unlocated=1)]
-    choose = ca.Function.if_else(
-        "choose_rest",
-        ca.Function("whole", inputs, whole),
-        ca.Function("none", inputs, [x, taut, counts]),
+    more = counts + _count(tries=1, unlocated=1)
+    whole = ca.Function(
+        "whole", [state, held], [ca.vertcat(end, taut_strings(equation, end, u), 0, more)]
     )
-    state = ca.MX.sym("state", equation.states + equation.switches + 1 + len(COUNTS))
-    parts = _split(state, equation)
-    return ca.Function("rest", [state, u, h], list(choose(parts[2] > _REST * h, *parts, u)))
+    rest = _PIECES - 1
+    cut_up = piece.fold(rest)(state, ca.repmat(held, 1, rest))
+    last = ca.Function.if_else("last", whole, same)
+    several = ca.Function(
+        "several", [state, held], [last(_left(cut_up, equation) > _REST * h, cut_up, held)]
+    )
+    first = piece(state, held)
+    choose = ca.Function.if_else("choose_several", several, same)
+    return ca.Function(
+        "finish", [state, held], [choose(_left(first, equation) > _REST * h, first, held)]
+    )
+
+
+def _left(state: Any, equation: Equation) -> Any:
+    """Return the time left of a step, from the state of a piece."""
+    return _split(state, equation)[2]
 
 
 def _symbols(equation: Equation) -> tuple[Any, Any, Any, Any, Any]:

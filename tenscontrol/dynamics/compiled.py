@@ -1,0 +1,226 @@
+"""CasADi functions as machine code, by the C compiler of the machine."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import casadi as ca
+
+from tenscontrol.dynamics.compiler import FLAGS, Compiler, CompilerError, compiler
+from tenscontrol.dynamics.compiler_cache import Cache, key_of, open_cache
+from tenscontrol.validation import instance, positive_number, whole_number
+
+# Measured on x86-64 with GCC 12: what compiling costs, and what a compiled instruction saves.
+_SECONDS_AT_LEAST = 0.2
+_SECONDS_PER_INSTRUCTION = 5e-4
+_SECONDS_SAVED = 2.5e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Compiled:
+    """A function in machine code.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        Name, inputs and outputs as the function it was made of. It has no derivatives.
+    library : Path
+        The file with the code.
+    seconds : float
+        Time that it took to write, compile and load the code, s.
+    cached : bool
+        Whether the library was there already.
+    temporary : bool
+        Whether the library goes when the process ends, because the cache folder
+        cannot be written.
+    compiler : Compiler
+    """
+
+    function: ca.Function
+    library: Path
+    seconds: float
+    cached: bool
+    temporary: bool
+    compiler: Compiler
+
+
+def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
+    """Return a function in machine code, or None on a machine without a C compiler.
+
+    The code does the same operations in the same order as CasADi's virtual
+    machine, and gives the same numbers. It is some five times as fast. The
+    library is kept in the user's cache folder, so that the next run need not
+    compile again: ``$XDG_CACHE_HOME/tenscontrol``, else
+    ``~/.cache/tenscontrol``, on macOS ``~/Library/Caches/tenscontrol``, on
+    Windows ``tenscontrol`` in ``%LOCALAPPDATA%``. It may be deleted at any time.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of SX or MX, with all that it calls. What CasADi cannot write as C code,
+        such as a callback into Python, cannot be compiled.
+    timeout : float
+        Longest time that the compiler may take, s.
+
+    Returns
+    -------
+    Compiled or None
+        None where :func:`compiler` finds none, or it is switched off by
+        ``TENSCONTROL_COMPILER=none``: then call ``function`` itself.
+
+    Raises
+    ------
+    CompilerError
+        If the compiler fails or takes too long, or its library cannot be loaded.
+    PermissionError
+        If another user could have written the library or its folder: it is not loaded.
+    TypeError, ValueError
+        If ``function`` is no CasADi function, or calls one that is compiled
+        already: compile the whole instead.
+
+    Notes
+    -----
+    One long straight piece of code (SX) compiles slowly: about half a
+    millisecond an instruction, more than in proportion beyond some ten
+    thousand. A graph (MX) that calls a small function many times runs as fast
+    and compiles in the time of the small one. See :func:`worth_compiling`.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> from tenscontrol.dynamics.compiled import compiled
+    >>> x = ca.SX.sym("x")
+    >>> square = ca.Function("square", [x], [x**2])
+    >>> fast = compiled(square)
+    >>> run = square if fast is None else fast.function
+    >>> float(run(3.0))
+    9.0
+    """
+    instance("function", function, ca.Function, "make one by casadi.Function(...)")
+    timeout = positive_number("timeout", timeout, "s")
+    for part in (function, *function.find_functions()):
+        if part.class_name() == "External":
+            raise ValueError(
+                f"function calls {part.name()!r}, which is compiled already; compile a function "
+                f"of what {part.name()!r} was made of instead"
+            )
+    found = compiler()
+    if found is None:
+        return None
+    began = perf_counter()
+    source = _source(function)
+    machine = (sys.platform, platform.machine(), *platform.libc_ver())
+    key = key_of(source, found, FLAGS, ca.__version__, *machine)
+    cache = open_cache()
+    library = cache.find(key)
+    cached = library is not None
+    if library is None:
+        with cache.workshop() as folder:
+            library = cache.add(key, found.build(source, Path(folder), timeout))
+    loaded = _load(function.name(), library, cache)
+    seconds = perf_counter() - began
+    return Compiled(loaded, library, seconds, cached, cache.temporary, found)
+
+
+def worth_compiling(function: ca.Function, calls: int) -> bool:
+    """Return whether so many calls gain more time than compiling takes.
+
+    A rough rule, good to a factor of two or so, from numbers of instructions:
+    compiling takes 0.2 s and 0.5 ms for each instruction of the code; running
+    compiled gains 2.5 ns for each instruction carried out. Code called in many
+    places is compiled once. A conditional is taken to carry out the shortest
+    of its branches. That the library may be in the cache is not considered.
+
+    Parameters
+    ----------
+    function : casadi.Function
+    calls : int
+        Number of calls to come.
+
+    Returns
+    -------
+    bool
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``function`` is no CasADi function or ``calls`` no number of calls.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> from tenscontrol.dynamics.compiled import worth_compiling
+    >>> x = ca.SX.sym("x")
+    >>> step = ca.Function("step", [x], [x + 1e-3 * ca.sin(x)])
+    >>> worth_compiling(step, 1000)
+    False
+    >>> worth_compiling(step.mapaccum(10_000), 10_000)
+    True
+    """
+    instance("function", function, ca.Function, "make one by casadi.Function(...)")
+    whole_number("calls", calls, 0)
+    written = sum(_instructions(part) for part in (function, *function.find_functions()))
+    cost = _SECONDS_AT_LEAST + _SECONDS_PER_INSTRUCTION * written
+    return calls * _carried_out(function, {}) * _SECONDS_SAVED > cost
+
+
+def _source(function: ca.Function) -> str:
+    # One prefix for all internal names: they are of no concern outside of the library.
+    code = ca.CodeGenerator("lib", {"with_header": False})
+    code.add(function)
+    return str(code.dump())
+
+
+def _load(name: str, library: Path, cache: Cache) -> ca.Function:
+    try:
+        return ca.external(name, str(library))
+    except RuntimeError as error:
+        library.unlink(missing_ok=True)
+        # CasADi says in many lines where else it has looked.
+        lines = [line.strip() for line in str(error).splitlines() if f": {library}: " in line]
+        raise CompilerError(
+            f"the compiled code of {name!r} cannot be loaded: {lines or error}. The compiler may "
+            f"be one for another machine: see CC; or the system may not run code from "
+            f"{cache.folder}: set XDG_CACHE_HOME to another folder"
+        ) from None
+
+
+def _instructions(function: ca.Function) -> int:
+    """Return the number of instructions of a function, less those of what it calls."""
+    if function.class_name() in ("SXFunction", "MXFunction"):
+        return int(function.n_instructions())
+    return 1
+
+
+def _carried_out(function: ca.Function, known: dict[int, int]) -> int:
+    """Return how many operations on numbers a call carries out, at least."""
+    identity = function.__hash__()
+    if identity not in known:
+        kind = function.class_name()
+        if kind == "MXFunction":
+            count = sum(_work(function, k, known) for k in range(function.n_instructions()))
+        elif kind in ("Map", "ThreadMap", "OmpMap"):
+            info = function.info()
+            count = info["n"] * _carried_out(info["f"], known)
+        elif kind == "Switch":
+            info = function.info()
+            branches = [*info["f"], info["f_def"]]
+            count = min(_carried_out(branch, known) for branch in branches)
+        else:
+            count = _instructions(function)
+        known[identity] = count
+    return known[identity]
+
+
+def _work(function: ca.Function, k: int, known: dict[int, int]) -> int:
+    """Return how many operations on numbers one instruction of a graph carries out."""
+    operation = function.instruction_id(k)
+    if operation == ca.OP_CALL:
+        return _carried_out(function.instruction_MX(k).which_function(), known)
+    if operation == ca.OP_OUTPUT:  # has no expression
+        return 1
+    return max(1, int(function.instruction_MX(k).nnz()))

@@ -1,0 +1,627 @@
+"""Compiled functions: the same bits as CasADi's, kept in the cache, and nobody else's code."""
+
+import dataclasses
+import os
+import shutil
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.dynamics import Evaluator
+from tenscontrol.dynamics.compiled import compiled, worth_compiling
+from tenscontrol.dynamics.compiler import CompilerError, compiler
+from tests.dynamics.scenes import paper_force_density, rest_lengths
+
+PROJECT = Path(__file__).parents[2]
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+needs_shell = pytest.mark.skipif(os.name == "nt", reason="a shell script stands for the compiler")
+needs_owners = pytest.mark.skipif(os.name == "nt", reason="Windows has no modes of files")
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    """The cache folder of the test."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "tenscontrol"
+
+
+def libraries(folder):
+    return sorted(path for path in folder.iterdir() if path.suffix in (".so", ".dll"))
+
+
+def square(name="square", factor=1.0):
+    x = ca.SX.sym("x", 2)
+    return ca.Function(name, [x], [factor * x**2], ["x"], ["y"])
+
+
+def bits(array):
+    """The bits of numbers; what is not a number may have either sign."""
+    return np.where(np.isnan(array), np.nan, array).view(np.int64)
+
+
+def same_bits(one, other):
+    return all(np.array_equal(bits(a), bits(b)) for a, b in zip(one, other, strict=True))
+
+
+# ---- the same numbers ----
+
+
+def prism_slope():
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.1))
+    x = np.concatenate([prism.nodes.ravel(order="F"), np.zeros(18)])
+    return (
+        model.equation("rest_length").kinked_slope,
+        x,
+        rest_lengths(prism, paper_force_density(9.0), 100.0),
+    )
+
+
+def rk4_graph(slope):
+    """One step as a graph that calls the slope, rather than four copies of it."""
+    x, u, h = (ca.MX.sym("x", slope.size1_in(0)), ca.MX.sym("u", slope.size1_in(1)), ca.MX.sym("h"))
+    k1 = slope(x, u)
+    k2 = slope(x + h / 2 * k1, u)
+    k3 = slope(x + h / 2 * k2, u)
+    k4 = slope(x + h * k3, u)
+    return ca.Function("step", [x, u, h], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+
+
+@needs_compiler
+def test_a_motion_has_the_same_bits():
+    """512 steps of the prism with strings that go slack and taut."""
+    slope, x, rest = prism_slope()
+    step = rk4_graph(slope)
+    steps = 512
+    chunk = step.mapaccum("chunk", steps)
+    inputs = (x, np.tile(rest, (steps, 1)).T, np.full(steps, 1e-3))
+    fast = compiled(chunk).function
+    plain, quick = Evaluator(chunk)(*inputs), Evaluator(fast)(*inputs)
+    assert np.isfinite(plain[0]).all()
+    assert np.abs(plain[0][:, -1] - x).max() > 0.1  # it moves
+    assert same_bits(plain, quick)
+
+
+@needs_compiler
+def test_random_states_have_the_same_bits():
+    slope, x, rest = prism_slope()
+    fast = compiled(slope).function
+    plain, quick = Evaluator(slope), Evaluator(fast)
+    rng = np.random.default_rng(seed=1)
+    for _ in range(200):
+        state = x + rng.normal(size=x.size)
+        assert same_bits(plain(state, rest), quick(state, rest))
+
+
+SPECIAL = [0.0, -0.0, 1 / 3, -2.5, 5e-324, 1e308, np.inf, -np.inf, np.nan, 0.1, 1e-9, 700.0]
+
+
+def one_of_each(x):
+    """What expressions are made of."""
+    y = x + 0.7
+    simple = [x + y, x - y, x * y, x / y, x**3, x**2.5, x**-0.5, ca.fabs(x) ** y, -x, 1 / x]
+    simple += [f(x) for f in (ca.sqrt, ca.sin, ca.cos, ca.tan, ca.exp, ca.log, ca.tanh, ca.atan)]
+    simple += [ca.atan2(x, y), ca.fmin(x, y), ca.fmax(x, y), ca.sign(x), ca.floor(x), ca.fmod(x, y)]
+    simple += [x < y, ca.logic_and(x > 0, y < 1), ca.if_else(x > 0.1, x, y), ca.if_else(x, y, 0)]
+    return ca.horzcat(*simple)
+
+
+@needs_compiler
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_every_operation_has_the_same_bits(kind):
+    x = kind.sym("x", len(SPECIAL))
+    function = ca.Function("each", [x], [one_of_each(x)])
+    assert same_bits(Evaluator(function)(SPECIAL), Evaluator(compiled(function).function)(SPECIAL))
+
+
+@needs_compiler
+def test_constants_have_the_same_bits():
+    x = ca.SX.sym("x")
+    function = ca.Function("constants", [x], [ca.if_else(x, ca.SX(ca.DM(SPECIAL)), x)])
+    assert same_bits(Evaluator(function)(1.0), Evaluator(compiled(function).function)(1.0))
+
+
+def branching():
+    """A graph with short-circuit branches, a loop, a fold, a map and matrix products."""
+    x, n = ca.MX.sym("x", 3), ca.MX.sym("n")
+    grow = ca.Function("grow", [x], [ca.sin(3 * x) + x])
+    shrink = ca.Function("shrink", [x], [x / 3 - ca.dot(x, x)])
+    turn = ca.Function("turn", [x], [ca.mtimes(ca.DM([[0, 1, 0], [0, 0, 1], [1, 0.5, 0]]), x)])
+    either = ca.Function.if_else("either", grow, shrink)
+    which = ca.Function.conditional("which", [grow.fold(7), shrink], turn)
+    y = either(ca.sumsqr(x) > 2, x) + ca.if_else(n > 1, turn(x), grow(x), True)
+    return ca.Function(
+        "branching", [x, n], [which(n, y), ca.sum2(grow.map(4)(ca.repmat(y, 1, 4) * n))]
+    )
+
+
+@needs_compiler
+@pytest.mark.parametrize("n", [0, 1, 2])
+@pytest.mark.parametrize("size", [0.1, 3.0])
+def test_graphs_with_branches_have_the_same_bits(n, size):
+    function = branching()
+    assert "Switch" in {part.class_name() for part in function.find_functions()}
+    x = size * np.array([0.3, -0.4, 0.9])
+    fast = compiled(function).function
+    assert same_bits(Evaluator(function)(x, n), Evaluator(fast)(x, n))
+
+
+@needs_compiler
+def test_the_signature_is_the_same():
+    x, y = ca.MX.sym("x", ca.Sparsity.lower(3)), ca.MX.sym("y", 3)
+    function = ca.Function("f", [x, y], [x + x, x @ y, y.T], ["lower", "y"], ["twice", "z", "t"])
+    fast = compiled(function).function
+    assert fast.name() == "f"
+    assert fast.name_in() == ["lower", "y"]
+    assert fast.name_out() == ["twice", "z", "t"]
+    for i in range(2):
+        assert fast.sparsity_in(i) == function.sparsity_in(i)
+    for i in range(3):
+        assert fast.sparsity_out(i) == function.sparsity_out(i)
+    lower, vector = ca.DM(ca.Sparsity.lower(3), [1, 2, 3, 4, 5, 6]), [1.0, 2.0, 3.0]
+    for a, b in zip(function(lower, vector), fast(lower, vector), strict=True):
+        assert float(ca.norm_inf(ca.densify(a - b))) == 0
+
+
+@needs_compiler
+def test_functions_of_one_name_do_not_get_in_each_others_way():
+    """Also with names that the C library has, and over the threads of a map."""
+    x = np.array([3.0, 4.0])
+    made = [compiled(square("gamma", factor)).function for factor in (1.0, 2.0, 3.0)]
+    for factor, function in zip((1.0, 2.0, 3.0), made, strict=True):
+        np.testing.assert_array_equal(function(x).full().ravel(), factor * x**2)
+        columns = np.arange(16.0).reshape(2, 8)
+        many = np.array(function.map(8, "thread", 2)(columns))
+        np.testing.assert_array_equal(many, factor * columns**2)
+
+
+@needs_compiler
+def test_it_works_inside_further_graphs():
+    slope, x, rest = prism_slope()
+    fast = compiled(slope).function
+    plain, quick = (Evaluator(rk4_graph(f).fold(10)) for f in (slope, fast))
+    inputs = (x, np.tile(rest, (10, 1)).T, np.full(10, 1e-3))
+    assert same_bits(plain(*inputs), quick(*inputs))
+
+
+@needs_compiler
+def test_what_is_compiled_is_not_compiled_again():
+    x = ca.MX.sym("x", 2)
+    outer = ca.Function("outer", [x], [compiled(square()).function(x) + 1])
+    with pytest.raises(ValueError, match="function calls 'square', which is compiled already"):
+        compiled(outer)
+
+
+def test_arguments_are_checked():
+    with pytest.raises(TypeError, match="function is a str, expected Function"):
+        compiled("f")
+    with pytest.raises(ValueError, match="timeout is -1, expected a positive"):
+        compiled(square(), timeout=-1)
+
+
+# ---- the compiler ----
+
+
+def script(path, text):
+    path.write_text(f"#!/bin/sh\n{text}\n", encoding="utf-8")
+    path.chmod(0o755)
+    return path
+
+
+@pytest.fixture
+def counting(tmp_path, monkeypatch):
+    """The compiler, with a record of what it was asked to make. Returns a counter."""
+    real = compiler().command[0]
+    record = tmp_path / "record"
+    record.touch()
+    path = script(
+        tmp_path / "counting",
+        f'[ "$1" = --version ] || echo make >> "{record}"; sleep ${{SLOW:-0}}; exec "{real}" "$@"',
+    )
+    monkeypatch.setenv("TENSCONTROL_COMPILER", str(path))
+    return lambda: len(record.read_text().splitlines())
+
+
+def test_it_can_be_switched_off(monkeypatch, cache):
+    monkeypatch.setenv("TENSCONTROL_COMPILER", "none")
+    assert compiler() is None
+    assert compiled(square()) is None
+    assert not cache.exists()
+
+
+def test_a_machine_may_have_no_compiler(monkeypatch, tmp_path):
+    for name in ("TENSCONTROL_COMPILER", "CC"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert compiler() is None
+    assert compiled(square()) is None
+
+
+@needs_shell
+def test_compilers_are_looked_for_in_order(monkeypatch, tmp_path):
+    for name in ("gcc", "clang", "mine", "yours"):
+        script(tmp_path / name, f"echo version of {name} $1")
+    script(tmp_path / "cc", "exit 1")  # does not run: passed over
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("TENSCONTROL_COMPILER", raising=False)
+    monkeypatch.delenv("CC", raising=False)
+    assert compiler().command == (str(tmp_path / "gcc"),)
+    monkeypatch.setenv("CC", "mine -m64")
+    assert compiler().command == (str(tmp_path / "mine"), "-m64")
+    assert compiler().version == "version of mine -m64\n"
+    monkeypatch.setenv("TENSCONTROL_COMPILER", "yours")
+    assert compiler().command == (str(tmp_path / "yours"),)
+
+
+@pytest.mark.parametrize("variable", ["CC", "TENSCONTROL_COMPILER"])
+def test_a_compiler_that_is_not_there_is_no_silent_matter(monkeypatch, variable):
+    monkeypatch.delenv("TENSCONTROL_COMPILER", raising=False)
+    monkeypatch.setenv(variable, "nowhere/cc")
+    with pytest.raises(CompilerError, match=f"{variable} is 'nowhere/cc', and there is no such"):
+        compiled(square())
+
+
+@needs_shell
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("echo out of order >&2; exit 3", "(?s)exit status 3.*=none to do without.*out of order"),
+        ("exit 0", "wrote no library"),
+        ("echo rubbish > function.so", "cannot be loaded.*XDG_CACHE_HOME"),
+    ],
+)
+def test_a_broken_compiler_is_reported(monkeypatch, tmp_path, cache, text, message):
+    path = script(tmp_path / "broken", f'[ "$1" = --version ] && exit 0\n{text}')
+    monkeypatch.setenv("TENSCONTROL_COMPILER", str(path))
+    with pytest.raises(CompilerError, match=message):
+        compiled(square())
+    assert list(cache.iterdir()) == []
+
+
+@needs_shell
+def test_a_long_complaint_is_cut_short(monkeypatch, tmp_path):
+    path = script(tmp_path / "wordy", '[ "$1" = --version ] && exit 0; seq 1 1000; exit 1')
+    monkeypatch.setenv("TENSCONTROL_COMPILER", str(path))
+    with pytest.raises(CompilerError) as error:
+        compiled(square())
+    assert str(error.value).splitlines()[-1] == "  8"
+
+
+@needs_shell
+def test_a_compiler_is_stopped_with_all_it_started(monkeypatch, tmp_path, cache):
+    late = tmp_path / "late"
+    path = script(
+        tmp_path / "slow", f'[ "$1" = --version ] && exit 0; (sleep 1; touch "{late}") & wait'
+    )
+    monkeypatch.setenv("TENSCONTROL_COMPILER", str(path))
+    began = time.monotonic()
+    with pytest.raises(CompilerError, match=r"stopped after 0\.3 s"):
+        compiled(square(), timeout=0.3)
+    assert time.monotonic() - began < 0.9
+    time.sleep(1.2)
+    assert not late.exists()
+    assert list(cache.iterdir()) == []
+
+
+@needs_compiler
+@pytest.mark.filterwarnings("ignore")
+def test_what_cannot_be_written_in_c_is_reported():
+    class Twice(ca.Callback):
+        def __init__(self):
+            ca.Callback.__init__(self)
+            self.construct("twice", {})
+
+        def eval(self, arguments):
+            return [2 * arguments[0]]
+
+    twice, x = Twice(), ca.MX.sym("x")
+    with pytest.raises(CompilerError, match="Code generation not supported for CallbackInternal"):
+        compiled(ca.Function("f", [x], [twice(x)]))
+
+
+# ---- the cache ----
+
+
+@needs_compiler
+@needs_shell
+def test_the_second_time_nothing_is_compiled(counting, cache):
+    first, second = compiled(square()), compiled(square())
+    assert (first.cached, second.cached) == (False, True)
+    assert first.library == second.library
+    assert libraries(cache) == [first.library] == list(cache.iterdir())
+    assert not first.temporary
+    assert counting() == 1
+    assert second.seconds > 0
+    assert compiled(square(factor=2.0)).library != first.library
+    assert counting() == 2
+
+
+@needs_compiler
+def test_results_cannot_be_changed():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        compiled(square()).cached = True
+
+
+@needs_compiler
+@needs_shell
+def test_another_compiler_makes_another_library(tmp_path, monkeypatch, counting):
+    first = compiled(square())
+    real = compiler().command[0]
+    path = script(
+        tmp_path / "newer", f'[ "$1" = --version ] && echo 99 && exit; exec "{real}" "$@"'
+    )
+    monkeypatch.setenv("TENSCONTROL_COMPILER", str(path))
+    second = compiled(square())
+    assert not second.cached
+    assert second.library != first.library
+    assert second.compiler.version == "99\n"
+
+
+@needs_compiler
+@needs_owners
+def test_nobody_else_can_read_or_write_the_cache(cache):
+    before = os.umask(0)
+    try:
+        library = compiled(square()).library
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
+    assert stat.S_IMODE(library.stat().st_mode) == 0o700
+
+
+PROGRAM = """
+import sys, time, pathlib
+import casadi as ca
+from tenscontrol.dynamics.compiled import compiled
+x = ca.SX.sym("x", 2)
+function = ca.Function("square", [x], [{factor} * x**2], ["x"], ["y"])
+go = pathlib.Path({go!r})
+print("ready", flush=True)
+while not go.exists():
+    time.sleep(0.005)
+made = compiled(function)
+print(made.cached, made.temporary, made.library, *made.function([3, 4]).full().ravel())
+"""
+
+
+def start(tmp_path, factor=1.0):
+    """Start another process that compiles when the file ``go`` is there."""
+    program = PROGRAM.format(factor=factor, go=str(tmp_path / "go"))
+    return subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(PROJECT)},
+    )
+
+
+def end(process):
+    out, fault = process.communicate(timeout=60)
+    assert process.returncode == 0, fault
+    cached, temporary, library, *numbers = out.splitlines()[-1].split()
+    assert [float(number) for number in numbers] == [9.0, 16.0]
+    return cached == "True", temporary == "True", Path(library)
+
+
+@needs_compiler
+@needs_shell
+def test_processes_may_compile_the_same_at_once(counting, cache, tmp_path, monkeypatch):
+    monkeypatch.setenv("SLOW", "0.5")  # s: long enough that all of them are at it together
+    processes = [start(tmp_path) for _ in range(3)]
+    for process in processes:
+        process.stdout.readline()
+    (tmp_path / "go").touch()
+    ends = [end(process) for process in processes]
+    assert counting() == 3
+    assert [cached for cached, _, _ in ends] == [False] * 3
+    assert {library for _, _, library in ends} == set(libraries(cache)) == set(cache.iterdir())
+    assert compiled(square()).cached
+
+
+def cut(content):
+    return content[: len(content) // 2]
+
+
+def changed(content):
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+
+
+@needs_compiler
+@needs_shell
+@pytest.mark.parametrize("damage", [cut, changed, lambda content: b""])
+def test_a_damaged_library_is_compiled_again(counting, cache, tmp_path, damage):
+    (tmp_path / "go").touch()
+    _, _, library = end(start(tmp_path))
+    library.write_bytes(damage(library.read_bytes()))
+    cached, _, again = end(start(tmp_path))
+    assert not cached
+    assert counting() == 2
+    assert libraries(cache) == [again]
+    assert end(start(tmp_path))[0]
+    assert counting() == 2
+
+
+@needs_compiler
+@needs_shell
+def test_without_a_cache_libraries_go_with_the_process(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    (tmp_path / "go").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    cached, temporary, library = end(start(tmp_path))
+    assert (cached, temporary) == (False, True)
+    assert not library.exists()
+    assert not library.parent.exists()
+    first, second = compiled(square()), compiled(square())
+    assert (first.cached, second.cached) == (False, True)  # within the process it is kept
+    assert first.temporary
+    assert second.temporary
+    assert stat.S_IMODE(first.library.parent.stat().st_mode) == 0o700
+
+
+@needs_compiler
+@pytest.mark.skipif(
+    os.name == "nt" or os.geteuid() == 0, reason="the superuser can write everywhere"
+)
+def test_a_cache_that_cannot_be_written_is_left_alone(cache):
+    cache.mkdir(parents=True, mode=0o500)
+    assert compiled(square()).temporary
+    assert list(cache.iterdir()) == []
+
+
+@needs_compiler
+@pytest.mark.skipif(os.name == "nt", reason="Windows has a place of its own")
+def test_the_cache_is_where_the_system_wants_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    inside = "Library/Caches" if sys.platform == "darwin" else ".cache"
+    assert compiled(square()).library.parent == tmp_path / inside / "tenscontrol"
+
+
+# ---- code of others ----
+
+
+def open_folder(library):
+    library.parent.chmod(0o777)
+
+
+def group_folder(library):
+    library.parent.chmod(0o770)
+
+
+def link_for_folder(library):
+    elsewhere = library.parent.rename(library.parent.with_name("elsewhere"))
+    library.parent.symlink_to(elsewhere, target_is_directory=True)
+
+
+def file_for_folder(library):
+    shutil.rmtree(library.parent)
+    library.parent.touch()
+
+
+def group_file(library):
+    library.chmod(0o720)
+
+
+def open_file(library):
+    library.chmod(0o702)
+
+
+def link_for_file(library):
+    library.symlink_to(library.rename(library.parent.parent / library.name))
+
+
+def folder_for_file(library):
+    library.unlink()
+    library.mkdir()
+
+
+@needs_compiler
+@needs_owners
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (open_folder, "mode 777: other users may write to it.*chmod 700.*XDG_CACHE_HOME"),
+        (group_folder, "mode 770"),
+        (link_for_folder, "is no folder, but a link"),
+        (file_for_folder, "is no folder"),
+        (group_file, "mode 720: other users may write to it.*remove it.*=none"),
+        (open_file, "mode 702"),
+        (link_for_file, "is no file, but a link"),
+        (folder_for_file, "is no file"),
+    ],
+)
+def test_what_others_may_have_written_is_not_loaded(monkeypatch, change, message):
+    library = compiled(square()).library
+    change(library)
+    loaded = []
+    monkeypatch.setattr(ca, "external", lambda *arguments: loaded.append(arguments))
+    with pytest.raises(PermissionError, match=message):
+        compiled(square())
+    assert loaded == []
+
+
+@needs_compiler
+@needs_owners
+@pytest.mark.parametrize("whose", ["folder", "file"])
+def test_what_belongs_to_others_is_not_loaded(monkeypatch, cache, whose):
+    library = compiled(square()).library
+    foreign = cache if whose == "folder" else library
+    own = os.geteuid()
+    if own == 0:
+        os.chown(foreign, 12345, -1)
+    elif whose == "folder":
+        monkeypatch.setattr(os, "geteuid", lambda: own + 1)
+    else:
+        pytest.skip("only the superuser can give a file away")
+    monkeypatch.setattr(ca, "external", None)  # not to be called
+    with pytest.raises(PermissionError, match=r"belongs to user \d+, expected \d+"):
+        compiled(square())
+
+
+@needs_compiler
+@needs_owners
+def test_put_right_it_is_loaded_again(cache):
+    compiled(square())
+    cache.chmod(0o777)
+    with pytest.raises(PermissionError):
+        compiled(square())
+    cache.chmod(0o700)
+    assert compiled(square()).cached
+
+
+# ---- whether it pays ----
+
+
+def least_calls(function):
+    """The number of calls from which compiling pays, to a thousandth."""
+    low, high = 0, 10**12
+    assert not worth_compiling(function, low)
+    assert worth_compiling(function, high)
+    while high - low > max(1, low // 1000):
+        middle = (low + high) // 2
+        low, high = (low, middle) if worth_compiling(function, middle) else (middle, high)
+    return high
+
+
+def test_a_loop_pays_by_its_length():
+    slope, _, _ = prism_slope()
+    once = least_calls(slope)
+    for many in (slope.map(100), slope.map(100, "thread", 2)):
+        assert least_calls(many) == pytest.approx(once / 100, rel=0.1)
+    step = rk4_graph(slope)
+    assert least_calls(step) == pytest.approx(once / 4, rel=0.25)
+    assert least_calls(step.mapaccum(512)) == pytest.approx(least_calls(step) / 512, rel=0.5)
+    assert least_calls(step.fold(1000)) == pytest.approx(least_calls(step) / 1000, rel=0.5)
+
+
+def test_copies_of_code_cost_more_than_calls():
+    slope, _, _ = prism_slope()
+    graph = rk4_graph(slope)
+    assert least_calls(graph.expand()) > 1.5 * least_calls(graph)
+
+
+def test_a_branch_counts_its_shortest_way():
+    slope, _, _ = prism_slope()
+    symbols = slope.sx_in()
+    nothing = ca.Function("nothing", symbols, [0 * symbols[0]])
+    either = ca.Function.if_else("either", slope, nothing)
+    assert least_calls(either) > 5 * least_calls(slope)
+    both = ca.Function.if_else("both", slope, slope)
+    assert least_calls(both) == pytest.approx(least_calls(slope), rel=0.1)
+
+
+def test_the_rule_refuses_what_it_cannot_count():
+    with pytest.raises(TypeError, match="function is a int, expected Function"):
+        worth_compiling(3, 3)
+    with pytest.raises(ValueError, match="calls is -1, expected a whole number"):
+        worth_compiling(square(), -1)
