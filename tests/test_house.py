@@ -95,6 +95,7 @@ LIBRARIES = {
     "osqp": (lambda file: file.startswith("control/"), True),
     "matplotlib": (lambda file: file.startswith("plot/"), False),
     "mpl_toolkits": (lambda file: file.startswith("plot/"), False),
+    "mujoco": (lambda file: file.startswith("accuracy/peers/"), True),
     "PIL": (lambda file: file.startswith("plot/"), False),
     "tqdm": (lambda file: file in {"simulation/progress.py", "cli.py", "demo.py"}, True),
 }

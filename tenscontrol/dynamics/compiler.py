@@ -111,10 +111,10 @@ def compiler() -> Compiler | None:
     ...     print(compiler())
     None
     """
-    if os.environ.get(VARIABLE, "").strip().lower() == "none":
+    if os.getenv(VARIABLE, "").strip().lower() == "none":
         return None
     for variable in (VARIABLE, "CC"):
-        asked = os.environ.get(variable, "").strip()
+        asked = os.getenv(variable, "").strip()
         if asked:
             return _asked_for(variable, asked)
     for name in _USUAL:
@@ -183,12 +183,12 @@ def _run(command: list[str], folder: Path | None, timeout: float) -> tuple[int |
     ) as process:
         try:
             said, _ = process.communicate(timeout=timeout)
-        except BaseException as error:
+        except subprocess.TimeoutExpired:
+            return None, ""
+        finally:
             # Also at Ctrl-C: what the compiler has started must not go on without it.
-            _end(process)
-            if isinstance(error, subprocess.TimeoutExpired):
-                return None, ""
-            raise
+            if process.returncode is None:
+                _end(process)
     return process.returncode, said
 
 

@@ -10,6 +10,7 @@ import os
 import stat
 import sys
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
@@ -82,9 +83,8 @@ def open_cache() -> Cache:
     if folder is None:
         return _temporary()
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    except FileExistsError:
-        pass  # something else has its name; told below
+        with suppress(FileExistsError):  # of something that is no folder: told below
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError:
         return _temporary()
     _refuse_unsafe(
@@ -101,11 +101,11 @@ def key_of(source: str, compiler: Compiler, *others: object) -> str:
 
 def _user_folder() -> Path | None:
     """Return where the system wants the cache, or None if the user has no home."""
-    given = os.environ.get("XDG_CACHE_HOME", "")
+    given = os.getenv("XDG_CACHE_HOME", "")
     if Path(given).is_absolute():  # the specification says to ignore a relative one
         return Path(given) / "tenscontrol"
     if os.name == "nt":
-        local = os.environ.get("LOCALAPPDATA", "")
+        local = os.getenv("LOCALAPPDATA", "")
         return Path(local) / "tenscontrol" if Path(local).is_absolute() else None
     try:
         home = Path.home()

@@ -378,9 +378,11 @@ class Model:
         S, Sd = (
             kernel.differences(s[part], self._structure.strings) for part in ("nodes", "velocities")
         )
-        length = ca.sqrt(kernel.dots(S, S)).T
+        square = kernel.dots(S, S).T
         if shortest is not None:
-            length = ca.fmax(length, shortest)
+            # Under the root, so that derivatives are finite too.
+            square = ca.fmax(square, shortest**2)
+        length = ca.sqrt(square)
         return length, kernel.dots(S, Sd).T / length
 
     def _law_force_density(self, s: dict[str, Any]) -> Any:

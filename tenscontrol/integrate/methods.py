@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from tenscontrol.dynamics import Equation
+from tenscontrol.integrate.cvodes import CVODES
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.integrator import Integrator
+from tenscontrol.integrate.radau import Radau
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6
 from tenscontrol.integrate.rk4 import RK4
 
@@ -29,8 +31,11 @@ class Method:
         Whether bar lengths drift unless they are made exact after each step.
     projects : bool
         Whether they are, unless the user says otherwise.
+    compiles : bool
+        Whether its steps can be compiled.
     make : callable
-        ``(equation, setting[, project]) -> Integrator``.
+        ``(equation, setting) -> Integrator``, with ``project`` and
+        ``machine_code`` where it knows them.
     """
 
     name: str
@@ -39,9 +44,14 @@ class Method:
     make: Callable[..., Integrator]
     drifts: bool = True
     projects: bool = False
+    compiles: bool = True
 
     def integrator(
-        self, equation: Equation, setting: float, project: bool | None = None
+        self,
+        equation: Equation,
+        setting: float,
+        project: bool | None = None,
+        machine_code: bool = False,
     ) -> Integrator:
         """Return the integrator.
 
@@ -53,6 +63,9 @@ class Method:
         project : bool, optional
             Whether to make bar lengths exact after each step; as
             :attr:`projects` if not given.
+        machine_code : bool
+            Whether to compile the steps, where the method can be compiled and
+            there is a C compiler; :attr:`Integrator.back_end` says what came.
 
         Returns
         -------
@@ -64,14 +77,18 @@ class Method:
             If the method takes no such setting, or keeps bar lengths by itself
             and is told not to.
         """
+        options: dict[str, bool] = {}
+        if self.compiles:
+            options["machine_code"] = machine_code
         if not self.drifts:
             if project is False:
                 raise ValueError(
                     f"project is False, but method {self.name!r} keeps bar lengths by itself; "
                     "leave project out"
                 )
-            return self.make(equation, setting)
-        return self.make(equation, setting, self.projects if project is None else project)
+        else:
+            options["project"] = self.projects if project is None else project
+        return self.make(equation, setting, **options)
 
 
 _ALL = (
@@ -85,6 +102,22 @@ _ALL = (
         "order 8, own steps: smooth motions, high accuracy",
         DOP853,
         projects=True,
+    ),
+    Method(
+        "radau",
+        "tolerance",
+        "order 5, implicit, own steps in Python: damped stiff strings, and to check others",
+        Radau,
+        projects=True,
+        compiles=False,
+    ),
+    Method(
+        "cvodes",
+        "tolerance",
+        "orders 1 to 5, implicit, own steps: damped stiff strings",
+        CVODES,
+        projects=True,
+        compiles=False,
     ),
 )
 

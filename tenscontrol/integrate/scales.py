@@ -30,7 +30,8 @@ def state_scale(equation: Equation, state: FloatArray, held: FloatArray) -> Floa
     members = np.vstack([structure.bars, structure.strings])
     size = np.linalg.norm(nodes[:, members[:, 1]] - nodes[:, members[:, 0]], axis=0).max()
     mass = structure.bar_mass.sum() + structure.string_node_mass.sum()
-    speed = max(np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass), 1e-300)
+    # Where nothing moves and nothing pulls, any speed will do.
+    speed = max(np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass)) or size
     return np.repeat([size, speed], len(q))
 
 

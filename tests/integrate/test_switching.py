@@ -1,0 +1,168 @@
+"""Steps that end at slack switches: order, simultaneous, double and grazing switches."""
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.integrate import METHODS
+from tests.dynamics.scenes import paper_force_density, rest_lengths
+from tests.oracle import HeldRestLength, RigidBars
+
+DURATION = 5.0
+TIMES = np.linspace(0.0, DURATION, 11)
+
+
+@pytest.fixture(scope="module")
+def example():
+    """The paper's example 1: six strings go slack and taut together, 55 times in 5 s."""
+    prism = tc.prism()
+    lengths = rest_lengths(prism, paper_force_density(9.0), 100.0)
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    bodies = RigidBars(prism, HeldRestLength(lengths, 100.0))
+    exact, switches = bodies.integrate(prism.nodes, np.zeros((3, 6)), TIMES)
+    return model, lengths, exact, switches
+
+
+def run(model, lengths, name, setting, **options):
+    integrator = METHODS[name].integrator(model.equation("rest_length"), setting, **options)
+    start = np.concatenate([model.structure.nodes.ravel(order="F"), np.zeros(18)])
+    span = integrator.advance(start, lengths, DURATION, len(TIMES) - 1)
+    return span.states[:18].reshape(6, 3, -1).swapaxes(0, 1), span.work
+
+
+def error(example, name, setting, **options):
+    nodes, _ = run(*example[:2], name, setting, **options)
+    return np.abs(nodes - example[2][:, :, 1:]).max()
+
+
+@pytest.mark.parametrize(
+    ("name", "steps", "least"),
+    [
+        ("rk4", [4e-3, 2e-3, 1e-3, 5e-4], 3.8),
+        ("rattle", [4e-3, 2e-3, 1e-3, 5e-4], 1.9),
+        ("rattle4", [1.2e-2, 8e-3, 5e-3, 2.5e-3], 3.8),
+        ("rattle6", [2.5e-2, 1.6e-2, 1.2e-2, 8e-3], 5.7),
+    ],
+)
+def test_the_order_holds_through_all_slack_switches(example, name, steps, least):
+    errors = [error(example, name, step) for step in steps]
+    order = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert least <= order <= least + 0.8
+
+
+def test_two_formulations_and_three_methods_agree(example):
+    """The oracle has other coordinates and another method: agreement says how good both are."""
+    assert error(example, "rattle6", 5e-3) < 2e-11
+    assert error(example, "dop853", 1e-12) < 1e-10
+    assert error(example, "rattle4", 2.5e-4) < 1e-10
+
+
+@pytest.mark.parametrize(("name", "setting"), [("rk4", 1e-3), ("rattle6", 1e-2), ("dop853", 1e-9)])
+def test_strings_that_switch_together_are_taken_together(example, name, setting):
+    model, lengths, _, switches = example
+    _, work = run(model, lengths, name, setting)
+    assert len(switches) == 55
+    assert work.switches == 6 * 55
+    assert work.unlocated == 0
+
+
+@pytest.mark.parametrize(("name", "setting"), [("rk4", 2e-3), ("rattle4", 1e-2), ("dop853", 1e-8)])
+def test_machine_code_gives_the_same_numbers(example, name, setting):
+    there = METHODS[name].integrator(example[0].equation("rest_length"), setting, machine_code=True)
+    if there.back_end != "machine code":
+        pytest.skip("no C compiler")
+    one, work = run(*example[:2], name, setting)
+    other, other_work = run(*example[:2], name, setting, machine_code=True)
+    np.testing.assert_array_equal(one, other)
+    assert work == other_work
+
+
+# Two masses on a string: the stretch is that of one mass m/2 on a spring.
+MASS, STIFFNESS, REST = 2.0, 1e4, 1.0
+OMEGA = np.sqrt(2 * STIFFNESS / MASS)
+
+
+def pair(load=0.0):
+    """Two point masses on a string along x, pulled apart by a load."""
+    forces = np.array([[-load, load], [0.0, 0.0], [0.0, 0.0]])
+    ends = tc.Structure(
+        [[-0.5, 0.5], [0.0, 0.0], [0.0, 0.0]], [], [[0, 1]], bar_mass=1.0, string_node_mass=MASS
+    )
+    model = tc.Model(ends, strings=tc.LinearStrings(STIFFNESS), external_force=forces)
+    return model.equation("rest_length")
+
+
+def distances(equation, name, setting, gap, speed, duration, outputs):
+    """Return the stretch at the output times, from this stretch and its rate."""
+    x = np.array([-0.5 - gap / 2, 0, 0, 0.5 + gap / 2, 0, 0, -speed / 2, 0, 0, speed / 2, 0, 0])
+    span = (
+        METHODS[name].integrator(equation, setting).advance(x, np.array([REST]), duration, outputs)
+    )
+    return span.states[3] - span.states[0] - REST, span.work
+
+
+@pytest.mark.parametrize(("name", "setting"), [("rattle6", 0.05), ("rk4", 0.05), ("dop853", 1e-10)])
+def test_a_string_that_goes_taut_and_slack_within_one_step_is_found(name, setting):
+    """It pulls for π/ω = 31 ms, from 10 ms on: the masses part at 1 m/s and come back as fast."""
+    time = 0.05
+    stretch, work = distances(pair(), name, setting, -0.01, 1.0, time, 1)
+    assert np.pi / OMEGA < 0.8 * time
+    assert work.switches == 2
+    assert work.unlocated == 0
+    # A step of RK4 over half a period is coarse, but it is cut at both ends.
+    allowed = {"rk4": 1e-1, "rattle6": 1e-4, "dop853": 1e-9}[name]
+    assert stretch[0] == pytest.approx(-(time - 0.01 - np.pi / OMEGA), abs=allowed)
+
+
+def test_a_dip_below_the_border_within_a_step_is_found():
+    """Under a load the stretch swings about F/k; 4 ms each period, of 20 ms a step, it is negative."""
+    load, over = 10.0, 1.02
+    rest = load / STIFFNESS  # the load stretches the string by so much
+    stretch, work = distances(pair(load), "rattle6", 0.02, rest * (1 + over), 0.0, 0.06, 1)
+    assert work.switches == 2
+    # Slack, the masses are pulled apart by the load alone: a parabola in place of the cosine.
+    speed = rest * OMEGA * np.sqrt(over**2 - 1)
+    slack = 2 * speed / (2 * load / MASS)
+    late = 0.06 - 2 * np.arccos(-1 / over) / OMEGA - slack
+    exact = rest * (1 + over * np.cos(OMEGA * late))
+    assert stretch[0] == pytest.approx(exact, abs=1e-3 * rest)
+
+
+@pytest.mark.parametrize("part", [1.0, 1 - 1e-13, 1 + 1e-13, 1 + 1e-9, 1 - 1e-9])
+@pytest.mark.parametrize(("name", "setting"), [("rk4", 5e-4), ("rattle4", 2e-3), ("dop853", 1e-10)])
+def test_a_string_that_only_grazes_the_border_does_not_chatter(part, name, setting):
+    """Stretch F/k (1 + cos ωt), to zero once a period and back: at most two switches there."""
+    load, periods = 10.0, 20
+    rest = load / STIFFNESS
+    duration = periods * 2 * np.pi / OMEGA
+    stretch, work = distances(
+        pair(load), name, setting, rest * (1 + part), 0.0, duration, 2 * periods
+    )
+    assert work.switches <= 2 * periods
+    assert work.unlocated == 0
+    assert np.abs(stretch[1::2] - 2 * rest).max() < 1e-3 * rest
+    assert np.abs(stretch[0::2]).max() < 1e-3 * rest
+
+
+def test_where_no_string_can_go_slack_nothing_is_looked_for(prism):
+    equation = tc.Model(prism).equation("force_density")
+    assert equation.switches == 0
+    integrator = METHODS["rk4"].integrator(equation, 1e-3)
+    start = np.concatenate([prism.nodes.ravel(order="F"), np.zeros(18)])
+    work = integrator.advance(start, np.full(9, 10.0), 0.1, 1).work
+    assert (work.steps, work.evaluations, work.switches) == (100, 400, 0)
+
+
+@pytest.mark.parametrize("damping", [0.1, 3.0])
+def test_damped_strings_switch_where_their_tension_ends(prism, damping):
+    lengths = rest_lengths(prism, paper_force_density(9.0), 100.0)
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping))
+    bodies = RigidBars(prism, HeldRestLength(lengths, 100.0, damping))
+    exact, _ = bodies.integrate(prism.nodes, np.zeros((3, 6)), np.array([0.0, 1.0]))
+    steps, errors = [4e-3, 2e-3, 1e-3], []
+    for step in steps:
+        motion = tc.simulate(model, 1.0, rest_length=lengths, step=step)
+        errors.append(np.abs(motion.nodes[:, :, -1] - exact[:, :, -1]).max())
+    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] > 3.7
+    fine = tc.simulate(model, 1.0, rest_length=lengths, tolerance=1e-12)
+    assert np.abs(fine.nodes[:, :, -1] - exact[:, :, -1]).max() < 1e-10
