@@ -113,18 +113,68 @@ def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
     if found is None:
         return None
     began = perf_counter()
-    source = _source(function)
+    library, cached, cache = _library(_source(function), "-O2", found, timeout)
+    loaded = _load(function.name(), library)
+    seconds = perf_counter() - began
+    return Compiled(loaded, library, seconds, cached, cache.temporary, found)
+
+
+def compiled_source(source: str, names: tuple[str, ...]) -> tuple[ca.Function, ...]:
+    """Return the functions of a C text that has CasADi's interface for external functions.
+
+    Parameters
+    ----------
+    source : str
+        C code. It is optimized harder than that of :func:`compiled`: its loops gain by it.
+    names : tuple of str
+        Names of the functions.
+
+    Returns
+    -------
+    tuple of casadi.Function
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no C compiler, or it is switched off.
+    CompilerError
+        If the compiler fails, or its library cannot be loaded.
+    PermissionError
+        If another user could have written the library or its folder: it is not loaded.
+    """
+    library = compiled_library(source)
+    return tuple(_load(name, library) for name in names)
+
+
+def compiled_library(source: str) -> Path:
+    """Return the library of a C text, optimized hard; errors as :func:`compiled_source`.
+
+    Parameters
+    ----------
+    source : str
+        C code.
+    """
+    found = compiler()
+    if found is None:
+        raise FileNotFoundError(
+            "there is no C compiler: none of $CC, cc, gcc and clang is on the path, or it is "
+            "switched off by TENSCONTROL_COMPILER. Install one, or go without compiled functions"
+        )
+    library, *_ = _library(source, "-O3", found, timeout=600.0)
+    return library
+
+
+def _library(source: str, level: str, found: Compiler, timeout: float) -> tuple[Path, bool, Cache]:
+    """Return the library made of C code, whether it was there already, and where."""
     machine = (sys.platform, platform.machine(), *platform.libc_ver())
-    key = key_of(source, found, FLAGS, ca.__version__, *machine)
+    key = key_of(source, found, (level, *FLAGS), ca.__version__, *machine)
     cache = open_cache()
     library = cache.find(key)
     cached = library is not None
     if library is None:
         with cache.workshop() as folder:
-            library = cache.add(key, found.build(source, Path(folder), timeout))
-    loaded = _load(function.name(), library, cache)
-    seconds = perf_counter() - began
-    return Compiled(loaded, library, seconds, cached, cache.temporary, found)
+            library = cache.add(key, found.build(source, level, Path(folder), timeout))
+    return library, cached, cache
 
 
 def worth_compiling(function: ca.Function, calls: int) -> bool:
@@ -178,7 +228,7 @@ def _source(function: ca.Function) -> str:
     return str(code.dump())
 
 
-def _load(name: str, library: Path, cache: Cache) -> ca.Function:
+def _load(name: str, library: Path) -> ca.Function:
     try:
         return ca.external(name, str(library))
     except RuntimeError as error:
@@ -188,7 +238,7 @@ def _load(name: str, library: Path, cache: Cache) -> ca.Function:
         raise CompilerError(
             f"the compiled code of {name!r} cannot be loaded: {lines or error}. The compiler may "
             f"be one for another machine: see CC; or the system may not run code from "
-            f"{cache.folder}: set XDG_CACHE_HOME to another folder"
+            f"{library.parent}: set XDG_CACHE_HOME to another folder"
         ) from None
 
 

@@ -24,7 +24,7 @@ _USUAL = ("cc", "gcc", "clang")
 # as CasADi's virtual machine: no multiplication and addition rounded as one (also what ISO C
 # asks for). A square root need not set errno: that is a branch less, and the same number. ISO C
 # also keeps names such as `gamma` and `y0` free for functions.
-FLAGS = ("-O2", "-std=c99", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
+FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 
 _VERSION_TIMEOUT = 30.0  # s
 _LINES = 8  # of what the compiler says that go into a message
@@ -54,13 +54,15 @@ class Compiler:
     command: tuple[str, ...]
     version: str
 
-    def build(self, source: str, folder: Path, timeout: float) -> Path:
+    def build(self, source: str, level: str, folder: Path, timeout: float) -> Path:
         """Compile C code to a library and return its path.
 
         Parameters
         ----------
         source : str
             C code.
+        level : {"-O2", "-O3"}
+            How hard it optimizes.
         folder : Path
             Where to work: an empty folder that nobody else writes into.
         timeout : float
@@ -74,7 +76,7 @@ class Compiler:
         library = folder / f"function{suffix()}"
         (folder / "function.c").write_text(source, encoding="utf-8")
         # Names without a folder: the library must not depend on where it was made.
-        command = [*self.command, *FLAGS, "function.c", "-o", library.name, *_libraries()]
+        command = [*self.command, level, *FLAGS, "function.c", "-o", library.name, *_libraries()]
         status, said = _run(command, folder, timeout)
         if status is None:
             raise CompilerError(f"{self.command[0]} was stopped after {timeout:g} s. {_ADVICE}")

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 
+from tenscontrol.dynamics.strings import StringLaw
 from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray
+
+#: How the functions of an equation can be built.
+FORMS = ("flat", "mapped", "driver")
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +37,13 @@ class Equation:
     velocity_dependent : bool
         Whether the force depends on the velocities: some string is damped.
     structure : Structure or None
+    law : StringLaw or None
+        The law of the strings where rest lengths are held; None where γ is.
+    load : ndarray, shape (3, n), or None
+        Constant force on every node, N; None for none.
+    form : {"flat", "mapped", "driver"}
+        How the functions are built: one expression of all members (SX);
+        operations on all members at once (MX); loops over the members in C.
     """
 
     slope: ca.Function
@@ -38,6 +51,14 @@ class Equation:
     force: ca.Function | None = None
     velocity_dependent: bool = False
     structure: Structure | None = None
+    law: StringLaw | None = None
+    load: FloatArray | None = None
+    form: str = "flat"
+
+    @property
+    def symbol(self) -> Any:
+        """``casadi.SX.sym`` or ``casadi.MX.sym``: for graphs that call the functions."""
+        return ca.SX.sym if self.form == "flat" else ca.MX.sym
 
     @property
     def states(self) -> int:
@@ -57,7 +78,7 @@ class Equation:
     @property
     def kinked_slope(self) -> ca.Function:
         """``(x, u) -> xdot``: the whole equation, with its kinks."""
-        x, u = ca.SX.sym("x", self.states), ca.SX.sym("u", self.inputs)
+        x, u = self.symbol("x", self.states), self.symbol("u", self.inputs)
         return ca.Function("kinked", [x, u], [self.slope(x, u, self.gap(x, u)[0] > 0)])
 
 

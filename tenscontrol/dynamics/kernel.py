@@ -1,7 +1,9 @@
 """The equations of motion, member by member, in CasADi expressions.
 
-Every function takes and returns symbolic matrices with one column per node or
-member. Work and memory grow linearly with the members; nothing is factorised.
+Every function takes and returns symbolic matrices, SX or MX, with one column
+per node or member. Work and memory grow linearly with the members; nothing is
+factorised. The functions of columns below hold for any number of members, so
+also for one: the loops in C (:mod:`tenscontrol.dynamics.driver`) are made of them.
 
 Sign convention::
 
@@ -19,6 +21,9 @@ import numpy as np
 
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
+
+# A string shorter than this part of its rest length has no direction to pull in.
+_NO_LENGTH = 1e-12
 
 # CasADi expressions carry no types of their own.
 Symbolic = Any
@@ -43,8 +48,8 @@ def node_forces(structure: Structure, N: Symbolic, gamma: Symbolic, W: Symbolic 
     """Return F = W − N C_sᵀ γ̂ C_s, shape (3, n), N (eq. 2). Without load W is None."""
     n = N.shape[1]
     if len(structure.strings) == 0:
-        return ca.SX(3, n) if W is None else W
-    pull = scale_columns(differences(N, structure.strings), gamma.T)
+        return type(N)(3, n) if W is None else W
+    pull = string_pull(differences(N, structure.strings), gamma.T)
     F = ca.mtimes(pull, _gather(structure.strings, n))
     return F if W is None else W + F
 
@@ -54,75 +59,118 @@ def bar_force_density(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbol
 
     A bar with both ends fixed is part of the support; its entry is zero.
     """
-    lam = ca.SX(1, len(structure.bars))
+    lam = type(N)(1, len(structure.bars))
     if len(structure.free_bars):
-        *_, free = _free_bars(structure, N, Nd, F)
-        lam[:, structure.free_bars.tolist()] = free
+        *_, lam[:, structure.free_bars.tolist()] = _free_bars(structure, N, Nd, F)
     if len(structure.swinging_bars):
-        _, swinging = _swinging_bars(structure, N, Nd, F)
-        lam[:, structure.swinging_bars.tolist()] = swinging
+        _, lam[:, structure.swinging_bars.tolist()] = _swinging_bars(structure, N, Nd, F)
     return lam
 
 
 def accelerations(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic) -> Symbolic:
     """Return N̈, shape (3, n), m/s², from eq. (7), with M_s inverted in closed form.
 
-    For a free bar, ``b̈ = 6/m f + 12/m λ b`` (eq. 5) and ``r̈ = (f_start +
-    f_end)/m`` (eq. 4); its ends move with ``r̈ ∓ b̈/2``. The free end of a bar
-    that swings has the mass m/3. Columns of fixed nodes are left empty.
+    Columns of fixed nodes are left empty.
     """
-    Ndd = ca.SX(3, structure.nodes.shape[1])
+    Ndd = type(N)(3, structure.nodes.shape[1])
     if len(structure.free_bars):
         start, end = structure.bars[structure.free_bars].T.tolist()
-        mass = _row(structure.bar_mass[structure.free_bars])
-        B, f, lam = _free_bars(structure, N, Nd, F)
-        half = scale_columns(f, 3 / mass) + scale_columns(B, 6 / mass * lam)
-        centre = scale_columns(F[:, start] + F[:, end], 1 / mass)
-        Ndd[:, start], Ndd[:, end] = centre - half, centre + half
+        Ndd[:, start], Ndd[:, end], _ = _free_bars(structure, N, Nd, F)
     if len(structure.swinging_bars):
         tip = structure.hinged_pairs[:, 1].tolist()
-        mass = _row(structure.bar_mass[structure.swinging_bars])
-        B, lam = _swinging_bars(structure, N, Nd, F)
-        Ndd[:, tip] = scale_columns(F[:, tip] + scale_columns(B, lam), 3 / mass)
+        Ndd[:, tip], _ = _swinging_bars(structure, N, Nd, F)
     if len(structure.string_nodes):
         # No string nodes, no block: a scene pays only for what it has.
         points = structure.string_nodes.tolist()
-        Ndd[:, points] = scale_columns(F[:, points], 1 / _row(structure.string_node_mass))
+        Ndd[:, points] = point_acceleration(F[:, points], _row(structure.string_node_mass))
     return Ndd
 
 
-def _free_bars(
-    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic
+# ---- one member, or any number of them ----
+
+
+def string_pull(S: Symbolic, gamma: Symbolic) -> Symbolic:
+    """Return the force on the start node, N, shape (3, k); the end node gets the opposite."""
+    return scale_columns(S, gamma)
+
+
+def length(S: Symbolic) -> Symbolic:
+    """Return l, m, shape (1, k)."""
+    return ca.sqrt(dots(S, S))
+
+
+def length_rate(S: Symbolic, Sd: Symbolic, length: Symbolic) -> Symbolic:
+    """Return l̇, m/s, shape (1, k)."""
+    return dots(S, Sd) / length
+
+
+def pulling_length(S: Symbolic, rest_length: Symbolic) -> Symbolic:
+    """Return l where a string can pull, m, shape (1, k).
+
+    A slack string may have no length; one that pulls is longer than this.
+    """
+    # Under the root, so that derivatives are finite too.
+    return ca.sqrt(ca.fmax(dots(S, S), (_NO_LENGTH * rest_length) ** 2))
+
+
+def free_bar(
+    B: Symbolic, Bd: Symbolic, start: Symbolic, end: Symbolic, mass: Symbolic
 ) -> tuple[Symbolic, Symbolic, Symbolic]:
-    """Return b, the end force less the start force f, and λ of the bars with two free ends.
+    """Return the accelerations of start and end node and λ of bars with two free ends.
+
+    From the forces on the two nodes, N, shape (3, k). ``b̈ = 6/m f + 12/m λ b``
+    (eq. 5) with f the end force less the start force, and ``r̈ = (f_start +
+    f_end)/m`` (eq. 4); the ends move with ``r̈ ∓ b̈/2``.
 
     ``λ = −m ‖ḃ‖²/(12 ‖b‖²) − bᵀ f/(2 ‖b‖²)``. The current ‖b‖² stands where
     the paper has l²: the two are equal on exact trajectories, and with l² an
     error of the bar length made by an integrator would grow exponentially
     under compression.
     """
+    f = end - start
+    lam = -(mass / 12 * dots(Bd, Bd) + dots(B, f) / 2) / dots(B, B)
+    half = scale_columns(f, 3 / mass) + scale_columns(B, 6 / mass * lam)
+    centre = scale_columns(start + end, 1 / mass)
+    return centre - half, centre + half, lam
+
+
+def swinging_bar(
+    B: Symbolic, Bd: Symbolic, tip: Symbolic, mass: Symbolic
+) -> tuple[Symbolic, Symbolic]:
+    """Return the acceleration of the free end and λ of bars that swing about the other.
+
+    b goes from the fixed to the free end, which has the mass m/3. ``λ = −m
+    ‖ḃ‖²/(3 ‖b‖²) − bᵀ f/‖b‖²`` with f the force on the free end.
+    """
+    lam = -(mass / 3 * dots(Bd, Bd) + dots(B, tip)) / dots(B, B)
+    return scale_columns(tip + scale_columns(B, lam), 3 / mass), lam
+
+
+def point_acceleration(force: Symbolic, mass: Symbolic) -> Symbolic:
+    """Return the acceleration of point masses, m/s², shape (3, k)."""
+    return scale_columns(force, 1 / mass)
+
+
+def _free_bars(
+    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic
+) -> tuple[Symbolic, Symbolic, Symbolic]:
     bars = structure.bars[structure.free_bars]
-    B, Bd, f = (differences(columns, bars) for columns in (N, Nd, F))
+    start, end = (F[:, nodes] for nodes in bars.T.tolist())
     mass = _row(structure.bar_mass[structure.free_bars])
-    return B, f, -(mass / 12 * dots(Bd, Bd) + dots(B, f) / 2) / dots(B, B)
+    return free_bar(differences(N, bars), differences(Nd, bars), start, end, mass)
 
 
 def _swinging_bars(
     structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic
 ) -> tuple[Symbolic, Symbolic]:
-    """Return b, from the fixed to the free end, and λ of the bars that swing.
-
-    ``λ = −m ‖ḃ‖²/(3 ‖b‖²) − bᵀ f/‖b‖²`` with f the force on the free end.
-    """
     bars = structure.hinged_pairs
-    B, Bd, f = differences(N, bars), differences(Nd, bars), F[:, bars[:, 1].tolist()]
-    mass = _row(structure.bar_mass[structure.swinging_bars])
-    return B, -(mass / 3 * dots(Bd, Bd) + dots(B, f)) / dots(B, B)
+    tip, mass = F[:, bars[:, 1].tolist()], _row(structure.bar_mass[structure.swinging_bars])
+    return swinging_bar(differences(N, bars), differences(Nd, bars), tip, mass)
 
 
 def mass_product(structure: Structure, V: Symbolic) -> Symbolic:
     """Return V M_s, shape (3, n): M_s is m/6 [[2, 1], [1, 2]] a bar and m_s a string node."""
-    product = ca.SX(3, structure.nodes.shape[1])
+    product = type(V)(3, structure.nodes.shape[1])
     if len(structure.bars):
         sixth = _row(structure.bar_mass / 6)
         start, end = structure.bars[:, 0].tolist(), structure.bars[:, 1].tolist()

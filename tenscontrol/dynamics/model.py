@@ -9,16 +9,16 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.driver import driver_equation
+from tenscontrol.dynamics.equation import FORMS, Equation
+from tenscontrol.dynamics.forms import suitable_form
+from tenscontrol.dynamics.mapped import mapped_equation
 from tenscontrol.dynamics.strings import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped, truth
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-# A string shorter than this part of its rest length has no direction to pull in.
-_NO_LENGTH = 1e-12
 
 
 class Model:
@@ -214,7 +214,9 @@ class Model:
         choice("held", held, ("force_density", "rest_length"))
         return self.dynamics if held == "force_density" else self.rest_length_dynamics
 
-    def equation(self, held: str, external_force: FloatArray | None = None) -> Equation:
+    def equation(
+        self, held: str, external_force: FloatArray | None = None, form: str = "auto"
+    ) -> Equation:
         """Return the state equation for an integrator, in smooth pieces.
 
         Parameters
@@ -223,6 +225,14 @@ class Model:
         external_force : ndarray, shape (3, n), optional
             Load that acts all the time, N, beside what is built in; for a
             model built with ``external_force=True``.
+        form : {"auto", "flat", "mapped", "driver"}
+            How the functions are built. ``"flat"``: one expression with every
+            member written out, to be put into larger expressions.
+            ``"mapped"``: operations on all members at once. ``"driver"``:
+            loops over the members in compiled C, without derivatives; needs a
+            compiler. ``"auto"``: flat up to 40 members, beyond them driver
+            where there is a C compiler, else mapped. ``.form`` of the
+            equation says which.
 
         Returns
         -------
@@ -231,34 +241,47 @@ class Model:
         Raises
         ------
         ValueError
-            If ``held`` is another word, or the model has no string law for it.
+            If ``held`` or ``form`` is another word, or the model has no string law for it.
+        FileNotFoundError
+            If ``form`` is ``"driver"`` and there is no C compiler.
         """
         choice("held", held, ("force_density", "rest_length"))
+        choice("form", form, ("auto", *FORMS))
+        law = self._needed_strings() if held == "rest_length" else None
+        load = self._constant_force
+        if external_force is not None:
+            load = load + external_force
+        if form == "auto":
+            form = suitable_form(self._structure)
+        if form == "flat":
+            return self._flat_equation(law, load)
+        build = mapped_equation if form == "mapped" else driver_equation
+        return build(self._structure, law, load)
+
+    def _flat_equation(self, law: StringLaw | None, load: FloatArray) -> Equation:
         structure = self._structure
         s = self._symbols()
-        u = s["gamma"] if held == "force_density" else s["rest_length"]
+        s["load"] = ca.sparsify(ca.DM(load)) if load.any() else None
+        u = s["gamma"] if law is None else s["rest_length"]
         taut, gap, rate = ca.SX.sym("taut", 0), ca.SX(0, 1), ca.SX(0, 1)
-        gamma, damped = u, False
-        if held == "rest_length":
-            law = self._needed_strings()
-            damped = law.is_damped
-            # A slack string may have no length; one that pulls is longer than this.
-            length, rate = self._string_motion(s, shortest=_NO_LENGTH * u)
+        gamma = u
+        if law is not None:
+            S, Sd = self._string_vectors(s)
+            length = kernel.pulling_length(S, u.T).T
+            rate = kernel.length_rate(S, Sd, length.T).T
             taut = ca.SX.sym("taut", len(structure.strings))
             gap = law.gap(length, u, rate)
             gamma = taut * law.taut_force_density(length, u, rate)
-        if external_force is not None:
-            total = self._constant_force + external_force
-            s["load"] = ca.sparsify(ca.DM(total)) if total.any() else None
-        x, free = s["x"], structure.free.tolist()
-        forces = ca.vec(ca.densify(self._forces(s, gamma)[:, free]))
-        q, v = x[: x.shape[0] // 2], x[x.shape[0] // 2 :]
+        forces = ca.vec(ca.densify(self._forces(s, gamma)[:, structure.free.tolist()]))
+        q, v = ca.vec(s["N"]), ca.vec(s["Nd"])
         return Equation(
-            slope=ca.Function("slope", [x, u, taut], [self._xdot(s, gamma)]),
-            gap=ca.Function("gap", [x, u], [ca.densify(gap), ca.densify(rate)]),
+            slope=ca.Function("slope", [s["x"], u, taut], [self._xdot(s, gamma)]),
+            gap=ca.Function("gap", [s["x"], u], [ca.densify(gap), ca.densify(rate)]),
             force=ca.Function("force", [q, v, u, taut], [forces]),
-            velocity_dependent=damped,
+            velocity_dependent=law is not None and law.is_damped,
             structure=structure,
+            law=law,
+            load=frozen(load) if load.any() else None,
         )
 
     @cached_property
@@ -301,7 +324,8 @@ class Model:
         """``(x, rest_length) -> energy``: what strings store whose rest length is held, J."""
         s = self._symbols()
         law = self._needed_strings()
-        energy = ca.densify(ca.sum1(law.stored_energy(self._string_length(s), s["rest_length"])))
+        length = kernel.length(self._string_vectors(s)[0]).T
+        energy = ca.densify(ca.sum1(law.stored_energy(length, s["rest_length"])))
         return ca.Function(
             "elastic_energy",
             [s["x"], s["rest_length"]],
@@ -369,25 +393,17 @@ class Model:
         forces = self._forces(s, s["gamma"])
         return kernel.bar_force_density(self._structure, s["nodes"], s["velocities"], forces)
 
-    def _string_length(self, s: dict[str, Any]) -> Any:
-        S = kernel.differences(s["nodes"], self._structure.strings)
-        return ca.sqrt(kernel.dots(S, S)).T
-
-    def _string_motion(self, s: dict[str, Any], shortest: Any = None) -> tuple[Any, Any]:
-        """Return the lengths of the strings and their rates, (α, 1) each."""
-        S, Sd = (
-            kernel.differences(s[part], self._structure.strings) for part in ("nodes", "velocities")
-        )
-        square = kernel.dots(S, S).T
-        if shortest is not None:
-            # Under the root, so that derivatives are finite too.
-            square = ca.fmax(square, shortest**2)
-        length = ca.sqrt(square)
-        return length, kernel.dots(S, Sd).T / length
+    def _string_vectors(self, s: dict[str, Any]) -> tuple[Any, Any]:
+        """Return S and its rate, (3, α) each."""
+        strings = self._structure.strings
+        return kernel.differences(s["nodes"], strings), kernel.differences(s["velocities"], strings)
 
     def _law_force_density(self, s: dict[str, Any]) -> Any:
         law = self._needed_strings()
-        length, rate = self._string_motion(s)
+        S, Sd = self._string_vectors(s)
+        length = kernel.length(S)
+        rate = kernel.length_rate(S, Sd, length).T
+        length = length.T
         return law.symbolic_force_density(length, s["rest_length"], rate)
 
     def _needed_strings(self) -> StringLaw:

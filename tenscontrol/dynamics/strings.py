@@ -84,7 +84,7 @@ class StringLaw(ABC):
     @property
     def is_damped(self) -> bool:
         """Whether any string has damping."""
-        return bool(np.any(np.asarray(self.damping) > 0))
+        return _is_symbol(self.damping) or bool(np.any(np.asarray(self.damping) > 0))
 
     def symbolic_force_density(self, length: Any, rest_length: Any, rate: Any = None) -> Any:
         """Return the expression of γ, N/m.
@@ -101,7 +101,7 @@ class StringLaw(ABC):
         tension = self.tension(length, rest_length)
         if not self.is_damped:
             return ca.fmax(0, tension) / length
-        pulling = ca.fmax(0, tension + ca.DM(self.damping) * rate)
+        pulling = ca.fmax(0, tension + _constant(self.damping) * rate)
         return ca.if_else(length > rest_length, pulling, 0) / length
 
     def taut_force_density(self, length: Any, rest_length: Any, rate: Any = None) -> Any:
@@ -118,7 +118,7 @@ class StringLaw(ABC):
         """
         tension = self.tension(length, rest_length)
         if self.is_damped:
-            tension += ca.DM(self.damping) * rate
+            tension += _constant(self.damping) * rate
         return tension / length
 
     def gap(self, length: Any, rest_length: Any, rate: Any = None) -> Any:
@@ -139,10 +139,10 @@ class StringLaw(ABC):
         stretch = length - rest_length
         if not self.is_damped:
             return stretch
-        at = ca.SX.sym("at", length.shape)
+        at = type(length).sym("at", length.shape)
         stiffness = ca.jtimes(self.tension(at, rest_length), at, ca.DM.ones(length.shape))
         stiffness = ca.substitute(stiffness, at, length)
-        tension = self.tension(length, rest_length) + ca.DM(self.damping) * rate
+        tension = self.tension(length, rest_length) + _constant(self.damping) * rate
         return ca.fmin(stretch, tension / stiffness)
 
     def for_count(self, count: int) -> StringLaw:
@@ -167,6 +167,20 @@ class StringLaw(ABC):
             for field in fields(self)
         }
         return type(self)(**parameters)
+
+    def with_parameters(self, parameters: dict[str, Any]) -> StringLaw:
+        """Return the same law for expressions, with other parameters, unchecked.
+
+        Parameters
+        ----------
+        parameters : dict of str to float, casadi.DM or casadi.SX
+            A number, a column of them, or a symbol for each parameter by name.
+            A symbol for the damping means that there is some.
+        """
+        law = object.__new__(type(self))
+        for field in fields(self):
+            object.__setattr__(law, field.name, parameters[field.name])
+        return law
 
     # The same law on NumPy arrays.
 
@@ -312,7 +326,7 @@ class LinearStrings(StringLaw):
         rest_length : casadi.SX, shape (α, 1)
             l0, m.
         """
-        return ca.DM(self.stiffness) * (length - rest_length)
+        return _constant(self.stiffness) * (length - rest_length)
 
     def taut_rest_length(self, length: Any, force_density: Any) -> Any:
         """Return l (1 − γ/k), m.
@@ -324,7 +338,7 @@ class LinearStrings(StringLaw):
         force_density : casadi.SX, shape (α, 1)
             γ, N/m.
         """
-        return length * (1 - force_density / ca.DM(self.stiffness))
+        return length * (1 - force_density / _constant(self.stiffness))
 
     def stored_energy(self, length: Any, rest_length: Any) -> Any:
         """Return ½ k max(0, l − l0)², J.
@@ -336,7 +350,7 @@ class LinearStrings(StringLaw):
         rest_length : casadi.SX, shape (α, 1)
             l0, m.
         """
-        return 0.5 * ca.DM(self.stiffness) * ca.fmax(0, length - rest_length) ** 2
+        return 0.5 * _constant(self.stiffness) * ca.fmax(0, length - rest_length) ** 2
 
     @property
     def largest_force_density(self) -> FloatArray:
@@ -392,7 +406,7 @@ class ElasticStrings(StringLaw):
         rest_length : casadi.SX, shape (α, 1)
             l0, m.
         """
-        return ca.DM(self.axial_rigidity) * (length / rest_length - 1)
+        return _constant(self.axial_rigidity) * (length / rest_length - 1)
 
     def taut_rest_length(self, length: Any, force_density: Any) -> Any:
         """Return EA l/(EA + γ l), m.
@@ -405,7 +419,7 @@ class ElasticStrings(StringLaw):
             γ, N/m.
         """
         # Written so that γ = 0 gives l exactly.
-        return length / (1 + force_density * length / ca.DM(self.axial_rigidity))
+        return length / (1 + force_density * length / _constant(self.axial_rigidity))
 
     def stored_energy(self, length: Any, rest_length: Any) -> Any:
         """Return ½ EA/l0 max(0, l − l0)², J.
@@ -418,12 +432,21 @@ class ElasticStrings(StringLaw):
             l0, m.
         """
         stretch = ca.fmax(0, length - rest_length)
-        return 0.5 * ca.DM(self.axial_rigidity) * stretch**2 / rest_length
+        return 0.5 * _constant(self.axial_rigidity) * stretch**2 / rest_length
 
     @property
     def largest_force_density(self) -> FloatArray:
         """Infinite: every γ has a positive rest length."""
         return np.full(np.shape(self.axial_rigidity), np.inf)
+
+
+def _is_symbol(parameter: Any) -> bool:
+    return isinstance(parameter, ca.SX)
+
+
+def _constant(parameter: Any) -> Any:
+    """Return a parameter as expressions take it: a number, or the symbol for one."""
+    return parameter if _is_symbol(parameter) else ca.DM(parameter)
 
 
 def _check_parameters(law: StringLaw, stiffness: str) -> None:

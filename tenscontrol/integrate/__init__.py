@@ -3,6 +3,7 @@
 from tenscontrol.integrate.choose import Choice, choose
 from tenscontrol.integrate.cvodes import CVODES
 from tenscontrol.integrate.dop853 import DOP853
+from tenscontrol.integrate.energy_momentum import EnergyMomentum
 from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span, Work
 from tenscontrol.integrate.methods import METHODS, Method
 from tenscontrol.integrate.radau import Radau
@@ -15,6 +16,7 @@ __all__ = [
     "METHODS",
     "RK4",
     "Choice",
+    "EnergyMomentum",
     "IntegrationError",
     "Integrator",
     "Method",

@@ -22,14 +22,20 @@ class Choice:
     Attributes
     ----------
     method : str
-    setting : float
-        Step, s, or tolerance.
+    setting : {"step", "tolerance"}
+        What its accuracy is set by.
+    value : float
+        The step, s, or the tolerance.
     reason : str
+    back_end : str
+        What runs the steps.
     """
 
     method: str
-    setting: float
+    setting: str
+    value: float
     reason: str
+    back_end: str = "virtual machine"
 
 
 def choose(
@@ -67,12 +73,13 @@ def choose(
     slack = "strings can go slack, each switch ends a step" if equation.switches else "no switches"
     scene = f"largest frequency {frequency:.3g} rad/s; {slack}"
     if step is not None:
-        return Choice("rk4", step, f"a step is given; {scene}")
+        return Choice("rk4", "step", step, f"a step is given; {scene}")
     needed = frequency * duration / _STABLE
     if needed > _MOST_STEPS:
         return Choice(
-            "energy-momentum",
+            "energy_momentum",
+            "tolerance",
             tolerance,
             f"{scene}: an explicit method would need {needed:.1e} steps",
         )
-    return Choice("dop853", tolerance, scene)
+    return Choice("dop853", "tolerance", tolerance, scene)

@@ -196,8 +196,8 @@ class _Hermite:
 
 def _solver(equation: Equation, outputs: int, tolerance: float) -> ca.Function:
     """Return the solver over the unit of time; the true span is a parameter."""
-    x, span = ca.SX.sym("x", equation.states), ca.SX.sym("span")
-    u, taut = ca.SX.sym("u", equation.inputs), ca.SX.sym("taut", equation.switches)
+    x, span = equation.symbol("x", equation.states), equation.symbol("span")
+    u, taut = equation.symbol("u", equation.inputs), equation.symbol("taut", equation.switches)
     problem = {
         "x": x,
         "p": ca.vertcat(span, u, taut),

@@ -90,7 +90,8 @@ class Integrator(ABC):
     #: Name as users give it to ``simulate(method=...)``.
     name: str
 
-    #: What runs the steps: ``"virtual machine"`` (CasADi's) or ``"machine code"`` (compiled C).
+    #: What runs the steps: ``"virtual machine"`` (CasADi's), ``"machine code"`` (compiled C), or
+    #: ``"machine code for the forces"``.
     back_end = "virtual machine"
 
     def __init__(self, equation: Equation) -> None:
@@ -98,6 +99,10 @@ class Integrator(ABC):
 
     def _as_compiled(self, function: ca.Function, wanted: bool) -> ca.Function:
         """Return a function in machine code, if that is wanted and there is a compiler."""
+        if self._equation.form == "driver":
+            # The forces are machine code already; the steps around them stay with CasADi.
+            self.back_end = "machine code for the forces"
+            return function
         code = compiled(function) if wanted else None
         if code is None:
             return function

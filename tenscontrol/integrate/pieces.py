@@ -203,7 +203,8 @@ class PiecewiseIntegrator(Integrator):
         """Return the gap of each string at each of some states, shape (α, count)."""
         count = states.shape[1]
         if count not in self._gaps:
-            x, u = self._equation.gap.sx_in()
+            x = self._equation.symbol("x", self._equation.states)
+            u = self._equation.symbol("u", self._equation.inputs)
             gap = ca.Function("gap", [x, u], [self._equation.gap(x, u)[0]])
             self._gaps[count] = Evaluator(gap.map("gaps", "serial", count, [1], []))
         given = states[:, 0] if count == 1 else states
@@ -256,8 +257,8 @@ class PiecewiseIntegrator(Integrator):
 
 def _scaled(equation: Equation, scale: FloatArray) -> Equation:
     """Return the equation of the state as part of its scale."""
-    y, u = ca.SX.sym("y", equation.states), ca.SX.sym("u", equation.inputs)
-    taut, size = ca.SX.sym("taut", equation.switches), ca.DM(scale)
+    y, u = equation.symbol("y", equation.states), equation.symbol("u", equation.inputs)
+    taut, size = equation.symbol("taut", equation.switches), ca.DM(scale)
     slope = equation.slope(y * size, u, taut) / size
     return replace(
         equation,

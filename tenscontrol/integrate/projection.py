@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 
 from tenscontrol.dynamics import Equation
@@ -10,7 +12,7 @@ from tenscontrol.integrate.bodies import Bodies
 from tenscontrol.structure import Structure
 
 
-def project(structure: Structure) -> ca.Function:
+def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
     """Return ``(x) -> x``: the state near by whose bars have their lengths and do not stretch.
 
     Bar by bar and in closed form: the bar vector is scaled to its length, the
@@ -22,6 +24,8 @@ def project(structure: Structure) -> ca.Function:
     Parameters
     ----------
     structure : Structure
+    symbol : callable, optional
+        ``casadi.SX.sym``, or ``casadi.MX.sym`` for large structures.
 
     Returns
     -------
@@ -40,7 +44,7 @@ def project(structure: Structure) -> ca.Function:
     """
     bodies = Bodies(structure)
     count = len(structure.free)
-    x = ca.SX.sym("x", 6 * count)
+    x = symbol("x", 6 * count)
     nodes, velocities = (ca.reshape(part, 3, count) for part in (x[: 3 * count], x[3 * count :]))
     points, B = bodies.split(nodes, bodies.hinges)
     point_rates, Bd = bodies.split(velocities)
@@ -56,7 +60,7 @@ def projection(equation: Equation) -> ca.Function | None:
     """Return :func:`project` for an equation, or None where there are no bars."""
     if equation.structure is None or len(equation.structure.bars) == 0:
         return None
-    return project(equation.structure)
+    return project(equation.structure, equation.symbol)
 
 
 def projected(step: ca.Function, equation: Equation) -> ca.Function:

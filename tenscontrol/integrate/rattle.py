@@ -206,7 +206,8 @@ class _Rattle(FixedStep):
 
     def step_function(self, equation: Equation) -> ca.Function:
         """See :meth:`FixedStep.step_function`."""
-        return rattle_step(equation, self.order)
+        kind = ca.SX if equation.form == "flat" else ca.MX
+        return rattle_step(equation, self.order, kind)
 
 
 @final

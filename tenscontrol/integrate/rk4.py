@@ -19,8 +19,8 @@ class RK4(FixedStep):
 
     def step_function(self, equation: Equation) -> ca.Function:
         """See :meth:`FixedStep.step_function`."""
-        x, u = ca.SX.sym("x", equation.states), ca.SX.sym("u", equation.inputs)
-        taut, h = ca.SX.sym("taut", equation.switches), ca.SX.sym("h")
+        sizes = {"x": equation.states, "u": equation.inputs, "taut": equation.switches, "h": 1}
+        x, u, taut, h = (equation.symbol(name, size) for name, size in sizes.items())
         k1 = equation.slope(x, u, taut)
         k2 = equation.slope(x + h / 2 * k1, u, taut)
         k3 = equation.slope(x + h / 2 * k2, u, taut)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Equation, Evaluator
 from tenscontrol.validation import FloatArray
 
-_POWER_ITERATIONS = 60
+# Iterations of the power method, and the push of its differences as part of the size.
+_POWER_ITERATIONS, _PUSH = 60, 1e-6
 
 
 def state_scale(equation: Equation, state: FloatArray, held: FloatArray) -> FloatArray:
@@ -55,17 +55,20 @@ def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -
     if equation.structure is None:
         return 0.0
     n = equation.states // 2
-    x, u = ca.SX.sym("x", 2 * n), ca.SX.sym("u", equation.inputs)
-    direction = ca.SX.sym("direction", n)
-    slope = equation.slope(x, u, ca.DM.ones(equation.switches))[n:]
-    along = ca.jtimes(slope, x, ca.vertcat(direction, ca.DM.zeros(n)))
-    product = Evaluator(ca.Function("product", [x, u, direction], [along]))
+    q, v = np.split(state, 2)
+    size = float(np.abs(q - q.mean()).max()) or 1.0
+    slope, taut = Evaluator(equation.slope), np.ones(equation.switches)
+
+    def pushed(direction: FloatArray) -> FloatArray:
+        x = np.concatenate([q + _PUSH * size * direction, v])
+        return slope(x, held, taut)[0][n:].copy()
+
     vector: FloatArray = np.random.default_rng(0).standard_normal(n)
     square = 0.0
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_POWER_ITERATIONS):
             vector = vector / np.linalg.norm(vector)
-            vector = product(state, held, vector)[0].copy()
+            vector = (pushed(vector) - pushed(-vector)) / (2 * _PUSH * size)
             square = float(np.linalg.norm(vector))
             if not np.isfinite(square) or square == 0.0:
                 break

@@ -205,7 +205,7 @@ def _zoom(equation: Equation) -> ca.Function:
 
 def _kind(equation: Equation) -> Any:
     """Return the kind of symbols to write expressions of an equation in."""
-    return ca.SX if equation.slope.is_a("SXFunction") else ca.MX
+    return ca.SX if equation.form == "flat" else ca.MX
 
 
 def _approach(step: ca.Function, equation: Equation) -> ca.Function:

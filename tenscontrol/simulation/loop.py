@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil
 
 import numpy as np
@@ -43,6 +43,7 @@ class Loop:
     tolerance: float
     step: float | None
     project: bool | None = None
+    machine_code: bool = False
     output_step: float = 0.0
     time: list[FloatArray] = field(default_factory=list)
     states: list[FloatArray] = field(default_factory=list)
@@ -56,11 +57,11 @@ class Loop:
         choice("method", self.method, ("auto", *METHODS))
         if self.method == "auto":
             return
-        setting = METHODS[self.method].setting
-        if setting == "step" and self.step is None:
+        settings = METHODS[self.method].settings
+        if "tolerance" not in settings and self.step is None:
             raise ValueError(f"method {self.method!r} needs a step, s; for example step=1e-3")
-        if setting == "tolerance" and self.step is not None:
-            fixed = [name for name, method in METHODS.items() if method.setting == "step"]
+        if "step" not in settings and self.step is not None:
+            fixed = [name for name, method in METHODS.items() if "step" in method.settings]
             raise ValueError(
                 f"step goes with the methods {fixed}; {self.method!r} chooses its own steps by "
                 "tolerance"
@@ -68,14 +69,22 @@ class Loop:
 
     def _prepare(self, state: FloatArray, held: FloatArray) -> Integrator:
         """Return the integrator, chosen for the scene if the user has not."""
-        equation = self.model.equation(self.hold, self.load - self.model.constant_force)
+        load = self.load - self.model.constant_force
+        equation = self.model.equation(self.hold, load)
         if self.method == "auto":
-            self.choice = choose(equation, state, held, self.duration, self.tolerance, self.step)
+            chosen = choose(equation, state, held, self.duration, self.tolerance, self.step)
+        elif self.step is None:
+            chosen = Choice(self.method, "tolerance", self.tolerance, "asked for")
         else:
-            setting = self.tolerance if self.step is None else self.step
-            self.choice = Choice(self.method, setting, "asked for")
-        method = METHODS[self.choice.method]
-        return method.integrator(equation, self.choice.setting, self.project)
+            chosen = Choice(self.method, "step", self.step, "asked for")
+        method = METHODS[chosen.method]
+        if method.differentiates and equation.form == "driver":
+            equation = self.model.equation(self.hold, load, form="mapped")
+        integrator = method.integrator(
+            equation, chosen.value, chosen.setting, self.project, self.machine_code
+        )
+        self.choice = replace(chosen, back_end=integrator.back_end)
+        return integrator
 
     def run(
         self,

@@ -56,6 +56,7 @@ def simulate(
     step: float | None = None,
     output_step: float | None = None,
     project: bool | None = None,
+    machine_code: bool = False,
     limits: Limits | None = None,
     progress: bool = False,
 ) -> Trajectory:
@@ -109,6 +110,11 @@ def simulate(
         Whether to make the bar lengths exact after each step, for a method
         from which they drift. If not given, methods that control their error
         do, and RK4 does not: its drift tells of too long a step.
+    machine_code : bool
+        Whether to compile the steps by the C compiler of the machine: the same
+        numbers, several times as fast, after some seconds for the first run.
+        Where there is no compiler, or the method cannot be compiled, the steps
+        run in CasADi's virtual machine; ``run.choice.back_end`` says which.
     limits : Limits, optional
         Limits on the figures in ``run.health``; ``Limits()`` if not given.
     progress : bool
@@ -165,6 +171,7 @@ def simulate(
         tolerance=tolerance,
         step=step,
         project=project,
+        machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
     )
     loop.output_step = _output_step(loop, output_step, duration)
     state = _initial_state(model, nodes, velocities, loop.hold)

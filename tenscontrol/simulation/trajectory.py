@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.dynamics import Model, evaluate_columns, unpack_states
-from tenscontrol.integrate import METHODS, Choice, Work
+from tenscontrol.integrate import Choice, Work
 from tenscontrol.simulation.health import Health
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, frozen
@@ -120,7 +120,7 @@ class Trajectory:
 
         What is taken is shortened so that steps fill a span.
         """
-        return self.choice.setting if METHODS[self.method].setting == "step" else None
+        return self.choice.value if self.choice.setting == "step" else None
 
     @property
     def steps(self) -> int:
@@ -174,7 +174,7 @@ class Trajectory:
         -------
         str
         """
-        own = f"tolerance {self.choice.setting:g}"
+        own = f"tolerance {self.choice.value:g}"
         step = own if self.step is None else f"step {self.step:g} s"
         drift = np.abs(self.bar_length_error).max(initial=0.0)
         momentum = np.ptp(self.momentum, axis=1).max()

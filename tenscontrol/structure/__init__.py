@@ -23,6 +23,7 @@ from tenscontrol.structure.subdivide import (
     spread_rest_length,
     subdivide,
 )
+from tenscontrol.structure.tower import prism_tower
 
 __all__ = [
     "Structure",
@@ -31,6 +32,7 @@ __all__ = [
     "net",
     "prism",
     "prism_radius",
+    "prism_tower",
     "refuse_moved_supports",
     "refuse_strings_without_length",
     "refuse_wrong_bar_lengths",

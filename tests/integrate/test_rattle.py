@@ -391,7 +391,8 @@ def test_both_kinds_of_symbols_give_the_same_step(order):
 def test_work_grows_linearly_with_the_members(prism, order):
     counts = []
     for copies in (2, 3, 4):
-        equation = tc.Model(side_by_side(prism, copies)).equation("force_density")
+        model = tc.Model(side_by_side(prism, copies))
+        equation = model.equation("force_density", form="flat")
         counts.append(rattle_step(equation, order).n_instructions())
     assert counts[2] - counts[1] == counts[1] - counts[0]
 

@@ -115,7 +115,7 @@ def test_a_string_that_goes_taut_and_slack_within_one_step_is_found(name, settin
 
 
 def test_a_dip_below_the_border_within_a_step_is_found():
-    """Under a load the stretch swings about F/k; 4 ms each period, of 20 ms a step, it is negative."""
+    """The stretch swings about F/k under a load; for 4 ms, of 20 ms a step, it is negative."""
     load, over = 10.0, 1.02
     rest = load / STIFFNESS  # the load stretches the string by so much
     stretch, work = distances(pair(load), "rattle6", 0.02, rest * (1 + over), 0.0, 0.06, 1)

@@ -58,7 +58,7 @@ def test_simulate_saves_motion_and_figures(tmp_path, capsys, scene):
         np.testing.assert_array_equal(saved["nodes"], run.nodes)
         np.testing.assert_array_equal(saved["rest_length"], run.rest_length)
         np.testing.assert_array_equal(saved["structure_strings"], run.structure.strings)
-        assert float(saved["choice_setting"]) == 0.01
+        assert float(saved["choice_value"]) == 0.01
 
 
 def test_the_folder_is_named_after_the_scene(tmp_path, monkeypatch, scene):
