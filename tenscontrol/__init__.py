@@ -60,6 +60,21 @@ if TYPE_CHECKING:
         Trajectory,
         simulate,
     )
+    from tenscontrol.shape import (
+        Demand,
+        DemandCheck,
+        Height,
+        NodesAt,
+        PathError,
+        PointAt,
+        RotationalSymmetry,
+        ShapeError,
+        ShapePath,
+        ShapeTarget,
+        Twist,
+        shape_path,
+        shape_target,
+    )
     from tenscontrol.statics import (
         Prestress,
         Stability,
@@ -125,6 +140,21 @@ _HOME = {
         "SimulationError",
         "Trajectory",
         "simulate",
+    ],
+    "shape": [
+        "Demand",
+        "DemandCheck",
+        "Height",
+        "NodesAt",
+        "PathError",
+        "PointAt",
+        "RotationalSymmetry",
+        "ShapeError",
+        "ShapePath",
+        "ShapeTarget",
+        "Twist",
+        "shape_path",
+        "shape_target",
     ],
     "structure": [
         "Structure",

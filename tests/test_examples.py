@@ -23,6 +23,7 @@ def test_every_example_is_tested():
         "plot_paper_string_mass.py",
         "plot_prism_modes.py",
         "plot_prism_new_height.py",
+        "plot_prism_shape_path.py",
     }
     assert {path.name for path in EXAMPLES.glob("*.py")} == tested
 
@@ -38,6 +39,15 @@ def test_prism_new_height():
     assert abs(found["height_error"]) < 1e-3
     assert found["run"].force_density.min() > 0
     assert np.abs(found["run"].control.winch_rate).max() <= 0.5
+
+
+def test_prism_shape_path():
+    found = run("plot_prism_shape_path.py")
+    path = found["path"]
+    assert found["missed"] == pytest.approx(5.0, abs=1e-6)
+    assert np.abs(path.rest_length_rate).max() <= 0.1
+    assert path.residual < 1e-12
+    assert found["left"] < 1e-3
 
 
 def test_paper_string_mass():

@@ -81,6 +81,7 @@ MAY_IMPORT = {
     "simulation": {"integrate", "actuation", "dynamics", "structure", "control.controller"},
     "accuracy": {"simulation", "integrate", "actuation", "analysis", "dynamics", "statics"}
     | {"structure"},
+    "shape": {"control.reference", "actuation", "dynamics", "statics", "structure"},
     "scene": {"simulation", "integrate", "control", "actuation", "analysis", "dynamics", "statics"}
     | {"structure"},
     "plot": None,  # everything
@@ -497,12 +498,17 @@ def test_methods_document_every_parameter(name):
 CONSTRUCTED = {
     "Limits",
     "ElasticStrings",
+    "Height",
     "LinearStrings",
     "MPC",
     "Model",
+    "NodesAt",
     "OperatingPoint",
+    "PointAt",
     "Reference",
+    "RotationalSymmetry",
     "Structure",
+    "Twist",
     "Winches",
 }
 
@@ -586,7 +592,17 @@ def values():
         rest_length=start.rest_length,
         output_step=0.01,
     )
+    height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
+    target = tc.shape_target(model, height, force_density=17.3205)
     found = [
+        height,
+        tc.Twist(0.1, top=[0, 1, 2], bottom=[3, 4, 5]),
+        tc.NodesAt([0], np.zeros((3, 1))),
+        tc.PointAt([0, 1], np.zeros(3)),
+        tc.RotationalSymmetry([[0, 1, 2], [3, 4, 5]]),
+        target,
+        target.demands[0],
+        tc.shape_path(model, rest, target, duration=1.0, step=0.2),
         prism,
         rest,
         rest.stability,
@@ -683,6 +699,8 @@ def _given():
         "ElasticStrings": {"axial_rigidity": np.ones(9), "damping": np.ones(9)},
         "OperatingPoint": point | {"external_force": np.ones((3, 6))},
         "Winches": {"rate": np.ones(9), "shortest": np.ones(9), "longest": np.ones(9)},
+        "NodesAt": {"nodes": np.arange(2), "positions": np.ones((3, 2))},
+        "PointAt": {"nodes": np.arange(2), "position": np.ones(3), "weights": np.ones(2)},
         "Reference": {"time": np.arange(2.0), "nodes": np.ones((3, 6, 2))},
     }
 

@@ -1,0 +1,275 @@
+"""A path from shape to shape through equilibria, timed for the winches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol.actuation import Winches
+from tenscontrol.control.reference import Reference
+from tenscontrol.dynamics import Model
+from tenscontrol.shape.clearance import bar_distances, crossing
+from tenscontrol.shape.continuation import Continuation, Waypoint
+from tenscontrol.shape.ends import path_end, refuse_same
+from tenscontrol.shape.limits import checked_bounds
+from tenscontrol.shape.margin import Margin
+from tenscontrol.shape.problem import ShapeProblem
+from tenscontrol.shape.solve import STIFF
+from tenscontrol.shape.target import ShapeTarget
+from tenscontrol.shape.timed import PathError, Timed, rest_at
+from tenscontrol.statics import Prestress
+from tenscontrol.structure import restore_bar_lengths
+from tenscontrol.validation import FloatArray, float_array, frozen, instance, positive_number, truth
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePath:
+    """Equilibria over time from one shape to another. Made by :func:`shape_path`.
+
+    Attributes
+    ----------
+    model : Model
+    time : ndarray, shape (T,)
+        s, from 0, evenly spaced.
+    nodes, velocities : ndarray, shape (3, n, T)
+        m and m/s; each shape is an equilibrium, the motion is at rest at both ends.
+    force_density : ndarray, shape (α, T)
+        γ, N/m.
+    rest_length, rest_length_rate : ndarray, shape (α, T), or None
+        m and m/s; None without a string law.
+    residual : float
+        Largest unbalanced force on a node, N.
+    bar_length_error : float
+        Largest departure of a bar from its length, relative.
+    stability_margin : float
+        The smallest on the way, N/m; see :class:`ShapeTarget`.
+    clearance : float
+        Smallest distance between the axes of two bars on the way, m.
+    shortest_duration : float or None
+        What the winches need, s; None if they have no limit of rate.
+    """
+
+    model: Model
+    time: FloatArray
+    nodes: FloatArray
+    velocities: FloatArray
+    force_density: FloatArray
+    rest_length: FloatArray | None
+    rest_length_rate: FloatArray | None
+    residual: float
+    bar_length_error: float
+    stability_margin: float
+    clearance: float
+    shortest_duration: float | None
+
+    def reference(self, times: object = None) -> Reference:
+        """Return the path as a controller takes it, for example ``MPC(..., reference=...)``.
+
+        Parameters
+        ----------
+        times : array_like, shape (K,), optional
+            s, ascending; the times of the path if not given. Before the start
+            and after the end the path stands still.
+
+        Returns
+        -------
+        Reference
+            Between the times of the path by cubic polynomials in the node
+            positions with bar lengths restored.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the times are not finite numbers or do not ascend.
+        """
+        if times is None:
+            return Reference(self.time, self.nodes)
+        from scipy.interpolate import CubicHermiteSpline
+
+        at = float_array("times", times)
+        if at.ndim != 1:
+            raise ValueError(f"times has shape {at.shape}, expected (K,)")
+        spline = CubicHermiteSpline(self.time, self.nodes, self.velocities, axis=2)
+        shapes = spline(np.clip(at, self.time[0], self.time[-1]))
+        structure = self.model.structure
+        kept = [restore_bar_lengths(structure, shapes[:, :, k]) for k in range(len(at))]
+        return Reference(at, np.stack(kept, axis=-1) if kept else shapes)
+
+    def __repr__(self) -> str:
+        return (
+            f"ShapePath({self.model.structure!r}, {len(self.time)} shapes in "
+            f"{self.time[-1]:.4g} s, residual {self.residual:.1e} N)"
+        )
+
+
+def shape_path(
+    model: Model,
+    start: ShapeTarget | Prestress,
+    goal: ShapeTarget | Prestress,
+    *,
+    winches: Winches | None = None,
+    duration: float | None = None,
+    step: float = 0.02,
+    ramp: float = 0.25,
+    min_force_density: object = 0.0,
+    max_force_density: object = None,
+    require_stable: bool = True,
+) -> ShapePath:
+    """Return a path from shape to shape on which every shape is an equilibrium.
+
+    The path follows the straight line from start to goal, in node positions and
+    γ, as closely as equilibria do. Where the winches have a limit of rate, one of
+    them runs at its limit all the time but for the ramps.
+
+    Parameters
+    ----------
+    model : Model
+        Its weights and built-in load act.
+    start, goal : ShapeTarget or Prestress
+        Equilibria of this model. For a free structure they should stand where the
+        path is to begin and end: their places count, not their shapes only.
+    winches : Winches, optional
+        Limits of rest lengths and their rates.
+    duration : float, optional
+        s. The shortest that the winches allow if not given.
+    step : float
+        Largest time between shapes, s: the sample time of the controller, say.
+    ramp : float
+        Share of the duration in which the speed rises, and in which it falls,
+        more than 0 and at most 0.5.
+    min_force_density, max_force_density : float or array_like, shape (α,), optional
+        Bounds of γ on the way, N/m.
+    require_stable : bool
+        Whether a path that leads through shapes that buckle is refused.
+
+    Returns
+    -------
+    ShapePath
+        Nodes and γ are continuous. Velocities are, too, but where a string
+        reaches a bound of γ or leaves it.
+
+    Raises
+    ------
+    PathError
+        If equilibria do not lead all the way, or buckle, or bars would pass through
+        one another; it carries the equilibrium where that is.
+    TypeError, ValueError
+        If an argument does not fit; if ``duration`` is too short for the winches,
+        or a rest length leaves their range.
+
+    Notes
+    -----
+    Waypoints are found by continuation: a prediction along the exact tangent, then
+    Newton steps on the conditions of the nearest equilibrium. Steps are halved
+    until a prediction is good, so that a jump to another family is noticed.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness=100.0))
+    >>> start = tc.prestress(tc.prism(), force_density=17.3205)
+    >>> low = tc.Height(0.85, top=[0, 1, 2], bottom=[3, 4, 5])
+    >>> goal = tc.shape_target(model, low, force_density=17.3205)
+    >>> path = tc.shape_path(model, start, goal, winches=tc.Winches(rate=0.1))
+    >>> bool(abs(path.rest_length_rate).max() <= 0.1), path.residual < 1e-12
+    (True, True)
+    >>> path.reference().nodes.shape == path.nodes.shape
+    True
+    """
+    instance("model", model, Model, "make one by Model(structure)")
+    truth("require_stable", require_stable, "whether a path through shapes that buckle is refused")
+    begin, end = path_end(model, "start", start), path_end(model, "goal", goal)
+    step = positive_number("step", step, "s")
+    ramp = positive_number("ramp", ramp, "shares of the duration")
+    if ramp > 0.5:
+        raise ValueError(f"ramp is {ramp:g}, expected at most 0.5: there are two of them")
+    bounds = checked_bounds(model, min_force_density, max_force_density, winches)
+    bounds.refuse_outside("start", begin.force_density)
+    bounds.refuse_outside("goal", end.force_density)
+    rate = None if winches is None else winches.rate
+    if rate is not None and rate.shape not in ((), (len(model.structure.strings),)):
+        raise ValueError(
+            f"winches.rate has shape {rate.shape}, expected () or "
+            f"({len(model.structure.strings)},): one number, or one per string"
+        )
+    if duration is not None:
+        duration = positive_number("duration", duration, "s")
+    elif rate is None:
+        raise ValueError("expected duration, or winches with a rate, which settle the time")
+    refuse_same(begin, end)
+
+    # Equal where all strings are slack.
+    level = max(float(rest.force_density.max()) for rest in (begin, end)) or 1.0
+    problem = ShapeProblem(model, begin.structure.nodes, level)
+    sides = [problem.start(rest.structure.nodes, rest.force_density) for rest in (begin, end)]
+    low, high = bounds.low / level, np.minimum(bounds.high, bounds.largest) / level
+    way = Continuation(problem, sides[0], sides[1], low, high)
+    waypoints, complete = way.waypoints()
+    if not complete:
+        last = rest_at(problem, waypoints[-1])
+        off = np.linalg.norm(last.structure.nodes - end.structure.nodes, axis=0).max()
+        raise PathError(
+            f"equilibria do not lead from start to goal: they end or jump where a node is still "
+            f"{off:.3g} m from its goal, {100 * waypoints[-1].place:.3g} % of the way. Go by "
+            "shapes in between, or widen the bounds of γ",
+            last,
+        )
+    margin = _least_margin(problem, waypoints, require_stable)
+    clearance = _least_clearance(problem, waypoints)
+    timed = Timed(way, waypoints, rate, duration, step, ramp)
+    if timed.rest_length is not None:
+        bounds.refuse_rest_lengths(timed.rest_length, timed.time)
+    structure = model.structure
+    bars = timed.nodes[:, structure.bars[:, 1]] - timed.nodes[:, structure.bars[:, 0]]
+    length = np.linalg.norm(bars, axis=0) / structure.bar_length[:, None]
+    wound, wind = timed.rest_length, timed.rest_length_rate
+    return ShapePath(
+        model=model,
+        time=frozen(timed.time),
+        nodes=frozen(timed.nodes),
+        velocities=frozen(timed.velocities),
+        force_density=frozen(timed.force_density),
+        rest_length=None if wound is None else frozen(wound),
+        rest_length_rate=None if wind is None else frozen(wind),
+        residual=timed.residual,
+        bar_length_error=float(np.abs(length - 1).max(initial=0.0)),
+        stability_margin=margin,
+        clearance=clearance,
+        shortest_duration=timed.shortest,
+    )
+
+
+def _least_margin(problem: ShapeProblem, waypoints: list[Waypoint], require_stable: bool) -> float:
+    """Return the least stability margin on the way, or raise where a shape buckles."""
+    margin, least = Margin(problem.model), np.inf
+    for point in waypoints:
+        rest = rest_at(problem, point)
+        now = margin.of(rest, problem.neutral_fields(rest.structure.nodes))
+        if require_stable and now <= STIFF * float(rest.force_density.max()):
+            raise PathError(
+                f"the path leads through a shape that gives way to a push, "
+                f"{100 * point.place:.3g} % of the way to the goal: its stability margin is "
+                f"{now:.3g} N/m. Go by other shapes in between, keep strings taut by "
+                "min_force_density, or take it all the same by require_stable=False",
+                rest,
+            )
+        least = min(least, now)
+    return least
+
+
+def _least_clearance(problem: ShapeProblem, waypoints: list[Waypoint]) -> float:
+    """Return the least distance of bars on the way, or raise where they pass through each other."""
+    structure = problem.model.structure
+    shapes = [problem.read(point.values)[0] for point in waypoints]
+    distances = [bar_distances(structure, nodes) for nodes in shapes]
+    for k in range(1, len(distances)):
+        pair = crossing(distances[k - 1], distances[k])
+        if pair is not None:
+            raise PathError(
+                f"bars {pair[0]} and {pair[1]} would pass through each other, "
+                f"{100 * waypoints[k].place:.3g} % of the way to the goal. Go by shapes in between "
+                "that lead them past each other's ends",
+                rest_at(problem, waypoints[k - 1]),
+            )
+    return min(each.least for each in distances)

@@ -1,0 +1,272 @@
+"""Equilibrium shapes as the solutions of equations, and the search among them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.dynamics import Model, kernel
+from tenscontrol.shape.symmetry import RotationalSymmetry, reduction
+from tenscontrol.statics import equilibrium_matrix
+from tenscontrol.validation import FloatArray
+
+# Newton steps onto the equations; each doubles the digits, unless they are singular.
+_STEPS = 30
+
+# What the equations may be left with, in units of size, force density and their product.
+EXACT = 1e-12
+
+# Directions in which the equations are flatter than this are left alone by Newton.
+_FLAT = 1e-10
+
+# Keeps the search from wandering where several force densities do.
+_TIE = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search ended with.
+
+    Attributes
+    ----------
+    values : ndarray
+        The unknowns.
+    multipliers : ndarray
+        Of the equations.
+    success : bool
+    status : str
+        In the words of the optimizer.
+    """
+
+    values: FloatArray
+    multipliers: FloatArray
+    success: bool
+    status: str
+
+
+class ShapeProblem:
+    """The equations of equilibrium in positions, γ and λ, scaled to order one.
+
+    The unknowns are ``v = [y; g; l; w]``: positions in units of the size, γ and λ
+    in units of the level, and a motion w as one body. The equations are::
+
+        F(N, γ, λ) + w₁ + w₂ × (n − c) = 0     at the free nodes
+        (‖b‖² − l²)/2 = 0                      for the bars that move
+
+    Forces between nodes have no resultant, so that w vanishes. It stands for the
+    equations that say nothing new, and keeps the others independent.
+
+    Parameters
+    ----------
+    model : Model
+    start : ndarray, shape (3, n)
+        Gives the size.
+    level : float
+        Scale of the force densities, N/m.
+    symmetry : RotationalSymmetry, optional
+        Only shapes that have it.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        start: FloatArray,
+        level: float,
+        symmetry: RotationalSymmetry | None = None,
+    ) -> None:
+        structure, load = model.structure, model.constant_force
+        self.model, self.level = model, level
+        self.size = float(np.ptp(start, axis=1).max())
+        self._reduced = red = reduction(structure, load, symmetry)
+        self.neutral = self._neutral_motions(red.rigid)
+        # Bars between two fixed nodes are part of the support.
+        moves = np.zeros(len(structure.bars), bool)
+        moves[structure.free_bars], moves[structure.swinging_bars] = True, True
+        self._bars = red.bars[:, red.bars[moves].any(axis=0)]
+        n, free = structure.nodes.shape[1], structure.free.tolist()
+
+        y = ca.SX.sym("y", red.basis.shape[1])
+        g = ca.SX.sym("g", red.strings.shape[1])
+        lam = ca.SX.sym("l", self._bars.shape[1])
+        w = ca.SX.sym("w", self.neutral.shape[1])
+        at = ca.SX(3, n)
+        at[:, structure.fixed.tolist()] = ca.DM(structure.nodes[:, structure.fixed])
+        places = ca.mtimes(_sparse(red.basis), self.size * y) + ca.DM(red.offset)
+        at[:, free] = ca.reshape(places, 3, len(free))
+        self.unknowns = ca.vertcat(y, g, lam, w)
+        self.positions, self.tensions, self.nodes = y, g, at
+        self.gamma = level * ca.mtimes(_sparse(red.strings), g)
+        bars = level * ca.mtimes(_sparse(self._bars), lam)
+        W = None if not load.any() else ca.sparsify(ca.DM(load))
+        F = kernel.node_forces(structure, at, self.gamma, W)
+        F += _bar_push(structure.bars, at, bars)
+        body = ca.mtimes(ca.DM(self.neutral), w)
+        arms = (at[:, free] - ca.repmat(ca.DM(red.centre), 1, len(free))) / self.size
+        F = F[:, free] / (level * self.size)
+        for j in range(len(free)):
+            F[:, j] += body[:3] + ca.cross(body[3:], arms[:, j])
+        moving = self._bars.argmax(axis=0)
+        B = kernel.differences(at, structure.bars[moving])
+        lengths = ca.DM(structure.bar_length[moving] ** 2)
+        stretch = (ca.sum1(B * B).T - lengths) / (2 * self.size**2)
+        # Equations that the symmetry makes equal are written once.
+        self.equations = ca.vertcat(ca.mtimes(_sparse(red.basis.T), ca.vec(F)), stretch)
+        self._parts = ca.Function("parts", [self.unknowns], [ca.densify(at), self.gamma])
+
+    def start(self, nodes: FloatArray, gamma: FloatArray) -> FloatArray:
+        """Return unknowns at or near this shape, with the λ that balances best."""
+        red, structure = self._reduced, self.model.structure
+        E = equilibrium_matrix(structure, nodes)[structure.free_rows]
+        alpha = len(structure.strings)
+        load = self.model.constant_force.ravel(order="F")[structure.free_rows]
+        lam = np.linalg.lstsq(E[:, alpha:], load - E[:, :alpha] @ gamma, rcond=None)[0]
+        places = nodes[:, structure.free].ravel(order="F")
+        return np.concatenate(
+            [
+                red.basis.T @ (places - red.offset) / self.size,
+                _mean(red.strings, gamma) / self.level,
+                _mean(self._bars, np.asarray(lam, dtype=float)) / self.level,
+                np.zeros(self.neutral.shape[1]),
+            ]
+        )
+
+    def read(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return node positions and γ of unknowns."""
+        nodes, gamma = self._parts(values[: self.unknowns.numel()])
+        return np.array(nodes.full()), np.array(gamma.full()).ravel()
+
+    @property
+    def string_orbits(self) -> FloatArray:
+        """Which strings share one γ, shape (α, ·): a 1 in each row."""
+        return self._reduced.strings
+
+    def neutral_fields(self, nodes: FloatArray) -> FloatArray:
+        """Return the displacements of free nodes in motions that nothing resists, shape (3f, m).
+
+        All of them, also those that break the symmetry.
+        """
+        motions = self._neutral_motions(np.eye(6))
+        if motions.shape[1] == 0:
+            return np.zeros((len(self.model.structure.free_rows), 0))
+        return self._fields(nodes[:, self.model.structure.free], motions)
+
+    @property
+    def tension_rows(self) -> slice:
+        """Where γ stands among the unknowns."""
+        first = self.positions.numel()
+        return slice(first, first + self.tensions.numel())
+
+    def search(
+        self,
+        objective: Any,
+        more: list[tuple[Any, FloatArray, FloatArray]],
+        extra: Any,
+        lowest: FloatArray,
+        highest: FloatArray,
+        guess: FloatArray,
+    ) -> Found:
+        """Return unknowns that solve the equations and minimize an objective, by IPOPT.
+
+        ``more`` lists further expressions with their bounds; ``extra`` are further
+        unknowns after v; ``lowest`` and ``highest`` bound γ in units of the level.
+        """
+        v = ca.vertcat(self.unknowns, extra)
+        rows = ca.vertcat(self.equations, *(expression for expression, _, _ in more))
+        zero = np.zeros(self.equations.numel())
+        low = np.concatenate([zero, *(bound for _, bound, _ in more)])
+        high = np.concatenate([zero, *(bound for _, _, bound in more)])
+        least, most = np.full(v.numel(), -np.inf), np.full(v.numel(), np.inf)
+        least[self.tension_rows], most[self.tension_rows] = lowest, highest
+        tie = _TIE * ca.sumsqr(self.tensions - 1)
+        options = {
+            "print_time": False,
+            "show_eval_warnings": False,
+            "error_on_fail": False,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "tol": 1e-10,
+                "max_iter": 200,
+                "bound_relax_factor": 0.0,
+            },
+        }
+        problem = {"x": v, "f": objective + tie, "g": rows}
+        solver = ca.nlpsol("shape", "ipopt", problem, options)
+        answer = solver(x0=guess, lbx=least, ubx=most, lbg=low, ubg=high)
+        status = solver.stats()
+        return Found(
+            np.array(answer["x"].full()).ravel(),
+            np.array(answer["lam_g"].full()).ravel(),
+            bool(status["success"]),
+            str(status["return_status"]),
+        )
+
+    def polish(self, values: FloatArray, rows: Any = None) -> tuple[FloatArray, FloatArray]:
+        """Return the unknowns nearest by that solve the equations, and what is left of them.
+
+        ``rows`` are further expressions to be brought to zero. Newton steps of
+        least length: what is not asked for changes as little as possible.
+        """
+        every = self.equations if rows is None else ca.vertcat(self.equations, rows)
+        newton = ca.Function("newton", [self.unknowns], [every, ca.jacobian(every, self.unknowns)])
+        best = point = values[: self.unknowns.numel()]
+        least, left = np.inf, np.full(1, np.inf)
+        for _ in range(_STEPS):
+            residual, jacobian = (np.array(part.full()) for part in newton(point))
+            residual = residual.ravel()
+            worst = np.abs(residual).max(initial=0.0)
+            if not worst < least:
+                break
+            best, least, left = point, worst, residual
+            point = point - np.linalg.lstsq(jacobian, residual, rcond=_FLAT)[0]
+        return best, left
+
+    def _neutral_motions(self, motions: FloatArray) -> FloatArray:
+        """Return what of motions as one body the supports leave and the loads do not notice."""
+        red, structure = self._reduced, self.model.structure
+        if len(structure.fixed):
+            motions = motions @ _null(self._fields(structure.nodes[:, structure.fixed], motions))
+        load = self.model.constant_force[:, structure.free]
+        if not load.any() or motions.shape[1] == 0:
+            return motions
+        # The power of the load is linear in the positions: a few shapes tell it all.
+        random = np.random.default_rng(0)
+        powers = []
+        for _ in range(3 * load.shape[1] + 3):
+            y = random.normal(size=red.basis.shape[1])
+            nodes = (red.offset + red.basis @ (self.size * y)).reshape(3, -1, order="F")
+            powers.append(load.ravel(order="F") @ self._fields(nodes, motions))
+        return np.asarray(motions @ _null(np.array(powers)))
+
+    def _fields(self, nodes: FloatArray, motions: FloatArray) -> FloatArray:
+        """Return the displacements of nodes in motions as one body, shape (3k, m)."""
+        arms = (nodes - self._reduced.centre[:, None]) / self.size
+        moved = [(m[:3, None] + np.cross(m[3:], arms.T).T).ravel(order="F") for m in motions.T]
+        return np.column_stack(moved)
+
+
+def _bar_push(bars: Any, at: Any, lam: Any) -> Any:
+    """Return the forces of the bars on the nodes: each pushes its ends apart."""
+    F = ca.SX(3, at.shape[1])
+    if len(bars):
+        push = kernel.scale_columns(kernel.differences(at, bars), lam.T)
+        F[:, bars[:, 1].tolist()] += push
+        F[:, bars[:, 0].tolist()] -= push
+    return F
+
+
+def _mean(orbits: FloatArray, values: FloatArray) -> FloatArray:
+    return np.asarray(orbits.T @ values / np.maximum(orbits.sum(axis=0), 1))
+
+
+def _null(matrix: FloatArray) -> FloatArray:
+    _, sizes, Vt = np.linalg.svd(matrix)
+    rank = int(np.count_nonzero(sizes > 1e-9 * sizes.max(initial=0.0)))
+    return np.asarray(Vt[rank:].T)
+
+
+def _sparse(matrix: FloatArray) -> ca.DM:
+    return ca.sparsify(ca.DM(matrix))

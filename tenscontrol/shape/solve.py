@@ -1,0 +1,312 @@
+"""The search for a shape that meets demands, or for the nearest to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.dynamics import Model, kernel
+from tenscontrol.shape.clearance import signed_distances
+from tenscontrol.shape.constraints import Demand
+from tenscontrol.shape.forces import choose_force_density
+from tenscontrol.shape.limits import Limits
+from tenscontrol.shape.margin import Margin
+from tenscontrol.shape.problem import EXACT, ShapeProblem
+from tenscontrol.shape.symmetry import RotationalSymmetry
+from tenscontrol.statics import Prestress, prestress
+from tenscontrol.validation import FloatArray
+
+# What a miss costs against distance from the start: first, and where only misses count.
+# A long way is gone in more steps, if it cannot be gone in these.
+_WEIGHTS = ((1e5, 1e7), (1.0, 1e2, 1e5, 1e7))
+
+# What the forces cost against distance from the start, where no level is given.
+_FORCES = 1e-2
+
+# Strings keep this fraction of their length at the start: without length, no direction.
+_SHORT = 1e-2
+
+# Misses and gaps to a bound below this are zero, for Newton to bring to round-off.
+_CLOSE = 1e-5
+
+# How often strings are pinned to bounds that Newton left.
+_PINNINGS = 3
+
+# A demand is met when it is missed by less than this, in units of the size.
+MET = 1e-9
+
+# A stiffness below this fraction of the largest γ is none.
+STIFF = 1e-9
+
+# Starts beside the given one, off by this fraction of the size: some demands
+# have no first-order effect in a symmetric shape.
+_NUDGES, _NUDGE = 3, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """An equilibrium and how it stands to the demands.
+
+    Attributes
+    ----------
+    rest : Prestress
+    rest_length : ndarray, shape (α,), or None
+    misses, scales : ndarray, shape (k,)
+        Found less wanted, and its unit of size.
+    margin : float
+        N/m.
+    outside : float
+        How far the rows of the wishes are outside their bounds.
+    """
+
+    rest: Prestress
+    rest_length: FloatArray | None
+    misses: FloatArray
+    scales: FloatArray
+    margin: float
+    outside: float
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the stiffness is more than round-off."""
+        return self.margin > STIFF * float(self.rest.force_density.max(initial=0.0))
+
+
+class _Wishes:
+    """Demands and bounds as rows ``low ≤ expression ≤ high``, in units of the size."""
+
+    def __init__(
+        self,
+        problem: ShapeProblem,
+        demands: tuple[Demand, ...],
+        limits: Limits,
+        size: float,
+        start: FloatArray,
+    ) -> None:
+        model = problem.model
+        at = problem.nodes
+        rows: list[Any] = []
+        low: list[FloatArray] = []
+        high: list[FloatArray] = []
+        scales = []
+        for demand in demands:
+            scale = size if demand.unit == "m" else 1.0
+            miss = demand.miss(at)
+            rows.append(miss / scale)
+            off = np.full(miss.numel(), demand.tolerance / scale)
+            low.append(-off)
+            high.append(off)
+            scales += [scale] * miss.numel()
+        self.scales = np.array(scales)
+        capped = np.flatnonzero(np.isfinite(limits.bounds.high))
+        if len(capped):
+            rows.append(problem.gamma[capped.tolist()] / problem.level)
+            low.append(np.full(len(capped), -np.inf))
+            high.append(limits.bounds.high[capped] / problem.level)
+        if limits.bounds.shortest is not None and limits.bounds.longest is not None:
+            assert model.strings is not None  # checked with the winches
+            S = kernel.differences(at, model.structure.strings)
+            length = ca.sqrt(kernel.dots(S, S)).T
+            rows.append(model.strings.taut_rest_length(length, problem.gamma) / size)
+            low.append(limits.bounds.shortest / size)
+            high.append(limits.bounds.longest / size)
+        if limits.clearance:
+            apart = signed_distances(model.structure, start, at)
+            rows.append(apart / size)
+            low.append(np.full(apart.numel(), limits.clearance / size))
+            high.append(np.full(apart.numel(), np.inf))
+        self.rows = ca.vertcat(*rows) if rows else ca.SX(0, 1)
+        self.low = np.concatenate(low) if low else np.zeros(0)
+        self.high = np.concatenate(high) if high else np.zeros(0)
+        self.evaluate = ca.Function("rows", [problem.unknowns], [ca.densify(self.rows)])
+        self.misses = ca.Function(
+            "misses",
+            [problem.unknowns],
+            [ca.densify(ca.vertcat(*[demand.miss(at) for demand in demands]))]
+            if demands
+            else [ca.DM.zeros(0, 1)],
+        )
+
+    def outside(self, values: FloatArray) -> FloatArray:
+        """Return by how much each row is outside its bounds."""
+        found = np.array(self.evaluate(values).full()).ravel()
+        return np.asarray(np.maximum(np.maximum(self.low - found, found - self.high), 0.0))
+
+    def at_bound(self, values: FloatArray, reach: float) -> Any:
+        """Return the rows at a bound or beyond, by ``reach`` at most, less the bound."""
+        found = np.array(self.evaluate(values).full()).ravel()
+        bound = np.where(np.abs(found - self.low) <= np.abs(found - self.high), self.low, self.high)
+        inside = np.minimum(found - self.low, self.high - found)
+        rows = np.flatnonzero((inside < _CLOSE) & (inside >= -reach))
+        if len(rows) == 0:
+            return ca.SX(0, 1)
+        return self.rows[rows.tolist()] - ca.DM(bound[rows])
+
+
+def solve_shape(
+    model: Model,
+    demands: tuple[Demand, ...],
+    limits: Limits,
+    kind: str,
+    symmetry: RotationalSymmetry | None,
+    start: FloatArray,
+) -> Solved | None:
+    """Return the equilibrium nearest to the start that meets the demands, or misses them least."""
+    problem = ShapeProblem(model, start, limits.scale, symmetry)
+    wishes = _Wishes(problem, demands, limits, problem.size, start)
+    level = []
+    if limits.level is not None:
+        mean = ca.sum1(problem.gamma[limits.reference.tolist()]) / len(limits.reference)
+        level.append(mean / limits.level - 1)
+    fixed = ca.vertcat(*level) if level else ca.SX(0, 1)
+    low, high = _orbit_bounds(problem, limits)
+    gamma = np.clip(
+        np.full(len(limits.bounds.low), limits.scale), limits.bounds.low, limits.bounds.high
+    )
+    forces = ca.SX(0) if level else _FORCES * _prestress_cost(problem, limits, kind)
+    S = kernel.differences(problem.nodes, model.structure.strings)
+    squares = kernel.dots(S, S).T / problem.size**2
+    shortest = (_SHORT * model.structure.string_length(start) / problem.size) ** 2
+    e = ca.SX.sym("e", wishes.rows.numel())
+    bounds = [
+        (wishes.rows - e, wishes.low, wishes.high),
+        (fixed, np.zeros(len(level)), np.zeros(len(level))),
+        (squares, shortest, np.full(len(shortest), np.inf)),
+    ]
+
+    def search(nodes: FloatArray) -> Iterator[FloatArray]:
+        """Yield equilibria, each nearer to what is asked for, until there are no more."""
+        for weights in _WEIGHTS:
+            guess = np.concatenate([problem.start(nodes, gamma), np.zeros(e.numel())])
+            for weight in weights:
+                away = ca.sumsqr(problem.positions - ca.DM(home[: problem.positions.numel()]))
+                objective = away + weight * ca.sumsqr(e) + forces
+                found = problem.search(objective, bounds, e, low, high, guess)
+                if not found.success:
+                    break
+                values = _polished(problem, wishes, fixed, (low, high), found.values)
+                if values is not None:
+                    yield values
+                guess = found.values
+            else:
+                return
+
+    random = np.random.default_rng(0)
+    home = problem.start(start, gamma)
+    best: Solved | None = None
+    for k in range(1 + _NUDGES):
+        aside = _NUDGE * problem.size * random.uniform(-1.0, 1.0, size=start.shape)
+        for values in search(start if k == 0 else start + aside):
+            outside = float(np.linalg.norm(wishes.outside(values)))
+            if best is None or outside < max(best.outside, MET):
+                found = _finished(problem, wishes, limits, kind, values, outside)
+                better = best is None or best.outside > MET or found.margin > best.margin
+                if better:
+                    best = found
+            if outside <= MET:
+                break
+        if best is not None and best.outside <= MET and best.is_stable:
+            break
+    return best
+
+
+def _prestress_cost(problem: ShapeProblem, limits: Limits, kind: str) -> Any:
+    """Return what the forces cost where no level is given: their size, or how far off centre."""
+    if kind == "least":
+        return ca.sumsqr(problem.gamma / problem.level) / len(limits.bounds.low)
+    room = limits.bounds.high - limits.bounds.low
+    wide = np.flatnonzero(room > 0)
+    off = problem.gamma[wide.tolist()] - ca.DM((limits.bounds.low + limits.bounds.high)[wide] / 2)
+    return ca.sumsqr(off / ca.DM(room[wide])) / len(limits.bounds.low)
+
+
+def _orbit_bounds(problem: ShapeProblem, limits: Limits) -> tuple[FloatArray, FloatArray]:
+    """Return hard bounds of γ in units of the level, for each set of strings that share one."""
+    orbits = problem.string_orbits > 0
+    low = np.array([limits.bounds.low[column].max() for column in orbits.T]) / problem.level
+    high = np.array([limits.bounds.largest[column].min() for column in orbits.T]) / problem.level
+    return low, high
+
+
+def _polished(
+    problem: ShapeProblem,
+    wishes: _Wishes,
+    fixed: Any,
+    bounds: tuple[FloatArray, FloatArray],
+    values: FloatArray,
+) -> FloatArray | None:
+    """Return the unknowns with equations, and demands that can be met, at round-off."""
+    values = values[: problem.unknowns.numel()]
+    low, high = bounds
+    # All that is asked for, if Newton gets there; else what is nearly met; else equilibrium only.
+    for rows in (wishes.at_bound(values, np.inf), wishes.at_bound(values, _CLOSE), ca.SX(0, 1)):
+        g = values[problem.tension_rows]
+        for _ in range(_PINNINGS):
+            at_low, at_high = g - low < _CLOSE, high - g < _CLOSE
+            pinned = np.flatnonzero(at_low | at_high)
+            bound = np.where(at_low, low, high)
+            at_bound = problem.tensions[pinned.tolist()] - ca.DM(bound[pinned])
+            point, left = problem.polish(values, ca.vertcat(fixed, at_bound, rows))
+            if np.abs(left).max(initial=0.0) > EXACT:
+                break
+            g = point[problem.tension_rows]
+            g[pinned] = bound[pinned]
+            if (g >= low).all() and (g <= high).all():
+                return point
+    return None
+
+
+def _finished(
+    problem: ShapeProblem,
+    wishes: _Wishes,
+    limits: Limits,
+    kind: str,
+    values: FloatArray,
+    outside: float,
+) -> Solved:
+    """Choose the forces in the shape that was found, and look at it from all sides."""
+    model = problem.model
+    nodes, gamma = problem.read(values)
+    structure = replace(model.structure, nodes=nodes)
+    length = structure.string_length()
+    low, high = limits.bounds.low, np.minimum(limits.bounds.high, limits.bounds.largest)
+    if limits.bounds.shortest is not None and limits.bounds.longest is not None:
+        assert model.strings is not None  # checked with the winches
+        law = model.strings
+        tight = limits.bounds.shortest > 0
+        high = high.copy()
+        high[tight] = np.minimum(
+            high, law.force_density(length, np.where(tight, limits.bounds.shortest, length))
+        )[tight]
+        loose = np.isfinite(limits.bounds.longest)
+        low = np.where(
+            loose,
+            np.maximum(
+                low, law.force_density(length, np.where(loose, limits.bounds.longest, length))
+            ),
+            low,
+        )
+    if (low <= high).all():
+        chosen = choose_force_density(
+            structure, model.constant_force, low, high, kind,
+            limits.level, limits.reference, limits.scale,
+        )  # fmt: skip
+        gamma = gamma if chosen is None else chosen
+    rest = prestress(
+        structure, np.maximum(gamma, limits.bounds.low), external_force=model.constant_force
+    )
+    rest_length = None
+    if model.strings is not None:
+        rest_length = model.strings.rest_length(length, rest.force_density)
+    return Solved(
+        rest=rest,
+        rest_length=rest_length,
+        misses=np.array(wishes.misses(values).full()).ravel(),
+        scales=wishes.scales,
+        margin=Margin(model).of(rest, problem.neutral_fields(nodes)),
+        outside=outside,
+    )

@@ -1,0 +1,230 @@
+"""A symmetry of rotation that a shape is to keep, and the coordinates that keep it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from tenscontrol.shape.checks import node_list
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, IntArray, frozen, shaped, whole_number
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike
+
+# A load or a length that differs by more than this fraction breaks the symmetry.
+_TOLERANCE = 1e-8
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RotationalSymmetry:
+    """Shapes that a turn about an axis maps onto themselves.
+
+    Parameters
+    ----------
+    cycles : sequence of sequences of int, q nodes each
+        The turn takes each node of a cycle to the next, and the last to the
+        first. Nodes on no cycle stay on the axis.
+    axis : array_like, shape (3,)
+        Direction of the axis.
+    centre : array_like, shape (3,)
+        A point on the axis, m.
+    turns : int
+        The turn is ``2π turns / q``, counterclockwise about the axis; -1 where
+        the cycles run clockwise.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> threefold = tc.RotationalSymmetry([[0, 1, 2], [3, 4, 5]])
+    >>> threefold.order
+    3
+    """
+
+    cycles: tuple[IntArray, ...]
+    axis: FloatArray = (0.0, 0.0, 1.0)  # type: ignore[assignment]  # replaced in __post_init__
+    centre: FloatArray = (0.0, 0.0, 0.0)  # type: ignore[assignment]  # replaced in __post_init__
+    turns: int = 1
+
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            cycles: Sequence[Sequence[int]],
+            axis: ArrayLike = (0.0, 0.0, 1.0),
+            centre: ArrayLike = (0.0, 0.0, 0.0),
+            turns: int = 1,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        given: Any = self.cycles
+        if isinstance(given, str) or not isinstance(given, Iterable):
+            raise TypeError(f"cycles is {given!r}, expected a sequence of node sequences")
+        cycles = tuple(node_list(f"cycles[{i}]", each) for i, each in enumerate(given))
+        if len(cycles) == 0:
+            raise ValueError("cycles is empty, expected at least one sequence of nodes")
+        for i, each in enumerate(cycles):
+            if len(each) != len(cycles[0]) or len(each) < 2:
+                raise ValueError(
+                    f"cycles[{i}] has {len(each)} nodes and cycles[0] {len(cycles[0])}, "
+                    "expected as many in each, two at least"
+                )
+        node_list("cycles", np.concatenate(cycles))
+        put(self, "cycles", cycles)
+        axis = shaped("axis", self.axis, (3,), "a direction")
+        if not axis.any():
+            raise ValueError("axis is 0, expected a direction")
+        put(self, "axis", frozen(axis / np.linalg.norm(axis)))
+        put(self, "centre", frozen(shaped("centre", self.centre, (3,), "a point")))
+        whole_number("turns", self.turns, least=1 - self.order)
+        if self.turns % self.order == 0:
+            raise ValueError(f"turns is {self.turns}, expected a turn that is not a whole one")
+
+    @property
+    def order(self) -> int:
+        """Number q of nodes in a cycle."""
+        return len(self.cycles[0])
+
+    def rotation(self) -> FloatArray:
+        """Return the turn as a matrix, shape (3, 3)."""
+        angle = 2 * np.pi * self.turns / self.order
+        x, y, z = self.axis
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        turn: FloatArray = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+        return turn
+
+    def permutation(self, count: int) -> IntArray:
+        """Return which node each node is taken to, shape (n,).
+
+        Parameters
+        ----------
+        count : int
+            Number n of nodes.
+        """
+        to = np.arange(count)
+        for cycle in self.cycles:
+            to[cycle] = np.roll(cycle, -1)
+        return to
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """Coordinates of the shapes that are searched.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (3n, r)
+        Orthonormal: free nodes are ``vec(N) = offset + basis y``.
+    offset : ndarray, shape (3n,)
+        m.
+    strings, bars : ndarray, shape (α, ·), (β, ·)
+        Which members share one unknown: a 1 in each row.
+    rigid : ndarray, shape (6, m)
+        Motions as one body that the symmetry allows: three of translation,
+        three of rotation about the centre.
+    centre : ndarray, shape (3,)
+        m.
+    """
+
+    basis: FloatArray
+    offset: FloatArray
+    strings: FloatArray
+    bars: FloatArray
+    rigid: FloatArray
+    centre: FloatArray
+
+
+def reduction(
+    structure: Structure, load: FloatArray, symmetry: RotationalSymmetry | None
+) -> Reduction:
+    """Return the coordinates of all shapes, or of those with a symmetry.
+
+    Parameters
+    ----------
+    structure : Structure
+    load : ndarray, shape (3, n)
+        N; must have the symmetry.
+    symmetry : RotationalSymmetry or None
+
+    Returns
+    -------
+    Reduction
+
+    Raises
+    ------
+    ValueError
+        If the structure or the load has not the symmetry.
+    """
+    count, rows = structure.nodes.shape[1], structure.free_rows
+    if symmetry is None:
+        nothing = np.zeros(len(rows))
+        centre = structure.nodes.mean(axis=1)
+        strings, bars = np.eye(len(structure.strings)), np.eye(len(structure.bars))
+        return Reduction(np.eye(len(rows)), nothing, strings, bars, np.eye(6), centre)
+    for i, cycle in enumerate(symmetry.cycles):
+        if cycle.max() >= count:
+            raise ValueError(
+                f"symmetry.cycles[{i}] names node {cycle.max()}, expected 0 to {count - 1}"
+            )
+    to, turn = symmetry.permutation(count), symmetry.rotation()
+    strings = _orbits("string", structure.strings, to, None)
+    bars = _orbits("bar", structure.bars, to, structure.bar_length)
+    held = np.zeros(count, bool)
+    held[structure.fixed] = True
+    moved = turn @ (structure.nodes - symmetry.centre[:, None]) + symmetry.centre[:, None]
+    size = np.ptp(structure.nodes, axis=1).max()
+    for node in np.flatnonzero(held).tolist():
+        if not held[to[node]] or np.abs(moved[:, node] - structure.nodes[:, to[node]]).max() > (
+            _TOLERANCE * size
+        ):
+            raise ValueError(f"symmetry does not take the fixed node {node} to a fixed node")
+    if np.abs(turn @ load - load[:, to]).max() > _TOLERANCE * np.abs(load).max(initial=1e-300):
+        raise ValueError("symmetry does not map the loads and weights onto themselves")
+    # n_to(i) − c = R (n_i − c) for every node: a linear subspace.
+    turned = np.kron(np.eye(count), turn)
+    shift = np.zeros((3 * count, 3 * count))
+    for node, image in enumerate(to.tolist()):
+        shift[3 * node : 3 * node + 3, 3 * image : 3 * image + 3] = np.eye(3)
+    _, sizes, Vt = np.linalg.svd((shift - turned)[:, rows])
+    basis = Vt[np.count_nonzero(sizes > _TOLERANCE) :].T
+    # Fixed nodes hold by themselves, so that the offset is the centre for all free ones.
+    offset = np.tile(symmetry.centre, len(rows) // 3)
+    d = symmetry.axis
+    rigid = np.column_stack([np.r_[d, np.zeros(3)], np.r_[np.zeros(3), d]])
+    return Reduction(basis, offset, strings, bars, rigid, symmetry.centre)
+
+
+def _orbits(kind: str, pairs: IntArray, to: IntArray, length: FloatArray | None) -> FloatArray:
+    """Return which members are mapped onto one another, a column for each orbit."""
+    place = {frozenset(pair): i for i, pair in enumerate(pairs.tolist())}
+    image = []
+    for i, pair in enumerate(pairs.tolist()):
+        found = place.get(frozenset(to[pair].tolist()))
+        if found is None:
+            raise ValueError(
+                f"symmetry takes {kind} {i}, nodes {pair}, to nodes {to[pair].tolist()}, where "
+                f"there is no {kind}"
+            )
+        if length is not None and abs(length[found] / length[i] - 1) > _TOLERANCE:
+            raise ValueError(f"symmetry takes bar {i} to bar {found}, which has another length")
+        image.append(found)
+    columns, seen = [], np.zeros(len(pairs), bool)
+    for i in range(len(pairs)):
+        if not seen[i]:
+            column, at = np.zeros(len(pairs)), i
+            while not seen[at]:
+                seen[at], column[at], at = True, 1.0, image[at]
+            columns.append(column)
+    return np.column_stack(columns) if columns else np.zeros((len(pairs), 0))

@@ -1,0 +1,329 @@
+"""A shape asked for in a user's words, solved to an equilibrium or refused with the nearest one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tenscontrol.actuation import Winches
+from tenscontrol.dynamics import Model
+from tenscontrol.shape.clearance import bar_distances
+from tenscontrol.shape.constraints import Demand
+from tenscontrol.shape.limits import Limits, checked_limits
+from tenscontrol.shape.solve import MET, STIFF, Solved, solve_shape
+from tenscontrol.shape.symmetry import RotationalSymmetry
+from tenscontrol.statics import Prestress
+from tenscontrol.structure import Structure, refuse_moved_supports, restore_bar_lengths
+from tenscontrol.validation import FloatArray, choice, frozen, instance, truth
+
+CHOICES = ("centred", "least")
+
+
+@dataclass(frozen=True, eq=False)
+class DemandCheck:
+    """One number that a shape was asked for, and what came of it.
+
+    Attributes
+    ----------
+    name : str
+        ``"height"``, ``"x[0]"``, ``"rest_length[4]"`` and the like.
+    low, high : float
+        What was asked for; the same number twice if exactly.
+    found : float
+        What the shape has.
+    missed : float
+        By how much the shape is outside, 0 if it is not.
+    unit : str
+    """
+
+    name: str
+    low: float
+    high: float
+    found: float
+    missed: float
+    unit: str
+
+    def __str__(self) -> str:
+        wanted = f"{self.low:.6g}" if self.low == self.high else f"{self.low:.6g}–{self.high:.6g}"
+        return (
+            f"{self.name} is {self.found:.6g} {self.unit}, wanted {wanted} {self.unit}, "
+            f"missed by {self.missed:.3g} {self.unit}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeTarget:
+    """A shape in equilibrium. Made by :func:`shape_target`.
+
+    Attributes
+    ----------
+    model : Model
+    prestress : Prestress
+        The structure in this shape with its forces: what :func:`linearize` takes.
+    nodes : ndarray, shape (3, n)
+        m.
+    force_density : ndarray, shape (α,)
+        γ, N/m.
+    rest_length : ndarray, shape (α,), or None
+        m, just the length where γ = 0; None without a string law.
+    residual : float
+        Largest unbalanced force on a node, N.
+    bar_length_error : float
+        Largest departure of a bar from its length, relative.
+    stability_margin : float
+        Smallest eigenvalue of the stiffness, N/m: with rest lengths held if the
+        model has a string law; else with strings rigid, of what the prestress
+        adds on the mechanisms (infinite if there are none).
+    clearance : float
+        Smallest distance between the axes of two bars, m.
+    demands : tuple of DemandCheck
+        What was asked for, number by number.
+    """
+
+    model: Model
+    prestress: Prestress
+    nodes: FloatArray
+    force_density: FloatArray
+    rest_length: FloatArray | None
+    residual: float
+    bar_length_error: float
+    stability_margin: float
+    clearance: float
+    demands: tuple[DemandCheck, ...]
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether a small push is answered by a force back, in every direction."""
+        return self.stability_margin > STIFF * float(self.force_density.max(initial=0.0))
+
+    @property
+    def missed(self) -> tuple[DemandCheck, ...]:
+        """The demands that are not met; none unless the shape is the nearest one."""
+        return tuple(check for check in self.demands if check.missed > 0)
+
+    def __repr__(self) -> str:
+        return (
+            f"ShapeTarget({self.prestress.structure!r}, residual {self.residual:.1e} N, "
+            f"margin {self.stability_margin:.3g} N/m, {len(self.missed)} of "
+            f"{len(self.demands)} demands missed)"
+        )
+
+
+class ShapeError(ValueError):
+    """No equilibrium shape meets the demands, as far as was found.
+
+    Attributes
+    ----------
+    nearest : ShapeTarget or None
+        The equilibrium found that misses them least in the sense of least
+        squares (lengths in units of the size of the structure, angles in rad);
+        None if no equilibrium was found at all.
+    """
+
+    def __init__(self, message: str, nearest: ShapeTarget | None) -> None:
+        super().__init__(message)
+        self.nearest = nearest
+
+
+def shape_target(
+    model: Model | Structure,
+    demands: Demand | Sequence[Demand] = (),
+    *,
+    force_density: float | None = None,
+    reference: str | None = None,
+    prestress: str = "centred",
+    min_force_density: object = 0.0,
+    max_force_density: object = None,
+    winches: Winches | None = None,
+    min_clearance: float | None = None,
+    symmetry: RotationalSymmetry | None = None,
+    start: object = None,
+    require_stable: bool = True,
+) -> ShapeTarget:
+    """Return an equilibrium shape that has what is asked for.
+
+    Of the shapes that have it, the one nearest to ``start`` is taken (least sum
+    of squares of the node displacements). Weights and the built-in load of the
+    model act. Members have no thickness: ``clearance`` says how near bars come. No
+    string shrinks to less than a hundredth of its length in ``start``.
+
+    Parameters
+    ----------
+    model : Model or Structure
+    demands : Demand or sequence of Demand
+        :class:`NodesAt`, :class:`PointAt`, :class:`Height`, :class:`Twist`.
+    force_density : float, optional
+        Level of the prestress: mean γ of the ``reference`` strings, N/m. If not
+        given, the forces count beside the distance from ``start``: small ones for
+        "least", the middle of the bounds for "centred".
+    reference : str, optional
+        String group of ``force_density``; the group of the first string if not given.
+    prestress : {"centred", "least"}
+        Where several γ balance in the shape: the ones farthest from the bounds
+        (their analytic centre), or those of least square sum.
+    min_force_density, max_force_density : float or array_like, shape (α,), optional
+        Bounds of γ, N/m; at least 0.
+    winches : Winches, optional
+        Their ``shortest`` and ``longest`` bound the rest lengths.
+    min_clearance : float, optional
+        Least distance between the axes of two bars, m. Bars that pass one another in
+        ``start`` stay on their side.
+    symmetry : RotationalSymmetry, optional
+        Only shapes that have it.
+    start : array_like, shape (3, n), optional
+        Where the search starts, m; the reference shape if not given.
+    require_stable : bool
+        Whether a shape that buckles is refused.
+
+    Returns
+    -------
+    ShapeTarget
+
+    Raises
+    ------
+    ShapeError
+        If no such equilibrium is found. Its text says by how much each demand is
+        missed; its ``nearest`` is the nearest equilibrium found.
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit.
+
+    Notes
+    -----
+    Equilibrium is ``N K_s = W`` (Goyal & Skelton, eq. 7 at rest) with exact bar
+    lengths, solved by IPOPT with exact derivatives from CasADi in positions, γ
+    and λ, then by Newton steps to round-off. The search is local: another start
+    may lead to another shape, and to one that is nearer.
+
+    Examples
+    --------
+    A lower prism. Its closed form is a radius of 0.5695 m and the same γ:
+
+    >>> import tenscontrol as tc
+    >>> model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness=100.0))
+    >>> low = tc.Height(0.85, top=[0, 1, 2], bottom=[3, 4, 5])
+    >>> target = tc.shape_target(model, low, force_density=17.3205)
+    >>> target.force_density[[0, 6]].round(4), target.rest_length[[0, 6]].round(4)
+    (array([17.3205, 30.    ]), array([0.8156, 0.6298]))
+    >>> bool(abs((target.nodes[:2]**2).sum(axis=0)**0.5 - 0.56952).max() < 1e-5)
+    True
+    """
+    if isinstance(model, Structure):
+        model = Model(model)
+    instance("model", model, Model, "make one by Model(structure)")
+    choice("prestress", prestress, CHOICES)
+    truth("require_stable", require_stable, "whether a shape that buckles is refused")
+    structure = model.structure
+    wanted: Any = (demands,) if isinstance(demands, Demand) else demands
+    if not isinstance(wanted, Sequence) or isinstance(wanted, str):
+        raise TypeError(
+            f"demands is a {type(demands).__name__}, expected a demand or a sequence of them: "
+            "NodesAt, PointAt, Height, Twist"
+        )
+    for i, demand in enumerate(wanted):
+        instance(f"demands[{i}]", demand, Demand, "NodesAt, PointAt, Height or Twist")
+        demand.refuse_other_nodes(f"demands[{i}]", structure)
+    if symmetry is not None:
+        how = "make one by RotationalSymmetry(cycles)"
+        instance("symmetry", symmetry, RotationalSymmetry, how)
+    limits = checked_limits(
+        model,
+        force_density,
+        reference,
+        min_force_density,
+        max_force_density,
+        winches,
+        prestress,
+        min_clearance,
+    )
+    place = structure.nodes if start is None else structure.checked_nodes("start", start)
+    refuse_moved_supports("start", structure, place)
+    place = restore_bar_lengths(structure, place)
+    load = model.constant_force
+    resultant = load.sum(axis=1)
+    if len(structure.fixed) == 0 and np.abs(resultant).max() > 1e-9 * np.abs(load).sum():
+        raise ValueError(
+            f"no equilibrium: nothing holds the structure, and its weights and loads add up to "
+            f"{resultant} N. Fix some nodes, Structure(..., fixed=[...])"
+        )
+    solved = solve_shape(model, tuple(wanted), limits, prestress, symmetry, place)
+    if solved is None:
+        raise ShapeError(
+            "no equilibrium found with bars of their lengths and γ of at least "
+            f"min_force_density{limits.level_text}. Start from another shape, or lower "
+            "min_force_density",
+            None,
+        )
+    target = _target(model, tuple(wanted), limits, solved)
+    if target.missed:
+        misses = "; ".join(str(check) for check in target.missed)
+        raise ShapeError(
+            f"no equilibrium found that meets the demands. The nearest one found, .nearest, "
+            f"misses {len(target.missed)} of {len(target.demands)}: {misses}. Another start may "
+            "lead nearer; tolerances, wider bounds or more strings leave more room",
+            target,
+        )
+    if require_stable and not target.is_stable:
+        slack = np.flatnonzero(target.force_density == 0)
+        why = f" with strings {slack.tolist()} slack" if len(slack) else ""
+        raise ShapeError(
+            f"the equilibrium found{why} gives way to a push: its stability margin is "
+            f"{target.stability_margin:.3g} N/m, expected more than 0. Ask for a higher "
+            "min_force_density, start from another shape, or take it all the same by "
+            "require_stable=False",
+            target,
+        )
+    return target
+
+
+def _target(
+    model: Model, demands: tuple[Demand, ...], limits: Limits, solved: Solved
+) -> ShapeTarget:
+    structure, rest = model.structure, solved.rest
+    nodes, gamma = rest.structure.nodes, rest.force_density
+    length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
+    return ShapeTarget(
+        model=model,
+        prestress=rest,
+        nodes=nodes,
+        force_density=gamma,
+        rest_length=None if solved.rest_length is None else frozen(solved.rest_length),
+        residual=rest.residual,
+        bar_length_error=float(np.abs(length / structure.bar_length - 1).max(initial=0.0)),
+        stability_margin=solved.margin,
+        clearance=bar_distances(structure, nodes).least,
+        demands=tuple(_checks(demands, limits, solved)),
+    )
+
+
+def _checks(demands: tuple[Demand, ...], limits: Limits, solved: Solved) -> list[DemandCheck]:
+    rows = []
+    at = 0
+    for demand in demands:
+        for name, number in zip(demand.names, demand.wanted.tolist(), strict=True):
+            off, scale = float(solved.misses[at]), float(solved.scales[at])
+            low, high = number - demand.tolerance, number + demand.tolerance
+            over = _outside(off, -demand.tolerance, demand.tolerance, scale)
+            rows.append(DemandCheck(name, low, high, number + off, over, demand.unit))
+            at += 1
+    gamma = solved.rest.force_density
+    for name, unit, values, low_, high_ in limits.bounded(gamma, solved.rest_length):
+        scale = limits.scale if unit == "N/m" else float(solved.scales.max(initial=1.0))
+        for i, value in enumerate(values.tolist()):
+            least, most = float(low_[i]), float(high_[i])
+            over = _outside(value, least, most, scale)
+            rows.append(DemandCheck(f"{name}[{i}]", least, most, value, over, unit))
+    if limits.clearance:
+        least = bar_distances(solved.rest.structure, solved.rest.structure.nodes).least
+        size = float(np.ptp(solved.rest.structure.nodes, axis=1).max())
+        over = _outside(least, limits.clearance, np.inf, size)
+        rows.append(DemandCheck("clearance", limits.clearance, np.inf, least, over, "m"))
+    return rows
+
+
+def _outside(value: float, low: float, high: float, scale: float) -> float:
+    """Return by how much a value is outside of bounds; round-off is not."""
+    over = max(low - value, value - high, 0.0)
+    return over if over > MET * scale else 0.0
