@@ -12,6 +12,24 @@ from typing import TYPE_CHECKING, Any
 from tenscontrol._version import __version__
 
 if TYPE_CHECKING:
+    from tenscontrol.accuracy import (
+        Case,
+        ConvergedMotion,
+        ConvergenceOrder,
+        Drift,
+        LongRun,
+        Measurement,
+        Predictability,
+        Ratios,
+        StabilityMap,
+        WorkPrecision,
+        converged_motion,
+        convergence_order,
+        long_run,
+        predictability,
+        stability_map,
+        work_precision,
+    )
     from tenscontrol.actuation import (
         RestLengths,
         Winches,
@@ -51,15 +69,6 @@ if TYPE_CHECKING:
     )
     from tenscontrol.integrate import Choice, Work
     from tenscontrol.scene import Scene, SceneError, load_scene
-    from tenscontrol.simulation import (
-        AccuracyWarning,
-        ControlRecord,
-        Health,
-        Limits,
-        SimulationError,
-        Trajectory,
-        simulate,
-    )
     from tenscontrol.shape import (
         Demand,
         DemandCheck,
@@ -74,6 +83,15 @@ if TYPE_CHECKING:
         Twist,
         shape_path,
         shape_target,
+    )
+    from tenscontrol.simulation import (
+        AccuracyWarning,
+        ControlRecord,
+        Health,
+        Limits,
+        SimulationError,
+        Trajectory,
+        simulate,
     )
     from tenscontrol.statics import (
         Prestress,
@@ -99,6 +117,24 @@ if TYPE_CHECKING:
     )
 
 _HOME = {
+    "accuracy": [
+        "Case",
+        "ConvergedMotion",
+        "ConvergenceOrder",
+        "Drift",
+        "LongRun",
+        "Measurement",
+        "Predictability",
+        "Ratios",
+        "StabilityMap",
+        "WorkPrecision",
+        "converged_motion",
+        "convergence_order",
+        "long_run",
+        "predictability",
+        "stability_map",
+        "work_precision",
+    ],
     "actuation": ["RestLengths", "WinchMove", "Winches", "to_force_density", "to_rest_length"],
     "analysis": [
         "Controllability",

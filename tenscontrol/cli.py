@@ -6,11 +6,12 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from tenscontrol._version import __version__
 
 if TYPE_CHECKING:
+    from tenscontrol.accuracy import Peer
     from tenscontrol.simulation import Trajectory
 
 
@@ -28,7 +29,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0, or 2 with a message on stderr.
     """
     options = _parser().parse_args(arguments)
-    commands = {"demo": _demo, "simulate": _simulate, "modes": _modes}
+    commands = {
+        "demo": _demo,
+        "simulate": _simulate,
+        "modes": _modes,
+        "accuracy": _accuracy,
+    }
     try:
         commands[options.command](options)
     except (ValueError, ArithmeticError, OSError) as error:
@@ -100,6 +106,60 @@ def _modes(options: argparse.Namespace) -> None:
     _save(plot.mode_shapes(plant, found)[0].ax.figure, folder / "modes.png")
 
 
+def _accuracy(options: argparse.Namespace) -> None:
+    from tenscontrol.accuracy import work_precision
+    from tenscontrol.scene import load_scene
+
+    scene = load_scene(options.scene)
+    names = None if options.methods is None else options.methods.split(",")
+    try:
+        found = work_precision(
+            scene,
+            methods=names,
+            peers=_peers() if options.peers else (),
+            outputs=options.outputs,
+            repeats=options.repeats,
+            machine_code=options.machine_code,
+            progress=True,
+        )
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{options.scene}: {error}") from error
+    folder = _folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
+    saved = found.to_csv(folder / "accuracy.csv")
+    page = folder / "accuracy.md"
+    page.write_text(found.to_markdown(), encoding="utf-8")
+    if options.csv:
+        print(saved.read_text(encoding="utf-8"), end="")
+        files = sys.stderr  # so that what is printed is CSV and nothing else
+    elif options.markdown:
+        print(page.read_text(encoding="utf-8"))
+        files = sys.stderr
+    else:
+        print(found.table())
+        if found.peers:
+            print("\nrun time by that of our fastest, at equal error")
+            print(found.ratios().table())
+        files = sys.stdout
+    for path in (saved, page):
+        print(path, file=files)
+    if len(found.failures) < len(found.rows):
+        _save(found.plot().ax.figure, folder / "accuracy.png", files)
+
+
+def _peers() -> list[Peer]:
+    """Return integrators of other packages, those that are not installed too: they say so."""
+    from tenscontrol.accuracy.peers import CasADiCVODES, CasADiRK, MuJoCo, SciPy
+
+    return [
+        SciPy("DOP853"),
+        SciPy("Radau"),
+        CasADiCVODES(),
+        CasADiRK(),
+        MuJoCo("rk4"),
+        MuJoCo("implicit"),
+    ]
+
+
 def _folder(path: Path) -> Path:
     """Return a folder that is there."""
     try:
@@ -109,10 +169,10 @@ def _folder(path: Path) -> Path:
     return path
 
 
-def _save(figure: Any, path: Path) -> None:
+def _save(figure: Any, path: Path, told: TextIO | None = None) -> None:
     from tenscontrol import plot
 
-    print(plot.save_figure(figure, path))
+    print(plot.save_figure(figure, path), file=told)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -146,11 +206,41 @@ def _parser() -> argparse.ArgumentParser:
         description="Linearize a scene about its shape, which must be at rest, print its modes "
         "and save the figure modes.png.",
     )
-    for command in (simulate, modes):
+    accuracy = commands.add_parser(
+        "accuracy",
+        help="measure error against run time of all methods on a scene file",
+        description="Integrate a scene by several methods at several settings, print error, run "
+        "time and what is conserved, and save them as accuracy.csv, accuracy.md and accuracy.png. "
+        "Of a scene with a controller, the open loop is taken.",
+    )
+    for command in (simulate, modes, accuracy):
         command.add_argument("scene", metavar="SCENE", type=Path, help="scene file (TOML)")
         command.add_argument(
             "--output", type=Path, help="folder for what is saved (default: tenscontrol-<SCENE>)"
         )
+    accuracy.add_argument(
+        "--methods", metavar="A,B", help="our own methods, separated by commas (default: all)"
+    )
+    accuracy.add_argument(
+        "--peers", action="store_true", help="measure SciPy, CasADi and MuJoCo beside"
+    )
+    accuracy.add_argument(
+        "--outputs", type=int, default=100, help="times compared (default: %(default)s)"
+    )
+    accuracy.add_argument(
+        "--repeats",
+        type=int,
+        default=5,
+        help="runs of which the median time is taken (default: %(default)s)",
+    )
+    accuracy.add_argument(
+        "--machine-code",
+        action="store_true",
+        help="compile our own methods, if there is a compiler",
+    )
+    printed = accuracy.add_mutually_exclusive_group()
+    printed.add_argument("--csv", action="store_true", help="print CSV instead of the table")
+    printed.add_argument("--markdown", action="store_true", help="print Markdown instead")
     modes.add_argument(
         "--input",
         choices=("force_density", "rest_length"),

@@ -4,6 +4,12 @@ Each function takes the axes to draw into (a new figure if not given), returns
 what was drawn, and never shows a window.
 """
 
+from tenscontrol.plot.accuracy import (
+    convergence_order,
+    long_run,
+    stability_map,
+    work_precision,
+)
 from tenscontrol.plot.animation import animate
 from tenscontrol.plot.drawing import Drawing
 from tenscontrol.plot.files import save_figure
@@ -20,11 +26,15 @@ __all__ = [
     "ModeShape",
     "PoleMap",
     "animate",
+    "convergence_order",
     "health",
     "history",
+    "long_run",
     "mode_shapes",
     "poles",
     "save_figure",
+    "stability_map",
     "structure",
     "trajectory",
+    "work_precision",
 ]

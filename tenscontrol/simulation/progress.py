@@ -1,4 +1,4 @@
-"""A progress bar over simulated time."""
+"""A progress bar over simulated time, or over whatever is counted."""
 
 from __future__ import annotations
 
@@ -7,20 +7,24 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def progress_bar(duration: float, shown: bool) -> Iterator[Callable[[float], None]]:
-    """Yield a function that is told the simulated time reached, s.
+def progress_bar(
+    total: float, shown: bool, label: str = "simulating", unit: str = "s"
+) -> Iterator[Callable[[float], None]]:
+    """Yield a function that is told how far things are: the simulated time reached, s.
 
     The bar shows only on a terminal.
     """
     if not shown:
-        yield lambda time: None
+        yield lambda reached: None
         return
     from tqdm import tqdm
 
-    layout = "{desc} {percentage:3.0f}%|{bar}| {n:.2f}/{total:.2f} s [{elapsed}<{remaining}]"
-    with tqdm(total=duration, desc="simulating", bar_format=layout, disable=None) as bar:
+    digits = 2 if unit == "s" else 0
+    count = f"{{n:.{digits}f}}/{{total:.{digits}f}} {unit}"
+    layout = f"{{desc}} {{percentage:3.0f}}%|{{bar}}| {count} [{{elapsed}}<{{remaining}}]"
+    with tqdm(total=total, desc=label, bar_format=layout, disable=None) as bar:
 
-        def report(time: float) -> None:
-            bar.update(time - bar.n)
+        def report(reached: float) -> None:
+            bar.update(reached - bar.n)
 
         yield report

@@ -165,7 +165,7 @@ def simulate(
     loop = Loop(
         model,
         hold=_held(model, rest_length, force_density, controller, hold),
-        load=_checked_load(model, external_force),
+        load=checked_load(model, external_force),
         duration=duration,
         method=method,
         tolerance=tolerance,
@@ -174,13 +174,13 @@ def simulate(
         machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
     )
     loop.output_step = _output_step(loop, output_step, duration)
-    state = _initial_state(model, nodes, velocities, loop.hold)
+    state = initial_state(model, nodes, velocities, loop.hold)
     try:
         with progress_bar(duration, shown=progress) as report:
             if controller is None:
                 if winches is not None or sample_time is not None:
                     raise ValueError("winches and sample_time go with a controller")
-                value = _held_value(model, rest_length, force_density)
+                value = held_value(model, rest_length, force_density)
                 loop.run(state, value, duration, report)
                 run = loop.trajectory(None)
             else:
@@ -233,14 +233,15 @@ def _held(
     return "force_density" if rest_length is None else "rest_length"
 
 
-def _held_value(model: Model, rest_length: object, force_density: object) -> FloatArray:
+def held_value(model: Model, rest_length: object, force_density: object) -> FloatArray:
+    """Return what is held, shape (α,): the one that is not None, checked."""
     if force_density is None:
         return checked_rest_length(model, rest_length)
     gamma = per_member("force_density", force_density, len(model.structure.strings), "string")
     return non_negative("force_density", gamma, "a string can only pull")
 
 
-def _checked_load(model: Model, external_force: object) -> FloatArray:
+def checked_load(model: Model, external_force: object) -> FloatArray:
     """Return all that acts on the nodes from outside, N, shape (3, n)."""
     if not model.has_external_force:
         if external_force is not None:
@@ -256,7 +257,8 @@ def _checked_load(model: Model, external_force: object) -> FloatArray:
     return given + model.constant_force
 
 
-def _initial_state(model: Model, nodes: object, velocities: object, hold: str) -> FloatArray:
+def initial_state(model: Model, nodes: object, velocities: object, hold: str) -> FloatArray:
+    """Return the state at the start, after checking that the structure can be in it."""
     structure = model.structure
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     V = np.zeros_like(N)

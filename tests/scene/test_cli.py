@@ -149,3 +149,28 @@ def test_unknown_commands_and_missing_scenes_end_with_status_two(capsys):
             main(arguments)
         assert ended.value.code == 2
     assert "usage: tenscontrol" in capsys.readouterr().err
+
+
+def test_accuracy_prints_and_saves_the_comparison(tmp_path, capsys, scene):
+    folder = tmp_path / "measured"
+    asked = ["accuracy", str(scene), "--methods", "rk4,dop853", "--repeats", "1", "--outputs", "5"]
+    assert main([*asked, "--output", str(folder)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("Case(rest, 0.1 s, rest_length held, 6 nodes)\n")
+    assert "reference: " in out
+    assert out.count("\nrk4 ") > 2
+    assert out.count("\ndop853 ") > 2
+    names = {"accuracy.csv", "accuracy.md", "accuracy.png"}
+    assert {file.name for file in folder.iterdir()} == names
+    assert all(str(folder / name) in out for name in names)
+    assert main([*asked, "--output", str(folder), "--csv"]) == 0
+    out = capsys.readouterr().out
+    assert out == (folder / "accuracy.csv").read_text(encoding="utf-8")
+    assert main([*asked, "--output", str(folder), "--markdown"]) == 0
+    assert capsys.readouterr().out.startswith("# rest\n")
+
+
+def test_accuracy_of_an_unknown_method(tmp_path, capsys, scene):
+    err = refused(capsys, "accuracy", scene, "--methods", "rk4,euler", "--output", tmp_path / "n")
+    assert "rest.toml: method is 'euler', expected one of" in err
+    assert not (tmp_path / "n").exists()

@@ -1,0 +1,175 @@
+"""What is measured: a motion in open loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tenscontrol.dynamics import Equation, Model
+from tenscontrol.simulation.simulate import checked_load, held_value, initial_state
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number
+
+if TYPE_CHECKING:
+    from tenscontrol.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A motion in open loop, for measuring how well methods integrate it.
+
+    ``dataclasses.replace(case, duration=0.1)`` gives the case with another duration.
+
+    Parameters
+    ----------
+    model : Model
+    duration : float
+        s.
+    nodes, velocities : array_like, shape (3, n), optional
+        Motion at the start, m and m/s; the reference shape at rest if not given.
+        Bars must have their lengths, and must not be stretching.
+    held : {"rest_length", "force_density"}
+        What the actuators hold.
+    value : float or array_like, shape (α,)
+        What they hold it at: rest lengths, m, or γ, N/m.
+    external_force : array_like, shape (3, n), optional
+        Constant load W, N, for a model built with ``external_force=True``.
+    name : str
+        For titles.
+    note : str
+        What a reader of the result must know of how the case came about.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, with its name.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
+    >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
+    >>> start = tc.to_rest_length(model, prism.nodes, gamma).rest_length
+    >>> tc.Case(model, 5.0, held="rest_length", value=start)
+    Case(5 s, rest_length held, 6 nodes)
+    """
+
+    model: Model
+    duration: float
+    nodes: FloatArray = None  # type: ignore[assignment]  # filled below
+    velocities: FloatArray = None  # type: ignore[assignment]  # filled below
+    held: str = field(kw_only=True)
+    value: FloatArray = field(kw_only=True)
+    external_force: FloatArray | None = None
+    name: str = ""
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        instance("model", self.model, Model, "make one by Model(structure)")
+        choice("held", self.held, ("rest_length", "force_density"))
+        if self.held == "rest_length" and self.model.strings is None:
+            raise ValueError(
+                "held is 'rest_length', which needs a model with a string law; build it as "
+                "Model(structure, strings=LinearStrings(stiffness=...))"
+            )
+        if self.value is None:
+            raise TypeError("value is None, expected rest lengths, m, or force densities, N/m")
+        given = (self.value, None) if self.held == "rest_length" else (None, self.value)
+        checked_load(self.model, self.external_force)
+        initial_state(self.model, self.nodes, self.velocities, self.held)
+        structure = self.model.structure
+        put = object.__setattr__
+        put(self, "duration", positive_number("duration", self.duration, "s"))
+        put(self, "nodes", frozen(_array(self.nodes, structure.nodes)))
+        put(self, "velocities", frozen(_array(self.velocities, 0 * structure.nodes)))
+        put(self, "value", frozen(held_value(self.model, *given)))
+        if self.external_force is not None:
+            put(self, "external_force", frozen(_array(self.external_force, structure.nodes)))
+
+    @property
+    def structure(self) -> Structure:
+        """The structure of the model."""
+        return self.model.structure
+
+    @property
+    def size(self) -> float:
+        """Largest extent of the structure at the start along an axis, m."""
+        return float(np.ptp(self.nodes, axis=1).max())
+
+    @property
+    def load(self) -> FloatArray:
+        """All that acts on the nodes from outside, N, shape (3, n): weights and loads."""
+        return checked_load(self.model, self.external_force)
+
+    @property
+    def state(self) -> FloatArray:
+        """The start as integrators take it: x of the free nodes."""
+        return initial_state(self.model, self.nodes, self.velocities, self.held)
+
+    def equation(self) -> Equation:
+        """Return the state equation under the loads of the case.
+
+        Returns
+        -------
+        Equation
+        """
+        return self.model.equation(self.held, self.load - self.model.constant_force)
+
+    def __repr__(self) -> str:
+        title = f"{self.name}, " if self.name else ""
+        nodes = self.structure.nodes.shape[1]
+        return f"Case({title}{self.duration:g} s, {self.held} held, {nodes} nodes)"
+
+
+def _array(value: object, default: FloatArray) -> FloatArray:
+    """Return what was checked before as an array of floats, or the default."""
+    return np.asarray(default if value is None else value, dtype=float)
+
+
+def as_case(scene: object) -> Case:
+    """Return a case as it is, or that of a scene.
+
+    Of a scene with a controller, the open loop is taken: its actuators hold
+    what they hold at the start, and the note of the case says so.
+
+    Parameters
+    ----------
+    scene : Case or Scene
+
+    Returns
+    -------
+    Case
+
+    Raises
+    ------
+    TypeError
+        If it is neither.
+    """
+    from tenscontrol.scene import Scene
+
+    if isinstance(scene, Case):
+        return scene
+    instance("scene", scene, Scene, "make one by load_scene(file), or give a Case")
+    return _of_scene(scene)  # type: ignore[arg-type]  # checked just now
+
+
+def _of_scene(scene: Scene) -> Case:
+    held = "force_density" if scene.rest_length is None else "rest_length"
+    note = ""
+    if scene.controller is not None:
+        words = held.replace("_", " ").replace("density", "densities").replace("length", "lengths")
+        note = f"The controller of the scene is left out: {words} are held as at the start."
+    return Case(
+        model=scene.model,
+        duration=scene.duration,
+        nodes=scene.nodes,
+        velocities=scene.velocities,
+        held=held,
+        value=scene.force_density if scene.rest_length is None else scene.rest_length,
+        name=Path(scene.file).stem,
+        note=note,
+    )

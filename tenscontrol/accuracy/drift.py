@@ -1,0 +1,310 @@
+"""What is left of energy, momentum and bar lengths after very many steps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tenscontrol.accuracy.case import Case, as_case
+from tenscontrol.accuracy.invariants import conserves_energy, conserves_momentum, invariants
+from tenscontrol.accuracy.methods import method_named
+from tenscontrol.accuracy.tables import aligned, shown
+from tenscontrol.accuracy.trend import BLOCKS, trend
+from tenscontrol.integrate import IntegrationError, Work
+from tenscontrol.simulation.progress import progress_bar
+from tenscontrol.validation import FloatArray, frozen, positive_number, truth, whole_number
+
+if TYPE_CHECKING:
+    from tenscontrol.plot import Curves
+    from tenscontrol.scene import Scene
+
+# States that are integrated, judged and dropped at once.
+_PART = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """How a conserved quantity moves off over a long run.
+
+    Attributes
+    ----------
+    name, unit : str
+    error : ndarray, shape (T,)
+        Its change since the start; of a vector and of bar lengths the size of the change.
+    slope : float
+        Mean growth, by s.
+    half_width : float
+        Of the 95 % confidence interval of the slope.
+    """
+
+    name: str
+    unit: str
+    error: FloatArray
+    slope: float
+    half_width: float
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether the slope cannot be told from zero: its interval covers zero."""
+        return abs(self.slope) <= self.half_width
+
+    @property
+    def largest(self) -> float:
+        """Largest error at any time."""
+        return float(np.abs(self.error).max())
+
+
+@dataclass(frozen=True, eq=False)
+class LongRun:
+    """Drift of a method over many steps. Made by :func:`long_run`.
+
+    Attributes
+    ----------
+    method : str
+    setting : float
+        Step, s, or tolerance.
+    time : ndarray, shape (T,)
+        s, without the start.
+    drifts : tuple of Drift
+        Of what the motion conserves.
+    energy_scale : float
+        What the motion exchanges between kinetic and potential energy, J.
+    work : Work
+        What it cost.
+    failure : str
+        Why the run ended early; empty if it did not.
+    """
+
+    method: str
+    setting: float
+    time: FloatArray
+    drifts: tuple[Drift, ...]
+    energy_scale: float
+    work: Work
+    failure: str
+
+    def of(self, name: str) -> Drift:
+        """Return the drift of one quantity.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        Drift
+
+        Raises
+        ------
+        ValueError
+            If the motion does not conserve it.
+        """
+        for drift in self.drifts:
+            if drift.name == name:
+                return drift
+        known = ", ".join(drift.name for drift in self.drifts)
+        raise ValueError(f"name is {name!r}, expected what the motion conserves: {known}")
+
+    def table(self) -> str:
+        """Return the drifts as text.
+
+        Returns
+        -------
+        str
+        """
+        rows = [
+            [
+                drift.name,
+                drift.unit,
+                shown(drift.largest),
+                shown(float(drift.error[-1]), "+.1e"),
+                f"{drift.slope:+.1e} ± {drift.half_width:.1e}",
+                "cannot be told from zero" if drift.is_zero else "drifts",
+            ]
+            for drift in self.drifts
+        ]
+        head = ["quantity", "unit", "largest", "at end", "per s (95 %)", "slope"]
+        lines = [
+            f"{self.method} at {self.setting:g}: {self.work.steps} steps, {self.time[-1]:g} s, "
+            f"{self.work.switches} switches; the motion exchanges {self.energy_scale:.3g} J",
+            *([f"ended early: {self.failure}"] if self.failure else []),
+        ]
+        return "\n".join(lines) + "\n\n" + aligned(head, rows, left=2)
+
+    def plot(self, ax: Any = None) -> Curves:
+        """Draw the error of the energy over time: see :func:`plot.long_run`.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+            Where to draw; a new figure if not given.
+
+        Returns
+        -------
+        Curves
+        """
+        from tenscontrol import plot
+
+        return plot.long_run(self, ax=ax)
+
+    def __repr__(self) -> str:
+        return f"LongRun({self.method} at {self.setting:g}, {self.time[-1]:g} s)"
+
+
+def long_run(
+    scene: Case | Scene,
+    method: str,
+    setting: float,
+    steps: int = 1_000_000,
+    outputs: int = 1000,
+    machine_code: bool = False,
+    progress: bool = False,
+) -> LongRun:
+    """Return how far energy, momentum and bar lengths drift over very many steps.
+
+    The state is looked at ``outputs`` times and then dropped, so memory does
+    not grow with the steps. Quantities that the motion does not conserve,
+    under damping, loads or supports, are left out.
+
+    Parameters
+    ----------
+    scene : Case or Scene
+        Its duration does not count.
+    method : str
+    setting : float
+        Step, s, or tolerance, as the method takes.
+    steps : int
+        Steps of a method that takes a step. One that takes a tolerance goes as
+        far as ``steps`` times the inverse of the fastest rate of the motion.
+    outputs : int
+        Times at which the state is looked at, equally spaced.
+    machine_code : bool
+        Whether the steps are compiled, where there is a C compiler.
+    progress : bool
+        Whether to show a progress bar; never shown away from a terminal.
+
+    Returns
+    -------
+    LongRun
+        Also of a run that ended early.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, with its name.
+
+    Notes
+    -----
+    The run is cut into 21 blocks. A slope is the mean difference of the means
+    of successive blocks by their time; its 95 % interval is Student's t of
+    these 20 differences as they come from a random walk of round-off. A slope
+    whose interval covers zero cannot be told from zero. Of the three
+    components of a momentum the one with the clearest slope is given, and its
+    interval allows for the choice.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
+    >>> case = tc.Case(tc.Model(prism), 1.0, held="force_density", value=gamma)
+    >>> found = tc.long_run(case, "rk4", 1e-3, steps=5000, outputs=200)
+    >>> found.of("momentum").largest < 1e-12, found.of("bar length").largest < 1e-4
+    (True, True)
+    """
+    case = as_case(scene)
+    chosen = method_named(method)
+    setting = positive_number("setting", setting, "s" if chosen.setting == "step" else "1")
+    steps = whole_number("steps", steps, least=10)
+    outputs = whole_number("outputs", outputs, least=BLOCKS)
+    truth("machine_code", machine_code, "whether to compile the steps")
+    truth("progress", progress, "whether to show a progress bar")
+    if chosen.setting == "step":
+        duration = setting * steps
+    else:
+        from tenscontrol.accuracy.spectrum import fastest_rate
+
+        duration = steps / fastest_rate(case)
+    case = replace(case, duration=duration)
+    recorder = _Recorder(case)
+    with progress_bar(duration, progress, f"running {chosen.name}") as report:
+        integrator = chosen.integrator(case.equation(), setting, machine_code=machine_code)
+        state, spacing, failure, work = case.state, duration / outputs, "", Work()
+        for first, count in _parts(outputs):
+            try:
+                span = integrator.advance(state, case.value, spacing * count, count)
+            except IntegrationError as error:
+                if error.interrupted:
+                    raise KeyboardInterrupt from None
+                span, reached = error.span, spacing * first + error.time
+                # The message counts time from the start of the part.
+                failure = f"at {reached:.6g} s; within its last {spacing * count:.6g} s, {error}"
+            work += span.work
+            recorder.add(span.states)
+            if failure:
+                break
+            state = span.states[:, -1]
+            report(spacing * (first + count))
+    if recorder.count < BLOCKS:
+        raise ValueError(
+            f"setting is {setting:g}, at which {chosen.name} ends too early to judge: {failure}"
+        )
+    time = spacing * np.arange(1, recorder.count + 1)
+    return LongRun(
+        method=chosen.name,
+        setting=setting,
+        time=frozen(time),
+        drifts=recorder.drifts(spacing),
+        energy_scale=recorder.energy_scale,
+        work=work,
+        failure=failure,
+    )
+
+
+def _parts(outputs: int) -> Iterator[tuple[int, int]]:
+    """Yield the first output and the number of outputs of each part."""
+    for first in range(0, outputs, _PART):
+        yield first, min(_PART, outputs - first)
+
+
+class _Recorder:
+    """Keeps of states only how far conserved quantities have moved."""
+
+    def __init__(self, case: Case) -> None:
+        self._case = case
+        self._start = invariants(case, case.state[:, None])
+        self._rows: dict[tuple[str, str], list[FloatArray]] = {}
+        self.energy_scale = 0.0
+        self.count = 0
+        self._has_energy, self._has_momentum = conserves_energy(case), conserves_momentum(case)
+
+    def add(self, states: FloatArray) -> None:
+        if not states.shape[1]:
+            return
+        found, start = invariants(self._case, states), self._start
+        rows = {}
+        if self._has_energy:
+            rows["energy", "J"] = found.energy - start.energy
+        if self._has_momentum:
+            linear = found.momentum - start.momentum
+            angular = found.angular_momentum - start.angular_momentum
+            rows["momentum", "kg m/s"] = linear
+            rows["angular momentum", "kg m²/s"] = angular
+        if len(self._case.structure.bars):
+            rows["bar length", "m"] = found.stretch
+        for key, values in rows.items():
+            self._rows.setdefault(key, []).append(values)
+        change = float(np.abs(found.potential - start.potential).max())
+        self.energy_scale = max(self.energy_scale, float(found.kinetic.max()), change)
+        self.count += states.shape[1]
+
+    def drifts(self, spacing: float) -> tuple[Drift, ...]:
+        found = []
+        for (name, unit), rows in self._rows.items():
+            error = np.concatenate(rows, axis=-1)
+            size = error if error.ndim == 1 else np.linalg.norm(error, axis=0)
+            found.append(Drift(name, unit, frozen(size), *trend(spacing, error)))
+        return tuple(found)

@@ -1,0 +1,221 @@
+"""How long a motion can be predicted: growth of a perturbation of its start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tenscontrol.accuracy.case import Case, as_case
+from tenscontrol.dynamics import pack_state
+from tenscontrol.integrate import DOP853
+from tenscontrol.structure import restore_bar_lengths
+from tenscontrol.validation import FloatArray, frozen, positive_number, whole_number
+
+if TYPE_CHECKING:
+    from tenscontrol.scene import Scene
+
+# Size of the perturbation, m: far above round-off, far below what the motion is sensitive to.
+_PERTURBATION = 1e-10
+
+# Grown beyond this part of the structure's size it grows no longer as a small one does.
+_SMALL = 1e-3
+
+# What round-off amounts to, as part of the structure's size: ten units in the last place.
+_ROUND_OFF = 10 * float(np.finfo(float).eps)
+
+_TOLERANCE = 1e-12
+
+# Times that are integrated at once.
+_PART = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Predictability:
+    """How a small perturbation of the start grows. Made by :func:`predictability`.
+
+    Attributes
+    ----------
+    time : ndarray, shape (T,)
+        s; up to where the growth is past what the error allows.
+    growth : ndarray, shape (T,)
+        Largest distance of a node from the unperturbed motion up to each time,
+        by the largest at the start.
+    rate : float
+        Mean rate of exponential growth, ln(growth)/time, 1/s, over the time in
+        which the perturbation stays small: the largest Lyapunov exponent of a
+        chaotic motion that is watched for long.
+    horizon : float
+        Time up to which a comparison of two computed motions means something,
+        s: round-off grows beyond ``error`` then. The duration where it does not.
+    error : float
+        The error asked for, m.
+    duration : float
+        s.
+    """
+
+    time: FloatArray
+    growth: FloatArray
+    rate: float
+    horizon: float
+    error: float
+    duration: float
+
+    @property
+    def factor(self) -> float:
+        """Growth up to the last of the times."""
+        return float(self.growth[-1])
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether the horizon comes before the end."""
+        return self.horizon < self.duration
+
+    def summary(self) -> str:
+        """Return the growth and what follows from it, as text.
+
+        Returns
+        -------
+        str
+        """
+        text = (
+            f"a perturbation grows by {self.factor:.1e} in {self.time[-1]:g} s "
+            f"({self.rate:.3g} per s)"
+        )
+        if self.is_limited:
+            text += (
+                f"; beyond {self.horizon:g} s round-off alone makes errors of {self.error:g} m, "
+                "so motions are compared up to there"
+            )
+        return text
+
+
+def predictability(
+    scene: Case | Scene,
+    error: float = 1e-9,
+    samples: int = 2,
+    seed: int = 0,
+    outputs: int = 200,
+    report: Callable[[float], None] | None = None,
+) -> Predictability:
+    """Return how fast a random perturbation of the start grows, and when it ends all prediction.
+
+    Every node is moved by about 1e-10 m at random, bars keep their lengths,
+    and the motion is compared with the unperturbed one. Both have each
+    slack/taut switch located.
+
+    Parameters
+    ----------
+    scene : Case or Scene
+    error : float
+        Error that a comparison is to resolve, m.
+    samples : int
+        Perturbations; the one that grows most counts.
+    seed : int
+        Of the random directions.
+    outputs : int
+        Times at which motions are compared.
+    report : callable, optional
+        Told the time reached, s.
+
+    Returns
+    -------
+    Predictability
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit.
+    ArithmeticError
+        If the motion runs away.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> gamma = np.repeat([17.3205, 17.3205, 30.0], 3)
+    >>> case = tc.Case(tc.Model(prism), 1.0, held="force_density", value=gamma)
+    >>> found = tc.predictability(case)
+    >>> found.is_limited, found.factor < 100
+    (False, True)
+    """
+    case = as_case(scene)
+    error = positive_number("error", error, "m")
+    count = whole_number("outputs", outputs, least=2)
+    times = case.duration * np.arange(1, count + 1) / count
+    random = np.random.default_rng(whole_number("seed", seed, least=0))
+    offsets = [_offset(case, random) for _ in range(whole_number("samples", samples, least=1))]
+    allowed = error / (_ROUND_OFF * case.size)
+    growth: list[float] = []
+    for largest in _growths(case, times, offsets):
+        growth.append(max(largest, growth[-1] if growth else 0.0))
+        if report is not None:
+            report(float(times[len(growth) - 1]))
+        if growth[-1] > allowed:
+            break
+    return _judged(case, times[: len(growth)], np.array(growth), allowed, error)
+
+
+def _offset(case: Case, random: np.random.Generator) -> FloatArray:
+    """Return a change of the state that moves every node at random and stretches no bar."""
+    structure = case.structure
+    moves = np.zeros_like(case.nodes)
+    moves[:, structure.free] = random.normal(size=(3, len(structure.free)))
+    # Both restored, so that a bar off by round-off in the case does not count as perturbed.
+    moved = restore_bar_lengths(structure, case.nodes + _PERTURBATION * moves)
+    change = moved - restore_bar_lengths(structure, case.nodes)
+    return pack_state(structure, change, np.zeros_like(change))
+
+
+def _growths(case: Case, times: FloatArray, offsets: list[FloatArray]) -> Iterator[float]:
+    """Yield the growth of the perturbation that has grown most, at each time."""
+    start = [_largest_move(offset) for offset in offsets]
+    integrator = DOP853(case.equation(), _TOLERANCE)
+    still = np.zeros_like(offsets[0])
+    motions = [_states(integrator, case, len(times), offset) for offset in (still, *offsets)]
+    for state, *others in zip(*motions, strict=True):
+        yield max(
+            _largest_move(other - state) / size for other, size in zip(others, start, strict=True)
+        )
+
+
+def _states(integrator: DOP853, case: Case, count: int, offset: FloatArray) -> Iterator[FloatArray]:
+    """Yield so many states of a motion, integrated part by part so that it can be broken off."""
+    state, spacing = case.state + offset, case.duration / count
+    for first in range(0, count, _PART):
+        outputs = min(_PART, count - first)
+        span = integrator.advance(state, case.value, spacing * outputs, outputs)
+        yield from span.states.T
+        state = span.states[:, -1]
+
+
+def _largest_move(change: FloatArray) -> float:
+    """Return how far the node that moves most is moved by a change of the state, m."""
+    moves = change[: len(change) // 2].reshape(-1, 3)
+    return float(np.linalg.norm(moves, axis=1).max())
+
+
+def _judged(
+    case: Case, times: FloatArray, growth: FloatArray, allowed: float, error: float
+) -> Predictability:
+    """Return the growth with its rate and the horizon, at which it passes what is allowed."""
+    small = growth <= _SMALL * case.size / _PERTURBATION
+    last = max(int(small.sum()) - 1, 0)
+    rate = float(np.log(max(growth[last], 1.0)) / times[last])
+    horizon = case.duration
+    if growth[-1] > allowed:
+        horizon = _rounded_down(float(times[max(len(times) - 2, 0)]))
+    elif not small.all() and rate > 0:
+        # No longer small, yet short of what is allowed: exponential growth is carried on.
+        ahead = float(np.log(allowed / growth[last]) / rate)
+        if times[last] + ahead < case.duration:
+            horizon = _rounded_down(float(times[last]) + ahead)
+    return Predictability(frozen(times), frozen(growth), rate, horizon, error, case.duration)
+
+
+def _rounded_down(time: float) -> float:
+    """Return a time with two digits that is not later."""
+    unit = 10.0 ** (np.floor(np.log10(time)) - 1)
+    return float(f"{np.floor(time / unit * (1 + 1e-12)) * unit:.3g}")

@@ -1,0 +1,79 @@
+"""What another package must offer to be measured beside our own methods."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tenscontrol.accuracy.case import Case
+from tenscontrol.validation import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A motion as a method found it.
+
+    Attributes
+    ----------
+    nodes : ndarray, shape (3, n, T)
+        Positions of all nodes at the output times, m.
+    velocities : ndarray, shape (3, n, T), or None
+        m/s; None where the package does not give them.
+    evaluations : int
+        Evaluations of the forces; 0 where the package does not count them.
+    """
+
+    nodes: FloatArray
+    velocities: FloatArray | None
+    evaluations: int
+
+
+class Peer(ABC):
+    """An integrator of another package.
+
+    A run that cannot go on raises ``ArithmeticError``, ``ValueError`` or
+    ``RuntimeError`` with the reason; it is kept in the result as a failed run.
+    """
+
+    #: As tables and figures show it.
+    name: str
+
+    #: Steps, s, or tolerances, from coarse to fine: one run for each.
+    settings: tuple[float, ...]
+
+    @abstractmethod
+    def refuse(self, case: Case) -> str | None:
+        """Return why this case is beyond the peer, or None.
+
+        Parameters
+        ----------
+        case : Case
+
+        Returns
+        -------
+        str or None
+            For example that its package is not installed.
+        """
+
+    @abstractmethod
+    def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
+        """Build all that is built once, and return what runs the case.
+
+        Only the returned call is timed, so it does the integration and nothing
+        else; each call starts anew from the start of the case.
+
+        Parameters
+        ----------
+        case : Case
+        setting : float
+            One of ``settings``.
+        times : ndarray, shape (T,)
+            Output times, s: equally spaced, the first one spacing after 0,
+            the last at ``case.duration``.
+
+        Returns
+        -------
+        callable
+            ``() -> Solution`` at these times.
+        """

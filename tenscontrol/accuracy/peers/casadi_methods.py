@@ -1,0 +1,131 @@
+"""CasADi's own integrators on our right-hand side, as a user would call them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import ceil
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.accuracy.case import Case
+from tenscontrol.accuracy.peer import Peer, Solution
+from tenscontrol.dynamics import unpack_states
+from tenscontrol.integrate.radau import jacobian_weight
+from tenscontrol.validation import FloatArray
+
+
+@final
+class CasADiCVODES(Peer):
+    """``casadi.integrator`` with CVODES, outputs on its grid.
+
+    Backward differentiation formulas with exact Jacobians, each counted as as
+    many evaluations as it has times the instructions. Slack/taut switches are
+    stepped across.
+
+    Parameters
+    ----------
+    settings : sequence of float, optional
+        Tolerances, relative, and absolute in m and m/s.
+    """
+
+    name = "casadi cvodes"
+
+    def __init__(self, settings: Sequence[float] = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)) -> None:
+        self.settings = tuple(settings)
+
+    def refuse(self, case: Case) -> str | None:
+        """See :meth:`Peer.refuse`."""
+        return None
+
+    def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
+        """See :meth:`Peer.prepare`."""
+        kinked = case.equation().kinked_slope
+        weight = jacobian_weight(kinked)
+        solver = _solver(
+            "cvodes",
+            kinked,
+            times,
+            {
+                "reltol": setting,
+                "abstol": setting,
+                "max_num_steps": 1_000_000,
+                "disable_internal_warnings": True,
+            },
+        )
+
+        def run() -> Solution:
+            states = _run(solver, case)
+            stats = solver.stats()
+            calls = stats["nfevals"] + weight * stats["n_call_jacF"]
+            return Solution(*unpack_states(case.structure, states), evaluations=calls)
+
+        return run
+
+
+@final
+class CasADiRK(Peer):
+    """``casadi.integrator`` with its Runge-Kutta method of order 4, outputs on its grid.
+
+    Slack/taut switches are stepped across.
+
+    Parameters
+    ----------
+    settings : sequence of float, optional
+        Steps, s. Each is shortened so that a whole number fits between outputs.
+    """
+
+    name = "casadi rk"
+
+    def __init__(self, settings: Sequence[float] = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5)) -> None:
+        self.settings = tuple(settings)
+
+    def refuse(self, case: Case) -> str | None:
+        """See :meth:`Peer.refuse`."""
+        return None
+
+    def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
+        """See :meth:`Peer.prepare`."""
+        spacing = float(times[-1]) / len(times)
+        inner = max(1, ceil(spacing / setting - 1e-9))
+        # One grid interval repeated: on a grid of decimals CasADi may round to a step more.
+        solver = _solver(
+            "rk",
+            case.equation().kinked_slope,
+            np.arange(1.0, len(times) + 1),
+            {"number_of_finite_elements": inner * len(times)},
+            spacing,
+        )
+
+        def run() -> Solution:
+            states = _run(solver, case)
+            if not np.isfinite(states).all():
+                raise ArithmeticError("the state is no longer finite")
+            return Solution(
+                *unpack_states(case.structure, states), evaluations=4 * inner * len(times)
+            )
+
+        return run
+
+
+def _solver(
+    plugin: str, kinked: ca.Function, times: FloatArray, options: dict[str, Any], unit: float = 1.0
+) -> ca.Function:
+    """Return the integrator on a grid of times in some unit, s."""
+    x, u = kinked.sx_in()
+    problem = {"x": x, "p": u, "ode": unit * kinked(x, u)}
+    # What goes wrong is told by an exception; it would be printed beside.
+    options = {**options, "show_eval_warnings": False}
+    return ca.integrator("solver", plugin, problem, 0.0, times.tolist(), options)
+
+
+def _run(solver: ca.Function, case: Case) -> FloatArray:
+    """Return the states on the grid, shape (states, T)."""
+    try:
+        return np.array(solver(x0=case.state, p=case.value)["xf"])
+    except RuntimeError as error:
+        if "CVode returned" not in str(error):
+            raise
+        reason = str(error).split("CVode returned")[1].split(".")[0]
+        raise ArithmeticError(f"CVODES stopped with {reason.strip()}") from None

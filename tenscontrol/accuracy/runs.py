@@ -1,0 +1,201 @@
+"""One method at one setting: its error, its run time, what it conserves, what it cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from statistics import median
+from time import perf_counter
+from typing import Any, TypeVar
+
+import numpy as np
+
+from tenscontrol.accuracy.case import Case
+from tenscontrol.accuracy.invariants import deviations, invariants
+from tenscontrol.accuracy.peer import Peer
+from tenscontrol.accuracy.reference import ConvergedMotion, largest_distance
+from tenscontrol.dynamics import pack_state, unpack_states
+from tenscontrol.integrate import IntegrationError, Method, Work
+from tenscontrol.validation import FloatArray
+
+# Time after which a run is not repeated any more, s.
+_PATIENCE = 3.0
+
+NOT_KNOWN = float("nan")
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What one run of one method gave. A number that is not known is NaN or None.
+
+    Attributes
+    ----------
+    method : str
+        Name of the method or peer.
+    is_peer : bool
+        Whether it is of another package.
+    takes : str
+        What the setting is: ``"step"``, s; ``"tolerance"``; ``"setting"``, of a peer.
+    setting : float
+    error, end_error : float
+        Largest distance of a node from the reference, m: over all output times, and at the end.
+    relative_error : float
+        ``error`` by the size of the structure.
+    time : float
+        Median time of the integration alone, s.
+    build_time : float
+        What it took once, before: building, compiling, first call, s.
+    repeats : int
+        Runs of which ``time`` is the median.
+    evaluations, steps, rejections, switches : int or None
+        Evaluations of the forces; steps taken and thrown away; switches of a string located.
+    energy_error : float
+        Largest error of the energy, as part of what the motion exchanges.
+    momentum_drift, angular_momentum_drift : float
+        Largest, kg m/s and kg m²/s.
+    bar_length_drift : float
+        Largest difference of a bar from its length, m.
+    back_end : str
+        What runs the steps: ``"virtual machine"`` or ``"machine code"``; empty for a peer.
+    failure : str
+        Why there is no motion; empty if there is.
+    """
+
+    method: str
+    is_peer: bool
+    takes: str
+    setting: float
+    error: float = NOT_KNOWN
+    end_error: float = NOT_KNOWN
+    relative_error: float = NOT_KNOWN
+    time: float = NOT_KNOWN
+    build_time: float = NOT_KNOWN
+    repeats: int = 0
+    evaluations: int | None = None
+    steps: int | None = None
+    rejections: int | None = None
+    switches: int | None = None
+    energy_error: float = NOT_KNOWN
+    momentum_drift: float = NOT_KNOWN
+    angular_momentum_drift: float = NOT_KNOWN
+    bar_length_drift: float = NOT_KNOWN
+    back_end: str = ""
+    failure: str = ""
+
+
+class Bench:
+    """A case with its reference, on which runs are measured.
+
+    Parameters
+    ----------
+    case : Case
+    reference : ConvergedMotion
+    repeats : int
+        Runs of which the median time is taken; fewer where a run takes seconds.
+    machine_code : bool
+        Whether our own methods are compiled, where there is a compiler.
+    """
+
+    def __init__(
+        self, case: Case, reference: ConvergedMotion, repeats: int, machine_code: bool = False
+    ) -> None:
+        self._case, self._reference, self._repeats = case, reference, repeats
+        self._machine_code = machine_code
+        self._start = invariants(case, case.state[:, None])
+        self._true = invariants(case, reference.states)
+
+    def own(self, method: Method, setting: float) -> Measurement:
+        """Return what one of our methods gives at a setting."""
+        case, outputs = self._case, len(self._reference.time)
+        row = Measurement(method.name, False, method.setting, setting)
+        began = perf_counter()
+        try:
+            integrator = method.integrator(
+                case.equation(), setting, machine_code=self._machine_code
+            )
+            built = perf_counter() - began
+            span, timing = self._timed(
+                lambda: integrator.advance(case.state, case.value, case.duration, outputs), built
+            )
+        except IntegrationError as error:
+            if error.interrupted:
+                raise KeyboardInterrupt from None
+            return replace(row, **_counts(error.span.work), failure=str(error))
+        except (ValueError, ArithmeticError) as error:
+            return replace(row, failure=str(error))
+        row = replace(row, **timing, **_counts(span.work), back_end=integrator.back_end)
+        return self._judged(row, *unpack_states(case.structure, span.states))
+
+    def peer(self, peer: Peer, setting: float) -> Measurement:
+        """Return what another package gives at a setting."""
+        row = Measurement(peer.name, True, "setting", setting)
+        began = perf_counter()
+        try:
+            run = peer.prepare(self._case, setting, self._reference.time)
+            solution, timing = self._timed(run, perf_counter() - began)
+        except (ValueError, ArithmeticError, RuntimeError) as error:
+            return replace(row, failure=str(error))
+        row = replace(row, **timing, evaluations=solution.evaluations or None)
+        return self._judged(row, solution.nodes, solution.velocities)
+
+    def _timed(self, run: Callable[[], Result], built: float) -> tuple[Result, dict[str, Any]]:
+        """Return what a run returns, with its median time and what came before the first."""
+        began = perf_counter()
+        result = run()
+        first = perf_counter() - began
+        times: list[float] = []
+        while len(times) < self._repeats and first + sum(times) < _PATIENCE:
+            began = perf_counter()
+            run()
+            times.append(perf_counter() - began)
+        typical = median(times) if times else first
+        build = built + max(first - typical, 0.0)  # the first run fills what is filled once
+        return result, {"time": typical, "build_time": build, "repeats": max(len(times), 1)}
+
+    def _judged(
+        self, row: Measurement, nodes: FloatArray, velocities: FloatArray | None
+    ) -> Measurement:
+        """Return the row with errors and health of the motion, or with why there are none."""
+        true = self._reference.nodes
+        if nodes.shape != true.shape:
+            raise ValueError(
+                f"{row.method} returned nodes of shape {nodes.shape}, expected {true.shape}: "
+                "all nodes at all output times"
+            )
+        if not np.isfinite(nodes).all():
+            return replace(row, failure="the motion is not finite")
+        error = largest_distance(nodes, true)
+        row = replace(
+            row,
+            error=error,
+            end_error=largest_distance(nodes[:, :, -1:], true[:, :, -1:]),
+            relative_error=error / self._case.size,
+        )
+        if velocities is None or not np.isfinite(velocities).all():
+            return row
+        structure = self._case.structure
+        states = np.column_stack(
+            [
+                pack_state(structure, nodes[:, :, k], velocities[:, :, k])
+                for k in range(nodes.shape[2])
+            ]
+        )
+        found = deviations(self._case, invariants(self._case, states), self._true, self._start)
+        return replace(
+            row,
+            energy_error=found.energy,
+            momentum_drift=found.momentum,
+            angular_momentum_drift=found.angular_momentum,
+            bar_length_drift=found.stretch,
+        )
+
+
+def _counts(work: Work) -> dict[str, Any]:
+    return {
+        "evaluations": work.evaluations,
+        "steps": work.steps,
+        "rejections": work.rejections,
+        "switches": work.switches,
+    }

@@ -1,0 +1,95 @@
+"""Results as text: aligned columns, CSV, Markdown."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from io import StringIO
+from math import isnan
+
+Cell = str | float | int | None
+
+
+def shown(value: Cell, form: str = ".1e") -> str:
+    """Return a cell as people read it; what is not known is a dash.
+
+    Parameters
+    ----------
+    value : str, float, int or None
+    form : str
+        Format of a float.
+
+    Returns
+    -------
+    str
+    """
+    if value is None or (isinstance(value, float) and isnan(value)):
+        return "–"
+    return format(value, form) if isinstance(value, float) else str(value)
+
+
+def aligned(head: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
+    """Return columns of text; the first ``left`` are flush left, the others right.
+
+    Parameters
+    ----------
+    head : sequence of str
+    rows : sequence of sequence of str
+    left : int
+
+    Returns
+    -------
+    str
+    """
+    width = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
+    lines = [
+        "  ".join(
+            cell.ljust(width[i]) if i < left else cell.rjust(width[i]) for i, cell in enumerate(row)
+        ).rstrip()
+        for row in (head, *rows)
+    ]
+    return "\n".join(lines)
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
+    """Return a table in Markdown.
+
+    Parameters
+    ----------
+    head : sequence of str
+    rows : sequence of sequence of str
+    left : int
+        Columns that are flush left.
+
+    Returns
+    -------
+    str
+    """
+    rule = [":--" if i < left else "--:" for i in range(len(head))]
+    escaped = [[cell.replace("|", "\\|") for cell in row] for row in (head, rule, *rows)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in escaped)
+
+
+def comma_separated(head: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
+    """Return a table as CSV with full precision; what is not known is left empty.
+
+    Parameters
+    ----------
+    head : sequence of str
+    rows : sequence of sequence of str, float, int or None
+
+    Returns
+    -------
+    str
+    """
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    for row in rows:
+        writer.writerow(
+            [
+                "" if cell is None or (isinstance(cell, float) and isnan(cell)) else cell
+                for cell in row
+            ]
+        )
+    return text.getvalue()

@@ -1,0 +1,314 @@
+"""Integrators of other packages solve the same problem as ours."""
+
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import tenscontrol as tc
+from tenscontrol.accuracy import Case, Peer, Solution
+from tenscontrol.accuracy.peers import CasADiCVODES, CasADiRK, MuJoCo, SciPy
+from tenscontrol.dynamics import unpack_states
+from tenscontrol.integrate import DOP853, RK4
+from tests.dynamics.scenes import (
+    paper_force_density,
+    random_force_density,
+    random_motion,
+    random_structure,
+    rest_lengths,
+)
+from tests.oracle import HeldForceDensity, HeldRestLength, RigidBars
+
+needs_mujoco = pytest.mark.skipif(find_spec("mujoco") is None, reason="MuJoCo is not installed")
+METHODS = ("euler", "implicit", "implicitfast", "rk4")
+PEERS = [
+    *(
+        pytest.param(MuJoCo(method), id=f"mujoco_{method}", marks=needs_mujoco)
+        for method in METHODS
+    ),
+    *(pytest.param(SciPy(name), id=name) for name in ("DOP853", "RK45", "Radau", "LSODA")),
+    pytest.param(CasADiCVODES(), id="cvodes"),
+    pytest.param(CasADiRK(), id="rk"),
+]
+
+
+def prism_case(vertical=45.0, duration=0.5, stiffness=100.0, damping=0.0):
+    prism = tc.prism()
+    lengths = rest_lengths(prism, paper_force_density(vertical), stiffness)
+    model = tc.Model(prism, strings=tc.LinearStrings(stiffness, damping))
+    return Case(model, duration, held="rest_length", value=lengths)
+
+
+def solved(peer, case, setting, outputs=5):
+    times = case.duration * np.arange(1, outputs + 1) / outputs
+    return peer.prepare(case, setting, times)()
+
+
+def oracle(case, law, outputs=5):
+    """Nodes at the output times by the rigid-body model, shape (3, n, T)."""
+    times = case.duration * np.arange(outputs + 1) / outputs
+    motion = RigidBars(case.structure, law, case.load)
+    return motion.integrate(case.nodes, case.velocities, times)[0][:, :, 1:]
+
+
+def ours(case, outputs=5):
+    """Nodes and velocities by our own adaptive method, for what the oracle does not know."""
+    span = DOP853(case.equation(), 1e-11).advance(case.state, case.value, case.duration, outputs)
+    return unpack_states(case.structure, span.states)
+
+
+# ---- all of them ----
+
+# A fine setting, the error at it in 0.5 s of the tense prism, and at a setting 10 times coarser.
+FINE = {
+    "mujoco euler": (1e-4, 1e-4),
+    "mujoco implicit": (1e-4, 1e-4),
+    "mujoco implicitfast": (1e-4, 1e-4),
+    "mujoco rk4": (1e-3, 1e-8),
+    "scipy dop853": (1e-9, 1e-9),
+    "scipy rk45": (1e-9, 1e-8),
+    "scipy radau": (1e-7, 1e-8),
+    "scipy lsoda": (1e-10, 1e-8),
+    "casadi cvodes": (1e-10, 1e-7),
+    "casadi rk": (1e-3, 1e-8),
+}
+
+
+@pytest.mark.parametrize("peer", PEERS)
+def test_a_peer_follows_the_oracle(peer):
+    case = prism_case()
+    exact = oracle(case, HeldRestLength(case.value, 100.0))
+    setting, error = FINE[peer.name]
+    found = solved(peer, case, setting)
+    coarse = solved(peer, case, 10 * setting)
+    assert isinstance(found, Solution)
+    assert found.nodes.shape == found.velocities.shape == (3, 6, 5)
+    assert np.abs(found.nodes - exact).max() < error
+    assert np.abs(found.nodes - exact).max() < np.abs(coarse.nodes - exact).max()
+    assert found.evaluations > coarse.evaluations > 0
+    velocities = ours(case)[1]
+    np.testing.assert_allclose(found.velocities, velocities, rtol=0, atol=100 * error)
+
+
+@pytest.mark.parametrize("peer", PEERS)
+def test_a_peer_starts_anew_each_time(peer):
+    case = prism_case(vertical=9.0, duration=0.2)
+    run = peer.prepare(case, peer.settings[1], np.array([0.1, 0.2]))
+    first, second = run(), run()
+    np.testing.assert_array_equal(second.nodes, first.nodes)
+    np.testing.assert_array_equal(second.velocities, first.velocities)
+    assert second.evaluations == first.evaluations
+
+
+@pytest.mark.parametrize("peer", PEERS)
+def test_a_peer_holds_force_densities(peer):
+    gamma = paper_force_density(20.0)
+    case = Case(tc.Model(tc.prism()), 0.3, held="force_density", value=gamma)
+    exact = oracle(case, HeldForceDensity(gamma))
+    setting, error = FINE[peer.name]
+    assert np.abs(solved(peer, case, setting).nodes - exact).max() < 3 * error
+
+
+@pytest.mark.parametrize("peer", PEERS)
+def test_settings_go_from_coarse_to_fine(peer):
+    assert isinstance(peer, Peer)
+    assert peer.refuse(prism_case()) is None
+    assert len(peer.settings) >= 4
+    assert all(np.diff(peer.settings) < 0)
+
+
+@pytest.mark.parametrize(("kind", "wrong"), [(MuJoCo, "rk5"), (SciPy, "dop853")])
+def test_an_unknown_method_is_refused(kind, wrong):
+    with pytest.raises(ValueError, match=f"method is '{wrong}', expected one of"):
+        kind(wrong)
+
+
+# ---- counts ----
+
+
+def test_the_fixed_steps_of_casadi_are_those_of_our_own_method():
+    """The same steps, so that the count of evaluations is theirs; 0.7 s in steps of 7/3 ms."""
+    case = prism_case(duration=0.7)
+    found = solved(CasADiRK(), case, 3e-3, outputs=100)
+    span = RK4(case.equation(), 3e-3).advance(case.state, case.value, 0.7, 100)
+    assert found.evaluations == span.work.evaluations == 4 * 300
+    x = found.nodes.transpose(1, 0, 2).reshape(18, 100)
+    np.testing.assert_allclose(x, span.states[:18], rtol=0, atol=1e-12)
+
+
+def test_scipy_counts_every_evaluation_and_jacobians_beside():
+    case = prism_case(duration=0.1)
+    kinked = case.equation().kinked_slope
+    plain = solve_ivp(
+        lambda t, x: np.array(kinked(x, case.value)).ravel(),
+        (0, 0.1),
+        case.state,
+        method="RK45",
+        rtol=1e-6,
+        atol=1e-6,
+    )
+    assert solved(SciPy("RK45"), case, 1e-6).evaluations == plain.nfev
+    without = solved(SciPy("DOP853"), case, 1e-6).evaluations
+    assert solved(SciPy("Radau"), case, 1e-6).evaluations > without
+
+
+@needs_mujoco
+@pytest.mark.parametrize(("method", "each"), [("euler", 1), ("implicit", 1), ("rk4", 4)])
+def test_mujoco_counts_the_evaluations_of_its_steps(method, each):
+    """Steps of at most 0.7 ms between outputs 10 ms apart: 15 of them."""
+    found = solved(MuJoCo(method), prism_case(duration=0.1), 7e-4, outputs=10)
+    assert found.evaluations == each * 10 * 15
+
+
+# ---- what runs away ----
+
+
+@pytest.mark.parametrize(
+    "peer", [PEERS[0], PEERS[3], PEERS[-1]], ids=["mujoco_euler", "mujoco_rk4", "casadi_rk"]
+)
+def test_an_unstable_step_is_a_failed_run(peer, tmp_path, monkeypatch, capfd):
+    """MuJoCo by itself would write a file into the working folder."""
+    monkeypatch.chdir(tmp_path)
+    case = prism_case(stiffness=1e8, vertical=46.0)
+    with pytest.raises(ArithmeticError, match="no longer finite"):
+        solved(peer, case, 1e-2)
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_problem_beyond_cvodes_is_a_failed_run(capfd):
+    """Two masses drawn into one point by held force densities of 10³⁰⁰ N/m."""
+    pair = tc.Structure(
+        [[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]], [], [[0, 1]], [], string_node_mass=1.0
+    )
+    case = Case(tc.Model(pair), 1.0, held="force_density", value=1e300)
+    with pytest.raises(ArithmeticError, match="CVODES stopped with"):
+        solved(CasADiCVODES(), case, 1e-8)
+    assert capfd.readouterr() == ("", "")
+
+
+# ---- MuJoCo: what a structure can have ----
+
+
+def compared(case, law=None, error=1e-8, step=2e-4):
+    """Check MuJoCo's fourth-order method against the oracle, or our own method."""
+    found = solved(MuJoCo("rk4"), case, step)
+    nodes, velocities = ours(case)
+    exact = nodes if law is None else oracle(case, law)
+    assert np.abs(found.nodes - exact).max() < error
+    assert np.abs(found.velocities - velocities).max() < 100 * error
+    return found
+
+
+@needs_mujoco
+@pytest.mark.parametrize("seed", range(3))
+def test_mujoco_takes_any_structure_and_motion(seed):
+    """Bars of different mass that turn and travel, point masses, held force densities."""
+    structure = random_structure(seed, bars=3, points=2)
+    start, rates = random_motion(structure, seed)
+    gamma = random_force_density(structure, seed)
+    model = tc.Model(structure)
+    case = Case(model, 0.2, start, rates, held="force_density", value=gamma)
+    compared(case, HeldForceDensity(gamma))
+
+
+@needs_mujoco
+@pytest.mark.parametrize("vertical", [9.0, 45.0])
+def test_mujoco_takes_the_papers_prism(vertical):
+    """In minimal coordinates; with 9 N/m strings go slack, and no step ends there."""
+    case = prism_case(vertical, duration=0.5)
+    error = 1e-6 if vertical == 9.0 else 1e-10
+    found = compared(case, HeldRestLength(case.value, 100.0), error)
+    ends = found.nodes[:, case.structure.bars]
+    length = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=0)
+    np.testing.assert_allclose(length, case.structure.bar_length[:, None].repeat(5, 1), rtol=1e-14)
+
+
+@needs_mujoco
+def test_mujoco_takes_damped_strings_while_none_is_slack():
+    case = prism_case(vertical=45.0, damping=1.0)
+    compared(case, HeldRestLength(case.value, 100.0, 1.0))
+
+
+@needs_mujoco
+def test_mujoco_refuses_a_result_with_a_damped_string_gone_slack():
+    case = prism_case(vertical=9.0, damping=0.05)
+    with pytest.raises(ArithmeticError, match=r"string \d is damped and went slack"):
+        solved(MuJoCo("rk4"), case, 1e-3, outputs=50)
+
+
+@needs_mujoco
+def test_mujoco_takes_elastic_strings():
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.ElasticStrings(80.0))
+    lengths = model.strings.rest_length(prism.string_length(), paper_force_density(40.0))
+    compared(Case(model, 0.3, held="rest_length", value=lengths))
+
+
+@needs_mujoco
+@pytest.mark.parametrize("fixed", [[3], [3, 4], [3, 4, 5], [0, 3, 4, 5]])
+def test_mujoco_takes_fixed_nodes_and_gravity(fixed):
+    """A bar with a fixed end hangs on a ball joint; one with two is part of the support."""
+    prism = tc.prism()
+    standing = tc.Structure(prism.nodes, prism.bars, prism.strings, 2.0, fixed=fixed)
+    model = tc.Model(standing, strings=tc.LinearStrings(100.0), gravity=9.81)
+    lengths = rest_lengths(standing, paper_force_density(45.0), 100.0)
+    case = Case(model, 0.3, held="rest_length", value=lengths)
+    rates = ours(case)[1][:, :, -1]
+    nodes = tc.restore_bar_lengths(standing, ours(case)[0][:, :, -1])
+    moving = Case(model, 0.2, nodes, _rigid(standing, nodes, rates), held="rest_length",
+                  value=lengths)  # fmt: skip
+    compared(case)
+    found = compared(moving)
+    np.testing.assert_array_equal(found.nodes[:, fixed], nodes[:, fixed, None].repeat(5, axis=2))
+
+
+def _rigid(structure, nodes, rates):
+    """Rates with the stretching of bars, round-off, taken out."""
+    rates = rates.copy()
+    for start, end in structure.bars:
+        if start in structure.fixed and end in structure.fixed:
+            continue
+        moved = start if end in structure.fixed else end
+        b, d = nodes[:, end] - nodes[:, start], rates[:, end] - rates[:, start]
+        sign = 1.0 if moved == end else -1.0
+        rates[:, moved] -= sign * b * (b @ d) / (b @ b)
+    return rates
+
+
+@needs_mujoco
+@pytest.mark.parametrize("even", [True, False])
+def test_mujoco_takes_loads(even):
+    """Equal at the ends of a bar they push its centre; else they turn it, in space's directions."""
+    structure = random_structure(5, bars=3, points=2)
+    load = np.random.default_rng(1).normal(size=(3, 8))
+    if even:
+        load[:, structure.bars[:, 1]] = load[:, structure.bars[:, 0]]
+    gamma = random_force_density(structure, 5)
+    model = tc.Model(structure, external_force=True, gravity=[0.0, 1.0, -9.0])
+    case = Case(model, 0.2, held="force_density", value=gamma, external_force=load)
+    compared(case, HeldForceDensity(gamma))
+
+
+@needs_mujoco
+def test_mujoco_takes_loads_on_swinging_bars():
+    structure = tc.Structure(
+        [[0.0, 1.0, 2.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]], [[0, 1]], [[1, 2]], 1.5, fixed=[0, 2]
+    )
+    load = np.zeros((3, 3))
+    load[:, 1] = 1.0, 2.0, -3.0
+    model = tc.Model(structure, external_force=load)
+    compared(Case(model, 0.5, held="force_density", value=2.0))
+
+
+@needs_mujoco
+def test_mujoco_gains_four_orders_by_its_best_method():
+    """Fitted over steps of 8 to 1 ms: 4 for rk4, 1 for the others."""
+    case = prism_case()
+    exact = oracle(case, HeldRestLength(case.value, 100.0))
+    steps = np.array([8e-3, 4e-3, 2e-3, 1e-3])
+    for method in METHODS:
+        errors = [np.abs(solved(MuJoCo(method), case, h).nodes - exact).max() for h in steps]
+        order = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+        assert order == pytest.approx(4.0 if method == "rk4" else 1.0, abs=0.4)
