@@ -52,11 +52,16 @@ if TYPE_CHECKING:
     from tenscontrol.control import (
         LQR,
         MPC,
+        NMPC,
         Command,
         Controller,
+        HeldLoop,
         MPCStatistics,
+        NMPCStatistics,
+        OutputLimit,
         Reference,
         energy_weights,
+        held_loop,
         lqr,
     )
     from tenscontrol.dynamics import (
@@ -151,11 +156,16 @@ _HOME = {
     "control": [
         "LQR",
         "MPC",
+        "NMPC",
         "Command",
         "Controller",
+        "HeldLoop",
         "MPCStatistics",
+        "NMPCStatistics",
+        "OutputLimit",
         "Reference",
         "energy_weights",
+        "held_loop",
         "lqr",
     ],
     "dynamics": [

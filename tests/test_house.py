@@ -76,7 +76,7 @@ MAY_IMPORT = {
     "dynamics": {"structure"},
     "integrate": {"dynamics", "structure"},
     "analysis": {"dynamics", "statics", "structure"},
-    "control": {"analysis", "dynamics", "statics", "structure"},
+    "control": {"actuation", "analysis", "dynamics", "statics", "structure"},
     "actuation": {"dynamics", "structure"},
     "simulation": {"integrate", "actuation", "dynamics", "structure", "control.controller"},
     "accuracy": {"simulation", "integrate", "actuation", "analysis", "dynamics", "statics"}
@@ -500,6 +500,8 @@ CONSTRUCTED = {
     "Limits",
     "ElasticStrings",
     "Height",
+    "NMPC",
+    "OutputLimit",
     "LinearStrings",
     "MPC",
     "Model",
@@ -626,6 +628,9 @@ def values():
         regulator.command(0.0, prism.nodes, still),
         tc.Reference([0.0], prism.nodes[:, :, None]),
         mpc.statistics,
+        tc.NMPC(plant, horizon=3, step=0.01, max_force_density=50.0).statistics,
+        tc.OutputLimit(np.ones((1, 18)), np.zeros(1), np.ones(1)),
+        tc.held_loop(plant, regulator.gain, step=0.01),
         tc.load_scene(PROJECT / "examples" / "scenes" / "prism_free.toml"),
     ]
     case = tc.Case(model, 0.05, held="force_density", value=rest.force_density)

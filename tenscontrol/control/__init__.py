@@ -1,18 +1,26 @@
 """Controllers: LQR and MPC behind one face."""
 
+from tenscontrol.control.constraints import OutputLimit
 from tenscontrol.control.controller import Command, Controller
+from tenscontrol.control.held_loop import HeldLoop, held_loop
 from tenscontrol.control.lqr import LQR, lqr
 from tenscontrol.control.mpc import MPC, MPCStatistics
+from tenscontrol.control.nmpc import NMPC, NMPCStatistics
 from tenscontrol.control.reference import Reference
 from tenscontrol.control.weights import energy_weights
 
 __all__ = [
     "LQR",
     "MPC",
+    "NMPC",
     "Command",
     "Controller",
+    "HeldLoop",
     "MPCStatistics",
+    "NMPCStatistics",
+    "OutputLimit",
     "Reference",
     "energy_weights",
+    "held_loop",
     "lqr",
 ]

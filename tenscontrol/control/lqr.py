@@ -129,21 +129,36 @@ def lqr(
 
     import control
 
+    # Solved with states and inputs in units of the same energy: a stiff plant is out of reach else.
+    unit, level = state_units(plant)
+    if step is None:
+        A, B = plant.A, plant.B
+    else:
+        A, B, _ = plant.discretize(positive_number("step", step, "s"))
+    scaled = (
+        A * unit / unit[:, None],
+        level * B / unit[:, None],
+        unit[:, None] * state_weight * unit,
+        level**2 * input_weight,
+    )
     try:
-        if step is None:
-            A, B = plant.A, plant.B
-            K, P, poles = control.lqr(A, B, state_weight, input_weight)
-        else:
-            A, B, _ = plant.discretize(positive_number("step", step, "s"))
-            K, P, poles = control.dlqr(A, B, state_weight, input_weight)
+        K, P, poles = (control.lqr if step is None else control.dlqr)(*scaled)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ValueError(
             f"the Riccati equation has no stabilizing solution: {error}. An undamped mode without "
             "weight in Q is one reason; weights that differ by many powers of ten are another"
         ) from error
-    residual = _riccati_residual(A, B, state_weight, input_weight, P, discrete=step is not None)
+    residual = _riccati_residual(*scaled, P, discrete=step is not None)
     _refuse_bad_solution(poles, residual, discrete=step is not None)
-    return LQR(plant, step, bounds, K, poles, P, residual)
+    return LQR(plant, step, bounds, level * K / unit, poles, P / unit[:, None] / unit, residual)
+
+
+def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:
+    """Return units of the state, shape (s,), and of the input: of one speed and acceleration."""
+    r = plant.degrees_of_freedom
+    highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
+    push = float(np.linalg.norm(plant.B, 2)) or 1.0
+    return np.r_[np.full(r, 1 / highest), np.ones(r)], highest / push
 
 
 def _riccati_residual(

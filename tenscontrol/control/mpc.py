@@ -1,29 +1,30 @@
-"""Linear model predictive control of force densities that cannot be negative."""
+"""Linear model predictive control of strings that cannot push."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
+from tenscontrol.actuation import Winches
 from tenscontrol.analysis import LinearPlant
-from tenscontrol.control.bounds import input_bounds
+from tenscontrol.control.constraints import OutputLimit
 from tenscontrol.control.controller import Controller
-from tenscontrol.control.horizon import Condensed, Form, Horizon, Sparse
-from tenscontrol.control.lqr import lqr
+from tenscontrol.control.held_loop import warn_of_held_lengths
+from tenscontrol.control.horizon import Condensed, Sparse
+from tenscontrol.control.load_observer import load_observer
+from tenscontrol.control.mpc_design import Wishes, default_penalty, design
+from tenscontrol.control.path import Path, acceleration_response, checked_reference
+from tenscontrol.control.problem import Course, Form
 from tenscontrol.control.quadratic_program import QuadraticProgram, Status
-from tenscontrol.control.reference import ReducedReference, Reference
-from tenscontrol.control.weights import energy_weights, weight_matrix
 from tenscontrol.validation import (
     FloatArray,
     choice,
-    float_array,
     frozen,
     instance,
-    per_member,
-    positive,
     positive_number,
     whole_number,
 )
@@ -32,9 +33,6 @@ FORMS = ("auto", "condensed", "sparse")
 
 # Up to so many unknown inputs the dense form is the cheaper one: tests/benchmarks/mpc_step.py.
 _LARGEST_CONDENSED = 600
-
-# Input weight, in units of energy_weights, when the user gives none.
-_INPUT_WEIGHT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,28 +62,34 @@ class MPC(Controller):
     zero-order-hold discretization, a quadratic program is solved by OSQP, and
     the first input is applied. The terminal cost is that of the discrete LQR.
 
+    Where the plant's input is the rest length, γ moves with the structure: its
+    limits are linear in state and input, and soft, since a push may slacken a
+    string before any winch moves. Along a reference, rest lengths start from
+    those that hold its shapes, and the plant's dynamics are taken about them.
+
     If a program is not solved, the command is the next input of the last plan
-    that was; when that is used up, γ of the operating point. Either is counted
-    (:attr:`statistics`) and shows in the status of the command.
+    that was; when that is used up, γ of the operating point, or the last rest
+    lengths. Either is counted (:attr:`statistics`) and shows in the status.
 
     Parameters
     ----------
     plant : LinearPlant
-        In internal coordinates, with ``input="force_density"``.
+        In internal coordinates.
     horizon : int
         Number of samples predicted, at least 1.
     step : float
         Sample time, s.
     max_force_density : float or array_like, shape (α,)
-        Largest γ, N/m. The least is 0.
+        Largest γ, N/m. May be left out where the input is the rest length.
     Q : float or array_like, shape (2r,) or (2r, 2r), optional
-        Weight of ``z − reference``. If not given, ω² on coordinates and 1 on
-        rates, ω the highest frequency of the plant.
+        Weight of ``z − reference``. If not given, that of :func:`energy_weights`,
+        by mode where the input is the rest length.
     R : float or array_like, shape (α,) or (α, α), optional
-        Weight of the departure of γ from the operating point. If not given, a
-        tenth of the cost of the displacement that the input would hold.
+        Weight of the departure of the input from the operating point, or from
+        the rest lengths that hold the reference. If not given, that of
+        :func:`energy_weights`; a tenth of it for γ.
     max_change : float or array_like, shape (α,), optional
-        Largest change of γ from sample to sample, N/m; no limit if not given.
+        Largest change of the input from sample to sample, N/m or m.
     reference : Reference or array_like, shape (3, n), optional
         Shapes to follow, seen ahead over the horizon; a single shape is a
         constant one. The operating point if not given.
@@ -94,15 +98,39 @@ class MPC(Controller):
         cheaper one by size.
     tolerance : float
         OSQP's absolute and relative tolerance, in units of the largest γ at
-        the operating point.
+        the operating point, or of the largest stretch.
     max_iterations : int
         OSQP's limit.
+    min_force_density : float or array_like, shape (α,)
+        Least γ, N/m, at least 0.
+    max_tension : float or array_like, shape (α,), optional
+        Strength of the strings, N.
+    winches : Winches, optional
+        Speed and range that bound rest lengths, never violated.
+    outputs : sequence of OutputLimit
+        Limits on node positions.
+    string_penalty : float, optional
+        Price of a γ or tension beyond its limit (L1): of one violated by its
+        largest value at the operating point, against an input that is off by
+        its unit. ``inf`` makes them hard; commands of γ are within bounds always.
+    load_gain : float, optional
+        With it a constant unknown load is estimated, at most 1 (at once), and
+        the plant is brought to rest at the reference under it.
+    tracked : array_like, shape (p, 3n), optional
+        Combinations of node positions to be free of offset under a load; all
+        coordinates, as well as can be, if not given.
 
     Raises
     ------
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit, or the plant has a
         pole that no string reaches.
+
+    Warns
+    -----
+    RuntimeWarning
+        If γ is commanded but the strings are so stiff that winches, which hold
+        rest lengths between samples, would undo it: see :func:`held_loop`.
 
     Examples
     --------
@@ -121,7 +149,7 @@ class MPC(Controller):
         plant: LinearPlant,
         horizon: int,
         step: float,
-        max_force_density: object,
+        max_force_density: object = None,
         *,
         Q: object = None,
         R: object = None,
@@ -130,47 +158,31 @@ class MPC(Controller):
         form: str = "auto",
         tolerance: float = 1e-4,
         max_iterations: int = 4000,
+        min_force_density: object = 0.0,
+        max_tension: object = None,
+        winches: Winches | None = None,
+        outputs: Sequence[OutputLimit] = (),
+        string_penalty: float | None = None,
+        load_gain: float | None = None,
+        tracked: object = None,
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-        if plant.input != "force_density":
-            raise ValueError(
-                f"plant has input={plant.input!r}, but MPC commands force densities; "
-                "linearize with input='force_density'"
-            )
-        if max_force_density is None:
-            raise TypeError("max_force_density is None, expected a positive number in N/m")
+        if winches is not None:
+            instance("winches", winches, Winches, "make them by Winches(rate=...)")
         step = positive_number("step", step, "s")
-        super().__init__(plant, step, *input_bounds(plant, max_force_density))
-        states, count = plant.B.shape
         length = whole_number("horizon", horizon, least=1)
-        natural_Q, natural_R = energy_weights(plant)
-        state_weight = natural_Q if Q is None else weight_matrix("Q", Q, states, definite=False)
-        input_weight = (
-            _INPUT_WEIGHT * natural_R if R is None else weight_matrix("R", R, count, definite=True)
-        )
-        regulator = lqr(plant, state_weight, input_weight, step=step)
-        change = None
-        if max_change is not None:
-            change = per_member("max_change", max_change, count, "string")
-            positive("max_change", change, "change of force density in N/m")
-        transition, input_matrix, drift = plant.discretize(step)
-        problem = Horizon(
-            transition=transition,
-            input_matrix=input_matrix,
-            drift=drift,
-            state_weight=state_weight,
-            input_weight=input_weight,
-            terminal_weight=regulator.cost,
-            low=self._low - plant.force_density,
-            high=self._high - plant.force_density,
-            change=change,
-            length=length,
-            level=float(plant.force_density.max()) or float(self._high.max()),
-            feedback=regulator.gain,
-        )
+        wishes = Wishes(
+            max_force_density, min_force_density, max_tension, max_change, winches, outputs,
+            default_penalty(string_penalty),
+        )  # fmt: skip
+        made = design(plant, length, step, Q, R, wishes)
+        super().__init__(plant, step, made.low, made.high)
+        self._problem, self._constraints = made.problem, made.constraints
         if choice("form", form, FORMS) == "auto":
-            form = "condensed" if problem.input_count <= _LARGEST_CONDENSED else "sparse"
-        self._form: Form = Condensed(problem) if form == "condensed" else Sparse(problem)
+            form = "condensed" if self._problem.input_count <= _LARGEST_CONDENSED else "sparse"
+        self._form: Form = (
+            Condensed(self._problem) if form == "condensed" else Sparse(self._problem)
+        )
         self._form_name = form
         self._program = QuadraticProgram(
             self._form.P,
@@ -178,10 +190,13 @@ class MPC(Controller):
             positive_number("tolerance", tolerance, "units of the largest force density"),
             whole_number("max_iterations", max_iterations, least=1),
         )
-        self._problem = problem
-        self._ahead: FloatArray = step * np.arange(1.0, length + 1)
+        self._push = acceleration_response(plant, step)
+        self._observer = load_observer(plant, self._push, load_gain, tracked)
+        self._now: FloatArray = step * np.arange(length + 1.0)
         self.follow(reference)
         self.reset()
+        if plant.input == "force_density" and plant.model.strings is not None:
+            warn_of_held_lengths(plant, self._problem.feedback, step)
 
     @property
     def form(self) -> str:
@@ -200,8 +215,13 @@ class MPC(Controller):
 
     @property
     def plan(self) -> FloatArray:
-        """γ that the last solved program planned, N/m, shape (α, N); empty before the first."""
-        return frozen((self._plan + self.plant.force_density).T)
+        """Inputs that the last solved program planned, shape (α, N); empty before the first."""
+        return frozen(self._plan.T)
+
+    @property
+    def load(self) -> FloatArray | None:
+        """Accelerations laid to an unknown load, shape (r,); None where none is estimated."""
+        return None if self._observer is None else frozen(self._observer.acceleration)
 
     def follow(self, reference: object) -> None:
         """Follow another reference from now on.
@@ -216,71 +236,90 @@ class MPC(Controller):
         TypeError, ValueError
             If it does not fit the structure.
         """
-        plant = self.plant
-        shape = plant.nodes.shape
-        if reference is None:
-            reference = plant.nodes
-        if not isinstance(reference, Reference):
-            nodes = float_array("reference", reference)
-            if nodes.shape != shape:
-                raise ValueError(
-                    f"reference has shape {nodes.shape}, expected {shape}: one column per node; "
-                    "shapes over time go in a Reference(time, nodes)"
-                )
-            reference = Reference([0.0], nodes[:, :, None])
-        if reference.nodes.shape[:2] != shape:
-            raise ValueError(
-                f"reference.nodes has shape {reference.nodes.shape}, "
-                f"expected {(*shape, len(reference.time))}: one column per node"
-            )
-        still = np.zeros(shape)
-        shapes = [reference.nodes[:, :, k] for k in range(len(reference.time))]
-        coordinates = [plant.measure(N, still)[: plant.degrees_of_freedom] for N in shapes]
-        self._reference = ReducedReference(reference.time, np.array(coordinates))
+        checked = checked_reference(self.plant, reference)
+        assert self.step is not None  # given to the constructor
+        self._path = Path(self.plant, checked, self.step, self._push, self._problem.drift)
 
     def reset(self) -> None:
-        """Forget the last plan and the statistics."""
-        count = len(self._low)
-        self._plan = np.zeros((0, count))
+        """Forget the last plan, the estimated load and the statistics."""
+        self._plan = np.zeros((0, len(self._low)))
         self._used = 0
         self._guess: tuple[FloatArray, FloatArray] | None = None
-        self._previous = np.zeros(count)
+        self._previous: FloatArray | None = None
         self._statuses: list[str] = []
         self._iterations: list[int] = []
+        if self._observer is not None:
+            self._observer.reset()
 
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
-        reference = self._reference.at(time + self._ahead)
-        vectors = self._form.vectors(state, reference, self._previous)
+        problem, path = self._problem, self._path.at(time + self._now)
+        reference = self._path.wanted(time + self._now[1:])
+        origin = path.input[:-1]
+        if self._previous is None:
+            self._previous = origin[0]
+        rest = path.rest[:-1]
+        drift = rest - rest @ problem.transition.T + path.drift[:-1]
+        effort = np.zeros_like(origin)
+        if self._observer is not None:
+            self._observer.correct(state)
+            drift = drift + self._observer.drift
+            r = self.plant.degrees_of_freedom
+            known = (reference - path.rest[1:])[:, :r] @ self.plant.A[r:, :r].T
+            shift, effort = self._observer.rest(known)
+            reference = reference + np.hstack([shift, np.zeros_like(shift)])
+        row_low, row_high = self._constraints.bounds(path, problem.length)
+        course = Course(
+            drift=drift,
+            input_reference=effort,
+            low=self._low - origin,
+            high=self._high - origin,
+            shift=np.diff(origin, axis=0, prepend=origin[:1]),
+            row_low=row_low,
+            row_high=row_high,
+        )
+        vectors = self._form.vectors(state, reference, self._previous - origin[0], course)
         answer = self._program.solve(*vectors, start=self._guess)
         self._iterations.append(answer.iterations)
         if answer.x is None or answer.y is None:
-            return self._fall_back(answer.status.value)
-        # Solved to a tolerance: what is left outside the bounds is cut off.
-        inputs = self._form.inputs(answer.x, state)
-        self._plan = np.clip(inputs, self._problem.low, self._problem.high)
-        self._used = 0
-        self._guess = self._form.shifted(answer.x, answer.y)
-        self._statuses.append(answer.status.value)
-        return self._applied(self._plan[0]), answer.status.value
+            wish, status = self._fall_back(answer.status.value)
+        else:
+            # Solved to a tolerance: what is left outside the bounds is cut off.
+            inputs = origin + self._form.inputs(answer.x, state, course)
+            self._plan = np.clip(inputs, self._low, self._high)
+            self._used = 0
+            self._guess = self._form.shifted(answer.x, answer.y)
+            self._statuses.append(answer.status.value)
+            wish, status = self._applied(self._plan[0]), answer.status.value
+        if self._observer is not None:
+            applied = np.clip(wish, self._low, self._high) - origin[0]
+            self._observer.expect(
+                problem.transition @ state + problem.input_matrix @ applied + drift[0]
+            )
+        return wish, status
 
     def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
         self._used += 1
         self._guess = None
+        if self._observer is not None:
+            self._observer.expect(None)
         if self._used < len(self._plan):
             wish, what = self._plan[self._used], "last plan continued"
+        elif self.input == "rest_length" and self._previous is not None:
+            wish, what = self._previous, "last command held"
         else:
-            wish, what = np.zeros_like(self._low), "equilibrium held"
+            wish, what = self.plant.equilibrium_input, "equilibrium held"
         status = f"{reason}: {what}"
         self._statuses.append(status)
         return self._applied(wish), status
 
     def _applied(self, wish: FloatArray) -> FloatArray:
-        """Return γ of an input, and remember the input for the limit of its change."""
+        """Return the input with its change limited, and remember it."""
         change = self._problem.change
         if change is not None:
-            wish = np.clip(wish, self._previous - change, self._previous + change)
+            before = self.plant.equilibrium_input if self._previous is None else self._previous
+            wish = np.clip(wish, before - change, before + change)
         self._previous = wish
-        return wish + self.plant.force_density
+        return wish
 
     def __repr__(self) -> str:
         return (

@@ -90,6 +90,7 @@ class QuadraticProgram:
         self.tolerance, self.max_iterations = tolerance, max_iterations
         self._shapes = {"q": columns, "l": rows, "u": rows}
         self._status = {status.value: _STATUS[status.name] for status in osqp.SolverStatus}
+        self._nonzeros = csc_matrix(A).nnz
         self._solver = osqp.OSQP()
         self._solver.setup(
             P=csc_matrix(triu(P)),
@@ -108,6 +109,22 @@ class QuadraticProgram:
             adaptive_rho_interval=50,
             check_termination=5,
         )
+
+    def update(self, A: FloatArray) -> None:
+        """Put other values into A, in the order of its columns; the pattern stays.
+
+        Parameters
+        ----------
+        A : ndarray, shape (nonzeros of A,)
+
+        Raises
+        ------
+        ValueError
+            If there are not as many values as A has nonzeros, or one is not finite.
+        """
+        if A.shape != (self._nonzeros,) or not np.isfinite(A).all():
+            raise ValueError(f"A needs {self._nonzeros} finite values, got shape {A.shape}")
+        self._solver.update(Ax=A)
 
     def solve(
         self,

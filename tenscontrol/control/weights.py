@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.analysis import LinearPlant
-from tenscontrol.validation import FloatArray, float_array, instance
+from tenscontrol.validation import FloatArray, float_array, instance, truth
 
 _TOLERANCE = 1e-12
 
@@ -49,7 +49,7 @@ def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatA
     return np.array(matrix)
 
 
-def energy_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
+def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArray, FloatArray]:
     """Return weights that make displacement, speed and input commensurate.
 
     With ω the highest frequency of the plant (1 rad/s if all are zero) and b
@@ -60,6 +60,12 @@ def energy_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
     Parameters
     ----------
     plant : LinearPlant
+    by_mode : bool
+        Whether each displacement costs its own energy, ``qᵀ K q`` with K the
+        stiffness (unstable parts by size), in place of ω² for all. Where frequencies
+        lie far apart, as with stiff strings of held rest length, ω² for all asks
+        for soft motions to be moved as fast as the stiffest one, which slackens
+        the strings.
 
     Returns
     -------
@@ -69,7 +75,7 @@ def energy_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
     Raises
     ------
     TypeError
-        If ``plant`` is not a linear plant.
+        If ``plant`` is not a linear plant, or ``by_mode`` is not a truth value.
 
     Examples
     --------
@@ -85,4 +91,8 @@ def energy_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
     highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
     push = float(np.linalg.norm(plant.B, 2))
     Q = np.diag(np.r_[np.full(r, highest**2), np.ones(r)])
+    if truth("by_mode", by_mode, "whether each displacement costs its own energy"):
+        sizes, modes = np.linalg.eigh(-0.5 * (plant.A[r:, :r] + plant.A[r:, :r].T))
+        stiffness = (modes * np.abs(sizes)) @ modes.T
+        Q[:r, :r] = 0.5 * (stiffness + stiffness.T)
     return Q, np.eye(plant.B.shape[1]) * (push / highest) ** 2

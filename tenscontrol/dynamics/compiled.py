@@ -113,7 +113,7 @@ def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
     if found is None:
         return None
     began = perf_counter()
-    library, cached, cache = _library(_source(function), "-O2", found, timeout)
+    library, cached, cache = _library(_source(function), found, timeout)
     loaded = _load(function.name(), library)
     seconds = perf_counter() - began
     return Compiled(loaded, library, seconds, cached, cache.temporary, found)
@@ -125,7 +125,7 @@ def compiled_source(source: str, names: tuple[str, ...]) -> tuple[ca.Function, .
     Parameters
     ----------
     source : str
-        C code. It is optimized harder than that of :func:`compiled`: its loops gain by it.
+        C code.
     names : tuple of str
         Names of the functions.
 
@@ -147,7 +147,7 @@ def compiled_source(source: str, names: tuple[str, ...]) -> tuple[ca.Function, .
 
 
 def compiled_library(source: str) -> Path:
-    """Return the library of a C text, optimized hard; errors as :func:`compiled_source`.
+    """Return the library of a C text; errors as :func:`compiled_source`.
 
     Parameters
     ----------
@@ -160,20 +160,20 @@ def compiled_library(source: str) -> Path:
             "there is no C compiler: none of $CC, cc, gcc and clang is on the path, or it is "
             "switched off by TENSCONTROL_COMPILER. Install one, or go without compiled functions"
         )
-    library, *_ = _library(source, "-O3", found, timeout=600.0)
+    library, *_ = _library(source, found, timeout=600.0)
     return library
 
 
-def _library(source: str, level: str, found: Compiler, timeout: float) -> tuple[Path, bool, Cache]:
+def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, Cache]:
     """Return the library made of C code, whether it was there already, and where."""
     machine = (sys.platform, platform.machine(), *platform.libc_ver())
-    key = key_of(source, found, (level, *FLAGS), ca.__version__, *machine)
+    key = key_of(source, found, FLAGS, ca.__version__, *machine)
     cache = open_cache()
     library = cache.find(key)
     cached = library is not None
     if library is None:
         with cache.workshop() as folder:
-            library = cache.add(key, found.build(source, level, Path(folder), timeout))
+            library = cache.add(key, found.build(source, Path(folder), timeout))
     return library, cached, cache
 
 

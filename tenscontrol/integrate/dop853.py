@@ -11,7 +11,7 @@ from tenscontrol.dynamics import Equation, Evaluator
 from tenscontrol.integrate.dormand_prince import MORE_STAGES, POWERS, STAGES, DormandPrince
 from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span, Work
 from tenscontrol.integrate.scales import largest_frequency, state_scale
-from tenscontrol.integrate.switching import POLISHES, crossing, landing, taut_strings
+from tenscontrol.integrate.switching import crossing, landing, taut_strings
 from tenscontrol.validation import FloatArray, positive_number
 
 # Below, round-off rejects every step.
@@ -31,7 +31,17 @@ _SHORTEST = 10 * np.finfo(float).eps
 _STABLE = 4.0
 
 # What a turn carries beside x, its slope and taut.
-_CARRIED = ("time", "step", "stuck", "tries", "rejections", "landings", "switches", "interpolants")
+_CARRIED = (
+    "time",
+    "step",
+    "stuck",
+    "tries",
+    "rejections",
+    "landings",
+    "approaches",
+    "switches",
+    "interpolants",
+)
 
 
 @final
@@ -127,14 +137,13 @@ class DOP853(Integrator):
 
 def _work(told: dict[str, float]) -> Work:
     tries, landings = round(told["tries"]), round(told["landings"])
-    # A landing takes steps of its own, two slopes for its interpolant, and a new start.
-    each = (STAGES * (POLISHES + 1), 3)
     return Work(
         steps=tries - round(told["rejections"]),
         rejections=round(told["rejections"]),
         evaluations=1
-        + STAGES * tries
-        + sum(each) * landings
+        + STAGES * (tries + round(told["approaches"]))
+        # A landing takes two slopes for its interpolant, its last step again, and a new start.
+        + (STAGES + 3) * landings
         + MORE_STAGES * round(told["interpolants"]),
         switches=round(told["switches"]),
     )
@@ -254,7 +263,7 @@ class _Turn:
     def _cut(self) -> ca.Function:
         x, f, taut = self._state
         land = landing(self._method.plain(), self._equation)
-        _, taut2, taken, switched = land(x, taut, self._u, self._h, self._x1)
+        _, taut2, taken, switched, tries = land(x, taut, self._u, self._h, self._x1)
         x2, f2, _, K2 = self._tried(x, f, self._u, taut, taken, self._scale)
         time = self._after(taken)
         record, made = self._recorded(x, x2, f, f2, K2, time, taken)
@@ -263,6 +272,7 @@ class _Turn:
             step=self._h * ca.fmin(self._factor(), 1),
             tries=1,
             landings=1,
+            approaches=tries,
             switches=switched,
             interpolants=made,
         )

@@ -23,9 +23,9 @@ _BAND = 1e-11
 # The search inside a step: samples, how often it zooms in on the samples next to the first
 # crossing, and true steps to the place found. The interpolant is off by O(h⁶), its slope by
 # O(h⁵), so each true step gains several digits.
-_SAMPLES = 8
-_ZOOMS = 3
-POLISHES = 4
+_SAMPLES = 6
+_ZOOMS = 2
+_POLISHES = 4
 
 # Pieces that one step may be cut into; the rest is then taken whole, and counted.
 _PIECES = 8
@@ -55,8 +55,8 @@ def located(step: ca.Function, equation: Equation) -> ca.Function:
     x, taut, u, h, x1 = _symbols(equation)
     attempt, land = _attempt(step, equation), landing(step, equation)
     uncut = ca.Function("uncut", [x, taut, u, h, x1], [x1, taut, _count(tries=1)])
-    x2, taut2, taken, switched = land(x, taut, u, h, x1)
-    counts = _count(tries=1 + POLISHES, landings=1, switches=switched)
+    x2, taut2, taken, switched, tries = land(x, taut, u, h, x1)
+    counts = _count(tries=1 + tries, landings=1, switches=switched)
     finish = _finish(step, _piece(attempt, land, equation), equation)
     state = finish(ca.vertcat(x2, taut2, h - taken, counts), ca.vertcat(u, h))
     end, end_taut, _, counts = _split(state, equation)
@@ -102,9 +102,9 @@ def crossing(equation: Equation) -> ca.Function:
 
 
 def landing(step: ca.Function, equation: Equation) -> ca.Function:
-    """Return ``(x, taut, u, h, x1) -> (x2, taut2, taken, switched)``: the step to the first switch.
+    """Return ``(x, taut, u, h, x1) -> (x2, taut2, taken, switched, tries)``: up to a switch.
 
-    The switch is sought on the quintic interpolant of positions, velocities and
+    The first switch of a step is sought on the quintic interpolant of positions, velocities and
     accelerations at both ends, then approached by true steps. Where there is
     none after all, the step is returned as it was.
     """
@@ -122,11 +122,11 @@ def landing(step: ca.Function, equation: Equation) -> ca.Function:
     chosen = outside <= out + 0.5 * _BAND * ca.mmin(u)
     before, after = (ca.dot(chosen, value) / ca.sum1(chosen) for value in (inside, outside))
     speed = (after - before) / (high - low)
-    reached = _approach(step, equation).fold(POLISHES)(
-        ca.vertcat(low - before / speed, low, before, speed, x1),
-        *(ca.repmat(a, 1, POLISHES) for a in (x, taut, u, h, chosen)),
+    reached = _approach(step, equation).fold(_POLISHES)(
+        ca.vertcat(low - before / speed, low, before, speed, 0, x1),
+        *(ca.repmat(a, 1, _POLISHES) for a in (x, taut, u, h, chosen)),
     )
-    part, end = reached[1], reached[4:]
+    part, steps, end = reached[1], reached[4], reached[5:]
     # Whatever else has reached the border and is on its way out switches with it.
     at_border = (2 * taut - 1) * equation.gap(end, u)[0] <= 0.5 * _BAND * u
     switch = ca.logic_and(at_border, outside < inside)
@@ -135,6 +135,7 @@ def landing(step: ca.Function, equation: Equation) -> ca.Function:
         ca.if_else(found, ca.fabs(taut - switch), taut),
         ca.if_else(found, part * h, h),
         ca.if_else(found, ca.sum1(switch), 0),
+        steps,
     ]
     return ca.Function("landing", [x, taut, u, h, x1], outputs)
 
@@ -212,12 +213,13 @@ def _approach(step: ca.Function, equation: Equation) -> ca.Function:
     """Return one true step towards the switch by the secant method, for ``fold``.
 
     The state is the part of the step to take next, the part last taken, the
-    room there, its slope along the step, and where the part last taken led.
+    room there, its slope along the step, how many steps were taken, and where
+    the last one led. Once that is the border, nothing more is done.
     """
     x, taut, u, h, _ = _symbols(equation)
-    state = ca.MX.sym("state", 4 + equation.states)
+    state = ca.MX.sym("state", 5 + equation.states)
     chosen = ca.MX.sym("chosen", equation.switches)
-    wanted, before, gap_before, speed = state[0], state[1], state[2], state[3]
+    wanted, before, gap_before, speed, taken = (state[i] for i in range(5))
     # A string that only grazes the border has no slope to follow.
     part = ca.fmin(ca.fmax(ca.if_else(speed < 0, wanted, 0), 0), 1)
     end = step(x, u, taut, part * h)
@@ -226,8 +228,15 @@ def _approach(step: ca.Function, equation: Equation) -> ca.Function:
     apart = ca.fabs(part - before) > 1e-6
     secant = (gap - gap_before) / ca.if_else(apart, part - before, 1)
     speed = ca.if_else(ca.logic_and(apart, secant < 0), secant, speed)
-    following = ca.vertcat(part - gap / speed, part, gap, speed, end)
-    return ca.Function("approach", [state, x, taut, u, h, chosen], [following])
+    inputs = [state, x, taut, u, h, chosen]
+    again = ca.vertcat(part - gap / speed, part, gap, speed, taken + 1, end)
+    choose = ca.Function.if_else(
+        "again_or_there",
+        ca.Function("again", inputs, [again]),
+        ca.Function("there", inputs, [state]),
+    )
+    far = ca.logic_or(taken == 0, ca.fabs(gap_before) > 0.4 * _BAND * ca.mmin(u))
+    return ca.Function("approach", inputs, [choose(far, *inputs)])
 
 
 def _piece(attempt: ca.Function, land: ca.Function, equation: Equation) -> ca.Function:
@@ -239,8 +248,8 @@ def _piece(attempt: ca.Function, land: ca.Function, equation: Equation) -> ca.Fu
     left, counts = ca.MX.sym("left"), ca.MX.sym("counts", len(COUNTS))
     inputs = [x, taut, left, counts, u]
     over = ca.Function("over", [*inputs, x1], [ca.vertcat(x1, taut, 0, counts + _count(tries=1))])
-    x2, taut2, taken, switched = land(x, taut, u, left, x1)
-    more = _count(tries=1 + POLISHES, landings=1, switches=switched)
+    x2, taut2, taken, switched, tries = land(x, taut, u, left, x1)
+    more = _count(tries=1 + tries, landings=1, switches=switched)
     again = ca.Function(
         "again", [*inputs, x1], [ca.vertcat(x2, taut2, left - taken, counts + more)]
     )

@@ -1,0 +1,152 @@
+"""What becomes of a law in force densities where winches hold the rest lengths between samples."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol.analysis import LinearPlant, OperatingPoint, command_parents, linearize
+from tenscontrol.control.strings import gather_lengths, spread, string_map
+from tenscontrol.validation import FloatArray, instance, positive_number, shaped
+
+# γ given to slack strings, relative to the tautest: the loop is looked at from the taut side.
+_TAUT = 1e-6
+
+# A loop that settles slower than this fraction of its design no longer follows: see
+# tests/control/test_held_loop.py, where loops on both sides of it are run on the nonlinear prism.
+_SLOWEST = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class HeldLoop:
+    """A law in γ as winches make it. Made by :func:`held_loop`.
+
+    Attributes
+    ----------
+    radius : float
+        Spectral radius of the sampled loop with rest lengths held.
+    designed_radius : float
+        The same with γ held, as the law was designed.
+    """
+
+    radius: float
+    designed_radius: float
+
+    @property
+    def rate_ratio(self) -> float:
+        """Rate at which the loop settles, relative to its design; negative if it is unstable."""
+        return float(np.log(self.radius) / np.log(self.designed_radius))
+
+    @property
+    def holds(self) -> bool:
+        """Whether the loop is stable and settles at a quarter of the designed rate or faster."""
+        return self.rate_ratio >= _SLOWEST
+
+
+def held_loop(plant: LinearPlant, gain: object, step: float) -> HeldLoop:
+    """Return how a sampled law that wants γ does where winches hold rest lengths.
+
+    At each sample the wanted ``γ₀ − K z`` is turned into rest lengths at the measured
+    shape; until the next these are held, so that γ moves with the structure:
+    ``z⁺ = Φ z + Γ L (−K z − G z)`` with Φ and Γ of the plant whose input is the rest length,
+    G the change of γ with the shape and L that of the rest length with γ.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        With ``input="force_density"``, of a model with a string law.
+    gain : array_like, shape (α, 2r)
+        K, for example that of :func:`lqr`.
+    step : float
+        Sample time, s.
+
+    Returns
+    -------
+    HeldLoop
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit, the plant has another input or its model no string law.
+
+    Examples
+    --------
+    Stiff strings undo what was wanted long before the next sample:
+
+    >>> import tenscontrol as tc
+    >>> from tenscontrol.control import held_loop
+    >>> prism = tc.prism()
+    >>> for stiffness in (1e2, 1e4):
+    ...     model = tc.Model(prism, strings=tc.LinearStrings(stiffness))
+    ...     plant = tc.linearize(model, tc.prestress(prism, force_density=17.3205))
+    ...     Q, R = tc.energy_weights(plant)
+    ...     law = tc.lqr(plant, Q, 0.1 * R, step=0.02)
+    ...     print(held_loop(plant, law.gain, law.step).holds)
+    True
+    False
+    """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    step = positive_number("step", step, "s")
+    if plant.input != "force_density" or plant.model.strings is None:
+        raise ValueError(
+            f"plant has input={plant.input!r} and its model "
+            f"{'no' if plant.model.strings is None else 'a'} string law; expected "
+            "input='force_density' and Model(structure, strings=...)"
+        )
+    count, states = plant.B.shape[1], len(plant.A)
+    K = shaped("gain", gain, (count, states), "one row per string, one column per state")
+    gamma = spread(plant, "force_density", plant.force_density)
+    least = _TAUT * (float(gamma.max()) or float(np.min(_softest(plant))))
+    at = OperatingPoint(plant.nodes, np.maximum(gamma, least), plant.external_force)
+    held = linearize(
+        plant.model, at, "rest_length", plant.coordinates.kind, require_equilibrium=False
+    )
+    strings = string_map(held, "rest_length")
+    by_shape = strings.gamma_by_state.copy()
+    by_shape[:, states // 2 :] = 0.0  # the conversion knows no rates
+    by_length = np.diag(strings.gamma_by_input)[:, None]
+    wanted = np.column_stack([spread(plant, "force_density", column) for column in -K.T]) - by_shape
+    wound = gather_lengths(plant, (wanted / by_length).T).T
+    if plant.commanded is not plant.model.structure:
+        held = command_parents(held)
+    transition, input_matrix, _ = held.discretize(step)
+    designed_transition, designed_input, _ = plant.discretize(step)
+    loops = (transition + input_matrix @ wound, designed_transition - designed_input @ K)
+    return HeldLoop(*(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops))
+
+
+def _softest(plant: LinearPlant) -> FloatArray:
+    """Return a force density that every string can have, N/m, where there is no prestress."""
+    law = plant.model.strings
+    assert law is not None  # checked by the caller
+    length = plant.model.structure.string_length(plant.nodes)
+    return law.force_density(length, 0.5 * length)
+
+
+def warn_of_held_lengths(plant: LinearPlant, gain: FloatArray, step: float) -> None:
+    """Warn the caller of the caller if winches would undo a law in γ.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    gain : ndarray, shape (α, 2r)
+    step : float
+        s.
+    """
+    loop = held_loop(plant, gain, step)
+    if loop.holds:
+        return
+    what = (
+        "the loop is unstable"
+        if loop.radius >= 1
+        else f"the loop settles at {100 * loop.rate_ratio:.0f} % of the rate it was designed for"
+    )
+    warnings.warn(
+        f"where winches hold rest lengths between samples of {step:g} s, strings this stiff undo "
+        f"a commanded γ: {what}. Linearize with input='rest_length'; if the actuators hold forces, "
+        "build the model without a string law",
+        RuntimeWarning,
+        stacklevel=3,
+    )

@@ -1,0 +1,119 @@
+"""An unknown constant load, found from what the plant does otherwise than predicted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tenscontrol.analysis import LinearPlant
+from tenscontrol.validation import FloatArray, float_array, positive_number
+
+# Weight of the departure of inputs in the choice of where to rest, against that of what is
+# tracked: small enough that nothing is given up for it.
+_THRIFT = 1e-6
+
+
+class LoadObserver:
+    """Estimates constant accelerations that the model does not know, and where to rest under them.
+
+    The state is measured whole, so the disturbance model needs no Kalman filter for it:
+    what the state did beyond the prediction is laid to accelerations a held over the sample,
+    ``a ← a + g Ψ⁺ (z − ẑ)``, which settles as (1 − g)^k. An integrating disturbance of as many
+    entries as are tracked is what offset-free tracking takes (Pannocchia & Rawlings 2003,
+    doi:10.1002/aic.690490213).
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    push : ndarray, shape (s, r)
+        Ψ: what unit accelerations, held over a sample, do to the state.
+    gain : float
+        g, above 0 and at most 1.
+    tracked : ndarray, shape (p, r)
+        What is to be brought to the reference, as combinations of q.
+    """
+
+    def __init__(
+        self, plant: LinearPlant, push: FloatArray, gain: float, tracked: FloatArray
+    ) -> None:
+        r, count = plant.degrees_of_freedom, plant.B.shape[1]
+        self._push = push
+        self._gain = gain * np.linalg.pinv(push)
+        # min ‖H q‖² + thrift (‖q‖² + ‖v‖²), in units of each, where A₂₁ q + B₂ v + a = 0.
+        stiffness, acting = plant.A[r:, :r], plant.B[r:]
+        reach = max(float(np.linalg.norm(stiffness, 2)), 1e-300)
+        unit = reach / float(np.linalg.norm(acting, 2))
+        size = max(float(np.linalg.norm(tracked, 2)), 1e-300)
+        weight = np.zeros((r + count, r + count))
+        weight[:r, :r] = tracked.T @ tracked / size**2
+        weight += _THRIFT * np.eye(r + count)
+        balance = np.hstack([stiffness / reach, acting * unit / reach])
+        system = np.block([[weight, balance.T], [balance, np.zeros((r, r))]])
+        answer = np.linalg.lstsq(system, np.vstack([np.zeros((r + count, r)), np.eye(r)]))[0]
+        self._shift = -answer[:r] / reach
+        self._input = -unit * answer[r : r + count] / reach
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the estimate."""
+        self.acceleration = np.zeros(self._push.shape[1])
+        self._expected: FloatArray | None = None
+
+    @property
+    def drift(self) -> FloatArray:
+        """What the load does to the state in a sample, shape (s,)."""
+        return np.asarray(self._push @ self.acceleration)
+
+    def rest(self, known: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return changes of q and v, shapes (K, r) and (K, α), at which the plant rests.
+
+        Parameters
+        ----------
+        known : ndarray, shape (K, r)
+            Accelerations beside those of the load.
+        """
+        total = known + self.acceleration
+        return total @ self._shift.T, total @ self._input.T
+
+    def correct(self, state: FloatArray) -> None:
+        """Compare a measured state, shape (s,), with what was expected."""
+        if self._expected is not None:
+            self.acceleration = self.acceleration + self._gain @ (state - self._expected)
+
+    def expect(self, state: FloatArray | None) -> None:
+        """Note the state expected at the next sample, the load included; None if unknown."""
+        self._expected = state
+
+
+def load_observer(
+    plant: LinearPlant, push: FloatArray, gain: float | None, tracked: object
+) -> LoadObserver | None:
+    """Return an observer for what a user asked for, None where no gain was given.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    push : ndarray, shape (s, r)
+    gain : float or None
+    tracked : array_like, shape (p, 3n), or None
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit.
+    """
+    if gain is None:
+        if tracked is not None:
+            raise ValueError("tracked says what is free of offset under a load: give load_gain")
+        return None
+    if positive_number("load_gain", gain, "no unit") > 1:
+        raise ValueError(f"load_gain is {gain:g}, expected above 0 and at most 1")
+    combinations = np.eye(plant.degrees_of_freedom)
+    if tracked is not None:
+        matrix = float_array("tracked", tracked)
+        if matrix.ndim != 2 or matrix.shape[1] != plant.nodes.size:
+            raise ValueError(
+                f"tracked has shape {matrix.shape}, expected (p, {plant.nodes.size}): "
+                "one column per coordinate of a node"
+            )
+        combinations = matrix @ plant.basis
+    return LoadObserver(plant, push, gain, combinations)

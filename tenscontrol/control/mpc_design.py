@@ -1,0 +1,193 @@
+"""From what a user asks of MPC to the data of its program."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol.actuation import Winches
+from tenscontrol.analysis import LinearPlant
+from tenscontrol.control.bounds import input_bounds
+from tenscontrol.control.constraints import (
+    Constraints,
+    OutputLimit,
+    RowBlock,
+    output_block,
+    string_block,
+)
+from tenscontrol.control.lqr import lqr
+from tenscontrol.control.problem import Horizon
+from tenscontrol.control.strings import gather_lengths, spread, string_map
+from tenscontrol.control.weights import energy_weights, weight_matrix
+from tenscontrol.validation import FloatArray, instance, non_negative, per_member, positive
+
+# Input weight, in units of energy_weights, when the user gives none.
+_INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
+
+# Price of a violation by one level, against the cost of an input one level off.
+_PENALTY = 1e2
+
+
+@dataclass(frozen=True, eq=False)
+class Wishes:
+    """Limits that a user gave, unchecked; see :class:`MPC`."""
+
+    max_force_density: object
+    min_force_density: object
+    max_tension: object
+    max_change: object
+    winches: Winches | None
+    outputs: Sequence[OutputLimit]
+    string_penalty: float
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Data of a program.
+
+    Attributes
+    ----------
+    problem : Horizon
+    constraints : Constraints
+    low, high : ndarray, shape (α,)
+        Least and largest command.
+    """
+
+    problem: Horizon
+    constraints: Constraints
+    low: FloatArray
+    high: FloatArray
+
+
+def design(
+    plant: LinearPlant, length: int, step: float, Q: object, R: object, wishes: Wishes
+) -> Design:
+    """Return the data of a program, or raise naming the argument that does not fit."""
+    states, count = plant.B.shape
+    low, high = _command_range(plant, wishes)
+    natural_Q, natural_R = energy_weights(plant, by_mode=plant.input == "rest_length")
+    state_weight = natural_Q if Q is None else weight_matrix("Q", Q, states, definite=False)
+    input_weight = (
+        _INPUT_WEIGHT[plant.input] * natural_R
+        if R is None
+        else weight_matrix("R", R, count, definite=True)
+    )
+    regulator = lqr(plant, state_weight, input_weight, step=step)
+    level = float(plant.force_density.max()) or float(high.max())
+    if plant.input == "rest_length":
+        lengths = plant.model.structure.string_length(plant.nodes)
+        level = float((gather_lengths(plant, lengths) - plant.equilibrium_input).max())
+    transition, input_matrix, drift = plant.discretize(step)
+    # The price is relative to the cost of an input one level off.
+    unit = level**2 * float(np.linalg.eigvalsh(input_weight).min())
+    constraints = Constraints(_row_blocks(plant, wishes, wishes.string_penalty * unit))
+    problem = Horizon(
+        transition=transition,
+        input_matrix=input_matrix,
+        drift=drift,
+        state_weight=state_weight,
+        input_weight=input_weight,
+        terminal_weight=regulator.cost,
+        low=low - plant.equilibrium_input,
+        high=high - plant.equilibrium_input,
+        change=_largest_change(plant, wishes, step),
+        length=length,
+        level=level,
+        feedback=regulator.gain,
+        rows=constraints.rows(),
+    )
+    return Design(problem, constraints, low, high)
+
+
+def default_penalty(value: object) -> float:
+    """Return the price of a violated string limit: the default for None, inf for a hard limit."""
+    if value is None:
+        return _PENALTY
+    if not isinstance(value, int | float) or isinstance(value, bool) or not value > 0:
+        raise ValueError(
+            f"string_penalty is {value!r}, expected a positive number; inf for hard limits"
+        )
+    return float(value)
+
+
+def _command_range(plant: LinearPlant, wishes: Wishes) -> tuple[FloatArray, FloatArray]:
+    if plant.input == "rest_length":
+        low, high = input_bounds(plant, None)
+        if wishes.winches is not None:
+            wishes.winches.refuse_out_of_range("plant.rest_length", plant.equilibrium_input)
+            if wishes.winches.shortest is not None:
+                low = np.maximum(low, wishes.winches.shortest)
+            if wishes.winches.longest is not None:
+                high = np.minimum(high, wishes.winches.longest)
+        return low, high
+    if wishes.winches is not None:
+        raise ValueError(
+            "winches limit rest lengths, but plant has input='force_density'; linearize with "
+            "input='rest_length'"
+        )
+    if wishes.max_force_density is None:
+        raise TypeError("max_force_density is None, expected a positive number in N/m")
+    low, high = input_bounds(plant, wishes.max_force_density)
+    least = _least_force_density(plant, wishes)
+    over = np.flatnonzero(least > plant.force_density)
+    if len(over):
+        i = over[0]
+        raise ValueError(
+            f"min_force_density[{i}] is {least[i]:g} N/m, but string {i} has "
+            f"{plant.force_density[i]:g} N/m at the operating point; expected at most that"
+        )
+    return least, high
+
+
+def _least_force_density(plant: LinearPlant, wishes: Wishes) -> FloatArray:
+    least = per_member("min_force_density", wishes.min_force_density, plant.B.shape[1], "string")
+    return non_negative("min_force_density", least, "a string can only pull")
+
+
+def _largest_change(plant: LinearPlant, wishes: Wishes, step: float) -> FloatArray | None:
+    count = plant.B.shape[1]
+    change = None
+    if wishes.max_change is not None:
+        change = per_member("max_change", wishes.max_change, count, "string")
+        positive("max_change", change, f"change of {plant.input.replace('_', ' ')}")
+    if wishes.winches is not None and wishes.winches.rate is not None:
+        reach = per_member("winches.rate", wishes.winches.rate, count, "string") * step
+        change = reach if change is None else np.minimum(change, reach)
+    return change
+
+
+def _row_blocks(plant: LinearPlant, wishes: Wishes, penalty: float) -> list[RowBlock]:
+    blocks = []
+    strings = string_map(plant, plant.input)
+    count = plant.B.shape[1]
+    if plant.input == "rest_length":
+        high = np.full(len(strings.force_density), np.inf)
+        if wishes.max_force_density is not None:
+            largest = per_member("max_force_density", wishes.max_force_density, count, "string")
+            positive("max_force_density", largest, "force density in N/m")
+            high = spread(plant, "force_density", largest)
+        low = spread(plant, "force_density", _least_force_density(plant, wishes))
+        level = float(strings.force_density.max())
+        blocks.append(string_block("force_density", strings, low, high, level, penalty))
+    if wishes.max_tension is not None:
+        structure = plant.model.structure
+        most = per_member("max_tension", wishes.max_tension, count, "string")
+        positive("max_tension", most, "tension in N")
+        if plant.commanded is not structure:
+            most = most[structure.string_parent]
+        over = np.flatnonzero(strings.tension > most)
+        if len(over):
+            i = over[0]
+            raise ValueError(
+                f"max_tension is {most[i]:g} N for string {i}, which has {strings.tension[i]:g} N "
+                "at the operating point; expected at least that"
+            )
+        level = float(strings.tension.max()) or float(most.max())
+        low = np.full(len(most), -np.inf)
+        blocks.append(string_block("tension", strings, low, most, level, penalty))
+    for i, limit in enumerate(wishes.outputs):
+        instance(f"outputs[{i}]", limit, OutputLimit, "make one by OutputLimit(matrix, low, high)")
+        blocks.append(output_block(plant, limit))
+    return blocks

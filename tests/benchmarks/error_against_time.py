@@ -1,0 +1,80 @@
+"""Error against run time on the paper's example 1, beside MuJoCo, SciPy and CVODES.
+
+``python -m tests.benchmarks.error_against_time [--plain] [--massive]``: a prism released
+with slack strings, 5 s, massless or with four massive segments a string. The tables are the run
+time of a peer over that of our fastest method, at errors that both reach. With ``--plain``
+nothing is compiled. Needs the extra ``bench``.
+"""
+
+import argparse
+
+import numpy as np
+
+import tenscontrol as tc
+from tenscontrol.accuracy.peers import CasADiCVODES, MuJoCo, SciPy
+
+STEPS = (0.05, 0.04, 0.025, 0.02, 0.0125, 0.01, 0.005, 0.0025, 0.001, 5e-4, 2.5e-4)
+SETTINGS = {
+    "rk4": STEPS[2:],
+    "rattle": STEPS[3:],
+    "rattle4": STEPS[1:],
+    "rattle6": STEPS[:-2],
+    "dop853": tuple(10.0**-k for k in range(3, 13)),
+}
+
+
+def example(segments: int) -> tc.Case:
+    """The paper's example 1: γ = 17.3205 N/m, but 9 N/m in the vertical strings."""
+    prism = tc.prism()
+    gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
+    stiffness = 100.0
+    model = tc.Model(prism, strings=tc.LinearStrings(stiffness))
+    lengths = tc.to_rest_length(model, prism.nodes, gamma).rest_length
+    if segments == 1:
+        return tc.Case(model, 5.0, held="rest_length", value=lengths, name="massless strings")
+    # The paper's node mass: a string of 0.04 kg on a bar of 1 kg.
+    cut = tc.subdivide(prism, segments=segments, node_mass=0.04 / segments)
+    massive = tc.Model(cut, strings=tc.LinearStrings(stiffness * segments))
+    value = tc.spread_rest_length(cut, lengths)
+    return tc.Case(massive, 5.0, held="rest_length", value=value, name=f"{segments} segments")
+
+
+def main() -> None:
+    """Print the tables."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--plain", action="store_true", help="compile nothing")
+    options.add_argument("--massive", action="store_true", help="four massive segments a string")
+    options.add_argument("--all", action="store_true", help="print every run")
+    given = options.parse_args()
+    case = example(4 if given.massive else 1)
+    scale = 0.25 if given.massive else 1.0
+    settings = {
+        name: tuple(x if name == "dop853" else scale * x for x in values)
+        for name, values in SETTINGS.items()
+    }
+    mujoco = tuple(scale * x for x in (2e-2, 1e-2, 5e-3, 2.5e-3, 1e-3, 5e-4, 2.5e-4, 1e-4))
+    peers = [
+        *(MuJoCo(kind, settings=mujoco) for kind in ("rk4", "euler", "implicitfast")),
+        SciPy("DOP853", settings=tuple(10.0**-k for k in range(3, 13))),
+        CasADiCVODES(settings=tuple(10.0**-k for k in range(3, 12))),
+    ]
+    found = tc.work_precision(
+        case,
+        list(settings),
+        settings,
+        peers,
+        outputs=50,
+        machine_code=not given.plain,
+        progress=True,
+    )
+    errors = [10.0**-k for k in range(3, 9 if given.massive else 10)]
+    print(f"{case.name}, {'nothing compiled' if given.plain else 'compiled'}")
+    print(found.summary())
+    if given.all:
+        print(found.table())
+    ratios = found.ratios(errors)
+    print(ratios.table())
+
+
+if __name__ == "__main__":
+    main()

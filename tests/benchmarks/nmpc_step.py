@@ -1,0 +1,147 @@
+"""NMPC by real-time iterations against converged solutions: closed-loop cost and time of a step.
+
+Run: ``python -m tests.benchmarks.nmpc_step``. The prism (36 states as nodes, 18 reduced), 9
+inputs, horizon 20, 0.02 s samples, from disturbed starts; the same prediction model, weights and
+bounds for all: NMPC with one program a sample and with as many as it takes, IPOPT through
+CasADi's nlpsol, and, where it is installed, do-mpc (which calls IPOPT as well). All numbers are
+ratios of one run on one machine. IPOPT and do-mpc start from their last solutions.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import warnings
+from time import perf_counter
+
+import casadi as ca
+import numpy as np
+
+import tenscontrol as tc
+from tenscontrol import demo
+from tenscontrol.control import NMPC
+from tenscontrol.control.controller import Controller
+from tests.control.nmpc_oracle import IpoptNMPC, closed_loop_cost
+
+LIMIT = 33.0  # N/m, little above the prestress, so that bounds are met
+STARTS, SAMPLES = 5, 25
+SIZE = 0.05
+
+
+def main() -> None:
+    prism = tc.prism()
+    plant = tc.linearize(tc.Model(prism), tc.prestress(prism, demo.TOP_FORCE_DENSITY))
+    one = NMPC(plant, 20, demo.SAMPLE, LIMIT)
+    loops = {
+        "NMPC, one program": one,
+        "NMPC, converged": NMPC(plant, 20, demo.SAMPLE, LIMIT, iterations=20),
+        "MPC, linear": tc.MPC(plant, 20, demo.SAMPLE, LIMIT),
+        "IPOPT (nlpsol)": IpoptNMPC(one, tolerance=1e-6),
+    }
+    if importlib.util.find_spec("do_mpc") is None:
+        print("do-mpc is not installed (extra bench): its row is left out")
+    else:
+        loops["do-mpc (IPOPT)"] = DoMpc(one)
+    costs: dict[str, list[float]] = {name: [] for name in loops}
+    times: dict[str, list[float]] = {name: [] for name in loops}
+    feedback, bounded = [], 0
+    for seed in range(STARTS):
+        rng = np.random.default_rng(seed)
+        state = np.r_[SIZE * rng.normal(size=9), 5 * SIZE * rng.normal(size=9)]
+        for name, controller in loops.items():
+            timed = Timed(controller)
+            cost, _ = closed_loop_cost(one, timed, one.sampled, state, SAMPLES)
+            costs[name].append(cost)
+            times[name] += timed.times
+            if controller is one:
+                feedback += list(one.statistics.feedback_time)
+                bounded += timed.bounded
+    best = np.array(costs["IPOPT (nlpsol)"])
+    reference = np.median(times["IPOPT (nlpsol)"])
+    print(f"{STARTS} starts, {SAMPLES} samples each; a bound active in {bounded} commands of NMPC")
+    print("                      closed-loop cost / IPOPT     time of a step")
+    print("                        mean      worst            IPOPT / this     p99 / median")
+    for name in loops:
+        ratio, spent = np.array(costs[name]) / best, np.array(times[name])
+        median = np.median(spent)
+        print(
+            f"{name:20s} {ratio.mean():9.5f}  {ratio.max():9.5f}     {reference / median:15.2f}"
+            f"  {np.percentile(spent, 99) / median:14.2f}"
+        )
+    print(f"feedback phase alone: IPOPT / NMPC {reference / np.median(feedback):.1f}")
+
+
+class Timed(Controller):
+    """A controller whose commands are timed, the first left out."""
+
+    def __init__(self, controller):
+        super().__init__(controller.plant, controller.step, *controller.bounds)
+        self._controller = controller
+        self.times, self.bounded = [], 0
+
+    def reset(self):
+        self._controller.reset()
+        self._first = True
+
+    def command(self, time, nodes, velocities):
+        began = perf_counter()
+        command = self._controller.command(time, nodes, velocities)
+        if not self._first:
+            self.times.append(perf_counter() - began)
+        self._first = False
+        self.bounded += bool((command.value >= LIMIT - 1e-6).any())
+        return command
+
+    def _decide(self, time, state):
+        raise NotImplementedError  # command is passed on whole
+
+    def _fall_back(self, reason):
+        raise NotImplementedError  # command is passed on whole
+
+
+class DoMpc(Controller):
+    """The same problem given to do-mpc."""
+
+    def __init__(self, nmpc):
+        super().__init__(nmpc.plant, nmpc.step, *nmpc.bounds)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import do_mpc
+        s, a = nmpc.plant.B.shape
+        Q, R, P = (ca.DM(weight) for weight in nmpc.weights)
+        held = nmpc.plant.equilibrium_input
+        model = do_mpc.model.Model("discrete", "MX")
+        z = model.set_variable("_x", "z", shape=(s, 1))
+        u = model.set_variable("_u", "u", shape=(a, 1))
+        model.set_rhs("z", nmpc.sampled(z, u))
+        model.setup()
+        self._mpc = mpc = do_mpc.controller.MPC(model)
+        mpc.settings.n_horizon, mpc.settings.t_step = nmpc.horizon, nmpc.step
+        mpc.settings.store_full_solution = False
+        mpc.settings.supress_ipopt_output()
+        mpc.settings.nlpsol_opts["ipopt.tol"] = 1e-6
+        # do-mpc counts z_0, which is given, and the inputs in its stage cost: the same optimum.
+        off = u - ca.DM(held)
+        mpc.set_objective(mterm=ca.bilin(P, z, z), lterm=ca.bilin(Q, z, z) + ca.bilin(R, off, off))
+        mpc.bounds["lower", "_u", "u"], mpc.bounds["upper", "_u", "u"] = nmpc.bounds
+        mpc.scaling["_u", "u"] = held.max()
+        mpc.setup()
+        self._held = held
+
+    def reset(self):
+        self._fresh = True
+        self._mpc.reset_history()
+
+    def _decide(self, time, state):
+        if self._fresh:
+            self._mpc.x0, self._mpc.u0 = state, self._held
+            self._mpc.set_initial_guess()
+            self._fresh = False
+        value = self._mpc.make_step(state.reshape(-1, 1)).ravel()
+        return value, "ok" if self._mpc.data["success"][-1] else "not solved"
+
+    def _fall_back(self, reason):
+        raise AssertionError(reason)
+
+
+if __name__ == "__main__":
+    main()

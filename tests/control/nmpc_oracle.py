@@ -1,0 +1,87 @@
+"""The problem of an NMPC solved to convergence by IPOPT: an independent oracle."""
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.control.controller import Controller
+
+
+class IpoptNMPC(Controller):
+    """Multiple shooting with the prediction model, weights and bounds of an ``NMPC``.
+
+    Started from its last solution, moved on by a sample.
+    """
+
+    def __init__(self, nmpc, tolerance=1e-8):
+        super().__init__(nmpc.plant, nmpc.step, *nmpc.bounds)
+        self._nmpc, N = nmpc, nmpc.horizon
+        s, a = nmpc.plant.B.shape
+        Q, R, P = nmpc.weights
+        # In units that make the problem of order one.
+        self._unit = np.r_[np.full(s // 2, 0.1), np.ones(s - s // 2)]
+        self._level = nmpc.plant.equilibrium_input.max()
+        Z, U = ca.MX.sym("Z", s, N), ca.MX.sym("U", a, N)
+        start, r, held = ca.MX.sym("start", s), ca.MX.sym("r", s, N), ca.MX.sym("held", a, N)
+        z, u = ca.mtimes(ca.diag(self._unit), Z), self._level * U
+        before = ca.horzcat(start, z[:, :-1])
+        gaps = (z - nmpc.sampled.map(N)(before, u)) / self._unit
+        off, effort = z - r, u - held
+        cost = ca.sum2(ca.sum1(effort * ca.mtimes(R, effort)))
+        cost += ca.sum2(ca.sum1(off[:, :-1] * ca.mtimes(Q, off[:, :-1])))
+        cost += ca.mtimes([off[:, -1].T, P, off[:, -1]])
+        problem = {
+            "x": ca.vertcat(ca.vec(Z), ca.vec(U)),
+            "f": cost,
+            "g": ca.vec(gaps),
+            "p": ca.vertcat(start, ca.vec(r), ca.vec(held)),
+        }
+        quiet = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes"}
+        self._solver = ca.nlpsol("nmpc", "ipopt", problem, {
+            **quiet, "ipopt.tol": tolerance, "ipopt.warm_start_init_point": "yes",
+        })  # fmt: skip
+        low, high = (np.tile(bound / self._level, N) for bound in self.bounds)
+        free = np.full(s * N, np.inf)
+        self._bounds = {"lbx": np.r_[-free, low], "ubx": np.r_[free, high], "lbg": 0, "ubg": 0}
+        self._split, self._N = s * N, N
+        self.reset()
+
+    def reset(self):
+        self._x = None
+
+    def _decide(self, time, state):
+        reference, held = self._nmpc.targets(time)
+        if self._x is None:
+            first = np.tile(state / self._unit, self._N)
+            self._x = np.r_[first, (held / self._level).ravel()]
+        parameters = np.r_[state, reference.ravel(), held.ravel()]
+        answer = self._solver(x0=self._x, p=parameters, **self._bounds)
+        assert self._solver.stats()["success"], self._solver.stats()["return_status"]
+        x = np.array(answer["x"]).ravel()
+        self.cost = float(answer["f"])
+        Z, U = (part.reshape(self._N, -1) for part in np.split(x, [self._split]))
+        self.inputs = self._level * U
+        self._x = np.r_[np.vstack([Z[1:], Z[-1:]]).ravel(), np.vstack([U[1:], U[-1:]]).ravel()]
+        return self.inputs[0], "ok"
+
+    def _fall_back(self, reason):
+        raise AssertionError(reason)
+
+
+def closed_loop_cost(nmpc, controller, sample, state, count):
+    """Return the cost of a closed loop on the prediction model itself, and its states."""
+    Q, R, _ = nmpc.weights
+    plant, total, states = nmpc.plant, 0.0, [state]
+    controller.reset()
+    r = plant.degrees_of_freedom
+    for k in range(count):
+        nodes = plant.to_nodes(state[:r])
+        command = controller.command(
+            k * nmpc.step, nodes, plant.to_velocities(state[:r], state[r:])
+        )
+        assert command.status == "ok"
+        reference, held = nmpc.targets(k * nmpc.step)
+        state = np.array(sample(state, command.value)).ravel()
+        off, effort = state - reference[0], command.value - held[0]
+        total += off @ Q @ off + effort @ R @ effort
+        states.append(state)
+    return total, np.array(states)

@@ -1,0 +1,183 @@
+"""Limits of MPC on strings and outputs, hard and soft."""
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.control import OutputLimit
+from tenscontrol.control.quadratic_program import Status
+
+SAMPLE = 0.02
+STILL = np.zeros((3, 6))
+
+
+@pytest.fixture(scope="module", params=["force_density", "rest_length"])
+def plant(request):
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(200.0))
+    return tc.linearize(model, tc.prestress(prism, 30 / np.sqrt(3)), input=request.param)
+
+
+def height_row():
+    row = np.zeros((3, 6))
+    row[2, :3], row[2, 3:] = 1 / 3, -1 / 3
+    return row.ravel(order="F")[None]
+
+
+def pushed(plant, size, seed=0):
+    return plant.to_nodes(size * np.random.default_rng(seed).normal(size=9))
+
+
+def solved(mpc, nodes, velocities=STILL):
+    """Return the command, and z_0 … z_N as predicted with the plan."""
+    command = mpc.command(0.0, nodes, velocities)
+    transition, inputs, _ = mpc.plant.discretize(SAMPLE)
+    z = [mpc.plant.measure(nodes, velocities)]
+    for v in (mpc.plan - mpc.plant.equilibrium_input[:, None]).T:
+        z.append(transition @ z[-1] + inputs @ v)
+    return command, np.array(z)
+
+
+def predicted(mpc, name, z):
+    """Return γ or tension at the start of each sample of a plan, shape (N, α)."""
+    from tenscontrol.control.strings import string_map
+
+    found = string_map(mpc.plant, mpc.plant.input)
+    v = (mpc.plan - mpc.plant.equilibrium_input[:, None]).T
+    start = found.force_density if name == "gamma" else found.tension
+    by_z, by_v = (getattr(found, f"{name}_by_{what}") for what in ("state", "input"))
+    return start + z[:-1] @ by_z.T + v @ by_v.T
+
+
+@pytest.mark.parametrize("form", ["condensed", "sparse"])
+@pytest.mark.parametrize("penalty", [None, np.inf])
+def test_solution_satisfies_the_optimality_conditions(plant, form, penalty):
+    from tests.control.test_mpc import kkt_residual
+
+    limit = OutputLimit(height_row(), low=0.995, high=1.004, penalty=1e4)
+    mpc = tc.MPC(
+        plant, 6, SAMPLE, 60.0, form=form, max_tension=40.0, outputs=[limit],
+        string_penalty=penalty, tolerance=1e-8, max_iterations=50000,
+    )  # fmt: skip
+    program = {}
+    solve = mpc._program.solve
+
+    def kept(q, l, u, start=None):  # noqa: E741
+        program["data"], program["answer"] = (q, l, u), solve(q, l, u, start)
+        return program["answer"]
+
+    mpc._program.solve = kept
+    mpc.command(0.0, pushed(plant, 0.01), STILL)
+    answer, (q, l, u) = program["answer"], program["data"]  # noqa: E741
+    assert answer.status is Status.SOLVED
+    scale = max(1.0, np.abs(answer.y).max())
+    far = 1e9  # for infinity, which times zero is nothing
+    low, high = np.clip(l, -far, far), np.clip(u, -far, far)
+    residual = kkt_residual(mpc._form.P, q, mpc._form.A, low, high, answer.x, answer.y)
+    assert residual < 1e-6 * scale
+
+
+def test_both_forms_give_the_same_commands(plant):
+    limit = OutputLimit(height_row(), low=0.995, high=1.004, penalty=1e4)
+    values = [
+        tc.MPC(plant, 6, SAMPLE, 60.0, form=form, max_tension=40.0, outputs=[limit],
+               tolerance=1e-8, max_iterations=50000)
+        .command(0.0, pushed(plant, 0.02), STILL).value
+        for form in ("condensed", "sparse")
+    ]  # fmt: skip
+    level = 30.0 if plant.input == "force_density" else 0.1
+    assert np.allclose(*values, atol=1e-5 * level)
+
+
+def test_strength_of_strings_is_kept_and_matters(plant):
+    nodes = pushed(plant, 0.02)
+    free, z = solved(tc.MPC(plant, 8, SAMPLE, 300.0, tolerance=1e-7), nodes)
+    mpc = tc.MPC(plant, 8, SAMPLE, 300.0, tolerance=1e-7)
+    highest = predicted(mpc_with(plant, None, nodes), "tension", z).max()
+    limit = 0.5 * (highest + 31.0)
+    assert highest > limit  # the case is worth something
+    held = tc.MPC(plant, 8, SAMPLE, 300.0, max_tension=limit, tolerance=1e-7, max_iterations=20000)
+    command, z = solved(held, nodes)
+    assert predicted(held, "tension", z).max() < limit * (1 + 1e-4)
+    assert np.abs(command.value - free.value).max() > 0
+    assert mpc.form == "condensed"
+
+
+def mpc_with(plant, limit, nodes):
+    mpc = tc.MPC(plant, 8, SAMPLE, 300.0, max_tension=limit, tolerance=1e-7, max_iterations=20000)
+    mpc.command(0.0, nodes, STILL)
+    return mpc
+
+
+def test_soft_limit_that_can_be_kept_is_the_hard_one(plant):
+    """The penalty is exact: L1 costs more than any gain from a violation."""
+    nodes = pushed(plant, 0.02)
+    z = solved(mpc_with(plant, None, nodes), nodes)[1]
+    height = 1.0 + (z[1:, :9] @ (height_row() @ plant.basis).T).ravel()
+    bound = 1.0 + 0.7 * (height.max() - 1.0)
+    values = []
+    for penalty in (None, 1e7):
+        limit = OutputLimit(height_row(), high=bound, penalty=penalty)
+        mpc = tc.MPC(plant, 8, SAMPLE, 300.0, outputs=[limit], tolerance=1e-7, max_iterations=50000)
+        command, z = solved(mpc, nodes)
+        assert command.status == "ok"
+        kept = 1.0 + (z[1:, :9] @ (height_row() @ plant.basis).T).ravel()
+        assert kept.max() < bound + 1e-5
+        values.append(command.value)
+    level = 30.0 if plant.input == "force_density" else 0.1
+    assert np.allclose(*values, atol=1e-3 * level)
+
+
+def test_limit_out_of_reach_is_violated_softly_or_reported_when_hard(plant):
+    for penalty, status in ((1e3, "ok"), (None, "infeasible")):
+        limit = OutputLimit(height_row(), low=1.02, penalty=penalty)  # after one sample already
+        mpc = tc.MPC(plant, 4, SAMPLE, 60.0, outputs=[limit], max_change=1e-3)
+        assert mpc.command(0.0, plant.nodes, STILL).status.split(":")[0] == status
+
+
+def test_least_force_density_is_kept(plant):
+    mpc = tc.MPC(plant, 8, SAMPLE, 60.0, min_force_density=14.0, tolerance=1e-6, R=1e-3
+                 if plant.input == "force_density" else None)  # fmt: skip
+    nodes = pushed(plant, 0.02)
+    _, z = solved(mpc, nodes)
+    found = predicted(mpc, "gamma", z)
+    assert found.min() > 14.0 - 0.05
+    free = tc.MPC(plant, 8, SAMPLE, 60.0, tolerance=1e-6, R=1e-3
+                  if plant.input == "force_density" else None)  # fmt: skip
+    _, z = solved(free, nodes)
+    assert predicted(free, "gamma", z).min() < 14.0
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"max_tension": 10.0}, "max_tension is 10 N for string"),
+    ({"max_tension": -1.0}, "max_tension"),
+    ({"min_force_density": -1.0}, "min_force_density"),
+    ({"string_penalty": 0.0}, "string_penalty"),
+    ({"load_gain": 2.0}, "load_gain"),
+    ({"tracked": np.zeros((1, 18))}, "load_gain"),
+    ({"load_gain": 0.1, "tracked": np.zeros((1, 4))}, "tracked has shape"),
+    ({"outputs": [OutputLimit(np.ones((1, 4)))]}, "matrix has shape"),
+])  # fmt: skip
+def test_limits_that_do_not_fit_are_refused(plant, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        tc.MPC(plant, 4, SAMPLE, 60.0, **arguments)
+
+
+def test_winches_belong_to_rest_lengths(plant):
+    if plant.input == "force_density":
+        with pytest.raises(ValueError, match="input='rest_length'"):
+            tc.MPC(plant, 4, SAMPLE, 60.0, winches=tc.Winches(rate=1.0))
+    else:
+        with pytest.raises(ValueError, match="range of the winches"):
+            tc.MPC(plant, 4, SAMPLE, winches=tc.Winches(shortest=2.0))
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"matrix": np.zeros(18)}, "matrix has shape"),
+    ({"matrix": np.zeros((1, 18))}, "row of zeros"),
+    ({"matrix": np.ones((1, 18)), "low": 1.0, "high": 0.0}, "exceeds"),
+    ({"matrix": np.ones((1, 18)), "penalty": 0.0}, "penalty"),
+])  # fmt: skip
+def test_output_limits_are_checked(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        OutputLimit(**arguments)

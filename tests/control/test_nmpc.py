@@ -1,0 +1,212 @@
+"""NMPC by real-time iterations: its model, its programs, and the optimum as IPOPT finds it."""
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol import demo
+from tenscontrol.control import NMPC
+from tenscontrol.control.quadratic_program import QPSolution, QuadraticProgram, Status
+from tenscontrol.control.reduced_dynamics import sampled_dynamics
+from tests.control.nmpc_oracle import IpoptNMPC, closed_loop_cost
+from tests.control.test_mpc import kkt_residual
+
+SAMPLE = 0.02
+STILL = np.zeros((3, 6))
+
+
+def at_rest(held="force_density", stiffness=100.0):
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(stiffness))
+    return tc.linearize(model, tc.prestress(prism, demo.TOP_FORCE_DENSITY), input=held)
+
+
+def disturbed(size, seed):
+    rng = np.random.default_rng(seed)
+    return np.r_[size * rng.normal(size=9), 5 * size * rng.normal(size=9)]
+
+
+@pytest.mark.parametrize(("held", "stiffness"), [
+    ("force_density", 100.0), ("rest_length", 100.0), ("rest_length", 1e4),
+])  # fmt: skip
+def test_prediction_is_the_motion_of_the_model(held, stiffness):
+    """18 reduced states against the 36 of the model; large motion, where linear is off by far."""
+    plant = at_rest(held, stiffness)
+    motion, _ = sampled_dynamics(plant, SAMPLE)
+    transition, inputs, _ = plant.discretize(SAMPLE)
+    rng = np.random.default_rng(0)
+    z = disturbed(0.03 * np.sqrt(100 / stiffness), 1)
+    v = plant.equilibrium_input * 2 / stiffness * rng.normal(size=9)
+    u = plant.equilibrium_input + v
+    nodes, velocities = plant.to_nodes(z[:9]), plant.to_velocities(z[:9], z[9:])
+    run = tc.simulate(plant.model, SAMPLE, nodes, velocities, step=1e-4, **{held: u})
+    found = plant.measure(run.nodes[:, :, -1], run.velocities[:, :, -1])
+    moved = np.linalg.norm(found - z)
+    error = np.linalg.norm(np.array(motion(z, u)).ravel() - found) / moved
+    linear = np.linalg.norm(transition @ z + inputs @ v - found) / moved
+    assert error < 2e-3
+    assert linear > 5 * error
+
+
+@pytest.mark.parametrize("held", ["force_density", "rest_length"])
+def test_derivatives_are_those_of_the_prediction(held):
+    plant = at_rest(held)
+    motion, linearized = sampled_dynamics(plant, SAMPLE)
+    z, u = disturbed(0.02, 2), plant.equilibrium_input
+    _, by_z, by_u = (np.array(part) for part in linearized(z, u))
+    rng = np.random.default_rng(3)
+    dz, du = 1e-5 * rng.normal(size=18), 1e-5 * rng.normal(size=9)
+    there, back = (np.array(motion(z + s * dz, u + s * du)).ravel() for s in (1, -1))
+    assert np.allclose(0.5 * (there - back), by_z @ dz + by_u @ du, rtol=1e-4, atol=1e-11)
+
+
+def test_bars_keep_their_lengths_in_the_prediction():
+    """The reduced states have none to lose: an invariant of the coordinates, not of the step."""
+    plant = at_rest()
+    motion, _ = sampled_dynamics(plant, SAMPLE)
+    z = disturbed(0.03, 4)
+    for _ in range(50):
+        z = np.array(motion(z, plant.equilibrium_input)).ravel()
+    structure = plant.model.structure
+    vectors = structure.bar_vectors(plant.to_nodes(z[:9]))
+    rates = structure.bar_vectors(plant.to_velocities(z[:9], z[9:]))
+    assert np.allclose(np.linalg.norm(vectors, axis=0), structure.bar_length, atol=1e-14)
+    assert np.abs((vectors * rates).sum(axis=0)).max() < 1e-13
+
+
+def test_program_satisfies_the_optimality_conditions():
+    plant = at_rest()
+    nmpc = NMPC(plant, 8, SAMPLE, 45.0, max_change=8.0, tolerance=1e-8, max_iterations=20000)
+    kept = {}
+    program = nmpc._program._program
+    solve, update = program.solve, program.update
+
+    def watched(q, l, u, start=None):  # noqa: E741
+        kept["vectors"], kept["answer"] = (q, l, u), solve(q, l, u, start)
+        return kept["answer"]
+
+    def noted(values):
+        kept["values"] = values.copy()
+        update(values)
+
+    program.solve, program.update = watched, noted
+    z = disturbed(0.05, 0)
+    nodes, velocities = plant.to_nodes(z[:9]), plant.to_velocities(z[:9], z[9:])
+    value = nmpc.command(0.0, nodes, velocities).value
+    pattern = nmpc._program.pattern
+    pattern.data = kept["values"]
+    answer, (q, l, u) = kept["answer"], kept["vectors"]  # noqa: E741
+    residual = kkt_residual(nmpc._program.hessian, q, pattern, l, u, answer.x, answer.y)
+    assert residual < 1e-6 * max(1.0, np.abs(answer.y).max())
+    assert np.abs(value - plant.force_density).max() <= 8.0 * (1 + 1e-12)
+    # The equations of the program are the linearization: at the plan itself they hold exactly.
+    count = len(nmpc._program.units) * 8
+    assert np.abs((pattern @ answer.x - l)[:count]).max() < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_converged_plan_is_the_optimum_that_ipopt_finds(seed):
+    plant = at_rest()
+    nmpc = NMPC(plant, 20, SAMPLE, 33.0, iterations=20, tolerance=1e-8, max_iterations=20000)
+    oracle = IpoptNMPC(nmpc)
+    z = disturbed(0.05, seed)
+    nodes, velocities = plant.to_nodes(z[:9]), plant.to_velocities(z[:9], z[9:])
+    for each in (nmpc, oracle):
+        assert each.command(0.0, nodes, velocities).status == "ok"
+    assert nmpc.statistics.last_change[0] < 1e-5
+    assert nmpc.plan.max() > 33.0 - 1e-3  # bounds matter
+    # Gauss-Newton reaches the same stationary point.
+    assert np.allclose(nmpc.plan.T, oracle.inputs, atol=0.02)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_real_time_iterations_cost_within_a_percent_of_ipopt(seed):
+    plant = at_rest()
+    nmpc = NMPC(plant, 20, SAMPLE, 33.0)  # bounds matter
+    z = disturbed(0.05, seed)
+    costs = [
+        closed_loop_cost(nmpc, each, nmpc.sampled, z, 25)[0] for each in (nmpc, IpoptNMPC(nmpc))
+    ]
+    assert costs[0] == pytest.approx(costs[1], rel=0.01)
+    assert (nmpc.statistics.programs == 1).all()
+
+
+@pytest.mark.parametrize(("held", "stiffness"), [("force_density", 100.0), ("rest_length", 1e3)])
+def test_new_height_is_reached_on_the_nonlinear_prism(held, stiffness):
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(stiffness))
+    target = demo.prism_of_height(prism, demo.TARGET)
+    plant = tc.linearize(model, tc.prestress(target, demo.TOP_FORCE_DENSITY), input=held)
+    limit = 80.0 if held == "force_density" else None
+    winches = tc.Winches(rate=0.5, shortest=0.1) if held == "rest_length" else None
+    reference = demo.ramp(prism, 1.0, demo.TARGET, 1.0)
+    nmpc = NMPC(plant, 10, SAMPLE, limit, winches=winches, reference=reference)
+    run = tc.simulate(model, 2.0, prism.nodes, controller=nmpc, hold=held, step=2e-3 / 2)
+    height = demo.height_of(run.nodes[:, :, run.time > 1.8])
+    assert np.abs(height - demo.TARGET).max() < 2e-3
+    assert nmpc.statistics.status_count == {"ok": 100}
+
+
+def test_preparation_is_apart_from_feedback_and_setup_happens_once(monkeypatch):
+    import osqp
+
+    setups, original = [], osqp.OSQP.setup
+    monkeypatch.setattr(
+        osqp.OSQP, "setup", lambda self, **data: (setups.append(1), original(self, **data))[1]
+    )
+    plant = at_rest()
+    nmpc, plain = (NMPC(plant, 6, SAMPLE, 60.0) for _ in range(2))
+    setups_before = len(setups)
+    nmpc.prepare()  # nothing to prepare from
+    for k in range(4):
+        nodes = plant.to_nodes(disturbed(0.02, k)[:9])
+        calls = nmpc._linearize.calls
+        first = nmpc.command(SAMPLE * k, nodes, STILL)
+        assert nmpc._linearize.calls == calls + (k == 0)  # prepared before, but the first time
+        nmpc.prepare()
+        nmpc.prepare()
+        assert nmpc._linearize.calls == calls + 1 + (k == 0)
+        assert np.array_equal(first.value, plain.command(SAMPLE * k, nodes, STILL).value)
+    assert len(setups) == setups_before
+
+
+def test_unsolved_programs_continue_the_plan(monkeypatch):
+    plant = at_rest()
+    nmpc = NMPC(plant, 4, SAMPLE, 60.0)
+    nodes = plant.to_nodes(disturbed(0.03, 0)[:9])
+    nmpc.command(0.0, nodes, STILL)
+    plan = nmpc.plan
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            QuadraticProgram, "solve",
+            lambda self, q, l, u, start=None: QPSolution(Status.INFEASIBLE, None, None, 7),  # noqa: E741
+        )  # fmt: skip
+        for k in range(1, 7):
+            command = nmpc.command(SAMPLE * k, nodes, STILL)
+            assert command.status == "infeasible: plan continued"
+            assert np.allclose(command.value, plan[:, min(k, 3)])
+    broken = np.full((3, 6), np.nan)
+    assert nmpc.command(0.14, broken, STILL).status == "measurement not finite: plan continued"
+    assert nmpc.command(0.16, nodes, STILL).status == "ok"
+    nmpc.reset()
+    assert nmpc.statistics.status_count == {}
+    first = nmpc.command(0.0, broken, STILL)
+    assert first.status == "measurement not finite: equilibrium held"
+    assert np.array_equal(first.value, plant.force_density)
+
+
+@pytest.mark.parametrize(("arguments", "error", "message"), [
+    ({"iterations": 0}, ValueError, "iterations"),
+    ({"winches": 3.0}, TypeError, "winches"),
+    ({"winches": tc.Winches(rate=1.0)}, ValueError, "input='rest_length'"),
+])  # fmt: skip
+def test_arguments_that_do_not_fit_are_refused(arguments, error, message):
+    with pytest.raises(error, match=message):
+        NMPC(at_rest(), 4, SAMPLE, 60.0, **arguments)
+
+
+def test_limits_of_the_other_input_are_refused():
+    with pytest.raises(ValueError, match="max_force_density"):
+        NMPC(at_rest("rest_length"), 4, SAMPLE, 60.0)
+    with pytest.raises(TypeError, match="max_force_density"):
+        NMPC(at_rest(), 4, SAMPLE)
