@@ -30,6 +30,9 @@ from tenscontrol.integrate.fixed_step import FixedStep
 # bar has no real root or the wrong one; one radian leaves room for velocities along the bar.
 _LARGEST_TURN = 1.0
 
+# Instructions, about, up to which a step that is to be compiled is written out.
+_MOST_COMPILED = 12_000
+
 # Terms of sin(φ)/φ: the first one left out is below 3e-15 for the largest turn.
 _SINE_TERMS = 8
 
@@ -121,7 +124,9 @@ def rattle_evaluations(equation: Equation, order: int) -> int:
     return len(splitting(order).kicks) * (2 if equation.velocity_dependent else 1)
 
 
-def rattle_step(equation: Equation, order: int, symbols: Any = ca.SX) -> ca.Function:
+def rattle_step(
+    equation: Equation, order: int, symbols: Any = ca.SX, called: bool = False
+) -> ca.Function:
     """Return a step ``(x, u, taut, h) -> x1`` of RATTLE.
 
     Every step is of full order by itself, whatever its length, and takes no
@@ -136,6 +141,9 @@ def rattle_step(equation: Equation, order: int, symbols: Any = ca.SX) -> ca.Func
     symbols : type, optional
         ``casadi.SX``: one flat list of instructions. ``casadi.MX``: calls of
         the force function, for large structures.
+    called : bool
+        Whether flights and kicks are functions that the step calls: as fast
+        in machine code, and compiled in a fraction of the time.
 
     Returns
     -------
@@ -185,12 +193,33 @@ def rattle_step(equation: Equation, order: int, symbols: Any = ca.SX) -> ca.Func
         )
     )
     motion = _Motion(Bodies(equation.structure), force, u, taut, equation.velocity_dependent)
+    if called:
+        return _called(motion, steps, x, h)
     state = motion.start(x)
     for flight, kick in zip_longest(steps.flights, steps.kicks):
         state = motion.flight(state, flight * h)
         if kick is not None:
             state = motion.kick(state, kick * h)
     return ca.Function("rattle_step", [x, u, taut, h], [motion.end(state)])
+
+
+def _called(motion: _Motion, steps: Splitting, x: Any, h: Any) -> ca.Function:
+    """Return the step as calls of its flights and kicks."""
+    kind, u, taut = type(x), motion.u, motion.taut
+    begun = motion.start(x)
+    start = ca.Function("start", [x], begun.parts())
+    parts = [kind.sym(f"part{i}", part.shape) for i, part in enumerate(begun.parts())]
+    state = _State(*parts)
+    flight = ca.Function("flight", [*parts, h], motion.flight(state, h).parts())
+    kick = ca.Function("kick", [*parts, u, taut, h], motion.kick(state, h).parts())
+    end = ca.Function("end", parts, [motion.end(state)])
+    x, u, taut, h = (ca.MX.sym("of_step", each.shape) for each in (x, u, taut, h))
+    now = start(x)
+    for flown, kicked in zip_longest(steps.flights, steps.kicks):
+        now = flight(*now, flown * h)
+        if kicked is not None:
+            now = kick(*now, u, taut, kicked * h)
+    return ca.Function("rattle_step", [x, u, taut, h], [end(*now)])
 
 
 class _Rattle(FixedStep):
@@ -202,12 +231,17 @@ class _Rattle(FixedStep):
         self, equation: Equation, step: float, project: bool = False, machine_code: bool = False
     ) -> None:
         self.evaluations_per_step = rattle_evaluations(equation, self.order)
+        self._machine_code = machine_code
         super().__init__(equation, step, project, machine_code)
 
     def step_function(self, equation: Equation) -> ca.Function:
         """See :meth:`FixedStep.step_function`."""
-        kind = ca.SX if equation.form == "flat" else ca.MX
-        return rattle_step(equation, self.order, kind)
+        if equation.form != "flat":
+            return rattle_step(equation, self.order, ca.MX)
+        # One flat list of instructions is the fastest, but takes compilers long.
+        written = equation.slope.n_instructions() * self.evaluations_per_step
+        called = self._machine_code and written > _MOST_COMPILED
+        return rattle_step(equation, self.order, called=called)
 
 
 @final
@@ -242,6 +276,9 @@ class _State:
     vectors: Symbolic
     point_rates: Symbolic
     vector_rates: Symbolic
+
+    def parts(self) -> list[Symbolic]:
+        return [self.points, self.vectors, self.point_rates, self.vector_rates]
 
 
 @dataclass(frozen=True)

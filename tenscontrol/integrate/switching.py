@@ -30,6 +30,9 @@ _POLISHES = 4
 # Pieces that one step may be cut into; the rest is then taken whole, and counted.
 _PIECES = 8
 
+# Instructions of the room up to which it is written out for each sample.
+_MOST_WRITTEN = 1000
+
 # What is left of a step below this part of it is round-off.
 _REST = 1e-13
 
@@ -187,6 +190,8 @@ def _zoom(equation: Equation) -> ca.Function:
     on the lowest.
     """
     symbols, room = _kind(equation), _room(equation)
+    if symbols is ca.SX and room.n_instructions() > _MOST_WRITTEN:
+        symbols = ca.MX  # the room is called; written out six times it takes compilers long
     within = [symbols.sym(room.name_in(i), room.sparsity_in(i)) for i in range(4)]
     low, high = symbols.sym("low"), symbols.sym("high")
     width = (high - low) / _SAMPLES
