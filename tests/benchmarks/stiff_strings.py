@@ -1,0 +1,85 @@
+"""Slow motion under stiff strings: evaluations that the implicit method needs, and an explicit one.
+
+``python -m tests.benchmarks.stiff_strings [--duration 5]``: the prism with strings of 1e8 N/m in
+four segments with nodes of 0.01 g, tumbling and twisting slowly. The explicit method is RATTLE at
+nine tenths of its largest stable step; its motion is also the reference. Compiled, it takes some
+minutes for 5 s of motion.
+"""
+
+import argparse
+from time import perf_counter
+
+import numpy as np
+
+import tenscontrol as tc
+from tenscontrol.dynamics import pack_state
+from tenscontrol.integrate import METHODS
+from tenscontrol.integrate.scales import largest_frequency
+
+STIFFNESS, NODE_MASS, SEGMENTS = 1e8, 1e-5, 4
+OUTPUTS = 500
+
+
+def scene():
+    """The cut prism at rest under γ = 17.3205 N/m, turning at 0.2 to 1 rad/s and twisting."""
+    prism = tc.prism()
+    rest = tc.prestress(prism, force_density=17.3205)
+    model = tc.Model(prism, strings=tc.LinearStrings(STIFFNESS))
+    lengths = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
+    cut = tc.subdivide(prism, segments=SEGMENTS, node_mass=NODE_MASS)
+    spin = np.cross([0.2, 0.3, 1.0], cut.nodes.T).T
+    # The mechanism of the prism: top and bottom turn against each other and part.
+    level = cut.nodes[2] - cut.nodes[2].mean()
+    twist = 0.2 * level * np.cross([0.0, 0.0, 1.0], cut.nodes.T).T
+    velocities = _without_stretch(cut, spin + twist)
+    massive = tc.Model(cut, strings=tc.LinearStrings(STIFFNESS * SEGMENTS))
+    return massive, tc.spread_rest_length(cut, lengths), velocities
+
+
+def _without_stretch(structure, velocities):
+    """Return the nearest velocities, by least squares, that stretch neither bars nor strings."""
+    members = np.vstack([structure.bars, structure.strings])
+    rows = np.zeros((len(members), velocities.size))
+    for row, (start, end) in zip(rows, members, strict=True):
+        along = structure.nodes[:, end] - structure.nodes[:, start]
+        row[3 * start : 3 * start + 3], row[3 * end : 3 * end + 3] = -along, along
+    flat = velocities.ravel(order="F")
+    flat = flat - np.linalg.pinv(rows, rcond=1e-9) @ (rows @ flat)
+    return flat.reshape(velocities.shape, order="F")
+
+
+def main() -> None:
+    """Print the table."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--duration", type=float, default=5.0, help="s")
+    duration = options.parse_args().duration
+    model, lengths, velocities = scene()
+    structure = model.structure
+    equation = model.equation("rest_length")
+    state = pack_state(structure, structure.nodes, velocities)
+    frequency = largest_frequency(equation, state, lengths)
+    step = 0.9 * 2 / frequency
+    print(f"largest frequency {frequency:.3g} rad/s; RATTLE is stable to {2 / frequency:.2e} s")
+    rows, reference = [], None
+    runs = [("rattle", "step", step)]
+    runs += [("energy_momentum", "step", h) for h in (1e-3, 5e-4, 2.5e-4)]
+    for name, setting, value in runs:
+        options = {"machine_code": True} if METHODS[name].compiles else {}
+        integrator = METHODS[name].integrator(equation, value, setting, **options)
+        began = perf_counter()
+        span = integrator.advance(state, lengths, duration, OUTPUTS)
+        taken = perf_counter() - began
+        nodes = span.states[: len(state) // 2]
+        reference = nodes if reference is None else reference
+        rows.append((name, value, np.abs(nodes - reference).max(), span.work.evaluations, taken))
+    moved = np.abs(reference - state[: len(state) // 2, None]).max()
+    print(f"{duration:g} s, nodes move up to {moved:.2f} m")
+    titles = ("method", "step s", "error m", "evaluations", "share", "time s")
+    print("{:>16} {:>9} {:>9} {:>12} {:>8} {:>8}".format(*titles))
+    for name, value, error, evaluations, taken in rows:
+        share = evaluations / rows[0][3]
+        print(f"{name:>16} {value:9.2e} {error:9.1e} {evaluations:12d} {share:8.2%} {taken:8.1f}")
+
+
+if __name__ == "__main__":
+    main()
