@@ -30,11 +30,15 @@ _SHORTEST = 10 * np.finfo(float).eps
 # A longer step, times the largest frequency, makes round-off grow, which no error estimate sees.
 _STABLE = 4.0
 
+# Switches in a row without any time between them, at most.
+_MOST_STALLS = 50
+
 # What a turn carries beside x, its slope and taut.
 _CARRIED = (
     "time",
     "step",
     "stuck",
+    "stalls",
     "tries",
     "rejections",
     "landings",
@@ -266,6 +270,9 @@ class _Turn:
         _, taut2, taken, switched, tries = land(x, taut, self._u, self._h, self._x1)
         x2, f2, _, K2 = self._tried(x, f, self._u, taut, taken, self._scale)
         time = self._after(taken)
+        # Strings that switch again and again while no time passes.
+        stalled = taken < _SHORTEST * self._duration
+        stalls = ca.if_else(stalled, self._numbers[_CARRIED.index("stalls")] + 1, 0)
         record, made = self._recorded(x, x2, f, f2, K2, time, taken)
         numbers = self._counted(
             time=time,
@@ -275,6 +282,8 @@ class _Turn:
             approaches=tries,
             switches=switched,
             interpolants=made,
+            stalls=stalls,
+            stuck=stalls > _MOST_STALLS,
         )
         # The slope jumps with the strings.
         f2 = self._equation.slope(x2, self._u, taut2)
@@ -320,7 +329,7 @@ class _Turn:
 
     def _counted(self, **changes: Any) -> list[Any]:
         """Return the numbers carried: those given replaced, the counts added to."""
-        replaced = ("time", "step", "stuck")
+        replaced = ("time", "step", "stuck", "stalls")
         return [
             changes.get(name, old) if name in replaced else old + changes.get(name, 0)
             for name, old in zip(_CARRIED, self._numbers, strict=True)

@@ -59,7 +59,7 @@ class EnergyMomentum(Integrator):
         Largest step, s. It is shortened so that a whole number fits between
         outputs, and where Newton's iteration does not converge.
     tolerance : float, optional
-        Error of the positions allowed a step, relative, and absolute in m.
+        Error of the positions allowed a step, as part of the size of the structure.
 
     Raises
     ------
@@ -161,7 +161,11 @@ class EnergyMomentum(Integrator):
             work[left] = interval
             while work[left] > 0:
                 expected = ceil(min(work[left] / work[step], _CHUNK))
-                work = self._chunk(expected)(work, held, limits)[0].copy()
+                try:
+                    work = self._chunk(expected)(work, held, limits)[0].copy()
+                except KeyboardInterrupt:
+                    span = Span(states[:, :output], _work(work[-3:], evaluations))
+                    raise IntegrationError("interrupted", interval * output, span, True) from None
                 if work[failed]:
                     time = interval * (output + 1) - float(work[left])
                     raise IntegrationError(
@@ -268,6 +272,6 @@ def _doubled_step(equation: Equation, size: float, x: Any, u: Any, h: Any) -> tu
     whole, good_3, iterations_3 = solve((first + second) / 2, x, u, h)
     positions = slice(0, equation.states // 2)
     difference = (end - step.end(whole, x, h))[positions] / 3
-    error = ca.mmax(ca.fabs(difference) / (1 + ca.fabs(end[positions])))
+    error = ca.mmax(ca.fabs(difference)) / size
     good = ca.logic_and(ca.logic_and(good_1, good_2), good_3)
     return end, good, iterations_1 + iterations_2 + iterations_3, error

@@ -10,6 +10,7 @@ import numpy as np
 from tenscontrol.actuation import to_rest_length
 from tenscontrol.analysis import equilibrium
 from tenscontrol.dynamics import Model
+from tenscontrol.integrate import METHODS
 from tenscontrol.scene.control import build_controller, build_winches
 from tenscontrol.scene.document import Document, Table, read_document
 from tenscontrol.scene.forces import build_force_density, build_law, build_loads
@@ -73,7 +74,7 @@ def load_scene(file: str | Path) -> Scene:
         ``velocities``; ``disturbance``, how far the farthest node is moved at
         random, with ``seed``.
     ``[run]``
-        ``duration``; ``step`` (RK4) or ``tolerance`` (DOP853), ``method``,
+        ``duration``; ``step`` or ``tolerance``, ``method``,
         ``output_step``; ``hold``, ``"rest_length"`` where there are
         ``[strings]``, else ``"force_density"``.
     ``[controller]``
@@ -165,21 +166,22 @@ def _settings(run: Table) -> dict[str, Any]:
     settings: dict[str, Any] = {"duration": run.need("duration")}
     settings |= {
         "tolerance": 1e-6,
-        "method": run.choice("method", ("auto", "rk4", "dop853"), "auto"),
+        "method": run.choice("method", ("auto", *METHODS), "auto"),
     }
     settings |= run.given("step", "tolerance", "output_step")
     for key in ("duration", "step", "tolerance", "output_step"):
         if key in run:
             with run.checked(key):
                 positive_number(key, run.get(key), run.keys[key][1])
-    if settings["method"] == "rk4" and "step" not in run:
-        raise run.error("method", "in [run], method is 'rk4', which needs step, s")
-    if settings["method"] == "dop853" and "step" in run:
-        raise run.error("step", "in [run], step goes with method 'rk4'; 'dop853' takes tolerance")
+    name = settings["method"]
+    if name != "auto":
+        takes = METHODS[name].settings
+        if "tolerance" not in takes and "step" not in run:
+            raise run.error("method", f"in [run], method is {name!r}, which needs step, s")
+        if "step" not in takes and "step" in run:
+            raise run.error("step", f"in [run], {name!r} takes tolerance, not step")
     if "step" in run and "tolerance" in run:
-        raise run.error(
-            "tolerance", "in [run], expected one of step (RK4) and tolerance (DOP853), found both"
-        )
+        raise run.error("tolerance", "in [run], expected one of step and tolerance, found both")
     return {"step": None, "output_step": None} | settings
 
 

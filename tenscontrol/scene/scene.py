@@ -44,13 +44,13 @@ class Scene:
     duration : float
         s.
     step : float or None
-        Step of RK4, s.
+        Step of a method with a fixed step, s.
     tolerance : float
-        Of DOP853, relative, and absolute in m and m/s.
+        Of a method with steps of its own.
     output_step : float or None
         Time between states kept, s.
     method : str
-        ``"auto"``, ``"rk4"`` or ``"dop853"``.
+        ``"auto"`` or the name of a method.
     """
 
     file: str

@@ -27,6 +27,9 @@ class Health:
         could give; None where supports or loads may change it.
     bar_length_error : float
         Largest change of the length of a bar, as part of its length.
+    position_error : float or None
+        Estimate of the error of the nodes at the end, as part of the size of
+        the structure: see :attr:`Trajectory.position_error`.
     work : Work
         Steps, rejections, evaluations and switches.
     """
@@ -35,6 +38,7 @@ class Health:
     momentum_change: float | None
     angular_momentum_change: float | None
     bar_length_error: float
+    position_error: float | None
     work: Work
 
 
@@ -50,6 +54,8 @@ class Limits:
         As part of the largest momentum that the kinetic energy could give.
     bar_length_error : float, optional
         As part of the length.
+    position_error : float, optional
+        As part of the size of the structure.
     steps, evaluations, switches : float, optional
         Counts.
     action : {"warn", "raise"}
@@ -75,6 +81,7 @@ class Limits:
     momentum_change: float | None = None
     angular_momentum_change: float | None = None
     bar_length_error: float | None = 1e-3
+    position_error: float | None = 0.03
     steps: float | None = None
     evaluations: float | None = None
     switches: float | None = None

@@ -10,6 +10,7 @@ import numpy as np
 
 from tenscontrol.dynamics import Model
 from tenscontrol.integrate import METHODS, Choice, IntegrationError, Integrator, Span, Work, choose
+from tenscontrol.simulation.second_look import estimated_error
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory, build_trajectory
 from tenscontrol.validation import FloatArray, choice
 
@@ -131,15 +132,20 @@ class Loop:
     def trajectory(self, control: ControlRecord | None, stopped: str | None = None) -> Trajectory:
         """Return what came so far."""
         assert self.choice is not None  # made before the first span
+        assert self.integrator is not None  # made with it
+        motion = np.concatenate(self.time), np.hstack(self.states), np.hstack(self.inputs)
+        error = None
+        if stopped is None and self.choice.setting == "step":
+            size = float(np.ptp(self.model.structure.nodes, axis=1).max())
+            error = estimated_error(self.integrator, self.choice.value, size, *motion)
         return build_trajectory(
             self.model,
             self.load,
             self.hold,
-            np.concatenate(self.time),
-            np.hstack(self.states),
-            np.hstack(self.inputs),
+            *motion,
             self.choice,
             self.work,
             control,
             stopped,
+            error,
         )

@@ -89,6 +89,12 @@ class Trajectory:
         What the controller did; None in open loop.
     stopped : str or None
         Why the motion ends early; None where it does not.
+    position_error : float or None
+        Estimate of the error of the nodes at the end, as part of the size of the
+        structure, from parts of the motion taken again in half the steps. None
+        where the method controls its error by tolerance, where few states were
+        kept, or where the motion ends early. It does not know of motions that
+        magnify errors.
     """
 
     structure: Structure
@@ -108,6 +114,7 @@ class Trajectory:
     conserves_momentum: bool
     control: ControlRecord | None
     stopped: str | None = None
+    position_error: float | None = None
 
     @property
     def method(self) -> str:
@@ -152,6 +159,7 @@ class Trajectory:
             momentum_change=changes[0],
             angular_momentum_change=changes[1],
             bar_length_error=float(stretch.max(initial=0.0)),
+            position_error=self.position_error,
             work=self.work,
         )
 
@@ -228,6 +236,7 @@ def build_trajectory(
     work: Work,
     control: ControlRecord | None,
     stopped: str | None,
+    position_error: float | None,
 ) -> Trajectory:
     """Return the trajectory of states (6n, T) under held inputs (α, T).
 
@@ -267,6 +276,7 @@ def build_trajectory(
         conserves_momentum=not load.any() and not len(structure.fixed),
         control=control,
         stopped=stopped,
+        position_error=position_error,
     )
 
 

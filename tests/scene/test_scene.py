@@ -602,7 +602,7 @@ BROKEN = {
     ),
     "step without method": (
         changed("1e-2", "1e-2\nmethod = 'dop853'"),
-        r":10: in \[run\], step goes with method 'rk4'",
+        r":10: in \[run\], 'dop853' takes tolerance, not step",
     ),
     "step and tolerance": (
         changed("1e-2", "1e-2\ntolerance = 1e-8"),

@@ -1,0 +1,266 @@
+"""The cases of the suite."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tenscontrol.accuracy.case import Case
+from tenscontrol.accuracy.suite.extreme import Extreme
+from tenscontrol.actuation import to_rest_length
+from tenscontrol.dynamics import LinearStrings, Model
+from tenscontrol.statics import prism_force_density
+from tenscontrol.structure import Structure, prism, segment_counts, spread_force_density, subdivide
+from tenscontrol.validation import FloatArray
+
+# Part of the force that balances which the vertical strings start with.
+_LET_GO = 0.9
+
+
+def extremes(quick: bool = False) -> tuple[Extreme, ...]:
+    """Return the cases.
+
+    Parameters
+    ----------
+    quick : bool
+        Whether to return a few of them only, one of each kind that is soon done.
+    """
+    makers = _QUICK if quick else _ALL
+    return tuple(case for make in makers for case in make())
+
+
+def _let_go(
+    structure: Structure,
+    level: float,
+    stiffness: Any = None,
+    duration: float = 1.0,
+    spin: float = 0.0,
+) -> Case:
+    """Return a prism let go with too little force in its vertical strings, turning as a whole."""
+    parent = structure if structure.parent is None else structure.parent
+    gamma = prism_force_density(3, level)[0].copy()
+    gamma[np.asarray(parent.string_groups) == "vertical"] *= _LET_GO
+    turning = np.cross([0.0, 0.0, spin], structure.nodes.T).T
+    if structure.parent is not None:
+        gamma = spread_force_density(structure, gamma)
+    if stiffness is None:
+        return Case(
+            Model(structure), duration, velocities=turning, held="force_density", value=gamma
+        )
+    model = Model(structure, strings=LinearStrings(stiffness=stiffness))
+    lengths = to_rest_length(model, structure.nodes, gamma).rest_length
+    return Case(model, duration, velocities=turning, held="rest_length", value=lengths)
+
+
+def _stiffness(powers: range = range(10)) -> list[Extreme]:
+    cases = []
+    for power in powers:
+        k = 10.0**power
+        level = min(10.0, 0.2 * k)
+        # The truth of the stiffest takes long.
+        case = _let_go(prism(), level, k, 2.0 if k < 1e7 else 0.5, spin=1.0)
+        cases.append(Extreme("string stiffness", f"1e{power} N/m", case, turning=1.0))
+    return cases
+
+
+def _node_mass(masses: tuple[float, ...] = (1e-6, 1e-4, 1e-2, 1.0)) -> list[Extreme]:
+    cases = []
+    for mass in masses:
+        cut = subdivide(prism(), segments=2, node_mass=mass)
+        case = _let_go(cut, 10.0, 100.0 * segment_counts(cut), 0.25 if mass < 1e-3 else 1.0)
+        cases.append(Extreme("string-node mass", f"{mass:g} kg beside 1 kg", case))
+    return cases
+
+
+def _bar_mass() -> list[Extreme]:
+    case = _let_go(prism(bar_mass=[1e-3, 1.0, 1e3]), 10.0, 100.0, 2.0)
+    return [Extreme("bars", "1e-3, 1 and 1e3 kg in one", case)]
+
+
+def _segments() -> list[Extreme]:
+    counts = [64] + [1] * 8
+    cut = subdivide(prism(), segments=counts, string_mass=[0.01] + [0.0] * 8)
+    case = _let_go(cut, 10.0, 100.0 * segment_counts(cut), 0.3)
+    return [Extreme("segments", "64 in a string", case)]
+
+
+def _free_bar(speeds: tuple[float, ...] = (1.0, 10.0, 100.0, 1e3)) -> list[Extreme]:
+    """Return a bar that turns about its centre and drifts: three turns."""
+    cases = []
+    for speed in speeds:
+        bar = Structure(
+            nodes=[[-0.5, 0.5], [0.0, 0.0], [0.0, 0.0]],
+            bars=[[0, 1]],
+            strings=np.zeros((0, 2), int),
+            bar_mass=1.0,
+        )
+        drift = np.array([[0.1], [0.2], [0.3]]) * speed
+        turning = np.cross([0.0, 0.0, speed], bar.nodes.T).T
+
+        def motion(time: FloatArray, speed: float = speed, drift: FloatArray = drift) -> FloatArray:
+            half = 0.5 * np.array([np.cos(speed * time), np.sin(speed * time), 0 * time])
+            ends = np.stack([-half, half], axis=1)
+            return np.asarray(ends + drift[:, :, None] * time)
+
+        case = Case(
+            Model(bar),
+            6 * np.pi / speed,
+            velocities=turning + drift,
+            held="force_density",
+            value=np.zeros(0),
+        )
+        cases.append(
+            Extreme("free bar turning", f"{speed:g} rad/s", case, turning=speed, closed_form=motion)
+        )
+    return cases
+
+
+def _spun_prism(speeds: tuple[float, ...] = (100.0, 1e3)) -> list[Extreme]:
+    cases = []
+    for speed in speeds:
+        # Strings that hold it together: five times as fast as it turns.
+        case = _let_go(prism(), 10.0, 25 * speed**2, 12.0 / speed, spin=speed)
+        cases.append(Extreme("prism turning", f"{speed:g} rad/s", case, turning=speed))
+    return cases
+
+
+def _prestress(levels: tuple[float, ...] = (1e-6, 1e-3, 1.0, 1e3, 1e6)) -> list[Extreme]:
+    cases = []
+    for level in levels:
+        period = 2 * np.pi / np.sqrt(level)
+        held = _let_go(prism(), level, None, period)
+        elastic = _let_go(prism(), level, 100 * level, period)
+        cases += [
+            Extreme("prestress, held", f"{level:g} N/m", held),
+            Extreme("prestress, elastic", f"{level:g} N/m", elastic),
+        ]
+    weak = _let_go(prism(), 1e-3, 1e4, 100.0)
+    return [*cases, Extreme("prestress, elastic", "1e-3 N/m in 1e4 N/m", weak)]
+
+
+def _slack() -> list[Extreme]:
+    """All strings slack: for ever; until they catch the bars, which fly apart; again and again."""
+    structure = prism()
+    model = Model(structure, strings=LinearStrings(stiffness=1e3))
+    bars = structure.bars
+    # Every bar moves as one body: away from the axis, and turning about its centre.
+    centres = structure.nodes[:, bars].mean(axis=2)
+    away = np.zeros_like(structure.nodes)
+    for (start, end), centre in zip(bars, centres.T, strict=True):
+        away[:2, [start, end]] = centre[:2, None]
+        for node in (start, end):
+            away[:, node] += np.cross([0.3, 0.0, 1.0], structure.nodes[:, node] - centre)
+    lengths = structure.string_length()
+    cases = []
+    kinds = (("for ever", 100.0, 2.0), ("until they catch", 1.05, 2.0), ("rattling", 1.05, 8.0))
+    for label, part, duration in kinds:
+        case = Case(model, duration, velocities=away, held="rest_length", value=part * lengths)
+        cases.append(Extreme("all strings slack", label, case, turning=1.0))
+    return cases
+
+
+def _zero_length() -> list[Extreme]:
+    """Two bars whose ends a string pulls together: from a distance of nothing, and through it."""
+    nodes = np.array([[0.0, 1.0, 0.0, -1.0], [0.0, 0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 0.0]])
+    joined = Structure(nodes=nodes, bars=[[0, 1], [2, 3]], strings=[[0, 2], [1, 3]], bar_mass=1.0)
+    # The bars part at right angles to themselves, with a speed that no bar resists.
+    parting = np.zeros((3, 4))
+    parting[2] = [0.5, 0.0, -0.5, 0.0]
+    cases = []
+    held = Case(
+        Model(joined), 4.0, velocities=parting, held="force_density", value=np.array([10.0, 0.5])
+    )
+    cases.append(Extreme("string at zero length", "force density held", held))
+    apart = nodes.copy()
+    apart[2, 2:] += 0.2
+    crossing = Structure(nodes=apart, bars=joined.bars, strings=joined.strings, bar_mass=1.0)
+    model = Model(crossing, strings=LinearStrings(stiffness=[50.0, 1.0]))
+    for rest in (0.1, 1e-3):
+        case = Case(model, 3.0, held="rest_length", value=np.array([rest, 1.5]))
+        cases.append(Extreme("string through zero length", f"rest length {rest:g} m", case))
+    return cases
+
+
+def _aspect(aspects: tuple[float, ...] = (1e-3, 1e-1, 1e1, 1e3)) -> list[Extreme]:
+    cases = []
+    for aspect in aspects:
+        # Radius 1 and height `aspect`, or the longer of the two 1.
+        scale = max(aspect, 1.0)
+        structure = prism(radius=0.5 / scale, height=aspect / scale)
+        word = "needle" if aspect > 1 else "coin"
+        case = _let_go(structure, 10.0, 100.0, 2.0)
+        cases.append(Extreme(word, f"height/width {aspect:g}", case))
+    return cases
+
+
+def _long_steps(factors: tuple[float, ...] = (10.0, 30.0, 100.0)) -> list[Extreme]:
+    cases = []
+    for factor in factors:
+        for k in (100.0, 1e4):
+            case = _let_go(prism(), 10.0, k, 4.0, spin=1.0)
+            group = f"steps {factor:g} times too long"
+            # Few outputs, for steps are shortened to reach them.
+            cases.append(Extreme(group, f"{k:g} N/m", case, longer=factor, outputs=10))
+    return cases
+
+
+def _many_steps() -> list[Extreme]:
+    """Return a run some three hundred times as long as the others."""
+    case = _let_go(prism(), 10.0, 100.0, 560.0)
+    return [Extreme("long run", "some 1e6 steps of rattle", case, budget=1.2e6)]
+
+
+def _scale() -> list[Extreme]:
+    """Return the same motion at sizes from microns to kilometres."""
+    # Masses, forces and times fit the size.
+    cases = []
+    for length, label in ((1e-6, "1 µm"), (1e-3, "1 mm"), (1e3, "1 km")):
+        structure = prism(radius=0.5 * length, height=length, bar_mass=length**3)
+        # Density and speeds of sound as they are: mass L³, stiffness L, time L.
+        case = _let_go(structure, 10.0 * length, 100.0 * length, 2.0 * length, spin=1.0 / length)
+        cases.append(Extreme("scale", label, case, turning=1.0 / length))
+    return cases
+
+
+def _damped() -> list[Extreme]:
+    """Damped strings, whose energy tells nothing."""
+    base = _let_go(prism(), 10.0, 100.0, 2.0)
+    cases = []
+    for damping, longer in ((1.0, 1.0), (100.0, 1.0), (1.0, 10.0), (1.0, 30.0)):
+        model = Model(base.structure, strings=LinearStrings(stiffness=100.0, damping=damping))
+        label = f"{damping:g} N s/m"
+        if longer > 1:
+            label += f", steps {longer:g} times too long"
+        case = replace(base, model=model)
+        cases.append(Extreme("damped", label, case, longer, 10 if longer > 1 else 100))
+    return cases
+
+
+_Makers = tuple[Callable[[], list[Extreme]], ...]
+
+_ALL: _Makers = (
+    _stiffness,
+    _node_mass,
+    _bar_mass,
+    _segments,
+    _free_bar,
+    _spun_prism,
+    _prestress,
+    _slack,
+    _zero_length,
+    _aspect,
+    _long_steps,
+    _damped,
+    _many_steps,
+    _scale,
+)
+_QUICK: _Makers = (
+    lambda: _stiffness(range(2, 3)),
+    lambda: _free_bar((1e3,)),
+    lambda: _prestress((1e-6,))[:1],
+    lambda: _long_steps((30.0,))[:1],
+    lambda: _zero_length()[:1],
+)

@@ -1,0 +1,77 @@
+"""The choice of a method, and the largest frequency that it rests on."""
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.dynamics import pack_state
+from tenscontrol.integrate import choose
+from tenscontrol.integrate.scales import largest_frequency, state_scale
+from tests.dynamics.scenes import paper_force_density, rest_lengths
+
+
+def stiff(prism, stiffness):
+    lengths = rest_lengths(prism, paper_force_density(45.0), stiffness)
+    equation = tc.Model(prism, strings=tc.LinearStrings(stiffness)).equation("rest_length")
+    return equation, pack_state(prism, prism.nodes, np.zeros((3, 6))), lengths
+
+
+@pytest.mark.parametrize("stiffness", [1e2, 1e5, 1e8])
+def test_the_largest_frequency_is_that_of_the_linear_plant(prism, rest, stiffness):
+    model = tc.Model(prism, strings=tc.LinearStrings(stiffness))
+    plant = tc.linearize(model, rest, "rest_length", "minimal")
+    exact = 2 * np.pi * tc.modes(plant).frequency.max()
+    lengths = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
+    state = pack_state(prism, prism.nodes, np.zeros((3, 6)))
+    found = largest_frequency(model.equation("rest_length"), state, lengths)
+    assert exact * 0.97 < found < exact * 1.1
+
+
+def test_soft_strings_get_the_method_of_order_eight(prism):
+    chosen = choose(*stiff(prism, 1e2), 5.0, 1e-6, None)
+    assert (chosen.method, chosen.setting, chosen.value) == ("dop853", "tolerance", 1e-6)
+    assert "rad/s" in chosen.reason
+
+
+def test_stiff_strings_get_the_implicit_method(prism):
+    chosen = choose(*stiff(prism, 1e12), 5.0, 1e-6, None)
+    assert chosen.method == "energy_momentum"
+    assert "an explicit method would need" in chosen.reason
+
+
+def test_a_step_asks_for_rk4(prism):
+    chosen = choose(*stiff(prism, 1e2), 5.0, 1e-6, 1e-3)
+    assert (chosen.method, chosen.setting, chosen.value) == ("rk4", "step", 1e-3)
+
+
+def test_a_run_says_what_was_chosen_and_why(prism):
+    lengths = rest_lengths(prism, paper_force_density(9.0), 100.0)
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    run = tc.simulate(model, 0.2, rest_length=lengths)
+    assert run.choice.reason in run.summary()
+    assert "rejected" in run.summary() or run.work.rejections == 0
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e3])
+@pytest.mark.parametrize(
+    ("method", "setting"),
+    [("dop853", 1e-8), ("radau", 1e-8), ("cvodes", 1e-8), ("energy_momentum", 1e-5)],
+)
+def test_the_answer_does_not_change_with_the_unit_of_length(prism, unit, method, setting):
+    """Lengths in another unit, force densities and masses as they are: the same motion."""
+    motions = []
+    for scale in (1.0, unit):
+        small = tc.prism(radius=0.5 * scale, height=scale)
+        lengths = scale * rest_lengths(prism, paper_force_density(9.0), 100.0)
+        model = tc.Model(small, strings=tc.LinearStrings(100.0))
+        run = tc.simulate(model, 0.5, rest_length=lengths, method=method, tolerance=setting)
+        motions.append(run.nodes[:, :, -1] / scale)
+    np.testing.assert_allclose(motions[1], motions[0], rtol=0, atol=1e-6)
+
+
+def test_scales_follow_size_and_forces(prism):
+    equation, state, lengths = stiff(prism, 100.0)
+    scale = state_scale(equation, state, lengths)
+    assert scale[0] == pytest.approx(prism.bar_length[0])
+    assert scale.shape == state.shape
+    assert 0.1 < scale[-1] < 100
