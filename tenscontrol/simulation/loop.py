@@ -135,7 +135,10 @@ class Loop:
         assert self.integrator is not None  # made with it
         motion = np.concatenate(self.time), np.hstack(self.states), np.hstack(self.inputs)
         error = None
-        if stopped is None and self.choice.setting == "step":
+        if stopped is None and self.choice.setting == "tolerance":
+            # Each step may err by the tolerance, and errors add up.
+            error = self.choice.value * self.work.steps
+        elif stopped is None:
             size = float(np.ptp(self.model.structure.nodes, axis=1).max())
             error = estimated_error(self.integrator, self.choice.value, size, *motion)
         return build_trajectory(

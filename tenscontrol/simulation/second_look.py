@@ -13,6 +13,9 @@ from tenscontrol.validation import FloatArray
 # look must not take longer than the motion itself.
 _PARTS, _SHARE = 16, 0.25
 
+# The parts may miss the worst of the motion.
+_SAFETY = 2.0
+
 
 def estimated_error(
     integrator: Integrator,
@@ -26,7 +29,7 @@ def estimated_error(
 
     From some states along the motion the next one is found anew, in steps of
     half the length; how far the two end apart is about the error made in
-    between. Their mean times the number of such parts in the whole motion is
+    between. Twice their mean times the number of such parts in the motion is
     the estimate: the error if errors add up, neither growing nor dying out. It
     is far too high for symplectic methods, whose errors mostly cancel. It tells
     of too long a step where energy and bar lengths do not: under damping,
@@ -68,4 +71,4 @@ def estimated_error(
             return float("inf")
         change = (span.states[:, -1] - states[:, k + 1])[: len(states) // 2].reshape(-1, 3)
         errors.append(np.linalg.norm(change, axis=1).max())
-    return float(np.mean(errors)) * intervals / size
+    return _SAFETY * float(np.mean(errors)) * intervals / size

@@ -91,10 +91,10 @@ class Trajectory:
         Why the motion ends early; None where it does not.
     position_error : float or None
         Estimate of the error of the nodes at the end, as part of the size of the
-        structure, from parts of the motion taken again in half the steps. None
-        where the method controls its error by tolerance, where few states were
-        kept, or where the motion ends early. It does not know of motions that
-        magnify errors.
+        structure: twice what parts of the motion, taken again in half the
+        steps, are off by; with a tolerance, that times the steps. None where few
+        states were kept, or the motion ends early. It does not know of motions
+        that magnify errors: see :func:`predictability`.
     """
 
     structure: Structure

@@ -116,8 +116,7 @@ def judge(extreme: Extreme, known: Truth, method: str) -> Verdict:
         return Verdict(**row, verdict="too long", evaluations=expected, reason=reason)
     given: dict[str, Any] = {case.held: case.value}
     settings: dict[str, Any] = {**extreme.settings(method)}
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         try:
             run = simulate(
                 case.model,
