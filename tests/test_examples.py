@@ -18,6 +18,11 @@ def run(name):
 
 def test_every_example_is_tested():
     tested = {
+        "plot_accuracy_error_against_time.py",
+        "plot_accuracy_form.py",
+        "plot_accuracy_long_run.py",
+        "plot_accuracy_order.py",
+        "plot_accuracy_stability.py",
         "plot_control_string_mass.py",
         "plot_paper_skin.py",
         "plot_paper_string_mass.py",
@@ -71,3 +76,57 @@ def test_control_string_mass():
         assert max(values) < 1e-4
         assert values[0] < max(values)  # mass is noticed
     assert found["left_with_full"] < 1e-3
+
+
+def test_accuracy_error_against_time():
+    compared = run("plot_accuracy_error_against_time.py")["compared"]
+    assert compared.failures == ()
+    finest = {name: min(row.error for row in compared.of(name)) for name in compared.methods}
+    assert finest["rattle6"] < 1e-11 < finest["rattle4"] < 1e-6 < finest["rk4"] < 1e-4
+
+
+@pytest.fixture(scope="module")
+def form():
+    return run("plot_accuracy_form.py")
+
+
+def test_accuracy_form(form):
+    taut, across = form["found"]["strings stay taut"]
+    slack, across_switches = form["found"]["strings go slack"]
+    own = [row.error for row in taut.of("rk4")]
+    # Without switches there is nothing to step across.
+    assert across == pytest.approx(own, rel=0.05)
+    assert across_switches[-1] > 10 * slack.of("rk4")[-1].error
+
+
+def test_accuracy_form_against_mujoco(form):
+    pytest.importorskip("mujoco", reason="MuJoCo comes with the extra bench")
+    share = form["share"]
+    assert share["strings stay taut"] == pytest.approx([1.0] * 5, abs=0.1)
+    assert share["strings go slack"][-1] > 10
+
+
+def test_accuracy_order():
+    found = run("plot_accuracy_order.py")
+    assert found["orders"]["rk4"].order == pytest.approx(4.0, abs=0.2)
+    assert found["orders"]["rattle4"].order == pytest.approx(4.0, abs=0.2)
+    assert found["orders"]["rk4"].switches == 33
+    assert found["gain"] < 0.05
+
+
+def test_accuracy_stability():
+    found = run("plot_accuracy_stability.py")
+    for stability in found["maps"].values():
+        np.testing.assert_allclose(stability.step, stability.bound, rtol=0.02)
+    assert found["run"].health.energy_error < 1e-6
+    assert found["chosen"].choice.method == "energy_momentum"
+
+
+def test_accuracy_long_run():
+    found = run("plot_accuracy_long_run.py")
+    energy = {name: each.of("energy") for name, each in found["runs"].items()}
+    assert not energy["rk4"].is_zero
+    assert energy["rattle"].is_zero
+    assert energy["rattle4"].is_zero
+    assert found["growth"]["slack skin"].horizon == pytest.approx(1.1, abs=0.2)
+    assert not found["growth"]["no skin"].is_limited
