@@ -10,7 +10,7 @@ import numpy as np
 from tenscontrol.dynamics import Equation, Evaluator
 from tenscontrol.integrate.integrator import Work
 from tenscontrol.integrate.pieces import Piece, PiecewiseIntegrator, Step
-from tenscontrol.integrate.radau import jacobian_weight
+from tenscontrol.integrate.radau import jacobian_weight, state_jacobian
 from tenscontrol.validation import FloatArray
 
 # States that one call returns. Powers of two, so that outputs fall on them. Where strings can go
@@ -58,7 +58,7 @@ class CVODES(PiecewiseIntegrator):
         self._long = _solver(equation, self._grid, self.tolerance)
         self._hop = _solver(equation, 1, self.tolerance)
         self._slopes = Evaluator(_slopes(equation, self._grid + 1))
-        self._weight = jacobian_weight(equation.slope)
+        self._weight = jacobian_weight(equation.slope, state_jacobian(equation.slope))
 
     def _begin(
         self,

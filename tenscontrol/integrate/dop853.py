@@ -10,7 +10,7 @@ import numpy as np
 from tenscontrol.dynamics import Equation, Evaluator
 from tenscontrol.integrate.dormand_prince import MORE_STAGES, POWERS, STAGES, DormandPrince
 from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span, Work
-from tenscontrol.integrate.scales import largest_frequency, state_scale
+from tenscontrol.integrate.scales import Frequency, state_scale
 from tenscontrol.integrate.switching import crossing, landing, taut_strings
 from tenscontrol.validation import FloatArray, positive_number
 
@@ -87,7 +87,7 @@ class DOP853(Integrator):
         self._chunk = Evaluator(self._as_compiled(turns, machine_code))
         x, u = ca.MX.sym("x", equation.states), ca.MX.sym("u", equation.inputs)
         taut = taut_strings(equation, x, u)
-        self._longest: float | None = None
+        self._frequency = Frequency(equation)
         self._start = Evaluator(ca.Function("start", [x, u], [taut, equation.slope(x, u, taut)]))
 
     def advance(
@@ -100,16 +100,15 @@ class DOP853(Integrator):
     ) -> Span:
         """See :meth:`Integrator.advance`."""
         n, switches = self._equation.states, self._equation.switches
-        scale = state_scale(self._equation, state, held)
+        frequency = self._frequency(state, held)
+        scale = state_scale(self._equation, state, held, frequency)
         taut, slope = (part.copy() for part in self._start(state, held))
         step = _first_step(slope, scale, duration)
         carried = np.concatenate([state, slope, taut, [0.0, step], np.zeros(len(_CARRIED) - 2)])
         spacing = duration / outputs
         times: FloatArray = np.linspace(0.0, duration, outputs + 1)[1:]
         states = np.empty((n, outputs))
-        if self._longest is None:
-            self._longest = _STABLE / max(largest_frequency(self._equation, state, held), 1e-300)
-        longest = min(self._longest, duration)
+        longest = min(_STABLE / max(frequency, 1e-300), duration)
         given = np.concatenate([held, [duration, spacing, longest], self.tolerance * scale])
         given = np.tile(given[:, None], (1, self._turns)) if self._turns > 1 else given
         done, told = 0, dict.fromkeys(_CARRIED, 0.0)

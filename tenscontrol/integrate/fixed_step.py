@@ -18,6 +18,9 @@ from tenscontrol.validation import FloatArray, positive_number
 # that a long run reports its progress and a short one does not wait for steps left out.
 _BLOCK, _MANY = 32, 16
 
+# Numbers that a call may return: memory is for states that are kept.
+_MOST_NUMBERS = 1e6
+
 
 class FixedStep(Integrator):
     """A method with a fixed step; the loop over the steps runs inside CasADi (``mapaccum``).
@@ -47,7 +50,9 @@ class FixedStep(Integrator):
         step_of_all = _carried(projected(one, equation) if project else one, equation)
         self._size = int(step_of_all.size1_in(0))
         block = self._as_compiled(_block(step_of_all), machine_code)
-        self._blocks = {1: Evaluator(block), _MANY: Evaluator(block.mapaccum(_MANY))}
+        self._block = block
+        self._blocks = {1: Evaluator(block)}
+        self._many = int(np.clip(_MOST_NUMBERS / (_BLOCK * self._size), 1, _MANY))
         x, u = ca.MX.sym("x", equation.states), ca.MX.sym("u", equation.inputs)
         self._taut = Evaluator(ca.Function("taut", [x, u], [taut_strings(equation, x, u)]))
 
@@ -74,7 +79,9 @@ class FixedStep(Integrator):
         carried = np.concatenate([state, taut, np.zeros(len(COUNTS))])[: self._size]
         done = 0
         while done < total:
-            blocks = _MANY if total - done >= _MANY * _BLOCK else 1
+            blocks = self._many if total - done >= self._many * _BLOCK else 1
+            if blocks not in self._blocks:
+                self._blocks[blocks] = Evaluator(self._block.mapaccum(blocks))
             size = min(blocks * _BLOCK, total - done)
             steps: FloatArray = np.zeros(blocks * _BLOCK)
             steps[:size] = step

@@ -110,11 +110,13 @@ class Method:
 _ALL = (
     Method("rk4", ("step",), "order 4, fixed steps; bar lengths drift", RK4),
     Method("rattle", ("step",), "order 2, symplectic, fixed steps", Rattle, drifts=False),
-    Method("rattle4", ("step",), "order 4, symplectic, fixed steps", Rattle4, drifts=False),
+    Method(
+        "rattle4", ("step",), "order 4, symplectic, fixed steps; no damping", Rattle4, drifts=False
+    ),
     Method(
         "rattle6",
         ("step",),
-        "order 6, symplectic, fixed steps: the fastest where strings are not damped",
+        "order 6, symplectic, fixed steps; no damping: the fastest",
         Rattle6,
         drifts=False,
     ),

@@ -20,7 +20,7 @@ from tenscontrol.integrate.integrator import (
     Work,
 )
 from tenscontrol.integrate.projection import projection
-from tenscontrol.integrate.scales import state_scale
+from tenscontrol.integrate.scales import largest_frequency, state_scale
 from tenscontrol.validation import FloatArray, positive_number
 
 # SciPy and SUNDIALS go no lower.
@@ -137,7 +137,8 @@ class PiecewiseIntegrator(Integrator):
     ) -> Span:
         """See :meth:`Integrator.advance`."""
         if self._scale is None:
-            self._scale = state_scale(self._equation, state, held)
+            frequency = largest_frequency(self._equation, state, held)
+            self._scale = state_scale(self._equation, state, held, frequency)
             self._equation = _scaled(self._equation, self._scale)
             self._prepare(self._equation)
         state = state / self._scale
@@ -183,6 +184,7 @@ class PiecewiseIntegrator(Integrator):
                 Span(self._returned(states[:, :done]), work),
             ) from None
         except KeyboardInterrupt:
+            work += Work() if piece is None else piece.work
             so_far = Span(self._returned(states[:, :done]), work)
             raise IntegrationError("interrupted", now, so_far, True) from None
         assert piece is not None  # the span has a length

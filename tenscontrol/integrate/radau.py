@@ -56,7 +56,7 @@ class Radau(PiecewiseIntegrator):
         self._pattern = jacobian.sparsity_out(0)
         self._sparse = equation.states >= _SPARSE_FROM
         self._jacobian = Evaluator(_stored(jacobian, self._sparse))
-        self._weight = jacobian_weight(equation.slope)
+        self._weight = jacobian_weight(equation.slope, jacobian)
 
     def _begin(
         self,
@@ -159,15 +159,16 @@ def state_jacobian(slope: ca.Function) -> ca.Function:
     return ca.Function("jacobian", inputs, [ca.jacobian(slope(*inputs), inputs[0])])
 
 
-def jacobian_weight(slope: ca.Function) -> int:
+def jacobian_weight(slope: ca.Function, jacobian: ca.Function) -> int:
     """Return how many evaluations of a right-hand side one of its Jacobian is worth."""
-    instructions = int(state_jacobian(slope).n_instructions())
-    return max(1, round(instructions / int(slope.n_instructions())))
+    inputs = slope.sx_in()
+    written = ca.Function("written", inputs, [slope(*inputs)])  # in whatever form it comes
+    return max(1, round(int(jacobian.n_instructions()) / int(written.n_instructions())))
 
 
 def _stored(jacobian: ca.Function, sparse: bool) -> ca.Function:
     """Return the Jacobian as it is handed over: its entries in a column, or a full matrix."""
     inputs = jacobian.sx_in()
     matrix = jacobian(*inputs)
-    entries = ca.vertcat(*matrix.nonzeros()) if sparse else ca.densify(matrix)
+    entries = matrix.nz[:] if sparse else ca.densify(matrix)
     return ca.Function("entries", inputs, [entries])

@@ -180,8 +180,8 @@ def rattle_step(
         )
     if equation.velocity_dependent and order != 2:
         raise ValueError(
-            f"order is {order}, expected 2 where strings are damped: "
-            "for a higher order use rk4 or dop853"
+            f"RATTLE of order {order} ('rattle{order}') steps back in time, where damped strings "
+            "drive: use 'rattle', 'rk4' or 'dop853'"
         )
     x, u, taut, h = (
         symbols.sym(name, size)

@@ -11,14 +11,25 @@ from tenscontrol.validation import FloatArray
 _POWER_ITERATIONS, _PUSH = 60, 1e-6
 
 
-def state_scale(equation: Equation, state: FloatArray, held: FloatArray) -> FloatArray:
+def state_scale(
+    equation: Equation, state: FloatArray, held: FloatArray, frequency: float
+) -> FloatArray:
     """Return the size of each entry of the state, shape (states,).
 
     For positions it is the length of the longest bar or string; for velocities
     the larger of the fastest node's and the speed that the forces at the start
-    give the whole structure over its own size. So the answer does not change
-    with units or place. An equation that is no structure's has the entry itself
-    and 1.
+    give the whole structure over its own size, but a thousandth of what the
+    fastest vibration of that size would have at least. So the answer does not
+    change with units or place. An equation that is no structure's has the entry
+    itself and 1.
+
+    Parameters
+    ----------
+    equation : Equation
+    state : ndarray, shape (states,)
+    held : ndarray, shape (inputs,)
+    frequency : float
+        From :func:`largest_frequency`, rad/s.
     """
     structure, force = equation.structure, equation.force
     if structure is None or force is None:
@@ -30,9 +41,31 @@ def state_scale(equation: Equation, state: FloatArray, held: FloatArray) -> Floa
     members = np.vstack([structure.bars, structure.strings])
     size = np.linalg.norm(nodes[:, members[:, 1]] - nodes[:, members[:, 0]], axis=0).max()
     mass = structure.bar_mass.sum() + structure.string_node_mass.sum()
+    speeds = (np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass), 1e-3 * size * frequency)
     # Where nothing moves and nothing pulls, any speed will do.
-    speed = max(np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass)) or size
-    return np.repeat([size, speed], len(q))
+    return np.repeat([size, max(speeds) or size], len(q))
+
+
+class Frequency:
+    """The largest frequency of a motion whose input changes now and then.
+
+    Found again only where an input has changed by more than a fifth.
+
+    Parameters
+    ----------
+    equation : Equation
+    """
+
+    def __init__(self, equation: Equation) -> None:
+        self._equation = equation
+        self._held: FloatArray | None = None
+        self._found = 0.0
+
+    def __call__(self, state: FloatArray, held: FloatArray) -> float:
+        """Return it for a state and what is held, rad/s."""
+        if self._held is None or (np.abs(held - self._held) > 0.2 * np.abs(self._held)).any():
+            self._found, self._held = largest_frequency(self._equation, state, held), held.copy()
+        return self._found
 
 
 def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -> float:

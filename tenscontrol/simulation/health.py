@@ -81,7 +81,7 @@ class Limits:
     momentum_change: float | None = None
     angular_momentum_change: float | None = None
     bar_length_error: float | None = 1e-3
-    position_error: float | None = 0.03
+    position_error: float | None = 0.1
     steps: float | None = None
     evaluations: float | None = None
     switches: float | None = None

@@ -81,8 +81,10 @@ class Loop:
         method = METHODS[chosen.method]
         if method.differentiates and equation.form == "driver":
             equation = self.model.equation(self.hold, load, form="mapped")
+        # Not what the user says of a method that he has not chosen, and that needs no projection.
+        project = self.project if method.drifts or self.method != "auto" else None
         integrator = method.integrator(
-            equation, chosen.value, chosen.setting, self.project, self.machine_code
+            equation, chosen.value, chosen.setting, project, self.machine_code
         )
         self.choice = replace(chosen, back_end=integrator.back_end)
         return integrator
@@ -140,7 +142,8 @@ class Loop:
             error = self.choice.value * self.work.steps
         elif stopped is None:
             size = float(np.ptp(self.model.structure.nodes, axis=1).max())
-            error = estimated_error(self.integrator, self.choice.value, size, *motion)
+            step = self.choice.value
+            error = estimated_error(self.integrator, step, size, *motion)
         return build_trajectory(
             self.model,
             self.load,

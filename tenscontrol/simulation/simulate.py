@@ -162,6 +162,8 @@ def simulate(
         instance("limits", limits, Limits, "make them by Limits(bar_length_error=...)")
     if controller is not None:
         instance("controller", controller, Controller, "make one by lqr(...) or MPC(...)")
+    if not len(model.structure.free):
+        raise ValueError("every node of the model is fixed: nothing can move")
     loop = Loop(
         model,
         hold=_held(model, rest_length, force_density, controller, hold),

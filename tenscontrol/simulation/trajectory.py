@@ -213,6 +213,10 @@ class Trajectory:
             lines.append(f"ended early       {self.stopped}")
         if self.choice.reason != "asked for":
             lines.append(f"method            {self.choice.reason}")
+        if self.choice.back_end != "virtual machine":
+            lines.append(f"steps run in      {self.choice.back_end}")
+        if self.position_error is not None:
+            lines.append(f"nodes off by      some {self.position_error:.1e} of the size, estimated")
         if self.work.rejections:
             lines.append(f"rejected steps    {self.work.rejections}")
         if self.work.switches:

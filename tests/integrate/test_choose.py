@@ -71,7 +71,7 @@ def test_the_answer_does_not_change_with_the_unit_of_length(prism, unit, method,
 
 def test_scales_follow_size_and_forces(prism):
     equation, state, lengths = stiff(prism, 100.0)
-    scale = state_scale(equation, state, lengths)
+    scale = state_scale(equation, state, lengths, 40.0)
     assert scale[0] == pytest.approx(prism.bar_length[0])
     assert scale.shape == state.shape
     assert 0.1 < scale[-1] < 100

@@ -12,7 +12,7 @@ import numpy as np
 from tenscontrol.accuracy.case import Case
 from tenscontrol.accuracy.peer import Peer, Solution
 from tenscontrol.dynamics import unpack_states
-from tenscontrol.integrate.radau import jacobian_weight
+from tenscontrol.integrate.radau import jacobian_weight, state_jacobian
 from tenscontrol.validation import FloatArray
 
 
@@ -42,7 +42,7 @@ class CasADiCVODES(Peer):
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         kinked = case.equation().kinked_slope
-        weight = jacobian_weight(kinked)
+        weight = jacobian_weight(kinked, state_jacobian(kinked))
         solver = _solver(
             "cvodes",
             kinked,

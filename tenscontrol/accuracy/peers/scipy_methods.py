@@ -60,7 +60,7 @@ class SciPy(Peer):
         if self.method in _IMPLICIT:
             jacobian = _dense(kinked)
             options["jac"] = lambda time, x: jacobian(x, held)[0].copy()
-            weight = jacobian_weight(kinked)
+            weight = jacobian_weight(kinked, state_jacobian(kinked))
 
         def slope(time: float, x: FloatArray) -> FloatArray:
             rate = evaluate(x, held)[0].copy()
