@@ -22,6 +22,9 @@ from tenscontrol.validation import FloatArray
 #: What can come of a method; the last is what must not.
 VERDICTS = ("accurate", "in part", "warned", "stopped", "refused", "too long", "unknown", "SILENT")
 
+# What the runs are told to warn of.
+_LIMITS = Limits(position_error=ASKED)
+
 # Length at which reasons are cut off in what is kept.
 _LONGEST = 200
 
@@ -126,7 +129,7 @@ def judge(extreme: Extreme, known: Truth, method: str) -> Verdict:
                 **given,
                 method=method.split(",")[0],
                 output_step=case.duration / extreme.outputs,
-                limits=Limits(position_error=ASKED),
+                limits=_LIMITS,
                 **settings,
             )
         except SimulationError as error:
