@@ -31,10 +31,11 @@ def estimated_error(
     half the length; how far the two end apart is about the error made in
     between. The errors where velocities change most are added, those of
     velocities by how far they lead in the time that is left, or that the motion
-    needs for its own size; of the rest the mean stands for all. Twice that is the estimate: the error if errors add up, neither growing
-    nor dying out. It is far too high for symplectic methods, whose errors mostly
-    cancel. It tells of too long a step where energy and bar lengths do not:
-    under damping, under a controller, in methods that conserve both.
+    needs for its own size; of the rest the mean stands for all. Twice that is
+    the estimate: the error if errors add up, neither growing nor dying out. It
+    is far too high for symplectic methods, whose errors mostly cancel. It tells
+    of too long a step where energy and bar lengths do not: under damping,
+    under a controller, in methods that conserve both.
 
     Parameters
     ----------
