@@ -801,3 +801,10 @@ def test_names_are_listed_once_and_hide_no_builtin():
     assert not set(names) & set(dir(builtins))
     with pytest.raises(AttributeError, match="'tenscontrol' has no attribute 'nothing'"):
         _ = tc.nothing
+
+
+def test_every_public_name_is_on_the_page_of_the_interface():
+    page = (PROJECT / "docs" / "api.rst").read_text(encoding="utf-8")
+    named = set(re.findall(r"::\s+([\w.]+)", page))
+    last = {name.rsplit(".", 1)[-1] for name in named}
+    assert [name for name in tc.__all__ if name != "__version__" and name not in last] == []
