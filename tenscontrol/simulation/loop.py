@@ -12,7 +12,7 @@ from tenscontrol.dynamics import Model
 from tenscontrol.integrate import METHODS, Choice, IntegrationError, Integrator, Span, Work, choose
 from tenscontrol.simulation.second_look import estimated_error
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory, build_trajectory
-from tenscontrol.validation import FloatArray, choice
+from tenscontrol.validation import FloatArray, choice, positive_number
 
 
 class SimulationError(ArithmeticError):
@@ -56,6 +56,9 @@ class Loop:
 
     def __post_init__(self) -> None:
         choice("method", self.method, ("auto", *METHODS))
+        if self.step is not None:
+            self.step = positive_number("step", self.step, "s")
+        self._equation = self.model.equation(self.hold, self.load - self.model.constant_force)
         if self.method == "auto":
             return
         settings = METHODS[self.method].settings
@@ -70,8 +73,7 @@ class Loop:
 
     def _prepare(self, state: FloatArray, held: FloatArray) -> Integrator:
         """Return the integrator, chosen for the scene if the user has not."""
-        load = self.load - self.model.constant_force
-        equation = self.model.equation(self.hold, load)
+        equation = self._equation
         if self.method == "auto":
             chosen = choose(equation, state, held, self.duration, self.tolerance, self.step)
         elif self.step is None:
@@ -80,6 +82,7 @@ class Loop:
             chosen = Choice(self.method, "step", self.step, "asked for")
         method = METHODS[chosen.method]
         if method.differentiates and equation.form == "driver":
+            load = self.load - self.model.constant_force
             equation = self.model.equation(self.hold, load, form="mapped")
         # Not what the user says of a method that he has not chosen, and that needs no projection.
         project = self.project if method.drifts or self.method != "auto" else None
