@@ -10,6 +10,7 @@ import numpy as np
 from tenscontrol.dynamics import Equation, Evaluator
 from tenscontrol.integrate.dormand_prince import MORE_STAGES, POWERS, STAGES, DormandPrince
 from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span, Work
+from tenscontrol.integrate.projection import projection
 from tenscontrol.integrate.scales import Frequency, state_scale
 from tenscontrol.integrate.switching import crossing, landing, taut_strings
 from tenscontrol.validation import FloatArray, positive_number
@@ -82,6 +83,8 @@ class DOP853(Integrator):
                 f"tolerance is {self.tolerance:g}, expected at least {_SMALLEST_TOLERANCE:.1e}: "
                 "double precision goes no further"
             )
+        self._exact = projection(equation) if project else None
+        self._exact_columns: dict[int, Evaluator] = {}
         self._turns = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _TURNS))
         turns = _Turn(equation, project).function().mapaccum(self._turns)
         self._chunk = Evaluator(self._as_compiled(turns, machine_code))
@@ -116,7 +119,7 @@ class DOP853(Integrator):
             try:
                 after, recorded = self._chunk(carried, given)
             except KeyboardInterrupt:
-                reached = Span(states[:, :done], _work(told))
+                reached = Span(self._projected(states[:, :done]), _work(told))
                 raise IntegrationError("interrupted", told["time"], reached, True) from None
             carried = after.reshape(-1, self._turns, order="F")[:, -1].copy()
             recorded = recorded.reshape(-1, self._turns, order="F")
@@ -129,13 +132,24 @@ class DOP853(Integrator):
                     f"{told['step']:.1e} s, as the forces are no longer finite or change "
                     "without end",
                     told["time"],
-                    Span(states[:, :done], work),
+                    Span(self._projected(states[:, :done]), work),
                 )
             if report is not None:
                 report(told["time"])
             if told["time"] >= duration:
+                states[:, :-1] = self._projected(states[:, :-1])
                 states[:, -1] = carried[:n]
                 return Span(states, work)
+
+    def _projected(self, states: FloatArray) -> FloatArray:
+        """Return interpolated states with exact bar lengths, if those of the steps are."""
+        count = states.shape[1]
+        if self._exact is None or count == 0:
+            return states
+        if count not in self._exact_columns:
+            self._exact_columns[count] = Evaluator(self._exact.map(count))
+        given = states if count > 1 else states[:, 0]
+        return self._exact_columns[count](given)[0].reshape(-1, count, order="F").copy()
 
 
 def _work(told: dict[str, float]) -> Work:
