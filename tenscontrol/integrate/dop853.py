@@ -9,14 +9,18 @@ import numpy as np
 
 from tenscontrol.dynamics import Equation, Evaluator
 from tenscontrol.integrate.dormand_prince import MORE_STAGES, POWERS, STAGES, DormandPrince
-from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span, Work
-from tenscontrol.integrate.projection import projection
+from tenscontrol.integrate.integrator import (
+    IntegrationError,
+    Integrator,
+    Report,
+    Span,
+    Work,
+    checked_tolerance,
+)
+from tenscontrol.integrate.projection import Projector
 from tenscontrol.integrate.scales import Frequency, state_scale
 from tenscontrol.integrate.switching import crossing, landing, taut_strings
-from tenscontrol.validation import FloatArray, positive_number
-
-# Below, round-off rejects every step.
-_SMALLEST_TOLERANCE = 100 * np.finfo(float).eps
+from tenscontrol.validation import FloatArray
 
 # Turns (steps tried) per call into CasADi, and the most numbers that they may record.
 _TURNS = 32
@@ -77,14 +81,8 @@ class DOP853(Integrator):
         self, equation: Equation, tolerance: float, project: bool = True, machine_code: bool = False
     ) -> None:
         super().__init__(equation)
-        self.tolerance = positive_number("tolerance", tolerance, "of size and speed")
-        if self.tolerance < _SMALLEST_TOLERANCE:
-            raise ValueError(
-                f"tolerance is {self.tolerance:g}, expected at least {_SMALLEST_TOLERANCE:.1e}: "
-                "double precision goes no further"
-            )
-        self._exact = projection(equation) if project else None
-        self._exact_columns: dict[int, Evaluator] = {}
+        self.tolerance = checked_tolerance(tolerance)
+        self._projected = Projector(equation, project)
         self._turns = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _TURNS))
         turns = _Turn(equation, project).function().mapaccum(self._turns)
         self._chunk = Evaluator(self._as_compiled(turns, machine_code))
@@ -140,16 +138,6 @@ class DOP853(Integrator):
                 states[:, :-1] = self._projected(states[:, :-1])
                 states[:, -1] = carried[:n]
                 return Span(states, work)
-
-    def _projected(self, states: FloatArray) -> FloatArray:
-        """Return interpolated states with exact bar lengths, if those of the steps are."""
-        count = states.shape[1]
-        if self._exact is None or count == 0:
-            return states
-        if count not in self._exact_columns:
-            self._exact_columns[count] = Evaluator(self._exact.map(count))
-        given = states if count > 1 else states[:, 0]
-        return self._exact_columns[count](given)[0].reshape(-1, count, order="F").copy()
 
 
 def _work(told: dict[str, float]) -> Work:

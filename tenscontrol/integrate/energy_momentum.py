@@ -10,7 +10,14 @@ import numpy as np
 
 from tenscontrol.dynamics import Equation, Evaluator
 from tenscontrol.integrate.energy_momentum_step import step_equations
-from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span, Work
+from tenscontrol.integrate.integrator import (
+    IntegrationError,
+    Integrator,
+    Report,
+    Span,
+    Work,
+    checked_tolerance,
+)
 from tenscontrol.integrate.newton import newton_solver
 from tenscontrol.validation import FloatArray, positive_number
 
@@ -126,12 +133,9 @@ class EnergyMomentum(Integrator):
                 "make one by Model(structure).equation(...)"
             )
         self.step = None if step is None else positive_number("step", step, "s")
-        self.tolerance = None if tolerance is None else positive_number("tolerance", tolerance, "m")
-        if self.tolerance is not None and self.tolerance < _LEAST_TOLERANCE:
-            raise ValueError(
-                f"tolerance is {self.tolerance:g}, expected at least {_LEAST_TOLERANCE:g}: "
-                "double precision goes no further"
-            )
+        self.tolerance = (
+            None if tolerance is None else checked_tolerance(tolerance, _LEAST_TOLERANCE)
+        )
         self._size = float(np.ptp(equation.structure.nodes, axis=1).max())
         self._slope = Evaluator(equation.kinked_slope)
         self._attempt = _attempt(equation, self._size, adaptive=step is None)

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import casadi as ca
+import numpy as np
 
 from tenscontrol.dynamics import Equation, compiled
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, positive_number
 
 # Told the time reached within the span, s.
 Report = Callable[[float], None]
@@ -77,6 +78,17 @@ class IntegrationError(ArithmeticError):
         self.time = time
         self.span = span
         self.interrupted = interrupted
+
+
+def checked_tolerance(tolerance: object, least: float = 100 * float(np.finfo(float).eps)) -> float:
+    """Return a tolerance, or raise: below ``least`` round-off would reject every step."""
+    value = positive_number("tolerance", tolerance, "of size and speed")
+    if value < least:
+        raise ValueError(
+            f"tolerance is {value:g}, expected at least {least:.1e}: "
+            "double precision goes no further"
+        )
+    return value
 
 
 class Integrator(ABC):

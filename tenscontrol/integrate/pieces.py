@@ -11,20 +11,18 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator, evaluate_columns
+from tenscontrol.dynamics import Equation, Evaluator
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     Integrator,
     Report,
     Span,
     Work,
+    checked_tolerance,
 )
-from tenscontrol.integrate.projection import projection
+from tenscontrol.integrate.projection import Projector
 from tenscontrol.integrate.scales import largest_frequency, state_scale
-from tenscontrol.validation import FloatArray, positive_number
-
-# SciPy and SUNDIALS go no lower.
-_SMALLEST_TOLERANCE = 100 * np.finfo(float).eps
+from tenscontrol.validation import FloatArray
 
 # How far a string may pass the border of slack before it switches, of the longest rest length.
 # A string that rests on the border so keeps its state, and one that has switched must come back
@@ -100,15 +98,10 @@ class PiecewiseIntegrator(Integrator):
 
     def __init__(self, equation: Equation, tolerance: float, project: bool = True) -> None:
         super().__init__(equation)
-        self._project = projection(equation) if project else None
+        self._projected = Projector(equation, project)
         # Set by the first motion: the methods see the state as parts of it.
         self._scale: FloatArray | None = None
-        self.tolerance = positive_number("tolerance", tolerance, "of size and speed")
-        if self.tolerance < _SMALLEST_TOLERANCE:
-            raise ValueError(
-                f"tolerance is {self.tolerance:g}, expected at least {_SMALLEST_TOLERANCE:.1e}: "
-                "double precision goes no further"
-            )
+        self.tolerance = checked_tolerance(tolerance)
         self._gaps: dict[int, Evaluator] = {}
 
     @abstractmethod
@@ -193,11 +186,7 @@ class PiecewiseIntegrator(Integrator):
     def _returned(self, states: FloatArray) -> FloatArray:
         """Return states in m and m/s, bar lengths exact if that is wanted."""
         assert self._scale is not None  # set before the first step
-        states = states * self._scale[:, None]
-        if self._project is None or states.shape[1] == 0:
-            return states
-        (exact,) = evaluate_columns(self._project, states)
-        return exact.copy()
+        return self._projected(states * self._scale[:, None])
 
     # ---- where strings go slack or taut ----
 

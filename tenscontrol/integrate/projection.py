@@ -6,10 +6,11 @@ from typing import Any
 
 import casadi as ca
 
-from tenscontrol.dynamics import Equation
+from tenscontrol.dynamics import Equation, Evaluator
 from tenscontrol.dynamics.kernel import dots, scale_columns
 from tenscontrol.integrate.bodies import Bodies
 from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray
 
 
 def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
@@ -61,6 +62,32 @@ def projection(equation: Equation) -> ca.Function | None:
     if equation.structure is None or len(equation.structure.bars) == 0:
         return None
     return project(equation.structure, equation.symbol)
+
+
+class Projector:
+    """Makes the bar lengths of many states exact.
+
+    Parameters
+    ----------
+    equation : Equation
+    wanted : bool
+        Whether to do so; else, and where there are no bars, states stay as they are.
+    """
+
+    def __init__(self, equation: Equation, wanted: bool) -> None:
+        self._exact = projection(equation) if wanted else None
+        # By the number of states: a span is followed by others like it.
+        self._columns: dict[int, Evaluator] = {}
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        """Return states, one a column."""
+        count = states.shape[1]
+        if self._exact is None or count == 0:
+            return states
+        if count not in self._columns:
+            self._columns[count] = Evaluator(self._exact.map(count))
+        given = states if count > 1 else states[:, 0]
+        return self._columns[count](given)[0].reshape(-1, count, order="F").copy()
 
 
 def projected(step: ca.Function, equation: Equation) -> ca.Function:

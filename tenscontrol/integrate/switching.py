@@ -112,13 +112,13 @@ def landing(step: ca.Function, equation: Equation) -> ca.Function:
     none after all, the step is returned as it was.
     """
     x, taut, u, h, x1 = _symbols(equation)
-    inside_step, zoom = _interpolant(equation), _zoom(equation)
+    inside_step, room = _interpolant(equation), _room(equation)
+    zoom = _zoom(room, equation)
     ends = [x, equation.slope(x, u, taut), x1, equation.slope(x1, u, taut), h]
     within = [inside_step(*ends), u, taut, h]
     low, high, found = ca.MX(0), ca.MX(1), ca.MX(0)
     for _ in range(_ZOOMS):
         low, high, found = zoom(*within, low, high)
-    room = _room(equation)
     inside, outside = room(*within, low), room(*within, high)
     out = ca.mmin(outside)
     # The string that is out first; several, where they are out together.
@@ -182,14 +182,14 @@ def _room(equation: Equation) -> ca.Function:
     return ca.Function("room", [coefficients, u, taut, h, s], [room])
 
 
-def _zoom(equation: Equation) -> ca.Function:
+def _zoom(room: ca.Function, equation: Equation) -> ca.Function:
     """Return ``(coefficients, u, taut, h, low, high) -> (low, high, found)``.
 
     The least room is sampled at equal parts of the bracket, and the bracket
     closes in on the samples next to the first that is negative; where none is,
     on the lowest.
     """
-    symbols, room = _kind(equation), _room(equation)
+    symbols = _kind(equation)
     if symbols is ca.SX and room.n_instructions() > _MOST_WRITTEN:
         symbols = ca.MX  # the room is called; written out six times it takes compilers long
     within = [symbols.sym(room.name_in(i), room.sparsity_in(i)) for i in range(4)]

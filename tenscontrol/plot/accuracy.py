@@ -146,7 +146,9 @@ def convergence_order(result: ConvergenceOrder, *, ax: Axes | None = None) -> Cu
     style = _method_style(0) | {"linestyle": "none"}
     clean = result.is_clean
     (fitted,) = ax.plot(result.step[clean], result.error[clean], label=result.method, **style)
-    (others,) = ax.plot(result.step[~clean], result.error[~clean], label="not fitted", **style)
+    # The legend names them only where there are some.
+    left_out = "_not fitted" if clean.all() else "not fitted"
+    (others,) = ax.plot(result.step[~clean], result.error[~clean], label=left_out, **style)
     others.set_markerfacecolor("white")
     ax.set(xscale="log", yscale="log")
     references = {}

@@ -154,7 +154,7 @@ def simulate(
     """
     instance("model", model, Model, "make one by Model(structure)")
     duration = positive_number("duration", duration, "s")
-    tolerance = positive_number("tolerance", tolerance, "m and m/s")
+    tolerance = positive_number("tolerance", tolerance, "of size and speed")
     truth("progress", progress, "whether to show a progress bar")
     if project is not None:
         truth("project", project, "whether to make bar lengths exact after each step")
