@@ -23,6 +23,7 @@ def test_every_example_is_tested():
         "plot_accuracy_long_run.py",
         "plot_accuracy_order.py",
         "plot_accuracy_stability.py",
+        "plot_control_shape.py",
         "plot_control_string_mass.py",
         "plot_paper_skin.py",
         "plot_paper_string_mass.py",
@@ -37,6 +38,16 @@ def test_prism_modes():
     held = run("plot_prism_modes.py")["held"]
     assert held.frequency[0] == pytest.approx(2.31873, abs=5e-6)
     assert held.label[0] == "mechanism"
+
+
+def test_control_shape():
+    found = run("plot_control_shape.py")
+    errors, runs = found["errors"], found["runs"]
+    largest = {key: off[runs[key].time >= 0.5].max() for key, off in errors.items()}
+    assert largest["force_density", "shape control"] < 0.5 * largest["force_density", "MPC"]
+    assert largest["rest_length", "MPC"] < 0.5 * largest["rest_length", "shape control"]
+    assert max(off[-25:].max() for off in errors.values()) < 1e-4
+    assert 0.01 < found["left"].largest_residual < 0.2
 
 
 def test_prism_new_height():

@@ -83,7 +83,7 @@ MAY_IMPORT = {
     | {"structure", "scene", "plot"},
     "shape": {"control.reference", "actuation", "dynamics", "statics", "structure"},
     "scene": {"simulation", "integrate", "control", "actuation", "analysis", "dynamics", "statics"}
-    | {"structure"},
+    | {"structure", "shape"},
     "plot": None,  # everything
 }
 
@@ -510,6 +510,7 @@ CONSTRUCTED = {
     "PointAt",
     "Reference",
     "RotationalSymmetry",
+    "ShapeControl",
     "Structure",
     "Twist",
     "Winches",
@@ -629,6 +630,7 @@ def values():
         tc.Reference([0.0], prism.nodes[:, :, None]),
         mpc.statistics,
         tc.NMPC(plant, horizon=3, step=0.01, max_force_density=50.0).statistics,
+        tc.ShapeControl(plant, None, 0.01, 50.0, frequency=1.0).statistics,
         tc.OutputLimit(np.ones((1, 18)), np.zeros(1), np.ones(1)),
         tc.held_loop(plant, regulator.gain, step=0.01),
         tc.load_scene(PROJECT / "examples" / "scenes" / "prism_free.toml"),

@@ -7,6 +7,7 @@ from tenscontrol.control.lqr import LQR, lqr
 from tenscontrol.control.mpc import MPC, MPCStatistics
 from tenscontrol.control.nmpc import NMPC, NMPCStatistics
 from tenscontrol.control.reference import Reference
+from tenscontrol.control.shape_control import ShapeControl, ShapeControlStatistics
 from tenscontrol.control.weights import energy_weights
 
 __all__ = [
@@ -20,6 +21,8 @@ __all__ = [
     "NMPCStatistics",
     "OutputLimit",
     "Reference",
+    "ShapeControl",
+    "ShapeControlStatistics",
     "energy_weights",
     "held_loop",
     "lqr",

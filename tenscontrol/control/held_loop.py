@@ -150,3 +150,58 @@ def warn_of_held_lengths(plant: LinearPlant, gain: FloatArray, step: float) -> N
         RuntimeWarning,
         stacklevel=3,
     )
+
+
+def held_error_rate(
+    plant: LinearPlant, matrix: FloatArray, rates: tuple[float, float], step: float
+) -> float:
+    """Return how fast tracked errors decay where winches hold rest lengths, against the design.
+
+    Over a sample γ grows with the strings' lengths by ``∂γ/∂q q̇ t``. To first order in the
+    step that is a damping ``D = −step/2 J ∂γ/∂y`` beside a, with ``J = ∂ÿ/∂γ``; the slowest root of
+    ``s² + (a + D) s + b`` tells.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        With γ as the input, of a model with a string law.
+    matrix : ndarray, shape (p, 3n)
+        What is tracked.
+    rates : tuple of float
+        a, 1/s, and b, 1/s².
+    step : float
+        s.
+    """
+    r, (a, b) = plant.degrees_of_freedom, rates
+    moved = matrix @ plant.basis
+    spreading = [spread(plant, "force_density", row) for row in np.eye(plant.B.shape[1])]
+    # The mean over the segments of a string, whose γ are alike.
+    gather = np.linalg.pinv(np.column_stack(spreading))
+    by_shape = gather @ string_map(plant, "rest_length").gamma_by_state[:, :r]
+    D = -0.5 * step * moved @ plant.B[r:] @ by_shape @ np.linalg.pinv(moved)
+    damping = a + max(0.0, float(np.linalg.eigvals(D).real.max()))
+    held, designed = (-np.roots([1.0, each, b]).real.max() for each in (damping, a))
+    return float(held / designed)
+
+
+def warn_of_slow_errors(
+    plant: LinearPlant, matrix: FloatArray, rates: tuple[float, float], step: float
+) -> None:
+    """Warn the caller of the caller if winches would keep tracked errors from decaying.
+
+    Parameters
+    ----------
+    plant, matrix, rates, step
+        As for :func:`held_error_rate`.
+    """
+    ratio = held_error_rate(plant, matrix, rates, step)
+    if ratio >= _SLOWEST:
+        return
+    warnings.warn(
+        f"where winches hold rest lengths between samples of {step:g} s, strings this stiff act "
+        f"as dampers: errors decay at {100 * ratio:.0f} % of the rate asked for. Raise the "
+        "frequency or shorten the step, or use MPC with input='rest_length'; if the actuators "
+        "hold forces, build the model without a string law",
+        RuntimeWarning,
+        stacklevel=3,
+    )

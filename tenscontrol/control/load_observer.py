@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.analysis import LinearPlant
-from tenscontrol.validation import FloatArray, float_array, positive_number
+from tenscontrol.control.path import checked_tracked
+from tenscontrol.validation import FloatArray, positive_number
 
 # Weight of the departure of inputs in the choice of where to rest, against that of what is
 # tracked: small enough that nothing is given up for it.
@@ -109,11 +110,5 @@ def load_observer(
         raise ValueError(f"load_gain is {gain:g}, expected above 0 and at most 1")
     combinations = np.eye(plant.degrees_of_freedom)
     if tracked is not None:
-        matrix = float_array("tracked", tracked)
-        if matrix.ndim != 2 or matrix.shape[1] != plant.nodes.size:
-            raise ValueError(
-                f"tracked has shape {matrix.shape}, expected (p, {plant.nodes.size}): "
-                "one column per coordinate of a node"
-            )
-        combinations = matrix @ plant.basis
+        combinations = checked_tracked(plant, tracked) @ plant.basis
     return LoadObserver(plant, push, gain, combinations)

@@ -138,6 +138,17 @@ def checked_reference(plant: LinearPlant, reference: object) -> Reference:
     return reference
 
 
+def checked_tracked(plant: LinearPlant, tracked: object) -> FloatArray:
+    """Return combinations of node positions, shape (p, 3n), or raise naming the argument."""
+    matrix = float_array("tracked", tracked)
+    if matrix.ndim != 2 or matrix.shape[1] != plant.nodes.size or not len(matrix):
+        raise ValueError(
+            f"tracked has shape {matrix.shape}, expected (p, {plant.nodes.size}): "
+            "one column per coordinate of a node"
+        )
+    return matrix
+
+
 def acceleration_response(plant: LinearPlant, step: float) -> FloatArray:
     """Return what unit accelerations, held over a sample, do to the state, shape (s, r).
 

@@ -80,9 +80,19 @@ class QuadraticProgram:
     tolerance : float
         Absolute and relative tolerance of the residuals.
     max_iterations : int
+    polish : bool
+        Whether the answer is refined by solving for the bounds found active: to
+        round-off, where they are the right ones.
     """
 
-    def __init__(self, P: csc_array, A: csc_array, tolerance: float, max_iterations: int) -> None:
+    def __init__(
+        self,
+        P: csc_array,
+        A: csc_array,
+        tolerance: float,
+        max_iterations: int,
+        polish: bool = False,
+    ) -> None:
         import osqp
         from scipy.sparse import csc_matrix, triu
 
@@ -102,6 +112,7 @@ class QuadraticProgram:
             eps_abs=tolerance,
             eps_rel=tolerance,
             max_iter=max_iterations,
+            polishing=polish,
             # Iterations, not seconds, decide when ρ is adapted: the same data
             # give the same answer on every machine.
             rho=1.0,  # both forms are scaled for it

@@ -11,6 +11,7 @@ import numpy as np
 
 from tenscontrol.analysis import LinearPlant
 from tenscontrol.structure import spread_force_density, spread_rest_length
+from tenscontrol.validation import FloatArray
 
 # Radians of the fastest vibration in a step of RK4: its error is then about 1e-4 of it.
 _RADIANS = 0.35
@@ -27,24 +28,58 @@ def reduced_acceleration(plant: LinearPlant) -> ca.Function:
     plant : LinearPlant
         In internal or minimal coordinates; its operating point is the reference shape.
     """
+    z = ca.SX.sym("z", 2 * plant.degrees_of_freedom)
+    u = ca.SX.sym("u", plant.B.shape[1])
+    moved = _motion(plant, z, u)[2]
+    rows = plant.model.structure.free_rows
+    project = plant.coordinates.project(np.eye(plant.nodes.size))[:, rows]
+    project = np.where(np.abs(project) > 1e-14 * np.abs(project).max(), project, 0.0)
+    acceleration = ca.mtimes(ca.sparsify(ca.DM(project)), moved)
+    return ca.Function("reduced", [z, u], [ca.densify(acceleration)], ["z", "u"], ["qdd"])
+
+
+def tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
+    """Return ``z -> (y, ẏ, ÿ at zero γ, ∂ÿ/∂γ)`` of combinations ``y = C vec(N)``.
+
+    Exact as :func:`reduced_acceleration` is. ÿ is affine in γ, so that the last two say
+    all of it.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        In internal or minimal coordinates, with γ as the input.
+    matrix : ndarray, shape (p, 3n)
+        C, node by node.
+    """
+    z = ca.SX.sym("z", 2 * plant.degrees_of_freedom)
+    gamma = ca.SX.sym("gamma", plant.B.shape[1])
+    N, V, moved = _motion(plant, z, gamma)
+    C = ca.sparsify(ca.DM(matrix))
+    acceleration = ca.mtimes(C[:, plant.model.structure.free_rows.tolist()], moved)
+    outputs = [
+        ca.mtimes(C, ca.vec(N)),
+        ca.mtimes(C, ca.vec(V)),
+        ca.substitute(acceleration, gamma, ca.SX.zeros(gamma.shape)),
+        ca.jacobian(acceleration, gamma),
+    ]
+    return ca.Function("tracked", [z], ca.cse([ca.densify(each) for each in outputs]))
+
+
+def _motion(plant: LinearPlant, z: Any, u: Any) -> tuple[Any, Any, Any]:
+    """Return all nodes and velocities, and the accelerations of the free nodes, node by node."""
     model, structure = plant.model, plant.model.structure
     r, n = plant.degrees_of_freedom, structure.nodes.shape[1]
-    z, u = ca.SX.sym("z", 2 * r), ca.SX.sym("u", plant.B.shape[1])
     T = ca.sparsify(ca.DM(np.where(np.abs(plant.basis) > 1e-14, plant.basis, 0.0)))
     N = ca.DM(plant.nodes) + ca.reshape(ca.mtimes(T, z[:r]), 3, n)
     V = ca.reshape(ca.mtimes(T, z[r:]), 3, n)
     N, V = _with_bar_lengths(plant, N, V)
     free = structure.free.tolist()
-    held = _spread(plant, u)
     x = ca.vertcat(ca.vec(N[:, free]), ca.vec(V[:, free]))
     loads = []
     if model.has_external_force:
         loads.append(ca.DM((plant.external_force - model.constant_force)[:, free]))
-    slope = model.state_equation(plant.input)(x, held, *loads)
-    project = plant.coordinates.project(np.eye(plant.nodes.size))[:, structure.free_rows]
-    project = np.where(np.abs(project) > 1e-14 * np.abs(project).max(), project, 0.0)
-    acceleration = ca.mtimes(ca.sparsify(ca.DM(project)), slope[slope.shape[0] // 2 :])
-    return ca.Function("reduced", [z, u], [ca.densify(acceleration)], ["z", "u"], ["qdd"])
+    slope = model.state_equation(plant.input)(x, _spread(plant, u), *loads)
+    return N, V, slope[slope.shape[0] // 2 :]
 
 
 def sampled_dynamics(plant: LinearPlant, step: float) -> tuple[ca.Function, ca.Function]:

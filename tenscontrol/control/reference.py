@@ -97,3 +97,27 @@ class ReducedReference:
         past = np.clip(times - self._time[nearest], 0.0, None)[:, None]
         rates = self._rates[right]
         return np.hstack([self._coordinates[nearest] + past * rates, rates])
+
+
+class SmoothReference:
+    """Values over time with rates and accelerations: cubic splines, at rest at both ends.
+
+    Parameters
+    ----------
+    time : ndarray, shape (K,)
+    values : ndarray, shape (K, p)
+    """
+
+    def __init__(self, time: FloatArray, values: FloatArray) -> None:
+        from scipy.interpolate import CubicSpline
+
+        self._start, self._end = float(time[0]), float(time[-1])
+        self._ends = values[0], values[-1]
+        self._spline = CubicSpline(time, values, bc_type="clamped") if len(time) > 1 else None
+
+    def at(self, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return value, rate and acceleration, shape (p,) each; still outside the times."""
+        if self._spline is None or not self._start <= time < self._end:
+            held = self._ends[int(time >= self._end)]
+            return held, np.zeros_like(held), np.zeros_like(held)
+        return self._spline(time), self._spline(time, 1), self._spline(time, 2)

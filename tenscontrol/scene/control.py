@@ -8,17 +8,26 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.analysis import linearize
-from tenscontrol.control import LQR, MPC, energy_weights, lqr
+from tenscontrol.control import MPC, NMPC, Controller, ShapeControl, energy_weights, lqr
 from tenscontrol.dynamics import Model, StringLaw
 from tenscontrol.scene import keys
 from tenscontrol.scene.document import Document
 from tenscontrol.scene.members import per_string, whole
+from tenscontrol.scene.reference import build_outputs, build_reference, build_tracked
 from tenscontrol.statics import Prestress, prestress
 from tenscontrol.structure import Structure, spread_force_density
 from tenscontrol.validation import FloatArray, positive_number
 
 # Of energy_weights, where the scene gives no R.
 _INPUT_WEIGHT = 0.1
+
+# Keys without which a controller of this kind means nothing.
+_NEEDED = {
+    "lqr": (),
+    "mpc": ("horizon", "step"),
+    "nmpc": ("horizon", "step"),
+    "shape_control": ("step", "max_force_density", "frequency"),
+}
 
 
 def build_controller(
@@ -28,7 +37,8 @@ def build_controller(
     gravity: object,
     forces: FloatArray | None,
     force_density: FloatArray,
-) -> LQR | MPC | None:
+    winches: Winches | None,
+) -> Controller | None:
     """Return the controller, designed on the structure with its strings whole.
 
     Parameters
@@ -42,22 +52,26 @@ def build_controller(
         Loads on the plant.
     force_density : ndarray, shape (α,)
         γ of the plant, N/m.
+    winches : Winches, optional
+        Of the whole strings.
 
     Returns
     -------
-    LQR or MPC, or None if the scene has no controller
+    Controller, or None if the scene has none
     """
     if not document.has("controller"):
         return None
-    kind = document.table("controller").choice("kind", ("lqr", "mpc"))
-    table = document.table(
-        "controller", keys.LQR if kind == "lqr" else keys.MPC, f" with kind = {kind!r}"
-    )
+    kind = document.table("controller").choice("kind", tuple(keys.CONTROLLERS))
+    table = document.table("controller", keys.CONTROLLERS[kind], f" with kind = {kind!r}")
     held = table.choice("input", ("force_density", "rest_length"), "force_density")
     for key in ("step", "sample_time"):
         if key in table:
             with table.checked(key):
                 positive_number(key, table.get(key), "s")
+    for key in _NEEDED[kind]:
+        table.need(key)
+    if kind in ("mpc", "nmpc") and held == "force_density":
+        table.need("max_force_density")
     design = whole(structure)
     load: Any = False if forces is None else forces[:, : design.nodes.shape[1]]
     model = Model(design, strings=law, external_force=load, gravity=gravity)
@@ -68,12 +82,24 @@ def build_controller(
         for key, value in table.values.items()
         if key not in ("kind", "input", "sample_time")
     }
+    if "tracked" in table:
+        arguments["tracked"] = build_tracked(table, design)
+    if "outputs" in table:
+        arguments["outputs"] = build_outputs(table, design)
+    if "reference" in table:
+        arguments["reference"] = build_reference(
+            table, model, rest, winches, table.need("step"), arguments.get("max_force_density")
+        )
+    if kind in ("mpc", "nmpc") and held == "rest_length":
+        arguments["winches"] = winches
     with table.checked():
         plant = linearize(model, rest, input=held)
         if kind == "mpc":
-            for key in ("horizon", "step", "max_force_density"):
-                table.need(key)
             return MPC(plant, **arguments)
+        if kind == "nmpc":
+            return NMPC(plant, **arguments)
+        if kind == "shape_control":
+            return ShapeControl(plant, arguments.pop("reference", None), **arguments)
         natural_Q, natural_R = energy_weights(plant)
         weights = {"Q": natural_Q, "R": _INPUT_WEIGHT * natural_R}
         return lqr(plant, **(weights | arguments))

@@ -16,6 +16,7 @@ from tenscontrol.scene.kinds import (
     PANELS,
     POINT,
     POINTS,
+    TABLES_OF_KEYS,
     TEXT,
     TEXTS,
     TRUTH,
@@ -104,9 +105,20 @@ TABLES: Mapping[str, Keys] = MappingProxyType(
             "step": (NUMBER, "s"),
             "sample_time": (NUMBER, "s"),
             "max_force_density": (BY_STRING, "N/m"),
+            "min_force_density": (BY_STRING, "N/m"),
+            "max_tension": (BY_STRING, "N"),
+            "max_change": (BY_STRING, "N/m or m"),
             "horizon": (WHOLE, ""),
-            "max_change": (BY_STRING, "N/m"),
             "form": (TEXT, ""),
+            "iterations": (WHOLE, ""),
+            "frequency": (NUMBER, "Hz"),
+            "damping": (NUMBER, ""),
+            "regularization": (NUMBER, ""),
+            "string_penalty": (NUMBER, ""),
+            "load_gain": (NUMBER, ""),
+            "tracked": (TABLES_OF_KEYS, ""),
+            "outputs": (TABLES_OF_KEYS, ""),
+            "reference": (TABLES_OF_KEYS, ""),
             "tolerance": (NUMBER, ""),
             "max_iterations": (WHOLE, ""),
         },
@@ -118,15 +130,48 @@ TABLES: Mapping[str, Keys] = MappingProxyType(
     }
 )
 
-# Keys of a table for one choice of its first key; those of the other choice are unknown.
-_BOTH = ("kind", "Q", "R", "step", "max_force_density")
-LQR: Keys = MappingProxyType(
-    {key: TABLES["controller"][key] for key in (*_BOTH, "input", "sample_time")}
+# Entries of [[controller.tracked]], [[controller.outputs]] and [[controller.reference]].
+TRACKED: Keys = MappingProxyType(
+    {"node": (WHOLE, ""), "relative_to": (WHOLE, ""), "axis": (TEXT, "")}
 )
-MPC: Keys = MappingProxyType(
+OUTPUT: Keys = MappingProxyType(
     {
-        key: TABLES["controller"][key]
-        for key in (*_BOTH, "horizon", "max_change", "form", "tolerance", "max_iterations")
+        **TRACKED,
+        "low": (NUMBER, "m"),
+        "high": (NUMBER, "m"),
+        "penalty": (NUMBER, "1/m"),
+    }
+)
+WAYPOINT: Keys = MappingProxyType(
+    {
+        "start": (NUMBER, "s"),
+        "time": (NUMBER, "s"),
+        "height": (NUMBER, "m"),
+        "twist": (NUMBER, "rad"),
+        "top": (NODES, ""),
+        "bottom": (NODES, ""),
+        "nodes": (NODES, ""),
+        "positions": (POINTS, "m"),
+        "force_density": (NUMBER, "N/m"),
+    }
+)
+
+
+def _controller(*names: str) -> Keys:
+    shared = ("kind", "input", "step", "max_force_density")
+    return MappingProxyType({key: TABLES["controller"][key] for key in (*shared, *names)})
+
+
+# Keys of a table for one choice of its first key; those of the other choices are unknown.
+_SOLVED = ("max_change", "tolerance", "max_iterations", "reference")
+_PREDICTED = ("Q", "R", "horizon", *_SOLVED)
+_LIMITED = ("min_force_density", "max_tension", "outputs", "string_penalty")
+CONTROLLERS: Mapping[str, Keys] = MappingProxyType(
+    {
+        "lqr": _controller("Q", "R", "sample_time"),
+        "mpc": _controller(*_PREDICTED, *_LIMITED, "load_gain", "tracked", "form"),
+        "nmpc": _controller(*_PREDICTED, "iterations"),
+        "shape_control": _controller(*_SOLVED, "frequency", "damping", "regularization", "tracked"),
     }
 )
 LINEAR: Keys = MappingProxyType(

@@ -158,3 +158,6 @@ FORCES = Kind(
     _is_list,
     Kind("{node = ..., force = [x, y, z]}", lambda value: isinstance(value, dict)),
 )
+TABLES_OF_KEYS = Kind(
+    "a list of tables", _is_list, Kind("a table", lambda value: isinstance(value, dict))
+)

@@ -78,9 +78,20 @@ def load_scene(file: str | Path) -> Scene:
         ``output_step``; ``hold``, ``"rest_length"`` where there are
         ``[strings]``, else ``"force_density"``.
     ``[controller]``
-        ``kind = "mpc"`` or ``"lqr"`` with the arguments of :class:`MPC` or
-        :func:`lqr`; of the latter also ``input`` and ``sample_time``. It is
-        designed about the prestress, on the structure with its strings whole.
+        ``kind = "mpc"``, ``"nmpc"``, ``"shape_control"`` or ``"lqr"`` with the
+        arguments of :class:`MPC`, :class:`NMPC`, :class:`ShapeControl` or :func:`lqr`;
+        of the latter also ``sample_time``. ``input`` as for :func:`linearize`; where it is
+        ``"rest_length"``, MPC and NMPC know the winches of the scene. It is designed
+        about the prestress, on the structure with its strings whole.
+    ``[[controller.reference]]``
+        A shape to be reached at ``time``, s, through equilibria: ``height``, m, and
+        ``twist``, rad, between the nodes ``top`` and ``bottom`` (those of a prism if not
+        given); ``nodes`` with their ``positions``. The move begins at ``start``, s; at the
+        end of the one before if not given. ``force_density``: mean γ of the group of the first
+        string in that shape, N/m; as in the prestress if not given.
+    ``[[controller.outputs]]``, ``[[controller.tracked]]``
+        A node coordinate, ``node`` and ``axis = "x"``, ``"y"`` or ``"z"``, less that of the
+        node ``relative_to``. As ``outputs`` with ``low`` and ``high``, m, and ``penalty``.
     ``[winches]``
         The arguments of :class:`Winches`.
 
@@ -142,8 +153,10 @@ def load_scene(file: str | Path) -> Scene:
             external_force=False if forces is None else forces,
             gravity=gravity,
         )
-    controller = build_controller(document, structure, whole_law, gravity, forces, force_density)
     winches = build_winches(document, structure)
+    controller = build_controller(
+        document, structure, whole_law, gravity, forces, force_density, winches
+    )
     _refuse_contradictions(document, hold)
     nodes, velocities = build_start(document, structure)
     return Scene(

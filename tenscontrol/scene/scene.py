@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.analysis import LinearPlant, linearize
-from tenscontrol.control import LQR, MPC
+from tenscontrol.control import Controller
 from tenscontrol.dynamics import Model
 from tenscontrol.simulation import Trajectory, simulate
 from tenscontrol.statics import prestress
@@ -33,7 +33,7 @@ class Scene:
         γ of the strings in the shape of the structure, N/m, in balance or not.
     rest_length : ndarray, shape (α,), or None
         Rest lengths that give this γ in that shape, m; None where γ is held.
-    controller : LQR or MPC, or None
+    controller : Controller or None
         Designed on the structure with its strings whole.
     winches : Winches or None
         Their limits, one for each whole string.
@@ -59,7 +59,7 @@ class Scene:
     velocities: FloatArray
     force_density: FloatArray
     rest_length: FloatArray | None
-    controller: LQR | MPC | None
+    controller: Controller | None
     winches: Winches | None
     sample_time: float | None
     hold: str

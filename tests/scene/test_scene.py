@@ -244,6 +244,7 @@ def test_every_scene_that_ships_is_tested():
         "prism_massive_literal",
         "prism_skin",
         "prism_skin_expanding",
+        "prism_morph",
         "prism_mpc",
         "prism_standing",
     }
@@ -328,6 +329,179 @@ def test_prism_mpc():
     assert run.force_density.min() > 0
 
 
+def test_prism_morph():
+    scene = shipped("prism_morph")
+    plant = scene.controller.plant
+    assert plant.input == "rest_length"
+    np.testing.assert_allclose(scene.controller.bounds[0], 0.1)  # of the winches
+    reference = reference_of(scene)
+    assert reference.time[[0, 1, -1]] == pytest.approx([0.0, 0.5, 3.5])
+    assert height(reference.nodes)[[0, 1, -1]] == pytest.approx([1.0, 1.0, 0.85])
+    run = scene.simulate()
+    found = height(run.nodes)
+    assert abs(found[-1] - 0.85) < 1e-3
+    assert found.min() > 0.84
+    assert np.abs(run.control.winch_rate).max() < 0.15 + 1e-9
+    assert set(run.control.status) == {"ok"}
+    assert run.force_density.min() > 5.0
+
+
+def height(nodes):
+    """Height of the top nodes of a prism above the bottom ones."""
+    return nodes[2, :3].mean(axis=0) - nodes[2, 3:].mean(axis=0)
+
+
+def twist(nodes):
+    """Turn of the top nodes of a prism against the bottom ones, rad, positive as a screw."""
+    ends = [part - part.mean(axis=1, keepdims=True) for part in (nodes[:2, :3], nodes[:2, 3:])]
+    top, bottom = (part[0] + 1j * part[1] for part in ends)
+    return np.angle((top * bottom.conj()).sum())
+
+
+def reference_of(scene):
+    """The reference that a scene gave its controller, node by node."""
+    controller = scene.controller
+    path = controller._path._reference
+    q = path._coordinates
+    nodes = np.stack([controller.plant.to_nodes(each) for each in q], axis=-1)
+    return tc.Reference(path._time, nodes)
+
+
+def test_a_reference_goes_from_shape_to_shape(load):
+    scene = load(
+        PRISM
+        + MPC
+        + """max_force_density = 60.0
+[[controller.reference]]
+time = 1.0
+height = 0.9
+twist = -0.5
+[[controller.reference]]
+start = 2.0
+time = 3.0
+height = 0.95
+top = [0, 1, 2]
+bottom = [3, 4, 5]
+force_density = 20.0
+"""
+    )
+    reference = reference_of(scene)
+    at = [np.flatnonzero(np.isclose(reference.time, t)) for t in (0.0, 1.0, 2.0, 3.0)]
+    assert [len(each) for each in at] == [1, 1, 1, 1]
+    found = height(reference.nodes[:, :, np.concatenate(at)])
+    # Laid over the first shape, the others stand a little aslant.
+    np.testing.assert_allclose(found, [1.0, 0.9, 0.9, 0.95], atol=1e-3)
+    assert twist(reference.nodes[:, :, at[1][0]]) == pytest.approx(-0.5, abs=1e-2)
+    for k in at:  # all are in balance
+        shape = replace(scene.structure, nodes=reference.nodes[:, :, k[0]])
+        assert tc.prestress(shape, 17.0).residual < 1e-7
+
+
+def test_a_reference_gives_the_places_of_nodes(load):
+    turned = tc.prism().nodes.T[[3, 4, 5]].tolist()
+    scene = load(
+        PRISM
+        + MPC
+        + f"""max_force_density = 60.0
+[[controller.reference]]
+time = 1.0
+height = 0.9
+[[controller.reference]]
+time = 2.0
+height = 1.0
+nodes = [3, 4, 5]
+positions = {turned}
+"""
+    )
+    assert height(reference_of(scene).nodes)[-1] == pytest.approx(1.0)
+
+
+def test_predictive_controllers_of_rest_lengths(load):
+    scene = load(
+        PRISM
+        + MPC
+        + """input = "rest_length"
+min_force_density = {top = 1.0, bottom = 1.0, vertical = 2.0}
+max_tension = 90.0
+max_change = 0.01
+string_penalty = 50.0
+load_gain = 0.5
+[[controller.tracked]]
+node = 0
+relative_to = 3
+axis = "z"
+[[controller.outputs]]
+node = 1
+axis = "x"
+high = 3.0
+[winches]
+rate = 0.3
+longest = 2.0
+"""
+    )
+    plant, controller = scene.controller.plant, scene.controller
+    assert isinstance(controller, tc.MPC)
+    assert plant.input == "rest_length"
+    assert controller.bounds[1] == pytest.approx(2.0)
+    row = np.zeros((6, 3))
+    row[[0, 3], 2] = 1, -1
+    limit = np.zeros((6, 3))
+    limit[1, 0] = 1
+    same = tc.MPC(
+        plant, 5, 0.02, min_force_density=[1.0] * 6 + [2.0] * 3, max_tension=90.0, max_change=0.01,
+        string_penalty=50.0, load_gain=0.5, tracked=row.reshape(1, 18),
+        outputs=[tc.OutputLimit(limit.reshape(1, 18), high=3.0)],
+        winches=tc.Winches(rate=0.3, longest=2.0),
+    )  # fmt: skip
+    pushed = plant.to_nodes(0.01 * np.arange(9))
+    commands = [each.command(0.0, pushed, np.zeros((3, 6))).value for each in (controller, same)]
+    np.testing.assert_array_equal(*commands)
+    assert np.abs(commands[0] - plant.rest_length).max() <= 0.3 * 0.02 + 1e-12
+
+
+@pytest.mark.parametrize("held", ["force_density", "rest_length"])
+def test_nmpc_of_a_scene(load, held):
+    limit = "max_force_density = 60.0\n" if held == "force_density" else ""
+    winches = "[winches]\nrate = 0.3\n"
+    scene = load(
+        PRISM
+        + f"[controller]\nkind = 'nmpc'\ninput = '{held}'\nhorizon = 3\nstep = 0.02\n"
+        + f"iterations = 2\n{limit}{winches}"
+    )
+    plant = scene.controller.plant
+    given = {"winches": tc.Winches(rate=0.3)} if held == "rest_length" else {}
+    largest = 60.0 if held == "force_density" else None
+    same = tc.NMPC(plant, 3, 0.02, largest, iterations=2, **given)
+    pushed = plant.to_nodes(0.01 * np.arange(9))
+    commands = [e.command(0.0, pushed, np.zeros((3, 6))).value for e in (scene.controller, same)]
+    np.testing.assert_array_equal(*commands)
+    assert plant.input == held
+
+
+def test_shape_control_of_a_scene(load):
+    scene = load(
+        PRISM
+        + SHAPE
+        + """damping = 0.8
+[[controller.reference]]
+time = 1.0
+height = 0.9
+[[controller.tracked]]
+node = 0
+relative_to = 3
+axis = "z"
+"""
+    )
+    law = scene.controller
+    omega = 2 * np.pi * 2.0
+    assert law.rates == pytest.approx((1.6 * omega, omega**2))
+    E, _ = law.error(1.0, scene.structure.nodes, np.zeros((3, 6)))
+    np.testing.assert_allclose(E, [0.1])
+    E, _ = law.error(0.0, scene.structure.nodes, np.zeros((3, 6)))
+    np.testing.assert_allclose(E, [0.0], atol=1e-12)
+    assert scene.simulate().control.status_count["ok"] > 0
+
+
 # ---- broken scenes ----
 
 
@@ -338,6 +512,10 @@ def changed(old, new):
 
 LQR = "[controller]\nkind = 'lqr'\n"
 MPC = "[controller]\nkind = 'mpc'\nhorizon = 5\nstep = 0.02\n"
+SHAPE = (
+    "[controller]\nkind = 'shape_control'\nstep = 0.02\nfrequency = 2.0\nmax_force_density = 60.0\n"
+)
+AIM = "[[controller.reference]]\n"
 BAR = "[structure]\nnodes = [[0,0,0],[1,0,0]]\nbars = [[0,1]]\nstrings = []\nbar_mass = 1\n"
 RUN = "[run]\nduration = 1\n"
 
@@ -644,6 +822,96 @@ BROKEN = {
     "mpc limit low": (
         PRISM + MPC + "max_force_density = 20\n",
         r":15: in \[controller\] .*max_force_density\[6\] is 20 N/m, but string 6 has 30",
+    ),
+    "nmpc form": (
+        PRISM + MPC.replace("mpc", "nmpc") + "max_force_density = 60\nform = 'sparse'\n",
+        r":16: \[controller\] with kind = 'nmpc' has no key 'form'",
+    ),
+    "nmpc limit missing": (
+        PRISM + MPC.replace("mpc", "nmpc"),
+        r":11: \[controller\] with kind = 'nmpc' lacks the key max_force_density",
+    ),
+    "shape control frequency missing": (
+        PRISM + SHAPE.replace("frequency = 2.0\n", ""),
+        r":11: \[controller\] with kind = 'shape_control' lacks the key frequency: .* in Hz",
+    ),
+    "shape control too fast": (
+        PRISM + SHAPE.replace("2.0", "20.0"),
+        r":14: in \[controller\] .*frequency 20 Hz .* the error would grow",
+    ),
+    "shape control of rest lengths": (
+        PRISM + SHAPE + "input = 'rest_length'\n",
+        r":11: in \[controller\] .*plant has input='rest_length'",
+    ),
+    "lqr reference": (
+        PRISM + LQR + AIM + "time = 1.0\nheight = 0.9\n",
+        r":13: \[controller\] with kind = 'lqr' has no key 'reference'",
+    ),
+    "reference no list": (
+        PRISM + SHAPE + "[controller.reference]\ntime = 1.0\n",
+        r":16: in \[controller\].*reference is a table, expected a list of tables",
+    ),
+    "reference empty": (
+        PRISM + SHAPE + "reference = []\n",
+        r":16: in \[controller\] .*reference is empty",
+    ),
+    "reference key": (
+        PRISM + SHAPE + AIM + "time = 1.0\nheigth = 0.9\n",
+        r":18: \[\[controller\.reference\]\] number 1 has no key 'heigth'; did you mean 'height'",
+    ),
+    "reference without time": (
+        PRISM + SHAPE + AIM + "height = 0.9\n",
+        r":16: \[\[controller\.reference\]\] number 1 lacks the key time: a number in s",
+    ),
+    "reference without shape": (
+        PRISM + SHAPE + AIM + "time = 1.0\n",
+        r":16: .* number 1 asks for no shape: give height, twist, or nodes and positions",
+    ),
+    "reference times": (
+        PRISM + SHAPE + AIM + "time = 1.0\nheight = 0.9\n" + AIM + "time = 1.0\nheight = 0.8\n",
+        r":20: .* number 2, time is 1 s, expected more than 1 s",
+    ),
+    "reference start": (
+        PRISM + SHAPE + AIM + "start = -1.0\ntime = 1.0\nheight = 0.9\n",
+        r":17: .*start\[0\] is -1, expected at least 0",
+    ),
+    "reference early": (
+        PRISM
+        + SHAPE
+        + AIM
+        + "time = 1.0\nheight = 0.9\n"
+        + AIM
+        + "start = 0.5\ntime = 2.0\nheight = 0.8\n",
+        r":20: .*start is 0\.5 s, expected at least 1 s",
+    ),
+    "reference out of reach": (
+        PRISM + SHAPE + AIM + "time = 1.0\nheight = 5.0\n",
+        r":17: in .* number 1, no equilibrium.*height",
+    ),
+    "reference too soon": (
+        PRISM + SHAPE + AIM + "time = 0.1\nheight = 0.8\n[winches]\nrate = 0.1\n",
+        r":17: in .* number 1, duration is 0\.1 s, expected at least .* winches",
+    ),
+    "tracked node": (
+        PRISM + SHAPE + "tracked = [{node = 6, axis = 'x'}]\n",
+        r":16: .* number 1, node is 6, expected 0 to 5",
+    ),
+    "tracked axis": (
+        PRISM + SHAPE + "[[controller.tracked]]\nnode = 1\naxis = 'w'\n",
+        r":18: .*axis is 'w'; expected one of 'x', 'y', 'z'",
+    ),
+    "tracked itself": (
+        PRISM + SHAPE + "[[controller.tracked]]\nnode = 1\naxis = 'x'\nrelative_to = 1\n",
+        r":19: .*relative_to is node itself",
+    ),
+    "output without limit": (
+        PRISM + MPC + "max_force_density = 60\n[[controller.outputs]]\nnode = 1\naxis = 'x'\n",
+        r":16: \[\[controller\.outputs\]\] number 1 limits nothing",
+    ),
+    "output limits cross": (
+        PRISM + MPC + "max_force_density = 60\n[[controller.outputs]]\nnode = 1\naxis = 'x'\n"
+        "low = 1.0\nhigh = 0.0\n",
+        r":19: .*low",
     ),
     "winches alone": (
         PRISM + "[winches]\nrate = 1\n",
