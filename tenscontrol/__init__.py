@@ -75,6 +75,18 @@ if TYPE_CHECKING:
         coordinates,
     )
     from tenscontrol.integrate import Choice, Work
+    from tenscontrol.robustness import (
+        ClosedLoopCase,
+        Distribution,
+        Normal,
+        OneOf,
+        Outcome,
+        SweepError,
+        SweepFailure,
+        SweepReport,
+        Uniform,
+        sweep,
+    )
     from tenscontrol.scene import Scene, SceneError, load_scene
     from tenscontrol.shape import (
         Demand,
@@ -181,6 +193,18 @@ _HOME = {
         "coordinates",
     ],
     "integrate": ["Choice", "Work"],
+    "robustness": [
+        "ClosedLoopCase",
+        "Distribution",
+        "Normal",
+        "OneOf",
+        "Outcome",
+        "SweepError",
+        "SweepFailure",
+        "SweepReport",
+        "Uniform",
+        "sweep",
+    ],
     "scene": ["Scene", "SceneError", "load_scene"],
     "simulation": [
         "AccuracyWarning",

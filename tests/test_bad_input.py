@@ -9,7 +9,8 @@ Calls are functions of no argument, so that nothing runs before its own test.
 
 import subprocess
 import sys
-from functools import cache
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -870,6 +871,104 @@ CONTROL = [
 
 # fmt: on
 
+
+@cache
+def varied_loop():
+    """A closed loop for sweeps."""
+    return loop_case()
+
+
+def loop_case(**changes):
+    """The closed loop with some arguments replaced."""
+    arguments = {
+        "structure": prism(),
+        "strings": elastic().strings,
+        "controller": winch_regulator(),
+        "duration": 0.1,
+        "step": 0.001,
+        "tolerance": 0.01,
+    }
+    return tc.ClosedLoopCase(**(arguments | changes))
+
+
+def sweep(case=None, parameters=None, count=2, seed=0, **options):
+    """A sweep, with some arguments replaced; refused before any worker is started."""
+    case = varied_loop() if case is None else case
+    return tc.sweep(case, {} if parameters is None else parameters, count, seed=seed, **options)
+
+
+# fmt: off
+ROBUSTNESS = [
+    refused("sweep without case", lambda: sweep(case=3), TypeError, r"case is a int, expected a"),
+    refused("sweep of a lambda", lambda: sweep(case=lambda parameters, rng: None), TypeError,
+            r"case cannot be pickled.*top of a module"),
+    refused("sweep of a file handle", lambda: sweep(case=with_handle()), TypeError,
+            r"case cannot be pickled"),
+    refused("sweep parameters list", lambda: sweep(parameters=[tc.Uniform(0, 1)]), TypeError,
+            r"parameters is a list, expected a dict"),
+    refused("sweep parameter number", lambda: sweep(parameters={"mass": 1.0}), TypeError,
+            r"parameters\['mass'\] is a float, expected Distribution: use Uniform"),
+    refused("sweep parameter unnamed", lambda: sweep(parameters={3: tc.Uniform(0, 1)}), TypeError,
+            r"parameters has the key 3, expected a name"),
+    refused("sweep count zero", lambda: sweep(count=0), ValueError, r"count is 0"),
+    refused("sweep count float", lambda: sweep(count=2.0), TypeError, r"count is 2\.0"),
+    refused("sweep seed negative", lambda: sweep(seed=-1), ValueError, r"seed is -1"),
+    refused("sweep seed none", lambda: sweep(seed=None), TypeError, r"seed is None"),
+    refused("sweep executor text", lambda: sweep(executor="processes"), TypeError,
+            r"executor is a str, expected Executor"),
+    refused("sweep executor and processes",
+            lambda: sweep(executor=ThreadPoolExecutor(1), processes=2), ValueError,
+            r"processes goes without executor"),
+    refused("sweep processes zero", lambda: sweep(processes=0), ValueError, r"processes is 0"),
+    refused("sweep in_flight zero", lambda: sweep(in_flight=0), ValueError, r"in_flight is 0"),
+    refused("sweep progress text", lambda: sweep(progress="no"), TypeError, r"progress is 'no'"),
+    refused("sweep file number", lambda: sweep(file=3), TypeError, r"file is 3"),
+    refused("sweep file folder", lambda: sweep(file="."), OSError, r"directory|denied"),
+    refused("uniform nan", lambda: tc.Uniform(NAN, 1), ValueError, r"low is nan"),
+    refused("uniform falling", lambda: tc.Uniform(1, 1), ValueError, r"low is 1 and high is 1"),
+    refused("uniform vast", lambda: tc.Uniform(-1.7e308, 1.7e308), ValueError, r"too far apart"),
+    refused("uniform array", lambda: tc.Uniform([0, 1], 2), ValueError, r"low has shape \(2,\)"),
+    refused("uniform size", lambda: tc.Uniform(0, 1, size=0), ValueError, r"size is 0"),
+    refused("normal deviation", lambda: tc.Normal(0, 0), ValueError, r"deviation is 0"),
+    refused("normal mean text", lambda: tc.Normal("0", 1), TypeError, r"mean .*'0'"),
+    refused("one of none", lambda: tc.OneOf([]), ValueError, r"values has shape \(0,\)"),
+    refused("one of nan", lambda: tc.OneOf([1, NAN]), ValueError, r"values\[1\] is nan"),
+    refused("outcome success number", lambda: tc.Outcome(success=1), TypeError, r"success is 1"),
+    refused("outcome figure nan", lambda: tc.Outcome(True, {"e": NAN}), ValueError,
+            r"figures\['e'\] is nan"),
+    refused("outcome figure array", lambda: tc.Outcome(True, {"e": [1, 2]}), ValueError,
+            r"figures\['e'\] has shape \(2,\)"),
+    refused("outcome figures list", lambda: tc.Outcome(True, [1.0]), TypeError,
+            r"figures is a list"),
+    refused("outcome figure unnamed", lambda: tc.Outcome(True, {1: 1.0}), TypeError,
+            r"figures has the key 1"),
+    refused("loop case controller", lambda: loop_case(controller=plant()), TypeError,
+            r"controller is a LinearPlant"),
+    refused("loop case structure", lambda: loop_case(structure=nodes()), TypeError,
+            r"structure is a ndarray"),
+    refused("loop case strings", lambda: loop_case(strings=100.0), TypeError,
+            r"strings is a float"),
+    refused("loop case tolerance", lambda: loop_case(tolerance=0), ValueError, r"tolerance is 0"),
+    refused("loop case duration", lambda: loop_case(duration=INF), ValueError, r"duration is inf"),
+    refused("loop case sample time", lambda: loop_case(sample_time="1"), TypeError,
+            r"sample_time is"),
+    refused("loop case nodes", lambda: loop_case(nodes=nodes().T), ValueError,
+            r"nodes has shape \(6, 3\)"),
+    refused("loop case target nan", lambda: loop_case(target=with_entry(nodes(), (0, 0), NAN)),
+            ValueError, r"target\[0, 0\] is nan"),
+    refused("loop case gravity", lambda: loop_case(gravity=[1.0, 2.0]), ValueError, r"gravity"),
+    refused("loop case winches", lambda: loop_case(winches=0.5), TypeError, r"winches is a float"),
+    refused("report file absent", lambda: tc.SweepReport.load("nowhere.jsonl"), FileNotFoundError,
+            r"nowhere"),
+]
+# fmt: on
+
+
+def with_handle():
+    """A case that holds what cannot be sent to another process."""
+    return partial(print, file=sys.stdout)
+
+
 CASES = [
     *STRUCTURE,
     *PRISM,
@@ -883,6 +982,7 @@ CASES = [
     *OPEN_LOOP,
     *CLOSED_LOOP,
     *CONTROL,
+    *ROBUSTNESS,
 ]
 
 

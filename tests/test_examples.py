@@ -23,6 +23,7 @@ def test_every_example_is_tested():
         "plot_accuracy_long_run.py",
         "plot_accuracy_order.py",
         "plot_accuracy_stability.py",
+        "plot_control_robustness.py",
         "plot_control_shape.py",
         "plot_control_string_mass.py",
         "plot_paper_skin.py",
@@ -78,6 +79,14 @@ def test_paper_skin():
     shares = {v: travel[v, "with skin"] / travel[v, "without skin"] for v in (9.0, 45.0)}
     assert shares[9.0] > 0.9  # slack: hardly an effect
     assert shares[45.0] < 0.55  # taut: half the travel
+
+
+def test_control_robustness():
+    reports = run("plot_control_robustness.py")["reports"]
+    assert {name: len(report) for name, report in reports.items()} == {"LQR": 200, "MPC": 20}
+    assert reports["LQR"].confidence_interval()[1] < reports["MPC"].confidence_interval()[0]
+    assert reports["LQR"].success_rate == pytest.approx(0.175, abs=0.01)
+    assert reports["MPC"].figure("final_error").max() < 0.005
 
 
 def test_control_string_mass():

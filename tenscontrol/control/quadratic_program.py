@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -98,6 +98,7 @@ class QuadraticProgram:
 
         rows, columns = A.shape
         self.tolerance, self.max_iterations = tolerance, max_iterations
+        self._matrices = P, A
         self._shapes = {"q": columns, "l": rows, "u": rows}
         self._status = {status.value: _STATUS[status.name] for status in osqp.SolverStatus}
         self._nonzeros = csc_matrix(A).nnz
@@ -120,6 +121,10 @@ class QuadraticProgram:
             adaptive_rho_interval=50,
             check_termination=5,
         )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what the program is made of; OSQP's own memory, and what it solved, stay here."""
+        return QuadraticProgram, (*self._matrices, self.tolerance, self.max_iterations)
 
     def update(self, A: FloatArray) -> None:
         """Put other values into A, in the order of its columns; the pattern stays.

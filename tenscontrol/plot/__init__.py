@@ -18,6 +18,7 @@ from tenscontrol.plot.history import Curves, history
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
 from tenscontrol.plot.poles import PoleMap, poles
 from tenscontrol.plot.structure import structure
+from tenscontrol.plot.sweep import SweepDrawing, sweep
 from tenscontrol.plot.trajectory import trajectory
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "Drawing",
     "ModeShape",
     "PoleMap",
+    "SweepDrawing",
     "animate",
     "convergence_order",
     "health",
@@ -35,6 +37,7 @@ __all__ = [
     "save_figure",
     "stability_map",
     "structure",
+    "sweep",
     "trajectory",
     "work_precision",
 ]

@@ -1,0 +1,193 @@
+"""What a parameter of a sweep is drawn from."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import KW_ONLY, dataclass, fields
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from tenscontrol.validation import FloatArray, float_array, frozen, positive_number, whole_number
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+Drawn = float | list[float]
+
+
+@dataclass(frozen=True, eq=False)
+class Distribution(ABC):
+    """Numbers to draw, independent of each other.
+
+    Attributes
+    ----------
+    size : int or None
+        How many a run gets: an array of shape (size,), or a float where None.
+    """
+
+    _: KW_ONLY
+    size: int | None = None
+
+    @abstractmethod
+    def _numbers(self, rng: np.random.Generator) -> Any:
+        """Return a number, or ``size`` of them."""
+
+    def __post_init__(self) -> None:
+        if self.size is not None:
+            object.__setattr__(self, "size", whole_number("size", self.size, least=1))
+
+    def draw(self, rng: np.random.Generator) -> Drawn:
+        """Return what one run gets: a number, or a list of ``size`` numbers.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        float or list of float
+        """
+        numbers = np.asarray(self._numbers(rng), dtype=float)
+        return float(numbers) if self.size is None else numbers.tolist()
+
+    def settings(self) -> dict[str, Any]:
+        """Return the kind and its settings, as they stand in the file of a sweep.
+
+        Returns
+        -------
+        dict of str to str, float, int, list or None
+        """
+        found = {field.name: getattr(self, field.name) for field in fields(self)}
+        plain = {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in found.items()
+        }
+        return {"kind": type(self).__name__, **plain}
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Uniform(Distribution):
+    """Numbers between two bounds, all equally likely.
+
+    Parameters
+    ----------
+    low, high : float
+        Bounds; ``low`` is below ``high``.
+    size : int, optional
+        How many numbers a run gets: an array of shape (size,), or a float if not given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a bound is not a finite number, or the bounds do not ascend.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> np.round(tc.Uniform(0.8, 1.2, size=2).draw(np.random.default_rng(0)), 4)
+    array([1.0548, 0.9079])
+    """
+
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        low, high = _number("low", self.low), _number("high", self.high)
+        if not low < high:
+            raise ValueError(f"low is {low:g} and high is {high:g}, expected low below high")
+        if not np.isfinite(high - low):
+            raise ValueError(f"low is {low:g} and high is {high:g}: too far apart for a float")
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+
+    def _numbers(self, rng: np.random.Generator) -> Any:
+        return rng.uniform(self.low, self.high, self.size)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Normal(Distribution):
+    """Numbers of a normal distribution.
+
+    Parameters
+    ----------
+    mean : float
+    deviation : float
+        Standard deviation, positive.
+    size : int, optional
+        How many numbers a run gets: an array of shape (size,), or a float if not given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a number is not finite, or the deviation is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> round(tc.Normal(0.0, 0.005).draw(np.random.default_rng(0)), 6)
+    0.000629
+    """
+
+    mean: float
+    deviation: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "mean", _number("mean", self.mean))
+        deviation = positive_number("deviation", self.deviation, "the unit of the parameter")
+        object.__setattr__(self, "deviation", deviation)
+
+    def _numbers(self, rng: np.random.Generator) -> Any:
+        return rng.normal(self.mean, self.deviation, self.size)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class OneOf(Distribution):
+    """One of some given numbers, all equally likely.
+
+    Parameters
+    ----------
+    values : array_like, shape (k,)
+        What there is to choose from.
+    size : int, optional
+        How many numbers a run gets: an array of shape (size,), or a float if not given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the values are not finite numbers in a row, or there is none.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> tc.OneOf([0.0, 0.01, 0.02]).draw(np.random.default_rng(0))
+    0.02
+    """
+
+    values: FloatArray
+
+    if TYPE_CHECKING:  # the argument is anything array-like, the attribute is an array
+
+        def __init__(self, values: ArrayLike, *, size: int | None = None) -> None: ...
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        values = float_array("values", self.values)
+        if values.ndim != 1 or len(values) == 0:
+            raise ValueError(f"values has shape {values.shape}, expected (k,) with k at least 1")
+        object.__setattr__(self, "values", frozen(values))
+
+    def _numbers(self, rng: np.random.Generator) -> Any:
+        return rng.choice(self.values, self.size)
+
+
+def _number(name: str, value: object) -> float:
+    array = float_array(name, value)
+    if array.ndim:
+        raise ValueError(f"{name} has shape {array.shape}, expected one number")
+    return float(array)

@@ -1,0 +1,119 @@
+"""The file of a sweep: a header and a line of JSON for each run that is done."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from tenscontrol._version import __version__
+from tenscontrol.robustness.distributions import Distribution
+from tenscontrol.robustness.record import Record, read_record
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a sweep is: the same header, the same numbers."""
+
+    tenscontrol: str
+    case: str
+    seed: int
+    count: int
+    parameters: dict[str, dict[str, Any]]
+
+
+def make_header(case: str, seed: int, count: int, parameters: Mapping[str, Distribution]) -> Header:
+    """Return the header of a sweep of this version of the package."""
+    settings = {name: each.settings() for name, each in parameters.items()}
+    return Header(__version__, case, seed, count, settings)
+
+
+def read(file: Path) -> tuple[Header, list[Record], int]:
+    """Return header and records of a file, and how many of its bytes are whole lines.
+
+    Warns
+    -----
+    RuntimeWarning
+        If the last line is torn, as a process that is killed leaves it; it is dropped.
+    """
+    whole, _, torn = file.read_bytes().rpartition(b"\n")
+    first, *lines = whole.decode("utf-8").split("\n")
+    try:
+        header = Header(**json.loads(first))
+    except (ValueError, TypeError) as error:
+        raise ValueError(
+            f"{file} is no file of a sweep: its first line is not a header ({error})"
+        ) from None
+    records: dict[int, Record] = {}
+    for number, line in enumerate(lines, start=2):
+        try:
+            record = read_record(line)
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{file}, line {number} is not a run: {error}") from None
+        if record.run in records or not 0 <= record.run < header.count:
+            raise ValueError(
+                f"{file}, line {number} is run {record.run}, expected each of 0 to "
+                f"{header.count - 1} once"
+            )
+        records[record.run] = record
+    if torn:
+        warnings.warn(
+            f"{file} ends in a torn line, which is dropped: that run is not done",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+    return header, [records[run] for run in sorted(records)], len(whole) + 1
+
+
+def resume(file: Path, header: Header) -> list[Record]:
+    """Return the records of an earlier, equal sweep, and leave the file ready for more.
+
+    A file that is not there is begun.
+    """
+    if not file.exists():
+        file.write_text(json.dumps(asdict(header), allow_nan=False) + "\n", "utf-8", newline="\n")
+        return []
+    found, records, size = read(file)
+    _refuse_another(file, found, header)
+    with file.open("r+b") as stream:
+        stream.truncate(size)
+    return records
+
+
+@contextmanager
+def appending(file: Path | None) -> Iterator[Callable[[Record], None]]:
+    """Yield a function that writes a record down at once, or nowhere."""
+    if file is None:
+        yield lambda record: None
+        return
+    stream: IO[str]
+    with file.open("a", encoding="utf-8", newline="\n") as stream:
+
+        def keep(record: Record) -> None:
+            stream.write(record.line() + "\n")
+            stream.flush()
+
+        yield keep
+
+
+def _refuse_another(file: Path, found: Header, wanted: Header) -> None:
+    """Refuse the file of another sweep, and say what is different."""
+    for name, here, there in _pairs(asdict(wanted), asdict(found)):
+        if here != there:
+            raise ValueError(
+                f"{file} is of another sweep: {name} is {there!r} there and {here!r} here. "
+                "Give another file, or remove this one"
+            )
+
+
+def _pairs(here: dict[str, Any], there: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Yield what is to be equal, parameter by parameter."""
+    for name in here:
+        if name != "parameters":
+            yield name, here[name], there[name]
+    for key in sorted({*here["parameters"], *there["parameters"]}):
+        yield f"parameter {key!r}", here["parameters"].get(key), there["parameters"].get(key)

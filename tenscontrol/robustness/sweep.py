@@ -1,0 +1,229 @@
+"""Many runs of one case with parameters drawn at random."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import warnings
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any
+
+from tenscontrol.robustness import store
+from tenscontrol.robustness.distributions import Distribution
+from tenscontrol.robustness.errors import SweepError
+from tenscontrol.robustness.outcome import Outcome
+from tenscontrol.robustness.pool import spread, workers
+from tenscontrol.robustness.record import Record
+from tenscontrol.robustness.report import SweepReport, collected
+from tenscontrol.robustness.worker import run_one
+from tenscontrol.simulation.progress import progress_bar
+from tenscontrol.validation import instance, truth, whole_number
+
+
+def sweep(
+    case: Callable[..., Outcome],
+    parameters: Mapping[str, Distribution],
+    count: int,
+    *,
+    seed: int,
+    executor: Executor | None = None,
+    processes: int | None = None,
+    in_flight: int | None = None,
+    file: str | os.PathLike[str] | None = None,
+    progress: bool = False,
+) -> SweepReport:
+    """Do many runs of a case with parameters drawn at random, and report how many succeed.
+
+    The numbers of a run hang on the seed and the index of the run alone: any
+    executor, with any number of workers, gives the same report to the last bit
+    on one machine.
+
+    Parameters
+    ----------
+    case : callable
+        ``case(parameters, rng) -> Outcome``, once a run: ``parameters`` is a dict
+        of what was drawn, floats or read-only arrays (size,); ``rng`` is the run's
+        own :class:`numpy.random.Generator`, for noise. It is pickled, and loaded
+        anew for each run. A run in which it raises is a failure and is kept as
+        such; :class:`SweepError` stops the sweep. See :class:`ClosedLoopCase`.
+    parameters : mapping of str to Distribution
+        What to draw for each run: :class:`Uniform`, :class:`Normal`, :class:`OneOf`.
+    count : int
+        Number of runs.
+    seed : int
+        What the random numbers start from, at least 0.
+    executor : concurrent.futures.Executor, optional
+        Where the runs are done; it is not shut down. Dask's is
+        ``Client(...).get_executor()``. If not given, new processes, which a script
+        may start only inside ``if __name__ == "__main__":``.
+    processes : int, optional
+        Number of new processes, where no executor is given; all processors if
+        not given.
+    in_flight : int, optional
+        How many runs are handed out at a time, at least the number of workers. Two
+        a process if not given, 64 on an executor that is given.
+    file : path, optional
+        Where each run is written down as soon as it is done. If the file is
+        there, the sweep goes on from it: one of its runs is done again, and must
+        give the same numbers; the others are not.
+    progress : bool
+        Whether to show a progress bar; never shown away from a terminal.
+
+    Returns
+    -------
+    SweepReport
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, the case cannot be
+        pickled, or the file is of another sweep; the message says what differs.
+    SweepError
+        If a worker dies, the case is none, or a run of the file gives other
+        numbers now. It carries the report of what is done.
+
+    Warns
+    -----
+    RuntimeWarning
+        If the user interrupts: the report of what is done is returned, once the
+        runs at work have come to their end. If the last line of the
+        file is torn: it is dropped.
+
+    Examples
+    --------
+    How often does a regulator hold a prism whose strings are up to 30 % stiffer or softer
+    than it was told?
+
+    >>> from concurrent.futures import ThreadPoolExecutor
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(100.0, damping=0.5))
+    >>> plant = tc.linearize(model, rest, input="rest_length")
+    >>> Q, R = tc.energy_weights(plant)
+    >>> case = tc.ClosedLoopCase(
+    ...     prism, model.strings, tc.lqr(plant, Q, 0.1 * R, step=0.02),
+    ...     duration=0.5, step=5e-3, tolerance=0.03)
+    >>> with ThreadPoolExecutor(1) as executor:
+    ...     report = tc.sweep(
+    ...         case, {"stiffness": tc.Uniform(0.7, 1.3, size=9)}, 4, seed=0, executor=executor)
+    >>> report
+    SweepReport(ClosedLoopCase, 4 of 4 runs, seed 0)
+    """
+    pickled = _pickled(case)
+    distributions = _checked_parameters(parameters)
+    count = whole_number("count", count, least=1)
+    seed = whole_number("seed", seed, least=0)
+    truth("progress", progress, "whether to show a progress bar")
+    if executor is not None:
+        instance(
+            "executor", executor, Executor, "of concurrent.futures; Dask's is client.get_executor()"
+        )
+        if processes is not None:
+            raise ValueError("processes goes without executor, which has workers of its own")
+    if processes is not None:
+        processes = whole_number("processes", processes, least=1)
+    if in_flight is not None:
+        in_flight = whole_number("in_flight", in_flight, least=1)
+    header = store.make_header(_name(case), seed, count, distributions)
+    path = _checked_path(file)
+    known = [] if path is None else store.resume(path, header)
+    records = {record.run: record for record in known}
+    # One run of the file is done again: it tells whether the case is still the same.
+    repeated = known[:1]
+    runs = [record.run for record in repeated]
+    runs += [run for run in range(count) if run not in records]
+
+    try:
+        with (
+            store.appending(path) as write,
+            progress_bar(count, progress, label="sweep", unit="runs") as report,
+            workers(executor, processes, in_flight) as (pool, width),
+        ):
+
+            def keep(record: Record) -> None:
+                if record.run in records:
+                    _refuse_other_numbers(record, records[record.run])
+                    return
+                _refuse_other_figures(record, records)
+                write(record)
+                records[record.run] = record
+                report(len(records))
+
+            def start(run: int) -> tuple[Any, ...]:
+                return run_one, pickled, distributions, seed, run
+
+            spread(pool, start, runs, width, keep)
+    except SweepError as error:
+        raise SweepError(str(error), collected(header, records)) from error.__cause__
+    except KeyboardInterrupt:
+        warnings.warn(
+            f"the sweep was interrupted with {len(records)} of {count} runs done",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+    return collected(header, records)
+
+
+def _checked_path(file: object) -> Path | None:
+    if file is None:
+        return None
+    if not isinstance(file, str | os.PathLike):
+        raise TypeError(f"file is {file!r}, expected a path, or None for no file")
+    return Path(file)
+
+
+def _pickled(case: object) -> bytes:
+    if not callable(case):
+        raise TypeError(
+            f"case is a {type(case).__name__}, expected a function case(parameters, rng)"
+        )
+    try:
+        return pickle.dumps(case)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise TypeError(
+            f"case cannot be pickled, so no worker can have it: {error}. Make it a function at "
+            "the top of a module, or an object of a class there whose attributes can be pickled"
+        ) from error
+
+
+def _name(case: object) -> str:
+    return str(getattr(case, "__qualname__", type(case).__qualname__))
+
+
+def _checked_parameters(parameters: object) -> dict[str, Distribution]:
+    if not isinstance(parameters, Mapping):
+        raise TypeError(
+            f"parameters is a {type(parameters).__name__}, expected a dict of distributions"
+        )
+    for name, distribution in parameters.items():
+        if not isinstance(name, str) or not name:
+            raise TypeError(f"parameters has the key {name!r}, expected a name")
+        instance(
+            f"parameters[{name!r}]", distribution, Distribution, "use Uniform, Normal or OneOf"
+        )
+    return dict(parameters)
+
+
+def _refuse_other_figures(record: Record, records: Mapping[int, Record]) -> None:
+    """Refuse figures of other names than those of the runs so far."""
+    if record.figures is None:
+        return
+    earlier = next((each for each in records.values() if each.figures is not None), None)
+    if earlier is not None and earlier.figures is not None:
+        found, expected = sorted(record.figures), sorted(earlier.figures)
+        if found != expected:
+            raise SweepError(
+                f"run {record.run} has the figures {found}, but run {earlier.run} has {expected}: "
+                "a case returns the same ones in every run"
+            )
+
+
+def _refuse_other_numbers(now: Record, then: Record) -> None:
+    if now.numbers() != then.numbers():
+        raise SweepError(
+            f"run {now.run} of the file gave {then.numbers()[1:]}, and now {now.numbers()[1:]}: "
+            "the case, a library or the machine has changed. Give another file"
+        )

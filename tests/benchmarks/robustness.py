@@ -1,0 +1,73 @@
+"""A sweep of 200 runs: its rate of success, and the same numbers on one process, two, and Dask.
+
+Run: ``python -m tests.benchmarks.robustness``. Prints the rate with its interval, whether the
+reports are equal to the last bit, and the time of two processes over that of one. Set
+``OPENBLAS_NUM_THREADS=1``; the Dask cluster of two workers needs the extra ``distributed``.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from time import perf_counter
+
+import tenscontrol as tc
+
+COUNT, SEED = 200, 0
+PARAMETERS = {
+    "stiffness": tc.Uniform(0.7, 1.3, size=9),
+    "bar_mass": tc.Uniform(0.8, 1.2, size=3),
+    "start": tc.Normal(0.0, 0.005, size=9),
+}
+
+
+def main() -> None:
+    case = closed_loop()
+    reports, times = {}, {}
+    for name, processes in (("1 process", 1), ("2 processes", 2)):
+        with ProcessPoolExecutor(processes) as executor:
+            list(executor.map(warm_up, range(processes)))
+            reports[name], times[name] = timed(case, executor)
+    reports["Dask, 2 workers"], _ = on_dask(case)
+    first = reports["1 process"]
+    print(first.summary())
+    lines = [record.line() for record in first._records]
+    for name in ("2 processes", "Dask, 2 workers"):
+        same = lines == [record.line() for record in reports[name]._records]
+        print(f"{name}: equal to 1 process to the last bit: {'yes' if same else 'NO'}")
+    print(f"time of 2 processes / 1 process: {times['2 processes'] / times['1 process']:.2f}")
+
+
+def closed_loop() -> tc.ClosedLoopCase:
+    """Return the prism under a regulator of rest lengths."""
+    prism, strings = tc.prism(), tc.LinearStrings(100.0, damping=0.5)
+    rest = tc.prestress(prism, force_density=17.320508)
+    plant = tc.linearize(tc.Model(prism, strings=strings), rest, input="rest_length")
+    Q, R = tc.energy_weights(plant)
+    regulator = tc.lqr(plant, Q, 0.1 * R, step=0.02)
+    return tc.ClosedLoopCase(prism, strings, regulator, 1.6, 1e-2, tolerance=0.02)
+
+
+def timed(case, executor):
+    began = perf_counter()
+    report = tc.sweep(case, PARAMETERS, COUNT, seed=SEED, executor=executor, in_flight=8)
+    return report, perf_counter() - began
+
+
+def on_dask(case):
+    from distributed import Client, LocalCluster
+
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        return timed(case, client.get_executor())
+
+
+def warm_up(_: int) -> None:
+    """Load what runs need, so that starting a process is not timed."""
+    tc.sweep  # noqa: B018
+    import casadi  # noqa: F401
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""The closed loop with a plant that varies: against simulations by hand and closed forms."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tests.robustness.cases import Inline
+
+STEP, DURATION = 5e-3, 0.6
+RNG = np.random.default_rng(0)
+
+
+@pytest.fixture(scope="module")
+def strings():
+    return tc.LinearStrings(100.0, damping=0.5)
+
+
+@pytest.fixture(scope="module")
+def plant(prism, strings):
+    rest = tc.prestress(prism, force_density=17.320508)
+    return tc.linearize(tc.Model(prism, strings=strings), rest, input="rest_length")
+
+
+@pytest.fixture(scope="module")
+def regulator(plant):
+    Q, R = tc.energy_weights(plant)
+    return tc.lqr(plant, Q, 0.1 * R, step=0.02)
+
+
+@pytest.fixture(scope="module")
+def case(prism, strings, regulator):
+    return tc.ClosedLoopCase(prism, strings, regulator, DURATION, STEP, tolerance=0.02)
+
+
+def test_it_is_the_simulation_of_the_varied_plant(case, prism, plant, regulator):
+    mass, stiffness = np.array([0.8, 1.0, 1.2]), np.linspace(0.7, 1.3, 9)
+    q = np.linspace(-0.01, 0.01, 9)
+    drawn = {"bar_mass": mass, "stiffness": stiffness, "damping": 2.0, "start": q}
+    figures = case(drawn, RNG).figures
+    varied = tc.Structure(prism.nodes, prism.bars, prism.strings, mass)
+    law = tc.LinearStrings(100.0 * stiffness, damping=1.0)
+    run = tc.simulate(
+        tc.Model(varied, strings=law), DURATION, plant.to_nodes(q), controller=regulator, step=STEP
+    )
+    assert figures["least_force_density"] == run.force_density.min()
+    assert figures["largest_force_density"] == run.force_density.max()
+    assert figures["largest_command"] == run.control.command.max()
+    last = plant.measure(run.nodes[..., -1], run.velocities[..., -1])[:9]
+    off = np.linalg.norm(plant.to_nodes(last) - prism.nodes, axis=0).max()
+    assert figures["final_error"] >= off > 0.01
+
+
+def test_strings_that_are_all_stiffer_hold_the_same_shape(case):
+    # Every force grows alike, so that the balance stays.
+    nominal, stiffer = (case({"stiffness": k}, RNG).figures for k in (1.0, 1.3))
+    assert nominal["final_error"] < 1e-9
+    assert stiffer["final_error"] < 1e-9
+    ratio = stiffer["largest_force_density"] / nominal["largest_force_density"]
+    assert ratio == pytest.approx(1.3, rel=1e-9)
+
+
+def test_a_motion_as_one_body_is_no_error(case, prism, strings, regulator):
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    moved = turn @ prism.nodes + np.array([[1.0], [2], [3]])
+    elsewhere = tc.ClosedLoopCase(prism, strings, regulator, DURATION, STEP, 0.02, nodes=moved)
+    assert elsewhere({}, RNG).figures["final_error"] < 1e-9
+    target = tc.ClosedLoopCase(prism, strings, regulator, DURATION, STEP, 0.02, target=moved)
+    assert target({}, RNG).figures["final_error"] < 1e-9
+
+
+def test_another_target_is_missed_by_the_distance(plant, prism, strings, regulator):
+    wanted = plant.to_nodes(np.r_[0.05, np.zeros(8)])
+    case = tc.ClosedLoopCase(prism, strings, regulator, DURATION, STEP, 0.02, target=wanted)
+    outcome = case({}, RNG)
+    distance = np.linalg.norm(wanted - prism.nodes, axis=0).max()
+    assert outcome.figures["final_error"] == pytest.approx(distance, rel=1e-6)
+    assert not outcome.success
+
+
+def test_weights_go_with_the_masses(prism, strings, regulator):
+    # All bodies fall alike, whatever they weigh: none is left behind the others.
+    falling = tc.ClosedLoopCase(prism, strings, regulator, 0.2, STEP, 0.02, gravity=9.81)
+    assert falling({"bar_mass": [0.5, 1.0, 2.0]}, RNG).figures["final_error"] < 1e-9
+
+
+def test_what_is_wrong_with_a_draw_is_named(case):
+    with pytest.raises(tc.SweepError, match="no parameter 'mass', expected some of 'bar_mass'"):
+        case({"mass": 1.0}, RNG)
+    with pytest.raises(ValueError, match=r"bar_mass\[0\] is -1"):
+        case({"bar_mass": -1.0}, RNG)
+    with pytest.raises(ValueError, match=r"stiffness has shape \(3,\), expected \(\) or \(9,\)"):
+        case({"stiffness": np.ones(3)}, RNG)
+
+
+def test_strings_without_the_parameter_stop_the_sweep(prism):
+    plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 17.32))
+    regulator = tc.lqr(plant, *tc.energy_weights(plant), step=0.02, max_force_density=60.0)
+    case = tc.ClosedLoopCase(prism, None, regulator, DURATION, STEP, 0.02)
+    assert case({"bar_mass": 1.1}, RNG).success
+    with pytest.raises(tc.SweepError, match="stiffness is drawn, but the strings have none: None"):
+        case({"stiffness": 1.1}, RNG)
+
+
+def test_a_motion_that_runs_away_or_is_inaccurate_is_a_failure(prism, strings, regulator):
+    coarse = tc.ClosedLoopCase(prism, strings, regulator, DURATION, 0.02, 0.02)
+    drawn = {"stiffness": tc.OneOf([1.0, 1e5]), "start": tc.Normal(0.0, 0.01, size=9)}
+    found = tc.sweep(coarse, drawn, 6, seed=0, executor=Inline())
+    stiff = found.parameters["stiffness"] > 1
+    assert 0 < stiff.sum() < 6
+    assert np.array_equal(found.completed, ~stiff)
+    assert {failure.error for failure in found.failures} == {"SimulationError"}
+
+
+def test_a_pickled_mpc_commands_what_a_new_one_does(prism, strings, plant):
+    made = [
+        tc.MPC(plant, horizon=6, step=0.04, max_force_density=65.0, load_gain=0.3) for _ in range(2)
+    ]
+    case = tc.ClosedLoopCase(prism, strings, made[0], DURATION, STEP, 0.02)
+    case({"start": np.full(9, 0.01)}, RNG)  # leaves something in OSQP
+    loaded = pickle.loads(pickle.dumps(case))
+    draw = {"stiffness": np.linspace(0.8, 1.2, 9)}
+    fresh = tc.ClosedLoopCase(prism, strings, made[1], DURATION, STEP, 0.02)
+    assert loaded(draw, RNG).figures == fresh(draw, RNG).figures
+
+
+def test_an_estimate_of_the_load_makes_up_for_wrong_stiffness(prism, strings, plant, regulator):
+    """What the sweep is for: strings that are not as stiff as the controller was told."""
+    mpc = tc.MPC(plant, horizon=8, step=0.04, max_force_density=65.0, load_gain=0.3)
+    drawn = {"stiffness": tc.Uniform(0.7, 1.3, size=9), "bar_mass": tc.Uniform(0.8, 1.2, size=3)}
+    rates = []
+    for controller in (regulator, mpc):
+        case = tc.ClosedLoopCase(prism, strings, controller, 2.0, 1e-2, tolerance=0.01)
+        rates.append(tc.sweep(case, drawn, 8, seed=3, executor=Inline()))
+    assert rates[0].success_rate < 0.3
+    assert rates[1].success_rate == 1.0
+    assert np.array_equal(rates[0].parameters["stiffness"], rates[1].parameters["stiffness"])
