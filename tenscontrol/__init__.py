@@ -106,9 +106,13 @@ if TYPE_CHECKING:
     from tenscontrol.simulation import (
         AccuracyWarning,
         ControlRecord,
+        CutString,
+        Fault,
         Health,
         Limits,
+        LostMeasurement,
         SimulationError,
+        StuckWinch,
         Trajectory,
         simulate,
     )
@@ -209,9 +213,13 @@ _HOME = {
     "simulation": [
         "AccuracyWarning",
         "ControlRecord",
+        "CutString",
+        "Fault",
         "Health",
         "Limits",
+        "LostMeasurement",
         "SimulationError",
+        "StuckWinch",
         "Trajectory",
         "simulate",
     ],

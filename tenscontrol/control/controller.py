@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from time import perf_counter
 
 import numpy as np
 
 from tenscontrol.analysis import LinearPlant
-from tenscontrol.validation import FloatArray, float_array, frozen, measured
+from tenscontrol.control.plausible import Plausible
+from tenscontrol.validation import FloatArray, float_array, frozen, measured, shaped
 
 OK = "ok"
-BAD_MEASUREMENT = "measurement not finite"
+BAD_WISH = "decision not finite"
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +24,8 @@ class Command:
     ----------
     value : ndarray, shape (α,)
         γ, N/m, or rest lengths, m, as the controller's ``input`` says. Finite
-        and within the controller's bounds, always.
+        and within the controller's bounds, always; where the change is limited,
+        no farther than that from what stands.
     status : str
         ``"ok"``, or why the command is not what the controller would have wished.
     """
@@ -43,14 +46,26 @@ class Controller(ABC):
         whatever sample time the simulation is given.
     low, high : ndarray, shape (α,)
         Least and largest command.
+    change : ndarray, shape (α,), optional
+        Largest change from what the actuators hold; no limit if not given.
     """
 
     def __init__(
-        self, plant: LinearPlant, step: float | None, low: FloatArray, high: FloatArray
+        self,
+        plant: LinearPlant,
+        step: float | None,
+        low: FloatArray,
+        high: FloatArray,
+        change: FloatArray | None = None,
     ) -> None:
         self._plant = plant
         self._step = step
         self._low, self._high = frozen(low), frozen(high)
+        self._change = change
+        self._plausible = Plausible(plant, step)
+        self._called = 0.0  # when a command was asked for, by perf_counter
+        # What the actuators hold: as told, else the last command; None before the first.
+        self._standing: FloatArray | None = None
 
     @property
     def plant(self) -> LinearPlant:
@@ -75,8 +90,12 @@ class Controller(ABC):
     def command(self, time: float, nodes: object, velocities: object) -> Command:
         """Return the command for the sample that starts now.
 
-        A measurement that is not finite is not used: the command is then the
-        controller's fallback, and the status says so.
+        A measurement that is not finite, or that the structure cannot have, is
+        not used: the command is then the controller's fallback, and the status
+        says so. The structure cannot have bars off their length by a tenth, fixed
+        nodes off their places by a tenth of its size, nodes 10 sizes apart along an
+        axis or a million from the origin, or nodes that move against each other by
+        10 sizes in a sample and in the time constant of the fastest pole.
 
         Parameters
         ----------
@@ -95,18 +114,59 @@ class Controller(ABC):
             If an array is not of numbers or has the wrong shape, or the time is
             not a finite number.
         """
+        self._called = perf_counter()
         time = float(float_array("time", time))
         shape = self._plant.nodes.shape
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
-        if np.isfinite(N).all() and np.isfinite(V).all():
+        fault = self._plausible.fault(N, V)
+        if fault is None:
             wish, status = self._decide(time, self._plant.measure(N, V))
+            if not np.isfinite(wish).all():
+                wish, status = self._fall_back(BAD_WISH)
         else:
-            wish, status = self._fall_back(BAD_MEASUREMENT)
-        return Command(frozen(np.clip(wish, self._low, self._high)), status)
+            wish, status = self._fall_back(fault)
+        value = frozen(self._within_reach(wish))
+        self._standing = value
+        return Command(value, status)
+
+    def applied(self, value: object) -> None:
+        """Tell what the actuators hold, where that may not be the last command.
+
+        A winch may be slow, at the end of its range or stuck. Changes are limited
+        from what is told here. A simulation tells it after each command, and where
+        the winches stand before the first. Without it the last command is taken
+        for what is held.
+
+        Parameters
+        ----------
+        value : array_like, shape (α,)
+            γ, N/m, or rest lengths, m, as the controller's ``input`` says.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is not finite or has the wrong shape.
+        """
+        self._standing = frozen(shaped("value", value, self._low.shape, "one per string"))
+
+    @property
+    def _reachable(self) -> FloatArray:
+        """What stands, within bounds: where the next change is counted from."""
+        before = self._plant.equilibrium_input if self._standing is None else self._standing
+        # Bounds come first: a command outside them is none, wherever the actuators stand.
+        return np.clip(before, self._low, self._high)
+
+    def _within_reach(self, wish: FloatArray) -> FloatArray:
+        """Return the wish within the change allowed and the bounds."""
+        if self._change is not None:
+            before = self._reachable
+            wish = np.clip(wish, before - self._change, before + self._change)
+        return np.clip(wish, self._low, self._high)
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget everything that was measured or planned."""
+        """Forget everything that was measured, planned or applied."""
+        self._standing = None
 
     @abstractmethod
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:

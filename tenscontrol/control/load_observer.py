@@ -57,7 +57,7 @@ class LoadObserver:
     def reset(self) -> None:
         """Forget the estimate."""
         self.acceleration = np.zeros(self._push.shape[1])
-        self._expected: FloatArray | None = None
+        self._coasting: FloatArray | None = None
 
     @property
     def drift(self) -> FloatArray:
@@ -75,14 +75,22 @@ class LoadObserver:
         total = known + self.acceleration
         return total @ self._shift.T, total @ self._input.T
 
-    def correct(self, state: FloatArray) -> None:
-        """Compare a measured state, shape (s,), with what was expected."""
-        if self._expected is not None:
-            self.acceleration = self.acceleration + self._gain @ (state - self._expected)
+    def correct(self, state: FloatArray, pushed: FloatArray) -> None:
+        """Compare a measured state with what was expected.
+
+        Parameters
+        ----------
+        state : ndarray, shape (s,)
+        pushed : ndarray, shape (s,)
+            What the input that was held since the last sample did to the state.
+        """
+        if self._coasting is not None:
+            expected = self._coasting + pushed
+            self.acceleration = self.acceleration + self._gain @ (state - expected)
 
     def expect(self, state: FloatArray | None) -> None:
-        """Note the state expected at the next sample, the load included; None if unknown."""
-        self._expected = state
+        """Note the state at the next sample, the load but no input included; None if unknown."""
+        self._coasting = state
 
 
 def load_observer(

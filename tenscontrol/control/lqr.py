@@ -6,8 +6,9 @@ from typing import final
 
 import numpy as np
 
+from tenscontrol.actuation import Winches
 from tenscontrol.analysis import LinearPlant, controllability, lost_poles
-from tenscontrol.control.bounds import input_bounds
+from tenscontrol.control.bounds import input_bounds, largest_change
 from tenscontrol.control.controller import OK, Controller
 from tenscontrol.control.weights import weight_matrix
 from tenscontrol.dynamics import coordinates
@@ -20,6 +21,11 @@ _RESIDUAL_TOLERANCE = 1e-6
 @final
 class LQR(Controller):
     """The state feedback ``u = u₀ − K z``, kept within bounds. Made by :func:`lqr`.
+
+    Where the wish is beyond the bounds, or farther from what the actuators hold
+    (:meth:`applied`) than a change may be, the status is ``"saturated"``. Without a
+    measurement that the structure can have, γ of the operating point is commanded,
+    or the rest lengths that stand.
 
     Attributes
     ----------
@@ -42,23 +48,26 @@ class LQR(Controller):
         poles: np.ndarray,
         cost: FloatArray,
         riccati_residual: float,
+        change: FloatArray | None,
     ) -> None:
-        super().__init__(plant, step, *bounds)
+        super().__init__(plant, step, *bounds, change)
         self.gain = frozen(gain)
         self.poles = frozen(poles)
         self.cost = frozen(cost)
         self.riccati_residual = riccati_residual
 
     def reset(self) -> None:
-        """Do nothing: the feedback remembers nothing."""
+        """Forget what the actuators hold: the feedback remembers nothing else."""
+        super().reset()
 
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
         wish = self.plant.equilibrium_input - self.gain @ state
-        if (wish < self._low).any() or (wish > self._high).any():
-            return wish, "saturated"
-        return wish, OK
+        reached = np.array_equal(self._within_reach(wish), wish)
+        return wish, OK if reached else "saturated"
 
     def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
+        if self.input == "rest_length" and self._standing is not None:
+            return self._standing, f"{reason}: last command held"
         return self.plant.equilibrium_input, f"{reason}: equilibrium held"
 
     def __repr__(self) -> str:
@@ -72,6 +81,8 @@ def lqr(
     R: object,
     step: float | None = None,
     max_force_density: object = None,
+    max_change: object = None,
+    winches: Winches | None = None,
 ) -> LQR:
     """Return the feedback that minimizes ``∫ zᵀ Q z + vᵀ R v dt``.
 
@@ -90,6 +101,10 @@ def lqr(
     max_force_density : float or array_like, shape (α,), optional
         Largest γ commanded, N/m; only for a plant with γ as the input. The
         least is 0 always.
+    max_change : float or array_like, shape (α,), optional
+        Largest change of the command from sample to sample, N/m or m.
+    winches : Winches, optional
+        Speed and range that bound rest lengths.
 
     Returns
     -------
@@ -124,7 +139,12 @@ def lqr(
         )
     state_weight = weight_matrix("Q", Q, states, definite=False)
     input_weight = weight_matrix("R", R, inputs, definite=True)
-    bounds = input_bounds(plant, max_force_density)
+    if winches is not None:
+        instance("winches", winches, Winches, "make them by Winches(rate=...)")
+    if step is not None:
+        step = positive_number("step", step, "s")
+    bounds = input_bounds(plant, max_force_density, winches)
+    change = largest_change(plant, max_change, winches, step)
     _refuse_unreachable(plant)
 
     import control
@@ -134,7 +154,7 @@ def lqr(
     if step is None:
         A, B = plant.A, plant.B
     else:
-        A, B, _ = plant.discretize(positive_number("step", step, "s"))
+        A, B, _ = plant.discretize(step)
     scaled = (
         A * unit / unit[:, None],
         level * B / unit[:, None],
@@ -150,7 +170,8 @@ def lqr(
         ) from error
     residual = _riccati_residual(*scaled, P, discrete=step is not None)
     _refuse_bad_solution(poles, residual, discrete=step is not None)
-    return LQR(plant, step, bounds, level * K / unit, poles, P / unit[:, None] / unit, residual)
+    gain, cost = level * K / unit, P / unit[:, None] / unit
+    return LQR(plant, step, bounds, gain, poles, cost, residual, change)
 
 
 def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:

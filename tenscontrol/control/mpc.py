@@ -67,9 +67,11 @@ class MPC(Controller):
     string before any winch moves. Along a reference, rest lengths start from
     those that hold its shapes, and the plant's dynamics are taken about them.
 
-    If a program is not solved, the command is the next input of the last plan
-    that was; when that is used up, γ of the operating point, or the last rest
-    lengths. Either is counted (:attr:`statistics`) and shows in the status.
+    If a program is not solved, or the measurement is not one that the structure can
+    have, the command is the next input of the last plan; when that is used up, γ of
+    the operating point, or the rest lengths that stand. Either is counted
+    (:attr:`statistics`) and shows in the status. Changes are limited from what the
+    actuators hold (:meth:`applied`), and the next solved program makes a new plan.
 
     Parameters
     ----------
@@ -119,6 +121,10 @@ class MPC(Controller):
     tracked : array_like, shape (p, 3n), optional
         Combinations of node positions to be free of offset under a load; all
         coordinates, as well as can be, if not given.
+    time_limit : float, optional
+        Time for a command, s, from its call. A program that is not solved by then
+        is given up at the end of an OSQP iteration. What follows takes some tens of
+        microseconds and is not counted.
 
     Raises
     ------
@@ -165,6 +171,7 @@ class MPC(Controller):
         string_penalty: float | None = None,
         load_gain: float | None = None,
         tracked: object = None,
+        time_limit: float | None = None,
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         if winches is not None:
@@ -176,7 +183,10 @@ class MPC(Controller):
             default_penalty(string_penalty),
         )  # fmt: skip
         made = design(plant, length, step, Q, R, wishes)
-        super().__init__(plant, step, made.low, made.high)
+        super().__init__(plant, step, made.low, made.high, made.problem.change)
+        self._time_limit = np.inf
+        if time_limit is not None:
+            self._time_limit = positive_number("time_limit", time_limit, "s")
         self._problem, self._constraints = made.problem, made.constraints
         if choice("form", form, FORMS) == "auto":
             form = "condensed" if self._problem.input_count <= _LARGEST_CONDENSED else "sparse"
@@ -241,32 +251,35 @@ class MPC(Controller):
         self._path = Path(self.plant, checked, self.step, self._push, self._problem.drift)
 
     def reset(self) -> None:
-        """Forget the last plan, the estimated load and the statistics."""
+        """Forget the last plan, what stands, the estimated load and the statistics."""
         self._plan = np.zeros((0, len(self._low)))
         self._used = 0
         self._guess: tuple[FloatArray, FloatArray] | None = None
-        self._previous: FloatArray | None = None
+        super().reset()
         self._statuses: list[str] = []
         self._iterations: list[int] = []
         if self._observer is not None:
             self._observer.reset()
 
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
+        deadline = self._called + self._time_limit
         problem, path = self._problem, self._path.at(time + self._now)
         reference = self._path.wanted(time + self._now[1:])
         origin = path.input[:-1]
-        if self._previous is None:
-            self._previous = origin[0]
+        if self._standing is None:
+            self._standing = frozen(origin[0])
         rest = path.rest[:-1]
         drift = rest - rest @ problem.transition.T + path.drift[:-1]
         effort = np.zeros_like(origin)
         if self._observer is not None:
-            self._observer.correct(state)
+            self._observer.correct(state, problem.input_matrix @ self._standing)
             drift = drift + self._observer.drift
             r = self.plant.degrees_of_freedom
             known = (reference - path.rest[1:])[:, :r] @ self.plant.A[r:, :r].T
             shift, effort = self._observer.rest(known)
             reference = reference + np.hstack([shift, np.zeros_like(shift)])
+            coasting = problem.transition @ state - problem.input_matrix @ origin[0] + drift[0]
+            self._observer.expect(coasting)
         row_low, row_high = self._constraints.bounds(path, problem.length)
         course = Course(
             drift=drift,
@@ -277,49 +290,37 @@ class MPC(Controller):
             row_low=row_low,
             row_high=row_high,
         )
-        vectors = self._form.vectors(state, reference, self._previous - origin[0], course)
-        answer = self._program.solve(*vectors, start=self._guess)
+        vectors = self._form.vectors(state, reference, self._reachable - origin[0], course)
+        answer = self._program.solve(*vectors, start=self._guess, deadline=deadline)
         self._iterations.append(answer.iterations)
         if answer.x is None or answer.y is None:
-            wish, status = self._fall_back(answer.status.value)
-        else:
-            # Solved to a tolerance: what is left outside the bounds is cut off.
-            inputs = origin + self._form.inputs(answer.x, state, course)
-            self._plan = np.clip(inputs, self._low, self._high)
-            self._used = 0
-            self._guess = self._form.shifted(answer.x, answer.y)
-            self._statuses.append(answer.status.value)
-            wish, status = self._applied(self._plan[0]), answer.status.value
-        if self._observer is not None:
-            applied = np.clip(wish, self._low, self._high) - origin[0]
-            self._observer.expect(
-                problem.transition @ state + problem.input_matrix @ applied + drift[0]
-            )
-        return wish, status
+            return self._continue(answer.status.value)
+        # Solved to a tolerance: what is left outside the bounds is cut off.
+        inputs = origin + self._form.inputs(answer.x, state, course)
+        self._plan = np.clip(inputs, self._low, self._high)
+        self._used = 0
+        self._guess = self._form.shifted(answer.x, answer.y)
+        self._statuses.append(answer.status.value)
+        return self._plan[0], answer.status.value
 
     def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
-        self._used += 1
-        self._guess = None
         if self._observer is not None:
             self._observer.expect(None)
+        return self._continue(reason)
+
+    def _continue(self, reason: str) -> tuple[FloatArray, str]:
+        """Go on without a new plan."""
+        self._used += 1
+        self._guess = None
         if self._used < len(self._plan):
             wish, what = self._plan[self._used], "last plan continued"
-        elif self.input == "rest_length" and self._previous is not None:
-            wish, what = self._previous, "last command held"
+        elif self.input == "rest_length" and self._standing is not None:
+            wish, what = self._standing, "last command held"
         else:
             wish, what = self.plant.equilibrium_input, "equilibrium held"
         status = f"{reason}: {what}"
         self._statuses.append(status)
-        return self._applied(wish), status
-
-    def _applied(self, wish: FloatArray) -> FloatArray:
-        """Return the input with its change limited, and remember it."""
-        change = self._problem.change
-        if change is not None:
-            before = self.plant.equilibrium_input if self._previous is None else self._previous
-            wish = np.clip(wish, before - change, before + change)
-        self._previous = wish
-        return wish
+        return wish, status
 
     def __repr__(self) -> str:
         return (

@@ -9,7 +9,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.analysis import LinearPlant
-from tenscontrol.control.bounds import input_bounds
+from tenscontrol.control.bounds import input_bounds, largest_change
 from tenscontrol.control.constraints import (
     Constraints,
     OutputLimit,
@@ -92,7 +92,7 @@ def design(
         terminal_weight=regulator.cost,
         low=low - plant.equilibrium_input,
         high=high - plant.equilibrium_input,
-        change=_largest_change(plant, wishes, step),
+        change=largest_change(plant, wishes.max_change, wishes.winches, step),
         length=length,
         level=level,
         feedback=regulator.gain,
@@ -114,22 +114,10 @@ def default_penalty(value: object) -> float:
 
 def _command_range(plant: LinearPlant, wishes: Wishes) -> tuple[FloatArray, FloatArray]:
     if plant.input == "rest_length":
-        low, high = input_bounds(plant, None)
-        if wishes.winches is not None:
-            wishes.winches.refuse_out_of_range("plant.rest_length", plant.equilibrium_input)
-            if wishes.winches.shortest is not None:
-                low = np.maximum(low, wishes.winches.shortest)
-            if wishes.winches.longest is not None:
-                high = np.minimum(high, wishes.winches.longest)
-        return low, high
-    if wishes.winches is not None:
-        raise ValueError(
-            "winches limit rest lengths, but plant has input='force_density'; linearize with "
-            "input='rest_length'"
-        )
+        return input_bounds(plant, None, wishes.winches)
     if wishes.max_force_density is None:
         raise TypeError("max_force_density is None, expected a positive number in N/m")
-    low, high = input_bounds(plant, wishes.max_force_density)
+    high = input_bounds(plant, wishes.max_force_density, wishes.winches)[1]
     least = _least_force_density(plant, wishes)
     over = np.flatnonzero(least > plant.force_density)
     if len(over):
@@ -144,18 +132,6 @@ def _command_range(plant: LinearPlant, wishes: Wishes) -> tuple[FloatArray, Floa
 def _least_force_density(plant: LinearPlant, wishes: Wishes) -> FloatArray:
     least = per_member("min_force_density", wishes.min_force_density, plant.B.shape[1], "string")
     return non_negative("min_force_density", least, "a string can only pull")
-
-
-def _largest_change(plant: LinearPlant, wishes: Wishes, step: float) -> FloatArray | None:
-    count = plant.B.shape[1]
-    change = None
-    if wishes.max_change is not None:
-        change = per_member("max_change", wishes.max_change, count, "string")
-        positive("max_change", change, f"change of {plant.input.replace('_', ' ')}")
-    if wishes.winches is not None and wishes.winches.rate is not None:
-        reach = per_member("winches.rate", wishes.winches.rate, count, "string") * step
-        change = reach if change is None else np.minimum(change, reach)
-    return change
 
 
 def _row_blocks(plant: LinearPlant, wishes: Wishes, penalty: float) -> list[RowBlock]:

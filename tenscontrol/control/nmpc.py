@@ -16,6 +16,7 @@ from tenscontrol.control.controller import OK, Controller
 from tenscontrol.control.lqr import state_units
 from tenscontrol.control.mpc_design import Wishes, design
 from tenscontrol.control.path import Path, acceleration_response, checked_reference
+from tenscontrol.control.quadratic_program import Status
 from tenscontrol.control.reduced_dynamics import sampled_dynamics
 from tenscontrol.control.trajectory_program import TrajectoryProgram
 from tenscontrol.dynamics import Evaluator
@@ -69,7 +70,11 @@ class NMPC(Controller):
     on request. Motion is measured anew in reduced coordinates at each sample,
     in which bars keep their lengths and need no states.
 
-    If a program is not solved, the plan is followed for another sample; the status says so.
+    If a program is not solved, or the measurement is not one that the structure can
+    have, the plan is followed for another sample; after its end γ of the operating
+    point is commanded, or the rest lengths that stand. The status says so. Changes
+    are limited from what the actuators hold (:meth:`applied`). A plan that was followed
+    to its end is forgotten, and the next measurement starts a new one.
 
     Parameters
     ----------
@@ -99,6 +104,10 @@ class NMPC(Controller):
         OSQP's absolute and relative tolerance, in units of an input.
     max_iterations : int
         OSQP's limit.
+    time_limit : float, optional
+        Time for a command, s, from its call; preparation counts where it was not
+        done before. A program that is not solved by then is given up at the end
+        of an OSQP iteration, and no other is begun.
 
     Raises
     ------
@@ -137,6 +146,7 @@ class NMPC(Controller):
         iterations: int = 1,
         tolerance: float = 1e-4,
         max_iterations: int = 4000,
+        time_limit: float | None = None,
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         if winches is not None:
@@ -151,7 +161,10 @@ class NMPC(Controller):
         self._rounds = whole_number("iterations", iterations, least=1)
         wishes = Wishes(max_force_density, 0.0, None, max_change, winches, (), 1.0)
         made = design(plant, length, step, Q, R, wishes)
-        super().__init__(plant, step, made.low, made.high)
+        super().__init__(plant, step, made.low, made.high, made.problem.change)
+        self._time_limit = np.inf
+        if time_limit is not None:
+            self._time_limit = positive_number("time_limit", time_limit, "s")
         self._problem = made.problem
         self._program = TrajectoryProgram(
             made.problem,
@@ -231,10 +244,11 @@ class NMPC(Controller):
         return self._path.wanted(times[1:]), self._path.at(times[:-1]).input
 
     def reset(self) -> None:
-        """Forget the plan and the statistics."""
+        """Forget the plan, what stands and the statistics."""
+        self._followed = 0
         self._states: FloatArray | None = None
         self._inputs: FloatArray | None = None
-        self._previous: FloatArray | None = None
+        super().reset()
         self._prepared = False
         self._shifted = True
         self._program.forget()
@@ -276,21 +290,34 @@ class NMPC(Controller):
         ends, by_state, by_input = self._linearize(z.T, u.T)
         A, B = _blocks(by_state, N), _blocks(by_input, N)
         offset = ends.reshape(-1, N, order="F").T - np.einsum("kij,kj->ki", A, z)
-        self._program.linearize(A, B, offset - np.einsum("kij,kj->ki", B, u))
-        self._prepared = True
+        offset = offset - np.einsum("kij,kj->ki", B, u)
+        # A plan may lead where the dynamics have no value: there is nothing to prepare then.
+        self._prepared = all(np.isfinite(part).all() for part in (A, B, offset))
+        if self._prepared:
+            self._program.linearize(A, B, offset)
 
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
+        deadline = self._called + self._time_limit
         reference, origin = self.targets(time)
+        if self._standing is None:
+            self._standing = frozen(origin[0])
         if self._states is None:
             self._begin(state, reference, origin)
         self.prepare()
+        if not self._prepared:  # the plan led where the dynamics have no value
+            self._begin(state, reference, origin)
         preparing, began = self._preparing, perf_counter()
-        previous = origin[0] if self._previous is None else self._previous
         work, change = 0, np.inf
         for rounds in range(1, self._rounds + 1):
             if not self._prepared:
                 self._relinearize()
-            answer, states, inputs = self._program.solve(state, reference, origin, previous)
+            if not self._prepared:
+                self._states = self._inputs = None
+                self._record(rounds - 1, work, change, preparing, began)
+                return self._fall_back(Status.BAD_DATA.value)
+            answer, states, inputs = self._program.solve(
+                state, reference, origin, self._reachable, deadline
+            )
             self._prepared = False
             work += answer.iterations
             if answer.x is None:
@@ -299,14 +326,14 @@ class NMPC(Controller):
             assert self._inputs is not None  # begun above
             change = float(np.abs(inputs - self._inputs).max()) / self._problem.level
             self._states, self._inputs = np.vstack([state, states]), inputs
-            if change < _CONVERGED:
+            self._followed = 0
+            if change < _CONVERGED or perf_counter() >= deadline:
                 break
         self._shifted = False
         self._statuses.append(OK)
         assert self._inputs is not None  # solved
-        wish = self._applied(np.clip(self._inputs[0], self._low, self._high), previous)
         self._record(rounds, work, change, preparing, began)
-        return wish, OK
+        return self._inputs[0], OK
 
     def _begin(self, state: FloatArray, reference: FloatArray, origin: FloatArray) -> None:
         """Plan with the law of the linear plant, kept within bounds, on the nonlinear one."""
@@ -324,25 +351,23 @@ class NMPC(Controller):
     ) -> None:
         self._records.append((rounds, work, change, preparing, perf_counter() - began))
 
-    def _applied(self, wish: FloatArray, previous: FloatArray) -> FloatArray:
-        change = self._problem.change
-        if change is not None:
-            wish = np.clip(wish, previous - change, previous + change)
-        self._previous = wish
-        return wish
-
     def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
-        """Follow the plan for another sample; its last input is repeated after its end."""
-        wish, what = self.plant.equilibrium_input, "equilibrium held"
+        """Follow the plan for another sample; after its end hold what is safe."""
+        self._followed += 1
+        if self._followed >= self.horizon:
+            self._states = self._inputs = None
         if self._inputs is not None:
             self._shift()
             wish, what = self._inputs[0], "plan continued"
+        elif self.input == "rest_length" and self._standing is not None:
+            wish, what = self._standing, "last command held"
+        else:
+            wish, what = self.plant.equilibrium_input, "equilibrium held"
         self._prepared, self._shifted = False, False
         self._program.forget()
         status = f"{reason}: {what}"
         self._statuses.append(status)
-        before = self.plant.equilibrium_input if self._previous is None else self._previous
-        return self._applied(np.clip(wish, self._low, self._high), before), status
+        return wish, status
 
     def __repr__(self) -> str:
         return f"NMPC({self.plant!r}, horizon {self.horizon}, step {self.step:g} s)"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -96,9 +97,10 @@ class QuadraticProgram:
         import osqp
         from scipy.sparse import csc_matrix, triu
 
+        began = perf_counter()
         rows, columns = A.shape
         self.tolerance, self.max_iterations = tolerance, max_iterations
-        self._matrices = P, A
+        self._made_of = P, A, tolerance, max_iterations, polish
         self._shapes = {"q": columns, "l": rows, "u": rows}
         self._status = {status.value: _STATUS[status.name] for status in osqp.SolverStatus}
         self._nonzeros = csc_matrix(A).nnz
@@ -121,10 +123,13 @@ class QuadraticProgram:
             adaptive_rho_interval=50,
             check_termination=5,
         )
+        # OSQP counts as run time of the first solve the setup, of later ones the updates.
+        self._fresh = True
+        self._counted = perf_counter() - began
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle what the program is made of; OSQP's own memory, and what it solved, stay here."""
-        return QuadraticProgram, (*self._matrices, self.tolerance, self.max_iterations)
+        return QuadraticProgram, self._made_of
 
     def update(self, A: FloatArray) -> None:
         """Put other values into A, in the order of its columns; the pattern stays.
@@ -140,7 +145,10 @@ class QuadraticProgram:
         """
         if A.shape != (self._nonzeros,) or not np.isfinite(A).all():
             raise ValueError(f"A needs {self._nonzeros} finite values, got shape {A.shape}")
+        began = perf_counter()
         self._solver.update(Ax=A)
+        if not self._fresh:
+            self._counted += perf_counter() - began
 
     def solve(
         self,
@@ -148,6 +156,7 @@ class QuadraticProgram:
         l: FloatArray,  # noqa: E741 - the letters of the problem
         u: FloatArray,
         start: tuple[FloatArray, FloatArray] | None = None,
+        deadline: float = np.inf,
     ) -> QPSolution:
         """Solve for new vectors, from the last solution or from a given start.
 
@@ -161,6 +170,9 @@ class QuadraticProgram:
             May be infinite.
         start : pair of ndarray, shapes (k,) and (m,), optional
             Primal and dual vectors to start from.
+        deadline : float
+            When ``perf_counter`` says so, s, the solve is given up: before it
+            begins, or at the end of an iteration.
 
         Returns
         -------
@@ -182,10 +194,16 @@ class QuadraticProgram:
             return QPSolution(Status.BAD_DATA, None, None, 0)
         if (l > u).any():
             return QPSolution(Status.INFEASIBLE, None, None, 0)
+        if deadline < np.inf:
+            left = deadline - perf_counter()
+            if left <= 0:
+                return QPSolution(Status.OUT_OF_TIME, None, None, 0)
+            self._solver.update_settings(time_limit=left + self._counted)
         self._solver.update(q=q, l=l, u=u)
         if start is not None:
             self._solver.warm_start(x=start[0], y=start[1])
         result = self._solver.solve(raise_error=False)
+        self._fresh, self._counted = False, 0.0
         status = self._status[result.info.status_val]
         if status is not Status.SOLVED:
             # What OSQP leaves in x then is not a solution, and may warm-start nothing.

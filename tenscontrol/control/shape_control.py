@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from tenscontrol.analysis import LinearPlant
-from tenscontrol.control.bounds import input_bounds
+from tenscontrol.control.bounds import input_bounds, largest_change
 from tenscontrol.control.controller import OK, Controller
 from tenscontrol.control.held_loop import warn_of_slow_errors
 from tenscontrol.control.least_squares import BoundedLeastSquares
@@ -29,8 +29,6 @@ from tenscontrol.validation import (
     float_array,
     frozen,
     instance,
-    per_member,
-    positive,
     positive_number,
     whole_number,
 )
@@ -174,12 +172,9 @@ class ShapeControl(Controller):
         if max_force_density is None:
             raise TypeError("max_force_density is None, expected a positive number in N/m")
         step = positive_number("step", step, "s")
-        super().__init__(plant, step, *input_bounds(plant, max_force_density))
+        bounds = input_bounds(plant, max_force_density)
+        super().__init__(plant, step, *bounds, largest_change(plant, max_change, None, step))
         self._rates = error_rates(frequency, damping, step)
-        self._change: FloatArray | None = None
-        if max_change is not None:
-            self._change = per_member("max_change", max_change, len(self._low), "string")
-            positive("max_change", self._change, "change of force density in N/m")
         matrix = combinations(plant, tracked)
         self._motion = Evaluator(tracked_motion(plant, matrix))
         self._level = float(plant.force_density.max()) or float(self._high.max())
@@ -262,8 +257,8 @@ class ShapeControl(Controller):
         return y - wanted, rate - wanted_rate
 
     def reset(self) -> None:
-        """Forget the last command and the statistics."""
-        self._previous: FloatArray | None = None
+        """Forget what stands and the statistics."""
+        super().reset()
         self._squares.forget()
         self._statuses: list[str] = []
         self._records: list[tuple[float, ...]] = []
@@ -299,7 +294,6 @@ class ShapeControl(Controller):
         )
         at_bound = int(((gamma <= low + _CLOSE * level) | (gamma >= high - _CLOSE * level)).sum())
         self._records.append((left, unbounded, at_bound, answer.iterations))
-        self._previous = gamma
         reached = left <= self._unreached
         self._statuses.append(OK if reached else UNREACHED)
         return gamma, OK if reached else f"{UNREACHED}: off by up to {rounded_up(left)} m/s²"
@@ -308,7 +302,7 @@ class ShapeControl(Controller):
         """Return the bounds of this sample."""
         if self._change is None:
             return self._low, self._high
-        before = self.plant.force_density if self._previous is None else self._previous
+        before = self._reachable
         return (
             np.maximum(self._low, before - self._change),
             np.minimum(self._high, before + self._change),
@@ -319,12 +313,11 @@ class ShapeControl(Controller):
         return self._safe(reason)
 
     def _safe(self, reason: str) -> tuple[FloatArray, str]:
-        """Return γ of the operating point, or what the limit of change allows of it."""
+        """Return γ of the operating point; a limit of change allows a step towards it."""
         self._squares.forget()
-        self._previous = np.clip(self.plant.force_density, *self._room())
         status = f"{reason}: equilibrium held"
         self._statuses.append(status)
-        return self._previous, status
+        return self.plant.force_density, status
 
     def __repr__(self) -> str:
         a, b = self._rates

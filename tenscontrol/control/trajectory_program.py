@@ -139,11 +139,19 @@ class TrajectoryProgram:
         return -(self._P @ wanted), np.concatenate(low), np.concatenate(high)
 
     def solve(
-        self, state: FloatArray, reference: FloatArray, inputs: FloatArray, previous: FloatArray
+        self,
+        state: FloatArray,
+        reference: FloatArray,
+        inputs: FloatArray,
+        previous: FloatArray,
+        deadline: float = np.inf,
     ) -> tuple[QPSolution, FloatArray, FloatArray]:
-        """Return the answer, z_1 … z_N (N, s) and u_0 … u_{N−1} (N, α); arguments as above."""
+        """Return the answer, z_1 … z_N (N, s) and u_0 … u_{N−1} (N, α); arguments as above.
+
+        The deadline is that of :meth:`QuadraticProgram.solve`.
+        """
         vectors = self.vectors(state, reference, inputs, previous)
-        answer = self._program.solve(*vectors, start=self._guess)
+        answer = self._program.solve(*vectors, start=self._guess, deadline=deadline)
         N = self._horizon.length
         if answer.x is None or answer.y is None:
             self._guess = None

@@ -77,11 +77,14 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
 
 def _energies(run: Trajectory) -> dict[str, FloatArray]:
     change = float(run.energy[-1] - run.energy[0])
-    return {
+    rows = {
         "kinetic": run.kinetic_energy[None],
         "potential": run.potential_energy[None],
         f"total (change {change:+.2g} J)": run.energy[None],
     }
+    if run.released_energy.any():
+        rows["lost with cut strings"] = run.released_energy[None]
+    return rows
 
 
 def _momenta(ax: Axes, run: Trajectory, xlabel: str | None) -> Curves:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from tenscontrol.plot.axes import legend_above, panel_axes
+from tenscontrol.plot.faults import with_faults, wound
 from tenscontrol.plot.history import Curves, checked_references, draw_curves
 from tenscontrol.plot.style import PALETTE
 from tenscontrol.simulation import ControlRecord, Trajectory
@@ -34,7 +35,8 @@ def trajectory(
     The panels are ``"coordinates"``; ``"force_density"``, with one style for
     each string group, if there are strings; and ``"rest_length"`` if rest
     lengths were held. What was held is drawn in steps. Samples at which a
-    controller's status was not ``"ok"`` are marked on the lowest time axis.
+    controller's status was not ``"ok"`` are marked on the lowest time axis, faults
+    in the panels of force densities and rest lengths; a cut string has no rest length.
 
     Parameters
     ----------
@@ -83,7 +85,7 @@ def trajectory(
         by_group = _by_group(run.structure, run.force_density)
         content["force_density"] = (by_group, "γ, N/m", run.rest_length is None)
     if run.rest_length is not None and len(run.structure.strings):
-        content["rest_length"] = (_by_group(run.structure, run.rest_length), "rest length, m", True)
+        content["rest_length"] = (_by_group(run.structure, wound(run)), "rest length, m", True)
     places = panel_axes(axes, list(content))
     panels = {}
     for ax, (name, (rows, label, held)) in zip(places, content.items(), strict=True):
@@ -97,6 +99,8 @@ def trajectory(
             xlabel="time, s" if last else None,
             references=levels if name == "coordinates" else None,
         )
+        if name != "coordinates":
+            panels[name] = with_faults(panels[name], run)
     if run.control is not None:
         panels[name] = _with_statuses(panels[name], run.control)
     return panels
@@ -150,4 +154,4 @@ def _with_statuses(panel: Curves, control: ControlRecord) -> Curves:
         )
     if marks:
         legend_above(panel.ax)
-    return replace(panel, marks=marks)
+    return replace(panel, marks=panel.marks | marks)

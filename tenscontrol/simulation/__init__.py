@@ -1,5 +1,6 @@
 """Open- and closed-loop simulation."""
 
+from tenscontrol.simulation.faults import CutString, Fault, LostMeasurement, StuckWinch
 from tenscontrol.simulation.health import AccuracyWarning, Health, Limits
 from tenscontrol.simulation.loop import SimulationError
 from tenscontrol.simulation.simulate import simulate
@@ -8,9 +9,13 @@ from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
 __all__ = [
     "AccuracyWarning",
     "ControlRecord",
+    "CutString",
+    "Fault",
     "Health",
     "Limits",
+    "LostMeasurement",
     "SimulationError",
+    "StuckWinch",
     "Trajectory",
     "simulate",
 ]

@@ -16,6 +16,7 @@ from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
 from tenscontrol.structure import Structure, spread_force_density, spread_rest_length
 from tenscontrol.validation import (
     FloatArray,
+    IntArray,
     frozen,
     instance,
     non_negative,
@@ -40,16 +41,22 @@ def run_closed_loop(
     sample = _sample_time(controller, sample_time, loop.step)
     actuators = _Actuators(loop, controller, winches, rest_length, sample)
     controller.reset()
+    if actuators.start is not None:
+        N = unpack_states(loop.model.structure, state[:, None])[0][:, :, 0]
+        controller.applied(actuators.acting(N))
     log = _Log(loop.hold, actuators.start)
     seen = controller.plant.nodes.shape[1]  # of a subdivision, the nodes of its parent come first
     # The allowance keeps round-off from adding a last sample of no length.
     for k in range(max(1, ceil(duration / sample - 1e-9))):
         loop.now = k * sample
         N, V = (part[:, :, 0] for part in unpack_states(loop.model.structure, state[:, None]))
+        moment = loop.now + 1e-9 * sample  # a fault that begins at the sample is there
+        sight = np.nan if loop.faults.lost(moment) else 1.0
         began = perf_counter()
-        command = controller.command(loop.now, N[:, :seen], V[:, :seen])
+        command = controller.command(loop.now, sight * N[:, :seen], sight * V[:, :seen])
         taken = perf_counter() - began
-        move, held = actuators.apply(command, N)
+        move, held = actuators.apply(command, N, loop.faults.stuck(moment))
+        controller.applied(actuators.acting(N))
         log.add(loop.now, command, move, taken)
         span = min(sample, duration - loop.now)
         state = loop.run(state, held, span, report, lambda: log.record(sample))
@@ -106,10 +113,27 @@ class _Actuators:
             return non_negative("command.value", wanted, "a string can only pull")
         return positive("command.value", wanted, "rest length in m")
 
-    def apply(self, command: Command, nodes: FloatArray) -> tuple[WinchMove, FloatArray]:
+    def acting(self, nodes: FloatArray) -> FloatArray:
+        """Return what the actuators hold, in the unit of the commands, in a shape."""
+        assert self._current is not None  # callers have commanded, or know the start
+        if not self._convert:
+            return self._current
+        assert isinstance(self._law, StringLaw)  # a rest length is held
+        return self._wiring.gather_force_density(
+            self._law.force_density(
+                self._wiring.structure.string_length(nodes),
+                self._wiring.spread_rest_length(self._current),
+            )
+        )
+
+    def apply(
+        self, command: Command, nodes: FloatArray, stuck: IntArray
+    ) -> tuple[WinchMove, FloatArray]:
         """Return what the actuators did, one entry a winch, and what is held, one a string."""
         wanted = self._checked(command.value)
         if self._hold == "force_density":
+            wanted = self._moved(wanted, stuck)
+            self._current = wanted
             return WinchMove(frozen(wanted), _NONE, _NONE), self._wiring.spread_force_density(
                 wanted
             )
@@ -119,6 +143,7 @@ class _Actuators:
             wanted = self._wiring.gather(
                 self._law.rest_length(self._wiring.structure.string_length(nodes), gamma)
             )
+        wanted = self._moved(wanted, stuck)
         if self._winches is None:
             move = WinchMove(frozen(wanted), _NONE, _NONE)
         else:
@@ -126,6 +151,19 @@ class _Actuators:
             move = self._winches.move(start, wanted, self._sample)
         self._current = move.rest_length
         return move, self._wiring.spread_rest_length(move.rest_length)
+
+    def _moved(self, wanted: FloatArray, stuck: IntArray) -> FloatArray:
+        """Return what is wanted, but what stands where an actuator is stuck."""
+        if not len(stuck):
+            return wanted
+        if self._current is None:
+            raise ValueError(
+                f"faults has winch {stuck[0]} stuck from the start, but it is not known where it "
+                "stands: give rest_length, or a time after the first sample"
+            )
+        moved = wanted.copy()
+        moved[stuck] = self._current[stuck]
+        return moved
 
 
 class _Wiring:
@@ -161,6 +199,13 @@ class _Wiring:
         assert self.structure.string_parent is not None  # a subdivision
         np.add.at(total, self.structure.string_parent, values)
         return total
+
+    def gather_force_density(self, gamma: FloatArray) -> FloatArray:
+        """Return γ of each commanded string, the mean over its segments."""
+        if not self._cut:
+            return gamma
+        segments = self.gather(np.ones_like(gamma))
+        return self.gather(gamma) / segments**2
 
     def spread_force_density(self, gamma: FloatArray) -> FloatArray:
         """Return γ of each string of the plant."""

@@ -20,8 +20,8 @@ class Health:
     ----------
     energy_error : float or None
         Largest change of the energy since the start, as part of the largest
-        kinetic energy. None where the energy may change: strings
-        are damped, or a controller acts.
+        kinetic energy; what cut strings stored is allowed for. None where the
+        energy may change: strings are damped, or a controller acts.
     momentum_change, angular_momentum_change : float or None
         Largest change, as part of the largest momentum that the kinetic energy
         could give; None where supports or loads may change it.

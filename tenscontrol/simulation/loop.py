@@ -8,8 +8,9 @@ from math import ceil
 
 import numpy as np
 
-from tenscontrol.dynamics import Model
+from tenscontrol.dynamics import Model, evaluate_columns
 from tenscontrol.integrate import METHODS, Choice, IntegrationError, Integrator, Span, Work, choose
+from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.second_look import estimated_error
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory, build_trajectory
 from tenscontrol.validation import FloatArray, choice, positive_number
@@ -43,12 +44,15 @@ class Loop:
     method: str
     tolerance: float
     step: float | None
+    faults: Faults
     project: bool | None = None
     machine_code: bool = False
     output_step: float = 0.0
     time: list[FloatArray] = field(default_factory=list)
     states: list[FloatArray] = field(default_factory=list)
     inputs: list[FloatArray] = field(default_factory=list)
+    released: list[FloatArray] = field(default_factory=list)
+    lost_energy: float = 0.0
     work: Work = field(default_factory=Work)
     now: float = 0.0
     integrator: Integrator | None = None
@@ -100,7 +104,44 @@ class Loop:
         report: Callable[[float], None],
         record: Callable[[], ControlRecord | None] = lambda: None,
     ) -> FloatArray:
-        """Integrate one span with the input held and return the state at its end."""
+        """Integrate with the input held and return the state at the end.
+
+        Spans end where strings are cut.
+        """
+        end = self.now + duration
+        # Round-off of the times leaves no spans of no length.
+        close = 1e-9 * duration
+        for cut in self.faults.cut_times(self.now + close, end - close):
+            state = self._run_span(state, held, cut - self.now, close, report, record)
+            duration = end - cut
+        return self._run_span(state, held, duration, close, report, record)
+
+    def _release(self, state: FloatArray, time: float) -> None:
+        """Count the energy that strings store which are cut at a time."""
+        if not self.inputs:
+            return
+        before = self.inputs[-1][:, -1]
+        after = self.faults.without_cut(before, time)
+        if np.array_equal(before, after):
+            return
+        force = self.hold == "force_density"
+        energy = self.model.potential_energy if force else self.model.elastic_energy
+        inputs = np.column_stack([before, after])
+        (stored,) = evaluate_columns(energy, np.column_stack([state, state]), inputs)
+        self.lost_energy += float(stored[0, 0] - stored[0, 1])
+
+    def _run_span(
+        self,
+        state: FloatArray,
+        held: FloatArray,
+        duration: float,
+        close: float,
+        report: Callable[[float], None],
+        record: Callable[[], ControlRecord | None],
+    ) -> FloatArray:
+        """Integrate with the strings that are not cut by now, up to what is close."""
+        self._release(state, self.now + close)
+        held = self.faults.without_cut(held, self.now + close)
         if not self.time:
             self._keep(np.zeros(1), state[:, None], held)
         if self.integrator is None:
@@ -133,6 +174,7 @@ class Loop:
         self.time.append(time)
         self.states.append(states)
         self.inputs.append(np.tile(held[:, None], (1, len(time))))
+        self.released.append(np.full(len(time), self.lost_energy))
 
     def trajectory(self, control: ControlRecord | None, stopped: str | None = None) -> Trajectory:
         """Return what came so far."""
@@ -157,4 +199,6 @@ class Loop:
             control,
             stopped,
             error,
+            np.concatenate(self.released),
+            self.faults.listed,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import Controller
 from tenscontrol.dynamics import Model, pack_state
 from tenscontrol.simulation.closed_loop import checked_rest_length, run_closed_loop
+from tenscontrol.simulation.faults import Fault, Faults
 from tenscontrol.simulation.health import AccuracyWarning, Limits
 from tenscontrol.simulation.loop import Loop, SimulationError
 from tenscontrol.simulation.progress import progress_bar
@@ -50,6 +52,7 @@ def simulate(
     hold: str | None = None,
     winches: Winches | None = None,
     sample_time: float | None = None,
+    faults: Sequence[Fault] = (),
     external_force: object = None,
     method: str = "auto",
     tolerance: float = 1e-6,
@@ -91,6 +94,9 @@ def simulate(
         Limits of the winches; none if not given.
     sample_time : float, optional
         For a controller without a sample time of its own, s; else ``step``.
+    faults : sequence of CutString, StuckWinch and LostMeasurement
+        What breaks. The controller is not told of cuts, but of what actuators hold
+        (:meth:`Controller.applied`).
     external_force : array_like, shape (3, n), optional
         Constant load W, N, for a model built with ``external_force=True``.
     method : str
@@ -164,14 +170,19 @@ def simulate(
         instance("controller", controller, Controller, "make one by lqr(...) or MPC(...)")
     if not len(model.structure.free):
         raise ValueError("every node of the model is fixed: nothing can move")
+    what = _held(model, rest_length, force_density, controller, hold)
+    breaking = Faults(faults, float(np.ptp(model.structure.nodes, axis=1).max()), what)
+    winch_count = None if controller is None else len(controller.plant.commanded.strings)
+    breaking.refuse_unknown(len(model.structure.strings), winch_count)
     loop = Loop(
         model,
-        hold=_held(model, rest_length, force_density, controller, hold),
+        hold=what,
         load=checked_load(model, external_force),
         duration=duration,
         method=method,
         tolerance=tolerance,
         step=step,
+        faults=breaking,
         project=project,
         machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from tenscontrol.dynamics import Model, evaluate_columns, unpack_states
 from tenscontrol.integrate import Choice, Work
+from tenscontrol.simulation.faults import Fault
 from tenscontrol.simulation.health import Health
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, frozen
@@ -68,11 +69,13 @@ class Trajectory:
     force_density : ndarray, shape (α, T)
         γ that acts at the end of the step to each time, N/m.
     rest_length : ndarray, shape (α, T), or None
-        Rest lengths, m; None where γ was held.
+        Rest lengths, m; None where γ was held. A string that is cut has one of a
+        million sizes of the structure.
     kinetic_energy, potential_energy : ndarray, shape (T,)
         J. The potential energy is ½ Σ γ l² where γ is held, the elastic
         energy of the strings where rest lengths are, less ``tr(Wᵀ N)`` where
-        weights or a load act. It jumps where a controller changes its command.
+        weights or a load act. It jumps where a controller changes its command, and
+        falls where a string is cut.
     momentum, angular_momentum : ndarray, shape (3, T)
         kg m/s, and kg m²/s about the origin.
     bar_length_error : ndarray, shape (β, T)
@@ -82,11 +85,14 @@ class Trajectory:
     work : Work
         Steps, rejections, evaluations of the right-hand side, switches.
     conserves_energy : bool
-        Whether nothing takes or gives energy: no damping, no controller.
+        Whether nothing takes or gives energy but strings that are cut: no damping, no
+        controller.
     conserves_momentum : bool
         Whether nothing holds or pushes the structure from outside.
     control : ControlRecord or None
         What the controller did; None in open loop.
+    released_energy : ndarray, shape (T,)
+        What strings stored that have been cut before each time, J: lost with them.
     stopped : str or None
         Why the motion ends early; None where it does not.
     position_error : float or None
@@ -95,6 +101,8 @@ class Trajectory:
         steps, are off by; with a tolerance, that times the steps. None where few
         states were kept, or the motion ends early. It does not know of motions
         that magnify errors: see :func:`predictability`.
+    faults : tuple of Fault
+        What was made to break.
     """
 
     structure: Structure
@@ -113,8 +121,10 @@ class Trajectory:
     conserves_energy: bool
     conserves_momentum: bool
     control: ControlRecord | None
+    released_energy: FloatArray
     stopped: str | None = None
     position_error: float | None = None
+    faults: tuple[Fault, ...] = ()
 
     @property
     def method(self) -> str:
@@ -142,7 +152,9 @@ class Trajectory:
     @property
     def health(self) -> Health:
         """Figures that tell whether to trust the motion."""
-        moved = float(np.abs(self.energy - self.energy[0]).max())
+        # What went with strings that were cut is no error.
+        balance = self.energy + self.released_energy
+        moved = float(np.abs(balance - balance[0]).max())
         # Near rest hardly any energy is kinetic: a millionth of all is then the measure.
         scale = max(float(self.kinetic_energy.max()), 1e-6 * float(np.abs(self.energy).max()))
         changes: list[float | None] = [None, None]
@@ -211,6 +223,9 @@ class Trajectory:
         lines = []
         if self.stopped is not None:
             lines.append(f"ended early       {self.stopped}")
+        for fault in self.faults:
+            until = "" if np.isinf(fault.end) else f" to {fault.end:g} s"
+            lines.append(f"fault             {fault.label} from {fault.start:g} s{until}")
         if self.choice.reason != "asked for":
             lines.append(f"method            {self.choice.reason}")
         if self.choice.back_end != "virtual machine":
@@ -241,6 +256,8 @@ def build_trajectory(
     control: ControlRecord | None,
     stopped: str | None,
     position_error: float | None,
+    released_energy: FloatArray,
+    faults: tuple[Fault, ...],
 ) -> Trajectory:
     """Return the trajectory of states (6n, T) under held inputs (α, T).
 
@@ -281,6 +298,8 @@ def build_trajectory(
         control=control,
         stopped=stopped,
         position_error=position_error,
+        released_energy=frozen(released_energy),
+        faults=faults,
     )
 
 

@@ -62,7 +62,7 @@ def test_solution_satisfies_the_optimality_conditions(plant, form, penalty):
     program = {}
     solve = mpc._program.solve
 
-    def kept(q, l, u, start=None):  # noqa: E741
+    def kept(q, l, u, start=None, **_):  # noqa: E741
         program["data"], program["answer"] = (q, l, u), solve(q, l, u, start)
         return program["answer"]
 

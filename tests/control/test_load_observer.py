@@ -59,12 +59,12 @@ def test_estimate_converges_and_the_rest_is_a_rest(held):
     observer = LoadObserver(plant, push, 0.3, tracked)
     transition, inputs, _ = plant.discretize(SAMPLE)
     rng = np.random.default_rng(0)
-    load, z, errors = rng.normal(size=9), np.zeros(18), []
+    load, z, v, errors = rng.normal(size=9), np.zeros(18), np.zeros(9), []
     for _ in range(30):
-        observer.correct(z)
+        observer.correct(z, inputs @ v)
         errors.append(np.linalg.norm(observer.acceleration - load))
         v = rng.normal(size=9)
-        observer.expect(transition @ z + inputs @ v + observer.drift)
+        observer.expect(transition @ z + observer.drift)
         z = transition @ z + inputs @ v + push @ load
     assert np.allclose(np.diff(np.log(errors[1:20])), np.log(0.7), atol=1e-6)
     shift, effort = observer.rest(np.zeros((1, 9)))

@@ -81,7 +81,7 @@ def test_program_satisfies_the_optimality_conditions():
     program = nmpc._program._program
     solve, update = program.solve, program.update
 
-    def watched(q, l, u, start=None):  # noqa: E741
+    def watched(q, l, u, start=None, **_):  # noqa: E741
         kept["vectors"], kept["answer"] = (q, l, u), solve(q, l, u, start)
         return kept["answer"]
 
@@ -179,15 +179,21 @@ def test_unsolved_programs_continue_the_plan(monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(
             QuadraticProgram, "solve",
-            lambda self, q, l, u, start=None: QPSolution(Status.INFEASIBLE, None, None, 7),  # noqa: E741
+            lambda self, q, l, u, **_: QPSolution(Status.INFEASIBLE, None, None, 7),  # noqa: E741
         )  # fmt: skip
         for k in range(1, 7):
             command = nmpc.command(SAMPLE * k, nodes, STILL)
-            assert command.status == "infeasible: plan continued"
-            assert np.allclose(command.value, plan[:, min(k, 3)])
+            if k < 4:
+                assert command.status == "infeasible: plan continued"
+                assert np.allclose(command.value, plan[:, k])
+            else:
+                # Begun anew from the law of the linear plant, but not solved: not for use.
+                assert command.status == "infeasible: equilibrium held"
+                assert np.array_equal(command.value, plant.force_density)
     broken = np.full((3, 6), np.nan)
-    assert nmpc.command(0.14, broken, STILL).status == "measurement not finite: plan continued"
+    assert nmpc.command(0.14, broken, STILL).status == "measurement not finite: equilibrium held"
     assert nmpc.command(0.16, nodes, STILL).status == "ok"
+    assert nmpc.command(0.18, broken, STILL).status == "measurement not finite: plan continued"
     nmpc.reset()
     assert nmpc.statistics.status_count == {}
     first = nmpc.command(0.0, broken, STILL)

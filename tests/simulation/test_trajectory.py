@@ -42,7 +42,7 @@ def test_every_array_is_read_only(weighted_run):
         for field in fields(weighted_run)
         if isinstance(getattr(weighted_run, field.name), np.ndarray)
     ]
-    assert len(arrays) == 10
+    assert len(arrays) == 11
     assert not any(array.flags.writeable for array in arrays)
     with pytest.raises(FrozenInstanceError):
         weighted_run.nodes = None

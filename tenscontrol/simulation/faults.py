@@ -1,0 +1,307 @@
+"""What may break in a simulation: strings, winches, measurements."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    float_array,
+    instance,
+    positive_number,
+    whole_number,
+)
+
+# A cut string is given a rest length of so many sizes of the structure: it is slack for good.
+_SLACK = 1e6
+
+
+@dataclass(frozen=True)
+class Fault(ABC):
+    """Something that breaks during a simulation; see :func:`simulate`."""
+
+    @property
+    @abstractmethod
+    def start(self) -> float:
+        """When it begins, s."""
+
+    @property
+    @abstractmethod
+    def end(self) -> float:
+        """When it is over, s; infinite if never."""
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """What is broken, in a few words."""
+
+
+@final
+@dataclass(frozen=True)
+class CutString(Fault):
+    """A string that carries nothing from a time on.
+
+    From exactly that time γ of the string is 0, whatever is commanded: the motion
+    is integrated in spans that end there. Where rest lengths are held, the string
+    is given one of a million sizes of the structure, so that it stays slack. The
+    energy that it stored is lost (:attr:`Trajectory.released_energy`). The
+    controller is not told.
+
+    Parameters
+    ----------
+    string : int
+        Which of the model's strings, counted from 0. In a subdivided structure it
+        is a segment: the others of its string stay where they are, and dangle.
+    time : float
+        s, at least 0.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``string`` is not a whole number or ``time`` not a finite one of at least 0.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> gamma = tc.prestress(prism, force_density=17.3205).force_density
+    >>> cut = tc.CutString(string=6, time=0.1)
+    >>> run = tc.simulate(tc.Model(prism), 0.2, force_density=gamma, faults=[cut])
+    >>> run.force_density[6, [0, -1]].round(2), run.released_energy[-1].round(2)
+    (array([30.,  0.]), np.float64(16.0))
+    """
+
+    string: int
+    time: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "string", whole_number("string", self.string, least=0))
+        object.__setattr__(self, "time", _checked_time("time", self.time))
+
+    @property
+    def start(self) -> float:
+        """When it is cut, s."""
+        return self.time
+
+    @property
+    def end(self) -> float:
+        """Infinite: it is not mended."""
+        return np.inf
+
+    @property
+    def label(self) -> str:
+        """Which string is cut."""
+        return f"string {self.string} cut"
+
+
+@final
+@dataclass(frozen=True)
+class StuckWinch(Fault):
+    """An actuator that holds what it has, whatever is commanded.
+
+    Commands take effect at samples, so those from ``time`` on, before ``until``,
+    have none. Where γ is held, the actuator holds its γ. The controller is told
+    what stands (:meth:`Controller.applied`).
+
+    Parameters
+    ----------
+    string : int
+        Which of the strings that the controller commands, counted from 0: for the
+        controller of a parent structure, a string of the parent.
+    time : float
+        s, at least 0. At 0 it holds what ``rest_length`` of :func:`simulate` says.
+    until : float, optional
+        When it is free again, s; never if not given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``string`` is not a whole number, a time is not a finite one of at
+        least 0, or ``until`` is not after ``time``.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> tc.StuckWinch(string=5, time=0.8, until=1.5).label
+    'winch 5 stuck'
+    """
+
+    string: int
+    time: float
+    until: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "string", whole_number("string", self.string, least=0))
+        object.__setattr__(self, "time", _checked_time("time", self.time))
+        if self.until is not None:
+            object.__setattr__(self, "until", _checked_end(self.until, self.time))
+
+    @property
+    def start(self) -> float:
+        """When it is stuck, s."""
+        return self.time
+
+    @property
+    def end(self) -> float:
+        """When it is free again, s."""
+        return np.inf if self.until is None else self.until
+
+    @property
+    def label(self) -> str:
+        """Which winch is stuck."""
+        return f"winch {self.string} stuck"
+
+
+@final
+@dataclass(frozen=True)
+class LostMeasurement(Fault):
+    """A time in which the controller is given NaN for positions and velocities.
+
+    Parameters
+    ----------
+    time : float
+        s, at least 0; samples from then on are lost.
+    until : float
+        s; samples from then on are measured again.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a time is not a finite one of at least 0, or ``until`` is not after ``time``.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> tc.LostMeasurement(time=0.5, until=0.7).end
+    0.7
+    """
+
+    time: float
+    until: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", _checked_time("time", self.time))
+        object.__setattr__(self, "until", _checked_end(self.until, self.time))
+
+    @property
+    def start(self) -> float:
+        """When it is lost, s."""
+        return self.time
+
+    @property
+    def end(self) -> float:
+        """When it is back, s."""
+        return self.until
+
+    @property
+    def label(self) -> str:
+        """What is lost."""
+        return "measurement lost"
+
+
+class Faults:
+    """The faults of a run: which of them act when.
+
+    Parameters
+    ----------
+    faults : sequence of Fault
+    size : float
+        Size of the structure, m.
+    held : {"force_density", "rest_length"}
+
+    Raises
+    ------
+    TypeError
+        If one is no fault.
+    """
+
+    def __init__(self, faults: object, size: float, held: str) -> None:
+        if isinstance(faults, Fault) or not isinstance(faults, Sequence):
+            raise TypeError(
+                f"faults is a {type(faults).__name__}, expected a list, like "
+                "[CutString(string=3, time=1.0)]"
+            )
+        for i, fault in enumerate(faults):
+            how = "make one by CutString(...), StuckWinch(...) or LostMeasurement(...)"
+            instance(f"faults[{i}]", fault, Fault, how)
+        self.listed: tuple[Fault, ...] = tuple(faults)
+        self._cuts = [fault for fault in faults if isinstance(fault, CutString)]
+        self._stuck = [fault for fault in faults if isinstance(fault, StuckWinch)]
+        self._lost = [fault for fault in faults if isinstance(fault, LostMeasurement)]
+        self._slack = 0.0 if held == "force_density" else _SLACK * size
+
+    def refuse_unknown(self, strings: int, winches: int | None) -> None:
+        """Raise if a fault names what is not there.
+
+        Parameters
+        ----------
+        strings : int
+            Number of the model's strings.
+        winches : int or None
+            Number of commanded strings; None where there is no controller.
+
+        Raises
+        ------
+        ValueError
+            Naming the fault.
+        """
+        for i, fault in enumerate(self.listed):
+            if isinstance(fault, CutString):
+                _refuse_index(i, fault.string, strings, "strings in the model")
+                continue
+            if winches is None:
+                raise ValueError(
+                    f"faults[{i}] is a {type(fault).__name__}, which goes with a controller; "
+                    "in open loop a string can be cut"
+                )
+            if isinstance(fault, StuckWinch):
+                _refuse_index(i, fault.string, winches, "strings of the controller")
+
+    def cut_times(self, start: float, end: float) -> list[float]:
+        """Return when strings are cut after ``start`` and before ``end``, ascending, s."""
+        return sorted({cut.time for cut in self._cuts if start < cut.time < end})
+
+    def without_cut(self, held: FloatArray, time: float) -> FloatArray:
+        """Return what is held, shape (α,), as strings that are cut at a time let it act."""
+        cut = [fault.string for fault in self._cuts if fault.time <= time]
+        if not cut:
+            return held
+        left = held.copy()
+        left[cut] = self._slack
+        return left
+
+    def stuck(self, time: float) -> IntArray:
+        """Return which winches are stuck at a time, s."""
+        return np.array([f.string for f in self._stuck if f.start <= time < f.end], dtype=np.int64)
+
+    def lost(self, time: float) -> bool:
+        """Return whether there is no measurement at a time, s."""
+        return any(fault.start <= time < fault.end for fault in self._lost)
+
+
+def _checked_time(name: str, value: object) -> float:
+    time = float_array(name, value)
+    if time.ndim != 0 or time < 0:
+        raise ValueError(f"{name} is {value}, expected a time in s of at least 0")
+    return float(time)
+
+
+def _checked_end(until: object, start: float) -> float:
+    end = positive_number("until", until, "s")
+    if end <= start:
+        raise ValueError(f"until is {end:g} s, expected after time, {start:g} s")
+    return end
+
+
+def _refuse_index(place: int, string: int, count: int, what: str) -> None:
+    if string >= count:
+        raise ValueError(
+            f"faults[{place}].string is {string}, expected 0 to {count - 1}: there are "
+            f"{count} {what}, counted from 0"
+        )
