@@ -790,6 +790,22 @@ CONTROL = [
             r"max_force_density has shape \(8,\), expected \(\) or \(9,\)"),
     refused("MPC change negative", lambda: tc.MPC(plant(), 5, 0.02, 50.0, max_change=-1.0),
             ValueError, r"max_change\[0\] is -1, expected a positive"),
+    refused("NMPC of a model", lambda: tc.NMPC(model(), 5, 0.02, 50.0), TypeError,
+            r"plant is a Model, expected LinearPlant"),
+    refused("NMPC without limit", lambda: tc.NMPC(plant(), 5, 0.02), TypeError,
+            r"max_force_density is None"),
+    refused("NMPC least force density nan",
+            lambda: tc.NMPC(plant(), 5, 0.02, 50.0, min_force_density=NAN), ValueError,
+            r"min_force_density is nan"),
+    refused("NMPC tension of eight",
+            lambda: tc.NMPC(plant(), 5, 0.02, 50.0, max_tension=np.full(8, 50.0)), ValueError,
+            r"max_tension has shape \(8,\), expected \(\) or \(9,\)"),
+    refused("NMPC penalty nan", lambda: tc.NMPC(plant(), 5, 0.02, 50.0, string_penalty=NAN),
+            ValueError, r"string_penalty is nan"),
+    refused("NMPC load gain", lambda: tc.NMPC(plant(), 5, 0.02, 50.0, load_gain=0.0), ValueError,
+            r"load_gain is 0"),
+    refused("NMPC machine code", lambda: tc.NMPC(plant(), 5, 0.02, 50.0, machine_code="yes"),
+            TypeError, r"machine_code"),
     refused("MPC form", lambda: tc.MPC(plant(), 5, 0.02, 50.0, form="dense"), ValueError,
             r"form is 'dense', expected one of 'auto', 'condensed', 'sparse'"),
     refused("MPC tolerance", lambda: tc.MPC(plant(), 5, 0.02, 50.0, tolerance=0.0), ValueError,
@@ -1252,7 +1268,7 @@ tc.simulate(tc.Model(line, strings=tc.LinearStrings(100.0)), 0.01, rest_length=0
 @pytest.mark.parametrize("program", ENDLESS.values(), ids=ENDLESS.keys())
 def test_a_motion_that_cannot_start_is_refused_and_not_waited_for(program):
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=6, check=False
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
     )
     assert done.returncode == 1
     assert "Error" in done.stderr.splitlines()[-1]

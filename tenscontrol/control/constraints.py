@@ -102,6 +102,8 @@ class RowBlock:
         What of a path the rows are measured from: ``"force_density"``, ``"tension"`` or ``""``.
     offset : ndarray, shape (p,)
         Value at the operating point, where ``along`` is empty.
+    on_nodes : ndarray, shape (p, 3n)
+        What multiplies the node positions, where ``along`` is empty.
     """
 
     before: FloatArray
@@ -113,6 +115,7 @@ class RowBlock:
     penalty: FloatArray
     along: str
     offset: FloatArray
+    on_nodes: FloatArray
 
 
 class Constraints:
@@ -124,18 +127,27 @@ class Constraints:
     """
 
     def __init__(self, blocks: list[RowBlock]) -> None:
-        self._blocks = blocks
+        self.blocks = tuple(blocks)
 
     def rows(self) -> Rows | None:
         """Return the rows of the program, or None if there are none."""
-        if not self._blocks:
+        if not self.blocks:
             return None
         before, after, inputs, scale, penalty, low, high = (
-            np.concatenate([getattr(block, name) for block in self._blocks])
+            np.concatenate([getattr(block, name) for block in self.blocks])
             for name in ("before", "after", "inputs", "scale", "penalty", "low", "high")
         )
         bounded = bool(np.isfinite(high).any()), bool(np.isfinite(low).any())
         return Rows(before, after, inputs, scale, penalty, bounded)
+
+    @property
+    def limits(self) -> tuple[FloatArray, FloatArray]:
+        """Least and largest values of all rows, shape (p,) each."""
+        none = [np.zeros(0)]
+        return (
+            np.concatenate(none + [block.low for block in self.blocks]),
+            np.concatenate(none + [block.high for block in self.blocks]),
+        )
 
     def bounds(self, stretch: Stretch, length: int) -> tuple[FloatArray, FloatArray]:
         """Return bounds of the rows, shape (N, p) each, as the program has them.
@@ -148,7 +160,7 @@ class Constraints:
             N.
         """
         low, high = [np.zeros((length, 0))], [np.zeros((length, 0))]
-        for block in self._blocks:
+        for block in self.blocks:
             base = np.tile(block.offset, (length, 1))
             if block.along:
                 # What the strings have where the path rests, less what the rows make of that rest.
@@ -193,6 +205,7 @@ def string_block(
         penalty=np.full(count, penalty / level),
         along=what,
         offset=np.zeros(count),
+        on_nodes=np.zeros((count, 0)),
     )
 
 
@@ -220,4 +233,5 @@ def output_block(plant: LinearPlant, limit: OutputLimit) -> RowBlock:
         penalty=np.full(count, np.inf if limit.penalty is None else limit.penalty),
         along="",
         offset=limit.matrix @ plant.nodes.ravel(order="F"),
+        on_nodes=limit.matrix,
     )

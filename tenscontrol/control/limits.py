@@ -79,6 +79,8 @@ class LimitRows:
         self.on_inputs, self.on_states, self.on_first = (
             csc_array(vstack(column)) for column in columns[:3]
         )
+        for part in (self.on_inputs, self.on_states):
+            part.eliminate_zeros()  # kron fills blocks up
         none = [csc_array((block[0].shape[0], slacks)) for block in blocks]
         self.on_violations = csc_array(
             vstack(
@@ -94,6 +96,13 @@ class LimitRows:
             self.price = np.tile(horizon.cost_scale * price, N)
         self.widths = [block[0].shape[0] // N for block in blocks]
         self._slacks = slacks
+
+    @property
+    def parts(self) -> list[tuple[IntArray, int]]:
+        """Places of the limited rows in each block of them, and the first row of the block."""
+        before = len(self.widths) - len(self._parts) - (1 if len(self.price) else 0)
+        starts = self._horizon.length * np.cumsum([0, *self.widths])[before:]
+        return [(part[0], int(start)) for part, start in zip(self._parts, starts, strict=False)]
 
     def _block(self, on_inputs: csc_array, soft: int) -> tuple[csc_array, ...]:
         """Return a block of rows that sees inputs alone."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import final
 
@@ -12,51 +12,27 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.analysis import LinearPlant
+from tenscontrol.control.constraints import OutputLimit
 from tenscontrol.control.controller import OK, Controller
+from tenscontrol.control.load_observer import LoadObserver, load_observer
 from tenscontrol.control.lqr import state_units
-from tenscontrol.control.mpc_design import Wishes, design
+from tenscontrol.control.mpc_design import Wishes, default_penalty, design
+from tenscontrol.control.nmpc_statistics import NMPCStatistics, statistics
 from tenscontrol.control.path import Path, acceleration_response, checked_reference
-from tenscontrol.control.quadratic_program import Status
-from tenscontrol.control.reduced_dynamics import sampled_dynamics
+from tenscontrol.control.trajectory_model import TrajectoryModel
+from tenscontrol.control.trajectory_plan import TrajectoryPlan
 from tenscontrol.control.trajectory_program import TrajectoryProgram
-from tenscontrol.dynamics import Evaluator
 from tenscontrol.validation import (
     FloatArray,
     frozen,
     instance,
     positive_number,
+    truth,
     whole_number,
 )
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
 _CONVERGED = 1e-5
-
-
-@dataclass(frozen=True, eq=False)
-class NMPCStatistics:
-    """What became of the samples since the last reset.
-
-    Attributes
-    ----------
-    status_count : dict of str to int
-        How often each status came; ``"ok"`` is a solved program.
-    programs : ndarray of int, shape (K,)
-        Quadratic programs solved in each sample.
-    iterations : ndarray of int, shape (K,)
-        OSQP iterations in each sample.
-    last_change : ndarray, shape (K,)
-        Largest change of an input by the last program of each sample, in units of an input: how
-        far the plan is from converged.
-    preparation_time, feedback_time : ndarray, shape (K,)
-        Before the measurement is needed, and after it is there, s.
-    """
-
-    status_count: dict[str, int]
-    programs: np.ndarray
-    iterations: np.ndarray
-    last_change: FloatArray
-    preparation_time: FloatArray
-    feedback_time: FloatArray
 
 
 @final
@@ -86,8 +62,7 @@ class NMPC(Controller):
     step : float
         Sample time, s.
     max_force_density : float or array_like, shape (α,)
-        Largest γ, N/m; leave it out where the input is the rest length. The
-        least is 0; strings of held rest length go slack by their law.
+        Largest γ, N/m. May be left out where the input is the rest length.
     Q : float or array_like, shape (2r,) or (2r, 2r), optional
         As for :class:`MPC`.
     R : float or array_like, shape (α,) or (α, α), optional
@@ -104,6 +79,15 @@ class NMPC(Controller):
         OSQP's absolute and relative tolerance, in units of an input.
     max_iterations : int
         OSQP's limit.
+    min_force_density, max_tension, outputs, string_penalty : optional
+        Limits as for :class:`MPC`, on what is predicted, linearized along the plan. Where the
+        input is the rest length, limits of γ are soft, and one of 0 keeps strings taut.
+    load_gain, tracked : optional
+        An unknown load, as for :class:`MPC`; the shape at rest under it is that of the
+        nonlinear plant.
+    machine_code : bool
+        Compile the derivatives, where there is a C compiler: the same numbers, sooner. The
+        library is kept for the next run; the first time it takes some ten seconds.
     time_limit : float, optional
         Time for a command, s, from its call; preparation counts where it was not
         done before. A program that is not solved by then is given up at the end
@@ -112,7 +96,8 @@ class NMPC(Controller):
     Raises
     ------
     TypeError, ValueError
-        If an argument does not fit, or the plant has a pole that no string reaches.
+        If an argument does not fit, the plant has a pole that no string reaches, or strings are
+        so stiff that a sample takes more than 1000 steps to predict.
 
     Notes
     -----
@@ -146,37 +131,46 @@ class NMPC(Controller):
         iterations: int = 1,
         tolerance: float = 1e-4,
         max_iterations: int = 4000,
+        min_force_density: object = 0.0,
+        max_tension: object = None,
+        outputs: Sequence[OutputLimit] = (),
+        string_penalty: float | None = None,
+        load_gain: float | None = None,
+        tracked: object = None,
+        machine_code: bool = False,
         time_limit: float | None = None,
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         if winches is not None:
             instance("winches", winches, Winches, "make them by Winches(rate=...)")
-        if plant.input == "rest_length" and max_force_density is not None:
-            raise ValueError(
-                "max_force_density limits plants with input='force_density'; give winches, "
-                "which limit rest lengths"
-            )
         step = positive_number("step", step, "s")
         length = whole_number("horizon", horizon, least=1)
         self._rounds = whole_number("iterations", iterations, least=1)
-        wishes = Wishes(max_force_density, 0.0, None, max_change, winches, (), 1.0)
+        wishes = Wishes(
+            max_force_density, min_force_density, max_tension, max_change, winches, outputs,
+            default_penalty(string_penalty),
+        )  # fmt: skip
         made = design(plant, length, step, Q, R, wishes)
         super().__init__(plant, step, made.low, made.high, made.problem.change)
         self._time_limit = np.inf
         if time_limit is not None:
             self._time_limit = positive_number("time_limit", time_limit, "s")
-        self._problem = made.problem
+        self._model = TrajectoryModel(
+            plant, step, length, made.constraints,
+            truth("machine_code", machine_code, "whether to compile the derivatives"),
+        )  # fmt: skip
+        self._problem = replace(made.problem, rows=self._model.with_places(made.problem.rows))
         self._program = TrajectoryProgram(
-            made.problem,
+            self._problem,
             self.bounds,
+            made.constraints.limits,
             state_units(plant)[0],
             positive_number("tolerance", tolerance, "units of an input"),
             whole_number("max_iterations", max_iterations, least=1),
         )
-        self._sample, linearized = sampled_dynamics(plant, step)
-        self._advance = Evaluator(self._sample)
-        self._linearize = Evaluator(linearized.map(length))
+        self._plan = TrajectoryPlan(self._model, self._program, self._problem, self.bounds)
         self._push = acceleration_response(plant, step)
+        self._observer = load_observer(plant, self._push, load_gain, tracked)
         self._ahead: FloatArray = step * np.arange(length + 1.0)
         self.follow(reference)
         self.reset()
@@ -189,7 +183,12 @@ class NMPC(Controller):
     @property
     def sampled(self) -> ca.Function:
         """The prediction model ``(z, u) -> z`` a sample later."""
-        return self._sample
+        return self._model.sampled
+
+    @property
+    def back_end(self) -> str:
+        """What evaluates the derivatives: ``"machine code"`` or ``"virtual machine"``."""
+        return self._model.back_end
 
     @property
     def weights(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -200,20 +199,18 @@ class NMPC(Controller):
     @property
     def plan(self) -> FloatArray:
         """Planned inputs, shape (α, N)."""
-        return frozen(self._inputs.T) if self._inputs is not None else np.zeros((len(self._low), 0))
+        inputs = self._plan.inputs
+        return np.zeros((len(self._low), 0)) if inputs is None else frozen(inputs.T)
 
     @property
     def statistics(self) -> NMPCStatistics:
         """What became of the samples since the last reset."""
-        records = np.array(self._records).reshape(-1, 5)
-        return NMPCStatistics(
-            status_count=dict(Counter(self._statuses)),
-            programs=frozen(records[:, 0].astype(np.int64)),
-            iterations=frozen(records[:, 1].astype(np.int64)),
-            last_change=frozen(records[:, 2]),
-            preparation_time=frozen(records[:, 3]),
-            feedback_time=frozen(records[:, 4]),
-        )
+        return statistics(self._statuses, self._records)
+
+    @property
+    def load(self) -> FloatArray | None:
+        """Accelerations laid to an unknown load, shape (r,); None where none is estimated."""
+        return None if self._observer is None else frozen(self._observer.acceleration)
 
     def follow(self, reference: object) -> None:
         """Follow another reference from now on.
@@ -241,20 +238,22 @@ class NMPC(Controller):
             Of the sample that starts now, s.
         """
         times = time + self._ahead
-        return self._path.wanted(times[1:]), self._path.at(times[:-1]).input
+        reference, origin = self._path.wanted(times[1:]), self._path.at(times[:-1]).input
+        if self._observer is None:
+            return reference, origin
+        return self._model.at_rest(reference, origin, self._observer)
 
     def reset(self) -> None:
-        """Forget the plan, what stands and the statistics."""
-        self._followed = 0
-        self._states: FloatArray | None = None
-        self._inputs: FloatArray | None = None
+        """Forget the plan, what stands, the estimated load and the statistics."""
         super().reset()
-        self._prepared = False
-        self._shifted = True
-        self._program.forget()
+        self._plan.reset()
+        self._followed = 0
+        self._seen: FloatArray | None = None
         self._statuses: list[str] = []
         self._records: list[tuple[float, ...]] = []
         self._preparing = 0.0
+        if self._observer is not None:
+            self._observer.reset()
 
     def prepare(self) -> None:
         """Linearize along the plan, moved on by a sample: all that needs no measurement.
@@ -262,89 +261,52 @@ class NMPC(Controller):
         A command prepares itself where this was not called before it. Before the
         first command there is no plan, and nothing to do.
         """
-        if self._prepared or self._states is None or self._inputs is None:
+        if self._plan.prepared or self._plan.inputs is None:
             return
         began = perf_counter()
-        self._shift()
-        self._relinearize()
+        self._plan.prepare()
         self._preparing = perf_counter() - began
-
-    def _shift(self) -> None:
-        """Move the plan on by a sample, once."""
-        if self._shifted:
-            return
-        assert self._states is not None  # callers see to it
-        assert self._inputs is not None  # callers see to it
-        last = np.clip(self._inputs[-1], self._low, self._high)
-        end = self._advance(self._states[-1], last)[0]
-        self._states = np.vstack([self._states[1:], end])
-        self._inputs = np.vstack([self._inputs[1:], last])
-        self._program.shift()
-        self._shifted = True
-
-    def _relinearize(self) -> None:
-        assert self._states is not None  # callers see to it
-        assert self._inputs is not None  # callers see to it
-        z, u = self._states[:-1], self._inputs
-        N = len(z)
-        ends, by_state, by_input = self._linearize(z.T, u.T)
-        A, B = _blocks(by_state, N), _blocks(by_input, N)
-        offset = ends.reshape(-1, N, order="F").T - np.einsum("kij,kj->ki", A, z)
-        offset = offset - np.einsum("kij,kj->ki", B, u)
-        # A plan may lead where the dynamics have no value: there is nothing to prepare then.
-        self._prepared = all(np.isfinite(part).all() for part in (A, B, offset))
-        if self._prepared:
-            self._program.linearize(A, B, offset)
 
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
         deadline = self._called + self._time_limit
+        drift = None if self._observer is None else self._corrected(self._observer, state)
         reference, origin = self.targets(time)
         if self._standing is None:
             self._standing = frozen(origin[0])
-        if self._states is None:
-            self._begin(state, reference, origin)
+        if self._plan.inputs is None:
+            self._plan.begin(state, reference, origin)
         self.prepare()
-        if not self._prepared:  # the plan led where the dynamics have no value
-            self._begin(state, reference, origin)
+        if not self._plan.prepared:  # the plan led where the dynamics have no value
+            self._plan.begin(state, reference, origin)
         preparing, began = self._preparing, perf_counter()
-        work, change = 0, np.inf
+        work = 0
         for rounds in range(1, self._rounds + 1):
-            if not self._prepared:
-                self._relinearize()
-            if not self._prepared:
-                self._states = self._inputs = None
-                self._record(rounds - 1, work, change, preparing, began)
-                return self._fall_back(Status.BAD_DATA.value)
-            answer, states, inputs = self._program.solve(
-                state, reference, origin, self._reachable, deadline
+            answer, change = self._plan.improve(
+                state, reference, origin, self._reachable, drift, deadline
             )
-            self._prepared = False
             work += answer.iterations
             if answer.x is None:
                 self._record(rounds, work, change, preparing, began)
-                return self._fall_back(answer.status.value)
-            assert self._inputs is not None  # begun above
-            change = float(np.abs(inputs - self._inputs).max()) / self._problem.level
-            self._states, self._inputs = np.vstack([state, states]), inputs
+                return self._continue(answer.status.value)
             self._followed = 0
             if change < _CONVERGED or perf_counter() >= deadline:
                 break
-        self._shifted = False
+        self._plan.release(solved=True)
         self._statuses.append(OK)
-        assert self._inputs is not None  # solved
         self._record(rounds, work, change, preparing, began)
-        return self._inputs[0], OK
+        assert self._plan.inputs is not None  # solved
+        return self._plan.inputs[0], OK
 
-    def _begin(self, state: FloatArray, reference: FloatArray, origin: FloatArray) -> None:
-        """Plan with the law of the linear plant, kept within bounds, on the nonlinear one."""
-        states, inputs = [state], []
-        aims = np.vstack([reference[:1], reference[:-1]])
-        for aim, held in zip(aims, origin, strict=True):
-            wish = held - self._problem.feedback @ (states[-1] - aim)
-            inputs.append(np.clip(wish, self._low, self._high))
-            states.append(self._advance(states[-1], inputs[-1])[0].copy())
-        self._states, self._inputs = np.array(states), np.array(inputs)
-        self._shifted, self._prepared = True, False
+    def _corrected(self, observer: LoadObserver, state: FloatArray) -> FloatArray:
+        """Compare with the sample before, and return what the load does to the state in a sample.
+
+        What the input did since then is found now, from what the actuators really held.
+        """
+        if self._seen is not None and self._standing is not None:
+            observer.correct(state, self._model.advance(self._seen, self._standing))
+        self._seen = state
+        observer.expect(observer.drift)
+        return observer.drift
 
     def _record(
         self, rounds: int, work: int, change: float, preparing: float, began: float
@@ -352,28 +314,25 @@ class NMPC(Controller):
         self._records.append((rounds, work, change, preparing, perf_counter() - began))
 
     def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
+        self._seen = None
+        return self._continue(reason)
+
+    def _continue(self, reason: str) -> tuple[FloatArray, str]:
         """Follow the plan for another sample; after its end hold what is safe."""
         self._followed += 1
         if self._followed >= self.horizon:
-            self._states = self._inputs = None
-        if self._inputs is not None:
-            self._shift()
-            wish, what = self._inputs[0], "plan continued"
+            self._plan.reset()
+        if self._plan.inputs is not None:
+            self._plan.shift()
+            wish, what = self._plan.inputs[0], "plan continued"
         elif self.input == "rest_length" and self._standing is not None:
             wish, what = self._standing, "last command held"
         else:
             wish, what = self.plant.equilibrium_input, "equilibrium held"
-        self._prepared, self._shifted = False, False
-        self._program.forget()
+        self._plan.release(solved=False)
         status = f"{reason}: {what}"
         self._statuses.append(status)
         return wish, status
 
     def __repr__(self) -> str:
         return f"NMPC({self.plant!r}, horizon {self.horizon}, step {self.step:g} s)"
-
-
-def _blocks(side_by_side: FloatArray, count: int) -> FloatArray:
-    """Return matrices that stand side by side as a stack, shape (count, rows, columns)."""
-    rows = side_by_side.shape[0]
-    return np.asarray(side_by_side.reshape(rows, count, -1).swapaxes(0, 1))

@@ -84,6 +84,10 @@ class QuadraticProgram:
     polish : bool
         Whether the answer is refined by solving for the bounds found active: to
         round-off, where they are the right ones.
+    equations : bool
+        Whether many rows of A are equations, and all are in units of their own already. Then
+        ADMM is not over-relaxed, since equations gain from that only further iterations, and A
+        is not scaled, which costs more than factorizing it where A is updated.
     """
 
     def __init__(
@@ -93,6 +97,7 @@ class QuadraticProgram:
         tolerance: float,
         max_iterations: int,
         polish: bool = False,
+        equations: bool = False,
     ) -> None:
         import osqp
         from scipy.sparse import csc_matrix, triu
@@ -100,7 +105,7 @@ class QuadraticProgram:
         began = perf_counter()
         rows, columns = A.shape
         self.tolerance, self.max_iterations = tolerance, max_iterations
-        self._made_of = P, A, tolerance, max_iterations, polish
+        self._made_of = P, A, tolerance, max_iterations, polish, equations
         self._shapes = {"q": columns, "l": rows, "u": rows}
         self._status = {status.value: _STATUS[status.name] for status in osqp.SolverStatus}
         self._nonzeros = csc_matrix(A).nnz
@@ -122,6 +127,7 @@ class QuadraticProgram:
             adaptive_rho=1,
             adaptive_rho_interval=50,
             check_termination=5,
+            **({"alpha": 1.1, "scaling": 0} if equations else {}),
         )
         # OSQP counts as run time of the first solve the setup, of later ones the updates.
         self._fresh = True

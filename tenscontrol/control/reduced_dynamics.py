@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import ceil
 from typing import Any
 
@@ -10,11 +9,14 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.analysis import LinearPlant
-from tenscontrol.structure import spread_force_density, spread_rest_length
+from tenscontrol.control.strings import spreading
 from tenscontrol.validation import FloatArray
 
 # Radians of the fastest vibration in a step of RK4: its error is then about 1e-4 of it.
 _RADIANS = 0.35
+
+# More steps of RK4 in a sample than this are refused.
+_MOST_SUBSTEPS = 1000
 
 
 def reduced_acceleration(plant: LinearPlant) -> ca.Function:
@@ -28,8 +30,7 @@ def reduced_acceleration(plant: LinearPlant) -> ca.Function:
     plant : LinearPlant
         In internal or minimal coordinates; its operating point is the reference shape.
     """
-    z = ca.SX.sym("z", 2 * plant.degrees_of_freedom)
-    u = ca.SX.sym("u", plant.B.shape[1])
+    z, u = (ca.SX.sym(name, size) for name, size in zip("zu", plant.B.shape, strict=True))
     moved = _motion(plant, z, u)[2]
     rows = plant.model.structure.free_rows
     project = plant.coordinates.project(np.eye(plant.nodes.size))[:, rows]
@@ -51,8 +52,7 @@ def tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
     matrix : ndarray, shape (p, 3n)
         C, node by node.
     """
-    z = ca.SX.sym("z", 2 * plant.degrees_of_freedom)
-    gamma = ca.SX.sym("gamma", plant.B.shape[1])
+    z, gamma = (ca.SX.sym(name, size) for name, size in zip("zg", plant.B.shape, strict=True))
     N, V, moved = _motion(plant, z, gamma)
     C = ca.sparsify(ca.DM(matrix))
     acceleration = ca.mtimes(C[:, plant.model.structure.free_rows.tolist()], moved)
@@ -68,17 +68,13 @@ def tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
 def _motion(plant: LinearPlant, z: Any, u: Any) -> tuple[Any, Any, Any]:
     """Return all nodes and velocities, and the accelerations of the free nodes, node by node."""
     model, structure = plant.model, plant.model.structure
-    r, n = plant.degrees_of_freedom, structure.nodes.shape[1]
-    T = ca.sparsify(ca.DM(np.where(np.abs(plant.basis) > 1e-14, plant.basis, 0.0)))
-    N = ca.DM(plant.nodes) + ca.reshape(ca.mtimes(T, z[:r]), 3, n)
-    V = ca.reshape(ca.mtimes(T, z[r:]), 3, n)
-    N, V = _with_bar_lengths(plant, N, V)
+    N, V = reduced_motion(plant, z)
     free = structure.free.tolist()
     x = ca.vertcat(ca.vec(N[:, free]), ca.vec(V[:, free]))
     loads = []
     if model.has_external_force:
         loads.append(ca.DM((plant.external_force - model.constant_force)[:, free]))
-    slope = model.state_equation(plant.input)(x, _spread(plant, u), *loads)
+    slope = model.state_equation(plant.input)(x, spreading(plant, u), *loads)
     return N, V, slope[slope.shape[0] // 2 :]
 
 
@@ -86,7 +82,7 @@ def sampled_dynamics(plant: LinearPlant, step: float) -> tuple[ca.Function, ca.F
     """Return the motion over a sample, and the same with its derivatives.
 
     By RK4 in steps that resolve the fastest vibration. The derivatives are those of the
-    RK4 steps themselves: differences of motions and of inputs are carried along.
+    RK4 steps themselves.
 
     Parameters
     ----------
@@ -101,42 +97,113 @@ def sampled_dynamics(plant: LinearPlant, step: float) -> tuple[ca.Function, ca.F
     linearized : casadi.Function
         ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
     """
-    acceleration, r = reduced_acceleration(plant), plant.degrees_of_freedom
-    a = plant.B.shape[1]
-    z, u = ca.SX.sym("z", 2 * r), ca.SX.sym("u", a)
-    qdd = acceleration(z, u)
-    parts = [qdd, *(ca.densify(ca.jacobian(qdd, by)) for by in (z, u))]
-    derivatives = ca.Function("derivatives", [z, u], ca.cse(parts))
+    count = substeps(plant, step)
+    s, a = plant.B.shape
+    motion, linearized = _rk4(plant, step / count)
+    if count > 1:
+        z, u = ca.MX.sym("z", s), ca.MX.sym("u", a)
+        held = ca.repmat(u, 1, count)
+        motion = ca.Function("motion", [z, u], [motion.fold(count)(z, held)])
+        chain = _chained(linearized).fold(count)
+        start = ca.horzcat(z, ca.DM.eye(s), ca.DM.zeros(s, a))
+        end = chain(ca.densify(start), held)
+        columns = end[:, 0], end[:, 1 : 1 + s], end[:, 1 + s :]
+        linearized = ca.Function("linearized", [z, u], list(columns))
+    return motion, linearized
+
+
+def substeps(plant: LinearPlant, step: float) -> int:
+    """Return how many RK4 steps a sample takes.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    step : float
+        Sample time, s.
+
+    Raises
+    ------
+    ValueError
+        If there are more than can be meant.
+    """
     fastest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0))
     count = max(1, ceil(step * fastest / _RADIANS))
-
-    def plain(state: Any, u: Any) -> Any:
-        return ca.vertcat(state[r:], acceleration(state, u))
-
-    # Columns of the carried matrix: the state, and its derivatives by z and by u.
-    def carried(matrix: Any, u: Any) -> Any:
-        qdd, by_z, by_u = derivatives(matrix[:, 0], u)
-        none = ca.DM.zeros(r, 1 + 2 * r)
-        inner = ca.horzcat(qdd, ca.mtimes(by_z, matrix[:, 1:]))
-        return ca.vertcat(matrix[r:, :], inner + ca.horzcat(none, by_u))
-
-    z, u = ca.MX.sym("z", 2 * r), ca.MX.sym("u", a)
-    motion = ca.Function("motion", [z, u], [_rk4(plain, z, u, step / count, count)])
-    start = ca.horzcat(z, ca.DM.eye(2 * r), ca.DM.zeros(2 * r, a))
-    end = _rk4(carried, ca.densify(start), u, step / count, count)
-    columns = end[:, 0], end[:, 1 : 1 + 2 * r], end[:, 1 + 2 * r :]
-    return motion, ca.Function("linearized", [z, u], list(columns))
+    if count > _MOST_SUBSTEPS:
+        raise ValueError(
+            f"plant vibrates with up to {fastest:.3g} rad/s: a sample of {step:g} s takes {count} "
+            f"steps of RK4 to predict, expected at most {_MOST_SUBSTEPS}; give a shorter step, or "
+            "take MPC, which predicts stiff strings exactly"
+        )
+    return count
 
 
-def _rk4(slope: Callable[[Any, Any], Any], start: Any, u: Any, h: float, count: int) -> Any:
-    """Return the expression of the state after some steps of the classic Runge-Kutta method."""
-    at, held = ca.MX.sym("at", *start.shape), ca.MX.sym("held", u.shape[0])
-    k1 = slope(at, held)
-    k2 = slope(at + 0.5 * h * k1, held)
-    k3 = slope(at + 0.5 * h * k2, held)
-    k4 = slope(at + h * k3, held)
-    one = ca.Function("one", [at, held], [at + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
-    return one(start, u) if count == 1 else one.fold(count)(start, ca.repmat(u, 1, count))
+def _rk4(plant: LinearPlant, h: float) -> tuple[ca.Function, ca.Function]:
+    """Return a step of the classic Runge-Kutta method, and the same with its derivatives."""
+    r, (s, a) = plant.degrees_of_freedom, plant.B.shape
+    acceleration = reduced_acceleration(plant)
+    derivatives = _derivatives(acceleration)
+    z, u = ca.MX.sym("z", s), ca.MX.sym("u", a)
+    stages = list(zip((1.0, 2.0, 2.0, 1.0), (0.0, 0.5 * h, 0.5 * h, h), strict=True))
+    slope, end = ca.DM.zeros(s), z
+    for weight, ahead in stages:
+        at = z + ahead * slope
+        slope = ca.vertcat(at[r:], acceleration(at, u))
+        end += h / 6 * weight * slope
+    motion = ca.Function("motion", [z, u], [end])
+
+    # The same, and the derivatives of speeds and accelerations by q, q̇ and u side by side. What
+    # starts as the identity is put in its place, not multiplied out.
+    one, beside = ca.DM.eye(r), ca.DM.zeros(r, a)
+    start = ca.horzcat(ca.DM.zeros(r, r), one, beside)  # of the speed at the start
+    slope, end, total, rates = ca.DM.zeros(s), z, ca.horzcat(one, ca.DM.zeros(r, r + a)), start
+    speeds, accelerations = start, None
+    for weight, ahead in stages:
+        at = z + ahead * slope
+        qdd, by_q, by_v, by_u = derivatives(at, u)
+        by_all = ca.horzcat(by_q, by_v, by_u)
+        if accelerations is not None:
+            # Positions at this stage went ahead at the speeds of the stage before.
+            moved = (
+                ca.horzcat(ca.DM.zeros(r, r), by_q, beside)
+                if speeds is start
+                else ca.mtimes(by_q, speeds)
+            )
+            by_all += ahead * (moved + ca.mtimes(by_v, accelerations))
+            speeds = start + ahead * accelerations
+        accelerations = by_all
+        slope = ca.vertcat(at[r:], qdd)
+        end += h / 6 * weight * slope
+        total += h / 6 * weight * speeds
+        rates += h / 6 * weight * accelerations
+    whole = ca.vertcat(total, rates)
+    parts = [end, ca.densify(whole[:, :s]), ca.densify(whole[:, s:])]
+    return motion, ca.Function("linearized", [z, u], parts)
+
+
+def _chained(linearized: ca.Function) -> ca.Function:
+    """Return ``([z, ∂z/∂z_0, ∂z/∂u], u) -> `` the same a step later."""
+    s, a = linearized.size1_in(0), linearized.size1_in(1)
+    carried, u = ca.MX.sym("carried", s, 1 + s + a), ca.MX.sym("u", a)
+    end, by_z, by_u = linearized(carried[:, 0], u)
+    inner = ca.mtimes(by_z, carried[:, 1:]) + ca.horzcat(ca.DM.zeros(s, s), by_u)
+    return ca.Function("chained", [carried, u], [ca.densify(ca.horzcat(end, inner))])
+
+
+def _derivatives(acceleration: ca.Function) -> ca.Function:
+    """Return ``(z, u) -> (q̈, ∂q̈/∂q, ∂q̈/∂q̇, ∂q̈/∂u)``, dense."""
+    z, u = (ca.SX.sym(acceleration.name_in(i), acceleration.size1_in(i)) for i in range(2))
+    qdd = acceleration(z, u)
+    r = qdd.shape[0]
+    by_z, by_u = (ca.densify(ca.jacobian(qdd, by)) for by in (z, u))
+    return ca.Function("derivatives", [z, u], ca.cse([qdd, by_z[:, :r], by_z[:, r:], by_u]))
+
+
+def reduced_motion(plant: LinearPlant, z: Any) -> tuple[Any, Any]:
+    """Return expressions of node positions and velocities, shape (3, n), of a state z (SX)."""
+    r, n = plant.degrees_of_freedom, plant.nodes.shape[1]
+    T = ca.sparsify(ca.DM(np.where(np.abs(plant.basis) > 1e-14, plant.basis, 0.0)))
+    N = ca.DM(plant.nodes) + ca.reshape(ca.mtimes(T, z[:r]), 3, n)
+    return _with_bar_lengths(plant, N, ca.reshape(ca.mtimes(T, z[r:]), 3, n))
 
 
 def _with_bar_lengths(plant: LinearPlant, N: Any, V: Any) -> tuple[Any, Any]:
@@ -158,13 +225,3 @@ def _with_bar_lengths(plant: LinearPlant, N: Any, V: Any) -> tuple[Any, Any]:
             N[:, node] += part * stretch * axis
             V[:, node] += part * rate * axis
     return N, V
-
-
-def _spread(plant: LinearPlant, u: Any) -> Any:
-    """Return the input of the model's strings from that of the commanded ones."""
-    structure = plant.model.structure
-    if plant.commanded is structure:
-        return u
-    spread = spread_force_density if plant.input == "force_density" else spread_rest_length
-    columns = [spread(structure, row) for row in np.eye(plant.B.shape[1])]
-    return ca.mtimes(ca.sparsify(ca.DM(np.column_stack(columns))), u)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -50,16 +51,12 @@ def string_map(plant: LinearPlant, held: str) -> StringMap:
     T = ca.sparsify(ca.DM(plant.basis))
     N = ca.DM(plant.nodes) + ca.reshape(ca.mtimes(T, q), 3, n)
     Nd = ca.reshape(ca.mtimes(T, rates), 3, n)
-    S, Sd = (kernel.differences(part, structure.strings) for part in (N, Nd))
-    length = ca.sqrt(kernel.dots(S, S)).T
-    gamma, at = u, spread(plant, "force_density", plant.force_density)
+    at = spread(plant, "force_density", plant.force_density)
     if held == "rest_length":
-        law = plant.model.strings
-        assert law is not None  # a rest length is held
         assert plant.rest_length is not None  # there is a law
-        gamma = law.symbolic_force_density(length, u, kernel.dots(S, Sd).T / length)
         at = spread(plant, "rest_length", plant.rest_length)
-    z, outputs = ca.vertcat(q, rates), [ca.densify(gamma), ca.densify(gamma * length)]
+    *outputs, length = string_forces(plant, held, N, Nd, u)
+    z, outputs = ca.vertcat(q, rates), [ca.densify(part) for part in outputs]
     function = ca.Function(
         "strings",
         [z, u],
@@ -79,6 +76,38 @@ def string_map(plant: LinearPlant, held: str) -> StringMap:
         tension_by_input=values[5] @ spreading,
         length_by_state=values[6],
     )
+
+
+def string_forces(plant: LinearPlant, held: str, N: Any, Nd: Any, u: Any) -> tuple[Any, Any, Any]:
+    """Return expressions of γ, tension and length of the strings, shape (α', 1) each.
+
+    Where the rest length is held, they are those of strings that pull, and negative beyond.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    held : {"force_density", "rest_length"}
+    N, Nd : casadi matrix, shape (3, n)
+        Motion of the nodes.
+    u : casadi vector, shape (α', 1)
+        What is held of each string of the model.
+    """
+    strings, law = plant.model.structure.strings, plant.model.strings
+    S, Sd = (kernel.differences(part, strings) for part in (N, Nd))
+    length = ca.sqrt(kernel.dots(S, S)).T
+    gamma = u
+    if held == "rest_length":
+        assert law is not None  # a rest length is held
+        gamma = law.taut_force_density(length, u, kernel.dots(S, Sd).T / length)
+    return gamma, gamma * length, length
+
+
+def spreading(plant: LinearPlant, u: Any) -> Any:
+    """Return the expression of the inputs of the model's strings from the commanded ones."""
+    if plant.commanded is plant.model.structure:
+        return u
+    columns = [spread(plant, plant.input, row) for row in np.eye(plant.B.shape[1])]
+    return ca.mtimes(ca.sparsify(ca.DM(np.column_stack(columns))), u)
 
 
 def spread(plant: LinearPlant, what: str, values: FloatArray) -> FloatArray:

@@ -7,7 +7,8 @@ import tenscontrol as tc
 from tenscontrol import demo
 from tenscontrol.control import NMPC
 from tenscontrol.control.quadratic_program import QPSolution, QuadraticProgram, Status
-from tenscontrol.control.reduced_dynamics import sampled_dynamics
+from tenscontrol.control.reduced_dynamics import sampled_dynamics, substeps
+from tenscontrol.dynamics.compiler import compiler
 from tests.control.nmpc_oracle import IpoptNMPC, closed_loop_cost
 from tests.control.test_mpc import kkt_residual
 
@@ -160,12 +161,12 @@ def test_preparation_is_apart_from_feedback_and_setup_happens_once(monkeypatch):
     nmpc.prepare()  # nothing to prepare from
     for k in range(4):
         nodes = plant.to_nodes(disturbed(0.02, k)[:9])
-        calls = nmpc._linearize.calls
+        calls = nmpc._model.motion.calls
         first = nmpc.command(SAMPLE * k, nodes, STILL)
-        assert nmpc._linearize.calls == calls + (k == 0)  # prepared before, but the first time
+        assert nmpc._model.motion.calls == calls + (k == 0)  # prepared before, but the first time
         nmpc.prepare()
         nmpc.prepare()
-        assert nmpc._linearize.calls == calls + 1 + (k == 0)
+        assert nmpc._model.motion.calls == calls + 1 + (k == 0)
         assert np.array_equal(first.value, plain.command(SAMPLE * k, nodes, STILL).value)
     assert len(setups) == setups_before
 
@@ -211,8 +212,98 @@ def test_arguments_that_do_not_fit_are_refused(arguments, error, message):
         NMPC(at_rest(), 4, SAMPLE, 60.0, **arguments)
 
 
-def test_limits_of_the_other_input_are_refused():
-    with pytest.raises(ValueError, match="max_force_density"):
-        NMPC(at_rest("rest_length"), 4, SAMPLE, 60.0)
+def test_force_densities_need_a_limit():
     with pytest.raises(TypeError, match="max_force_density"):
         NMPC(at_rest(), 4, SAMPLE)
+
+
+def test_horizon_of_one_sample():
+    plant = at_rest()
+    nmpc = NMPC(plant, 1, SAMPLE, 60.0)
+    oracle = IpoptNMPC(nmpc)
+    z = disturbed(0.02, 0)
+    motion = plant.to_nodes(z[:9]), plant.to_velocities(z[:9], z[9:])
+    values = [each.command(0.0, *motion).value for each in (nmpc, oracle)]
+    assert np.allclose(*values, atol=0.02)
+
+
+def test_machine_code_gives_the_same_commands():
+    plant = at_rest()
+    fast, plain = (NMPC(plant, 3, SAMPLE, 60.0, machine_code=code) for code in (True, False))
+    assert plain.back_end == "virtual machine"
+    assert fast.back_end == ("virtual machine" if compiler() is None else "machine code")
+    for k in range(3):
+        nodes = plant.to_nodes(disturbed(0.03, k)[:9])
+        values = [each.command(SAMPLE * k, nodes, STILL).value for each in (fast, plain)]
+        assert np.allclose(*values, rtol=1e-12)
+
+
+def test_equations_are_not_over_relaxed(monkeypatch):
+    """Fewer iterations, and the same answers, than with the relaxation that OSQP starts from."""
+    from tenscontrol.control import trajectory_program
+
+    plant, work, values = at_rest(), [], []
+    for equations in (True, False):
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                trajectory_program, "QuadraticProgram",
+                lambda *data, equations, as_wanted=equations: QuadraticProgram(
+                    *data, equations=as_wanted
+                ),
+            )  # fmt: skip
+            nmpc = NMPC(plant, 10, SAMPLE, 33.0)
+        cost, _ = closed_loop_cost(nmpc, nmpc, nmpc.sampled, disturbed(0.05, 0), 10)
+        work.append(nmpc.statistics.iterations.sum())
+        values.append(cost)
+    assert work[0] < 0.7 * work[1]
+    assert values[0] == pytest.approx(values[1], rel=2e-3)
+
+
+@pytest.mark.parametrize("stiffness", [1e2, 1e3, 1e4, 1e5, 1e6])
+def test_steps_of_the_prediction_follow_the_fastest_vibration(stiffness):
+    """Stable at every stiffness, for as many steps as the root of it asks for."""
+    plant = at_rest("rest_length", stiffness)
+    count = substeps(plant, SAMPLE)
+    fastest = np.abs(np.linalg.eigvals(plant.A)).max()
+    assert 0.3 <= SAMPLE * fastest / count <= 0.35
+    # So little motion that the linear plant, which is sampled exactly, is right. Displacements
+    # count as the speeds that they turn into.
+    motion, _ = sampled_dynamics(plant, SAMPLE)
+    transition = plant.discretize(SAMPLE)[0]
+    start = disturbed(1e-5 * 100 / stiffness, 1)
+    scale = np.r_[np.full(9, fastest), np.ones(9)]
+    size = np.linalg.norm(scale * start)
+    z = np.array(motion(start, plant.equilibrium_input)).ravel()
+    assert np.linalg.norm(scale * (z - transition @ start)) < 0.02 * size
+    for _ in range(20):
+        z = np.array(motion(z, plant.equilibrium_input)).ravel()
+    assert np.linalg.norm(scale * z) < 2 * size
+
+
+def test_strings_too_stiff_to_predict_are_refused():
+    with pytest.raises(ValueError, match="steps of RK4"):
+        NMPC(at_rest("rest_length", 1e8), 4, SAMPLE)
+
+
+def test_reference_seen_ahead_is_followed_more_closely():
+    prism = tc.prism()
+    target = demo.prism_of_height(prism, demo.TARGET)
+    plant = tc.linearize(tc.Model(prism), tc.prestress(target, demo.TOP_FORCE_DENSITY))
+    ramp = demo.ramp(prism, 1.0, demo.TARGET, 0.6)
+    ahead, blind = (NMPC(plant, 10, SAMPLE, 80.0) for _ in range(2))
+    ahead.follow(ramp)
+    start = plant.measure(prism.nodes, STILL)
+    path = ahead._path.wanted(SAMPLE * np.arange(40.0))
+    errors = []
+    for nmpc in (ahead, blind):
+        state, off = start, 0.0
+        for k in range(40):
+            if nmpc is blind:
+                blind.follow(plant.to_nodes(path[k, :9]))
+            nodes = plant.to_nodes(state[:9])
+            command = nmpc.command(SAMPLE * k, nodes, plant.to_velocities(state[:9], state[9:]))
+            assert command.status == "ok"
+            off += np.sum((state[:9] - path[k, :9]) ** 2)
+            state = np.array(nmpc.sampled(state, command.value)).ravel()
+        errors.append(np.sqrt(off / 40))
+    assert errors[0] < 0.7 * errors[1]

@@ -1,0 +1,50 @@
+"""What became of the samples of an NMPC."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol.validation import FloatArray, frozen
+
+
+@dataclass(frozen=True, eq=False)
+class NMPCStatistics:
+    """What became of the samples since the last reset.
+
+    Attributes
+    ----------
+    status_count : dict of str to int
+        How often each status came; ``"ok"`` is a solved program.
+    programs : ndarray of int, shape (K,)
+        Quadratic programs solved in each sample.
+    iterations : ndarray of int, shape (K,)
+        OSQP iterations in each sample.
+    last_change : ndarray, shape (K,)
+        Largest change of an input by the last program of each sample, in units of an input: how
+        far the plan is from converged.
+    preparation_time, feedback_time : ndarray, shape (K,)
+        Before the measurement is needed, and after it is there, s.
+    """
+
+    status_count: dict[str, int]
+    programs: np.ndarray
+    iterations: np.ndarray
+    last_change: FloatArray
+    preparation_time: FloatArray
+    feedback_time: FloatArray
+
+
+def statistics(statuses: list[str], records: list[tuple[float, ...]]) -> NMPCStatistics:
+    """Return statistics of statuses, and of samples with the other attributes in their order."""
+    table = np.array(records).reshape(-1, 5)
+    return NMPCStatistics(
+        status_count=dict(Counter(statuses)),
+        programs=frozen(table[:, 0].astype(np.int64)),
+        iterations=frozen(table[:, 1].astype(np.int64)),
+        last_change=frozen(table[:, 2]),
+        preparation_time=frozen(table[:, 3]),
+        feedback_time=frozen(table[:, 4]),
+    )

@@ -1,0 +1,122 @@
+"""The plan of an NMPC: a trajectory, linearized along itself, moved on and improved."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tenscontrol.control.problem import Horizon
+from tenscontrol.control.quadratic_program import QPSolution, Status
+from tenscontrol.control.trajectory_model import TrajectoryModel
+from tenscontrol.control.trajectory_program import TrajectoryProgram
+from tenscontrol.validation import FloatArray
+
+
+class TrajectoryPlan:
+    """States z_0 … z_N and inputs u_0 … u_{N−1}, and the program that improves them.
+
+    Parameters
+    ----------
+    model : TrajectoryModel
+    program : TrajectoryProgram
+    problem : Horizon
+    bounds : tuple of ndarray, shape (α,) each
+        Least and largest input.
+
+    Attributes
+    ----------
+    inputs : ndarray, shape (N, α), or None
+        None before there is a plan.
+    prepared : bool
+        Whether the program is linearized along the plan.
+    """
+
+    def __init__(
+        self,
+        model: TrajectoryModel,
+        program: TrajectoryProgram,
+        problem: Horizon,
+        bounds: tuple[FloatArray, FloatArray],
+    ) -> None:
+        self._model, self._program, self._problem = model, program, problem
+        self._low, self._high = bounds
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the plan."""
+        self._states: FloatArray = np.zeros((0, 0))
+        self.inputs: FloatArray | None = None
+        self.prepared, self._shifted = False, True
+        self._program.forget()
+
+    def begin(self, state: FloatArray, reference: FloatArray, origin: FloatArray) -> None:
+        """Plan with the law of the linear plant, kept within bounds, on the nonlinear one."""
+        states, inputs = [state], []
+        aims = np.vstack([reference[:1], reference[:-1]])
+        for aim, held in zip(aims, origin, strict=True):
+            wish = held - self._problem.feedback @ (states[-1] - aim)
+            inputs.append(np.clip(wish, self._low, self._high))
+            states.append(self._model.advance(states[-1], inputs[-1]))
+        self._states, self.inputs = np.array(states), np.array(inputs)
+        self._shifted, self.prepared = True, False
+
+    def prepare(self) -> None:
+        """Move the plan on by a sample, where that is due, and linearize along it.
+
+        Where the dynamics have no value, ``prepared`` stays False.
+        """
+        self.shift()
+        self._linearize(self._planned())
+
+    def shift(self) -> None:
+        """Move the plan on by a sample, once."""
+        if self._shifted:
+            return
+        inputs = self._planned()
+        last = np.clip(inputs[-1], self._low, self._high)
+        end = self._model.advance(self._states[-1], last)
+        self._states = np.vstack([self._states[1:], end])
+        self.inputs = np.vstack([inputs[1:], last])
+        self._program.shift()
+        self._shifted = True
+
+    def improve(
+        self, state: FloatArray, reference: FloatArray, origin: FloatArray, previous: FloatArray,
+        drift: FloatArray | None, deadline: float,
+    ) -> tuple[QPSolution, float]:  # fmt: skip
+        """Solve the program once; return its answer, and the largest change in units of an input.
+
+        The arguments are those of :meth:`TrajectoryProgram.solve`. Where the program is not
+        solved, the plan stays, unless the dynamics have no value along it.
+        """
+        before = self._planned()
+        if not self.prepared:
+            self._linearize(before)
+        if not self.prepared:
+            self.reset()
+            return QPSolution(Status.BAD_DATA, None, None, 0), np.inf
+        answer, states, inputs = self._program.solve(
+            state, reference, origin, previous, drift, deadline
+        )
+        self.prepared = False
+        if answer.x is None:
+            return answer, np.inf
+        self._states, self.inputs = np.vstack([state, states]), inputs
+        return answer, float(np.abs(inputs - before).max()) / self._problem.level
+
+    def release(self, solved: bool) -> None:
+        """Let the next sample move the plan on; from a new start where a program was not solved."""
+        self.prepared, self._shifted = False, False
+        if not solved:
+            self._program.forget()
+
+    def _linearize(self, inputs: FloatArray) -> None:
+        motion, rows = self._model.tangents(self._states, inputs)
+        # A plan may lead where the dynamics have no value: there is nothing to prepare then.
+        parts = [part for each in (motion, rows) if each for part in (each.offset, *each.slopes)]
+        self.prepared = all(np.isfinite(part).all() for part in parts)
+        if self.prepared:
+            self._program.linearize(motion, rows)
+
+    def _planned(self) -> FloatArray:
+        assert self.inputs is not None  # callers see to it
+        return self.inputs
