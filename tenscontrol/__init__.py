@@ -74,6 +74,13 @@ if TYPE_CHECKING:
         StringLaw,
         coordinates,
     )
+    from tenscontrol.estimation import (
+        Estimate,
+        FilterStatistics,
+        KalmanFilter,
+        Sensors,
+        kalman,
+    )
     from tenscontrol.integrate import Choice, Work
     from tenscontrol.robustness import (
         ClosedLoopCase,
@@ -107,6 +114,7 @@ if TYPE_CHECKING:
         AccuracyWarning,
         ControlRecord,
         CutString,
+        EstimateRecord,
         Fault,
         Health,
         Limits,
@@ -196,6 +204,7 @@ _HOME = {
         "StringLaw",
         "coordinates",
     ],
+    "estimation": ["Estimate", "FilterStatistics", "KalmanFilter", "Sensors", "kalman"],
     "integrate": ["Choice", "Work"],
     "robustness": [
         "ClosedLoopCase",
@@ -215,6 +224,7 @@ _HOME = {
         "ControlRecord",
         "CutString",
         "Fault",
+        "EstimateRecord",
         "Health",
         "Limits",
         "LostMeasurement",

@@ -41,11 +41,13 @@ def float_array(name: str, value: object) -> FloatArray:
     return array
 
 
-def measured(name: str, value: object, shape: tuple[int, ...]) -> FloatArray:
+def measured(
+    name: str, value: object, shape: tuple[int, ...], meaning: str = "one column per node"
+) -> FloatArray:
     """Return a measurement as an array of this shape; it may hold what is not finite."""
     array = _real_array(name, value)
     if array.shape != shape:
-        raise ValueError(f"{name} has shape {array.shape}, expected {shape}: one column per node")
+        raise ValueError(f"{name} has shape {array.shape}, expected {shape}: {meaning}")
     return array
 
 

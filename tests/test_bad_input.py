@@ -141,6 +141,36 @@ def drifting(of, nodes=None, force_density=None, **options):
     return tc.linearize(of, at, require_equilibrium=False, **options)
 
 
+@cache
+def held_plant():
+    """Rest lengths are the input."""
+    return tc.linearize(elastic(), rest(), input="rest_length")
+
+
+@cache
+def lengths(**options):
+    """Sensors of all string lengths, with other options."""
+    return tc.Sensors(**({"structure": prism(), "string_length": 1e-3} | options))
+
+
+@cache
+def estimator(step=0.001):
+    return tc.kalman(held_plant(), lengths(), step)
+
+
+def flipped():
+    """The nodes of the prism with the ends of one bar exchanged: bars keep their lengths."""
+    turned, (start, end) = nodes().copy(), prism().bars[0]
+    turned[:, [start, end]] = nodes()[:, [end, start]]
+    return turned
+
+
+def kalman(**changes):
+    """A filter for the prism, with some arguments replaced."""
+    arguments = {"plant": held_plant(), "sensors": lengths(), "step": 0.01} | changes
+    return tc.kalman(**arguments)
+
+
 def run(**changes):
     """A short simulation with held rest lengths, with some arguments replaced."""
     return tc.simulate(
@@ -1217,7 +1247,156 @@ NOT_A_COMMAND = [
 ]
 # fmt: on
 
+# fmt: off
+ESTIMATION = [
+    refused("Sensors of nothing", lambda: tc.Sensors(structure=prism()), ValueError,
+            r"nothing is measured.*node_position"),
+    refused("Sensors of no structure", lambda: lengths(structure=3), TypeError,
+            r"structure is a int, expected Structure"),
+    refused("Sensors without a bar",
+            lambda: tc.Sensors(structure=prism(), bar_direction=np.zeros(0)),
+            ValueError, r"bar_direction has shape \(0,\), expected \(\) or \(3,\)"),
+    refused("Sensors without noise", lambda: lengths(string_length=0.0), ValueError,
+            r"string_length\[0\] is 0, expected a positive standard deviation, m"),
+    refused("Sensors with noise nan", lambda: lengths(node_position=NAN), ValueError,
+            r"node_position is nan"),
+    refused("Sensors with noise of another count", lambda: lengths(string_length=(1.0, 2.0)),
+            ValueError, r"string_length has shape \(2,\), expected \(\) or \(9,\)"),
+    refused("Sensors with noise of too many nodes",
+            lambda: lengths(node_position=(1.0, 2.0), nodes=(0,)), ValueError,
+            r"node_position has shape \(2,\), expected \(\) or \(1,\)"),
+    refused("Sensors of nodes without noise", lambda: lengths(nodes=(0,)), ValueError,
+            r"nodes is given, but node_position is not"),
+    refused("Sensors of a string that is not", lambda: lengths(strings=(0, 9)), ValueError,
+            r"strings names 9, expected 0 to 8"),
+    refused("Sensors of a string twice", lambda: lengths(strings=(1, 1)), ValueError,
+            r"strings is \[1, 1\], expected each index once"),
+    refused("Sensors of a negative string", lambda: lengths(strings=(-1,)), ValueError,
+            r"strings\[0\] is -1"),
+    refused("Sensors of half a string", lambda: lengths(strings=(0.5,)), TypeError,
+            r"strings\[0\] is 0\.5"),
+    refused("Sensors of strings by one number", lambda: lengths(strings=3), ValueError,
+            r"strings is 3, expected a sequence"),
+    refused("Sensors of strings by name", lambda: lengths(strings="top"), ValueError,
+            r"strings is 'top', expected a sequence"),
+    refused("Sensors of no strings chosen", lambda: lengths(strings=()), ValueError,
+            r"strings is \(\), expected a sequence"),
+    refused("delay negative", lambda: lengths(delay=-1), ValueError, r"delay is -1"),
+    refused("delay half a sample", lambda: lengths(delay=0.5), TypeError, r"delay is 0\.5"),
+    refused("drop_rate one", lambda: lengths(drop_rate=1.0), ValueError,
+            r"drop_rate is 1\.0, expected a probability of at least 0 and below 1"),
+    refused("drop_rate nan", lambda: lengths(drop_rate=NAN), ValueError, r"drop_rate is nan"),
+    refused("outlier_rate negative", lambda: lengths(outlier_rate=-0.1), ValueError,
+            r"outlier_rate is -0\.1"),
+    refused("outlier_rate text", lambda: lengths(outlier_rate="few"), TypeError,
+            r"outlier_rate .*'few'"),
+    refused("Sensors keyword", lambda: lengths(noise=1.0), TypeError, r"'noise'"),
+    refused("Sensors by position", lambda: tc.Sensors(prism(), 0.001), TypeError, r"positional"),
+    refused("measure transposed", lambda: lengths().measure(nodes().T), ValueError,
+            r"nodes has shape \(6, 3\), expected \(3, 6\)"),
+    refused("measure nan", lambda: lengths().measure(with_entry(nodes(), (0, 0), NAN)), ValueError,
+            r"nodes\[0, 0\] is nan"),
+    refused("measure a bar of no length",
+            lambda: lengths(bar_direction=1.0).measure(np.zeros((3, 6))), ValueError,
+            r"nodes: bar 0 .*no length"),
+    refused("measure tensions of another count",
+            lambda: lengths(string_tension=1.0).measure(nodes(), np.ones(8)), ValueError,
+            r"tension has shape \(8,\), expected \(9,\)"),
+    refused("disturb by a seed", lambda: lengths().disturb(np.zeros(9), 3), TypeError,
+            r"generator is a int, expected Generator"),
+    refused("disturb readings of another count",
+            lambda: lengths().disturb(np.zeros(8), np.random.default_rng()), ValueError,
+            r"exact has shape \(8,\), expected \(9,\)"),
+    refused("count_of bolts", lambda: lengths().count_of("bolts"), ValueError,
+            r"chooser is 'bolts'"),
+    refused("kalman of no plant", lambda: kalman(plant=3), TypeError, r"plant is a int"),
+    refused("kalman of no sensors", lambda: kalman(sensors=3), TypeError, r"sensors is a int"),
+    refused("kalman of nodes", lambda: kalman(plant=plant("nodes")), ValueError,
+            r"plant has 'nodes' coordinates.*'internal' or 'minimal'"),
+    refused("kalman with sensors of another structure",
+            lambda: kalman(sensors=tc.Sensors(structure=tc.prism(4), string_length=1e-3)),
+            ValueError, r"sensors are those of .*8 nodes"),
+    refused("kalman step zero", lambda: kalman(step=0), ValueError, r"step is 0, .* s"),
+    refused("kalman step text", lambda: kalman(step="fast"), TypeError, r"step is 'fast'"),
+    refused("process_noise zero", lambda: kalman(process_noise=0.0), ValueError,
+            r"process_noise is 0\.0"),
+    refused("process_noise nan", lambda: kalman(process_noise=NAN), ValueError,
+            r"process_noise is nan"),
+    refused("start_spread negative", lambda: kalman(start_spread=-1.0), ValueError,
+            r"start_spread is -1\.0"),
+    refused("start transposed", lambda: kalman(start=nodes().T), ValueError,
+            r"start has shape \(6, 3\), expected \(3, 6\)"),
+    refused("start with longer bars", lambda: kalman(start=1.1 * nodes()), ValueError,
+            r"in start, bar 0 has length 1\.529"),
+    refused("start out of reach", lambda: kalman(start=flipped()), ValueError,
+            r"start is .*0\.\d+ m off: it is out of reach"),
+    refused("gate one", lambda: kalman(gate=1.0), ValueError, r"gate is 1, expected a probability"),
+    refused("gate zero", lambda: kalman(gate=0.0), ValueError, r"gate is 0\.0"),
+    refused("patience zero", lambda: kalman(patience=0), ValueError, r"patience is 0"),
+    refused("patience text", lambda: kalman(patience="long"), TypeError, r"patience is 'long'"),
+    refused("prediction unknown", lambda: kalman(prediction="magic"), ValueError,
+            r"prediction is 'magic', expected one of 'linear', 'nonlinear'"),
+    refused("kalman without prestress",
+            lambda: kalman(plant=drifting(model(), force_density=np.zeros(9)),
+                           sensors=lengths(node_position=1e-3)),
+            ValueError, r"no string of the plant pulls"),
+    refused("kalman keyword", lambda: kalman(noise=1.0), TypeError, r"'noise'"),
+    refused("update of another count", lambda: estimator().update(np.ones(8)), ValueError,
+            r"measurement has shape \(8,\), expected \(9,\): one entry per number read"),
+    refused("update by text", lambda: estimator().update("nine"), TypeError,
+            r"measurement .*'nine'"),
+    refused("predict nan", lambda: estimator().predict(np.full(9, NAN)), ValueError,
+            r"held\[0\] is nan"),
+    refused("predict of another count", lambda: estimator().predict(np.ones(8)), ValueError,
+            r"held has shape \(8,\), expected \(9,\)"),
+    refused("reset to another count", lambda: estimator().reset(np.ones(9)), ValueError,
+            r"state has shape \(9,\), expected \(18,\)"),
+    refused("reset out of reach", lambda: estimator().reset(10 * np.ones(18)), ValueError,
+            r"q turns bar \d by a right angle"),
+    refused("reset to no covariance", lambda: estimator().reset(covariance=-np.eye(18)), ValueError,
+            r"covariance has the eigenvalue -1, expected at least 0"),
+    refused("reset to a crooked covariance",
+            lambda: estimator().reset(covariance=np.triu(np.ones((18, 18)))), ValueError,
+            r"covariance is not symmetric"),
+    refused("simulate with no estimator", lambda: closed(estimator=3), TypeError,
+            r"estimator is a int, expected KalmanFilter"),
+    refused("simulate with no sensors", lambda: closed(estimator=estimator(), sensors=3), TypeError,
+            r"sensors is a int, expected Sensors"),
+    refused("sensors without an estimator", lambda: closed(sensors=lengths()), ValueError,
+            r"sensors and seed go with an estimator"),
+    refused("seed without an estimator", lambda: closed(seed=1), ValueError,
+            r"sensors and seed go with an estimator"),
+    refused("seed negative", lambda: closed(estimator=estimator(), seed=-1), ValueError,
+            r"seed is -1"),
+    refused("seed text", lambda: closed(estimator=estimator(), seed="luck"), TypeError,
+            r"seed is 'luck'"),
+    refused("estimator without a controller", lambda: run(estimator=estimator()), ValueError,
+            r"estimator, winches and sample_time go with a controller"),
+    refused("estimator of another sample time", lambda: closed(estimator=estimator(0.002)),
+            ValueError, r"estimator has the sample time 0\.002 s, expected .* 0\.001 s"),
+    refused("estimator that is told something else",
+            lambda: closed(estimator=tc.kalman(plant(), lengths(), 0.001)), ValueError,
+            r"estimator knows the effect of force_density, but the actuators hold rest_length"),
+    refused("sensors of other readings",
+            lambda: closed(estimator=estimator(), sensors=lengths(strings=(0, 1))), ValueError,
+            r"sensors has the readings .*2 readings.*but estimator expects .*9 readings"),
+    refused("plot.estimate of no run", lambda: tc.plot.estimate(3), TypeError, r"run is a int"),
+    refused("plot.estimate of an open loop", lambda: tc.plot.estimate(run()), ValueError,
+            r"run has no estimate"),
+    refused("plot.estimate of a string that is not",
+            lambda: tc.plot.estimate(closed(estimator=estimator()), strings=(9,)), ValueError,
+            r"strings names 9, expected 0 to 8"),
+    refused("plot.estimate of no strings",
+            lambda: tc.plot.estimate(closed(estimator=estimator()), strings=()), ValueError,
+            r"strings is empty, expected at least one index"),
+    refused("plot.estimate of strings by name",
+            lambda: tc.plot.estimate(closed(estimator=estimator()), strings="top"), TypeError,
+            r"strings is 'top', expected a sequence"),
+]
+# fmt: on
+
 FOUND_IN_REVIEW = [
+    *ESTIMATION,
     *NOT_AN_ARRAY,
     *NOT_THE_CLASS,
     *NOT_THE_SHAPE,

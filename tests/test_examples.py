@@ -23,6 +23,7 @@ def test_every_example_is_tested():
         "plot_accuracy_long_run.py",
         "plot_accuracy_order.py",
         "plot_accuracy_stability.py",
+        "plot_control_estimation.py",
         "plot_control_robustness.py",
         "plot_control_shape.py",
         "plot_control_string_mass.py",
@@ -96,6 +97,18 @@ def test_control_string_mass():
         assert max(values) < 1e-4
         assert values[0] < max(values)  # mass is noticed
     assert found["left_with_full"] < 1e-3
+
+
+def test_control_estimation():
+    found = run("plot_control_estimation.py")
+    left = found["left"]
+    assert left["motion seen"] < 1e-4
+    assert left["lengths and directions"] < 5e-3
+    assert left["lengths and directions"] < left["lengths"] < 15e-3
+    assert left["directions"] < 25e-3
+    assert "of the 18 states are not seen" in found["refusal"]
+    assert found["statistics"].refused.sum() > 20
+    assert found["statistics"].restarts == 0
 
 
 def test_accuracy_error_against_time():

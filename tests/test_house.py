@@ -79,8 +79,10 @@ MAY_IMPORT = {
     "integrate": {"dynamics", "structure"},
     "analysis": {"dynamics", "statics", "structure"},
     "control": {"actuation", "analysis", "dynamics", "statics", "structure"},
+    "estimation": {"control.path", "control.reduced_dynamics", "analysis", "dynamics", "structure"},
     "actuation": {"dynamics", "structure"},
-    "simulation": {"integrate", "actuation", "dynamics", "structure", "control.controller"},
+    "simulation": {"integrate", "actuation", "dynamics", "structure", "control.controller"}
+    | {"estimation"},
     "accuracy": {"simulation", "integrate", "actuation", "analysis", "dynamics", "statics"}
     | {"structure", "scene", "plot"},
     "shape": {"control.reference", "actuation", "dynamics", "statics", "structure"},
@@ -96,7 +98,7 @@ LIBRARIES = {
     "numpy": (lambda file: True, False),
     "scipy": (lambda file: True, False),
     "casadi": (lambda file: not file.startswith(("structure/", "statics/")), False),
-    "control": (lambda file: file.startswith(("analysis/", "control/")), True),
+    "control": (lambda file: file.startswith(("analysis/", "control/", "estimation/")), True),
     "osqp": (lambda file: file.startswith("control/"), True),
     "matplotlib": (lambda file: file.startswith("plot/"), False),
     "mpl_toolkits": (lambda file: file.startswith("plot/"), False),
@@ -527,6 +529,7 @@ CONSTRUCTED = {
     "Reference",
     "RotationalSymmetry",
     "ShapeControl",
+    "Sensors",
     "Structure",
     "Twist",
     "Uniform",
@@ -603,6 +606,9 @@ def values():
     regulator = tc.lqr(plant, Q=1.0, R=1e-3, step=0.01, max_force_density=50.0)
     mpc = tc.MPC(plant, horizon=3, step=0.01, max_force_density=50.0)
     still = np.zeros((3, 6))
+    sensors = tc.Sensors(structure=prism, string_length=0.001, nodes=[0, 2], node_position=0.01)
+    held = tc.linearize(model, rest, input="rest_length")
+    estimator = tc.kalman(held, sensors, step=0.01)
     winches = tc.Winches(rate=0.5, shortest=np.full(9, 0.1), longest=2.0)
     start = tc.to_rest_length(model, prism.nodes, rest.force_density)
     run = tc.simulate(
@@ -612,6 +618,7 @@ def values():
         winches=winches,
         rest_length=start.rest_length,
         output_step=0.01,
+        estimator=estimator,
     )
     height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
     target = tc.shape_target(model, height, force_density=17.3205)
@@ -633,6 +640,10 @@ def values():
         tc.controllability(plant),
         run,
         run.control,
+        run.control.estimate,
+        sensors,
+        estimator.update(None),
+        estimator.statistics,
         run.choice,
         run.work,
         run.health,
@@ -769,6 +780,17 @@ def _given():
         "NodesAt": {"nodes": np.arange(2), "positions": np.ones((3, 2))},
         "PointAt": {"nodes": np.arange(2), "position": np.ones(3), "weights": np.ones(2)},
         "OneOf": {"values": np.ones(3)},
+        "Sensors": {
+            "structure": prism,
+            "node_position": np.ones(2),
+            "string_length": np.ones(9),
+            "bar_direction": np.ones(1),
+            "string_tension": np.ones(1),
+            "nodes": np.array([1, 4]),
+            "strings": np.arange(9),
+            "bars": np.array([2]),
+            "tension_strings": np.array([3]),
+        },
         "Reference": {"time": np.arange(2.0), "nodes": np.ones((3, 6, 2))},
     }
 

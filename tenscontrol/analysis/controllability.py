@@ -144,11 +144,23 @@ def _scaled(plant: LinearPlant) -> tuple[FloatArray, FloatArray, float]:
 
 
 def _reachable(plant: LinearPlant) -> int:
-    """Return the dimension of the reachable space, by block Arnoldi with full orthogonalization."""
-    A, block, _ = _scaled(plant)
-    r = plant.degrees_of_freedom
-    basis = np.zeros((2 * r, 0))
-    while block.shape[1] and basis.shape[1] < 2 * r:
+    A, B, _ = _scaled(plant)
+    return reached_dimension(A, B)
+
+
+def reached_dimension(A: FloatArray, block: FloatArray) -> int:
+    """Return the dimension of the space that A and the columns of a block span together.
+
+    By block Arnoldi with full orthogonalization.
+
+    Parameters
+    ----------
+    A : ndarray, shape (s, s)
+        In units in which its size is of order one.
+    block : ndarray, shape (s, k)
+    """
+    basis = np.zeros((len(A), 0))
+    while block.shape[1] and basis.shape[1] < len(A):
         size = float(np.linalg.norm(block, 2))
         for _ in range(2):  # twice is enough (Kahan, Parlett)
             block = block - basis @ (basis.T @ block)

@@ -12,6 +12,7 @@ from tenscontrol.plot.accuracy import (
 )
 from tenscontrol.plot.animation import animate
 from tenscontrol.plot.drawing import Drawing
+from tenscontrol.plot.estimate import estimate
 from tenscontrol.plot.files import save_figure
 from tenscontrol.plot.health import health
 from tenscontrol.plot.history import Curves, history
@@ -29,6 +30,7 @@ __all__ = [
     "SweepDrawing",
     "animate",
     "convergence_order",
+    "estimate",
     "health",
     "history",
     "long_run",

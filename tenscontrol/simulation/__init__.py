@@ -3,6 +3,7 @@
 from tenscontrol.simulation.faults import CutString, Fault, LostMeasurement, StuckWinch
 from tenscontrol.simulation.health import AccuracyWarning, Health, Limits
 from tenscontrol.simulation.loop import SimulationError
+from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.simulation.simulate import simulate
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
 
@@ -10,6 +11,7 @@ __all__ = [
     "AccuracyWarning",
     "ControlRecord",
     "CutString",
+    "EstimateRecord",
     "Fault",
     "Health",
     "Limits",

@@ -12,8 +12,13 @@ from tenscontrol.actuation import Winches, WinchMove
 from tenscontrol.control.controller import Command, Controller
 from tenscontrol.dynamics import Model, StringLaw, unpack_states
 from tenscontrol.simulation.loop import Loop
+from tenscontrol.simulation.observation import Observation
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
-from tenscontrol.structure import Structure, spread_force_density, spread_rest_length
+from tenscontrol.structure import (
+    same_members,
+    spread_force_density,
+    spread_rest_length,
+)
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -36,6 +41,7 @@ def run_closed_loop(
     winches: Winches | None,
     sample_time: float | None,
     report: Callable[[float], None],
+    estimation: tuple[object, object, object] | None = None,
 ) -> Trajectory:
     """Run a controller against the plant, sample by sample, and return what came of it."""
     sample = _sample_time(controller, sample_time, loop.step)
@@ -44,19 +50,29 @@ def run_closed_loop(
     if actuators.start is not None:
         N = unpack_states(loop.model.structure, state[:, None])[0][:, :, 0]
         controller.applied(actuators.acting(N))
-    log = _Log(loop.hold, actuators.start)
+    eyes = None
+    if estimation is not None:
+        eyes = Observation(*estimation, loop.model, loop.hold, controller, sample)
+    log = _Log(loop.hold, actuators.start, eyes)
     seen = controller.plant.nodes.shape[1]  # of a subdivision, the nodes of its parent come first
     # The allowance keeps round-off from adding a last sample of no length.
     for k in range(max(1, ceil(duration / sample - 1e-9))):
         loop.now = k * sample
         N, V = (part[:, :, 0] for part in unpack_states(loop.model.structure, state[:, None]))
         moment = loop.now + 1e-9 * sample  # a fault that begins at the sample is there
-        sight = np.nan if loop.faults.lost(moment) else 1.0
+        lost = loop.faults.lost(moment)
+        if eyes is None:
+            told = tuple((np.nan if lost else 1.0) * each[:, :seen] for each in (N, V))
+        else:
+            estimate = eyes.look(N, V, lost)
+            told = estimate.nodes, estimate.velocities
         began = perf_counter()
-        command = controller.command(loop.now, sight * N[:, :seen], sight * V[:, :seen])
+        command = controller.command(loop.now, *told)
         taken = perf_counter() - began
         move, held = actuators.apply(command, N, loop.faults.stuck(moment))
         controller.applied(actuators.acting(N))
+        if eyes is not None:
+            eyes.hold(move.rest_length, held)
         log.add(loop.now, command, move, taken)
         span = min(sample, duration - loop.now)
         state = loop.run(state, held, span, report, lambda: log.record(sample))
@@ -174,12 +190,12 @@ class _Wiring:
         seen = controller.plant.model.structure
         self.structure = structure
         self.count = len(designed.strings)
-        self._cut = not _same_members(designed, structure)
+        self._cut = not same_members(designed, structure)
         parent = structure.parent
-        fits = _same_members(seen, structure)
+        fits = same_members(seen, structure)
         if self._cut:
             whole = parent is not None and structure.string_parent is not None
-            fits = whole and _same_members(designed, parent) and (fits or seen is designed)
+            fits = whole and same_members(designed, parent) and (fits or seen is designed)
         if not fits:
             raise ValueError(
                 f"the controller was designed on {seen!r}, but the model has {structure!r} "
@@ -216,23 +232,12 @@ class _Wiring:
         return spread_rest_length(self.structure, rest_length) if self._cut else rest_length
 
 
-def _same_members(one: Structure, other: Structure | None) -> bool:
-    """Whether nodes, bars, strings and supports go together; masses and lengths may differ."""
-    return (
-        other is not None
-        and one.nodes.shape == other.nodes.shape
-        and all(
-            np.array_equal(getattr(one, what), getattr(other, what))
-            for what in ("bars", "strings", "fixed")
-        )
-    )
-
-
 class _Log:
     """Collects what becomes the control record."""
 
-    def __init__(self, hold: str, start: FloatArray | None) -> None:
+    def __init__(self, hold: str, start: FloatArray | None, eyes: Observation | None) -> None:
         self._hold = hold
+        self._eyes = eyes
         self._start = start
         self._rows: list[tuple[float, Command, WinchMove, float]] = []
 
@@ -255,6 +260,7 @@ class _Log:
             rate_limited=frozen(np.array([len(move.rate_limited) for move in moves])),
             range_limited=frozen(np.array([len(move.range_limited) for move in moves])),
             computing_time=frozen(np.array(taken)),
+            estimate=None if self._eyes is None else self._eyes.record(np.array(times)),
         )
 
 

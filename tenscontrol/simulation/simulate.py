@@ -10,6 +10,7 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import Controller
 from tenscontrol.dynamics import Model, pack_state
+from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.simulation.closed_loop import checked_rest_length, run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
 from tenscontrol.simulation.health import AccuracyWarning, Limits
@@ -62,6 +63,9 @@ def simulate(
     machine_code: bool = False,
     limits: Limits | None = None,
     progress: bool = False,
+    estimator: KalmanFilter | None = None,
+    sensors: Sensors | None = None,
+    seed: int | None = None,
 ) -> Trajectory:
     """Return the motion of a model.
 
@@ -125,6 +129,14 @@ def simulate(
         Limits on the figures in ``run.health``; ``Limits()`` if not given.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
+    estimator : KalmanFilter, optional
+        From :func:`kalman`. The controller is then told its estimate in place of the motion, and
+        it is told what the actuators hold. It is reset first. Its step is that of the samples.
+    sensors : Sensors, optional
+        What the readings are taken by, if other than the estimator believes: noise, delay and
+        losses may differ.
+    seed : int, optional
+        Of the noise of the readings; 0 if not given. The same seed gives the same run.
 
     Returns
     -------
@@ -168,6 +180,8 @@ def simulate(
         instance("limits", limits, Limits, "make them by Limits(bar_length_error=...)")
     if controller is not None:
         instance("controller", controller, Controller, "make one by lqr(...) or MPC(...)")
+    if estimator is None and (sensors is not None or seed is not None):
+        raise ValueError("sensors and seed go with an estimator; kalman(...) makes one")
     if not len(model.structure.free):
         raise ValueError("every node of the model is fixed: nothing can move")
     what = _held(model, rest_length, force_density, controller, hold)
@@ -191,15 +205,17 @@ def simulate(
     try:
         with progress_bar(duration, shown=progress) as report:
             if controller is None:
-                if winches is not None or sample_time is not None:
-                    raise ValueError("winches and sample_time go with a controller")
+                if winches is not None or sample_time is not None or estimator is not None:
+                    raise ValueError("estimator, winches and sample_time go with a controller")
                 value = held_value(model, rest_length, force_density)
                 loop.run(state, value, duration, report)
                 run = loop.trajectory(None)
             else:
+                estimation = None if estimator is None else (estimator, sensors, seed)
                 run = run_closed_loop(
-                    loop, state, duration, controller, rest_length, winches, sample_time, report
-                )
+                    loop, state, duration, controller, rest_length, winches, sample_time, report,
+                    estimation,
+                )  # fmt: skip
     except SimulationError as error:
         if not error.interrupted:
             raise

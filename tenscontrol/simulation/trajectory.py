@@ -11,6 +11,7 @@ from tenscontrol.dynamics import Model, evaluate_columns, unpack_states
 from tenscontrol.integrate import Choice, Work
 from tenscontrol.simulation.faults import Fault
 from tenscontrol.simulation.health import Health
+from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, frozen
 
@@ -38,6 +39,8 @@ class ControlRecord:
         Number of winches that met a limit.
     computing_time : ndarray, shape (K,)
         Time the controller took, s.
+    estimate : EstimateRecord or None
+        What was read and estimated; None where the controller saw the motion itself.
     """
 
     time: FloatArray
@@ -48,6 +51,7 @@ class ControlRecord:
     rate_limited: np.ndarray
     range_limited: np.ndarray
     computing_time: FloatArray
+    estimate: EstimateRecord | None = None
 
     @property
     def status_count(self) -> dict[str, int]:
@@ -212,6 +216,11 @@ class Trajectory:
                 f"{count} {name}" for name, count in self.control.status_count.items()
             )
             lines.append(f"commands          {counts}")
+            if self.control.estimate is not None:
+                counts = ", ".join(
+                    f"{count} {name}" for name, count in self.control.estimate.status_count.items()
+                )
+                lines.append(f"measurements      {counts}")
             slow = int((self.control.rate_limited > 0).sum())
             out = int((self.control.range_limited > 0).sum())
             if slow or out:

@@ -18,6 +18,7 @@ from tenscontrol.structure.prism import prism, prism_radius
 from tenscontrol.structure.skin import skin
 from tenscontrol.structure.structure import Structure
 from tenscontrol.structure.subdivide import (
+    same_members,
     segment_counts,
     spread_force_density,
     spread_rest_length,
@@ -39,6 +40,7 @@ __all__ = [
     "restore_bar_lengths",
     "rigid_basis",
     "rigid_motions",
+    "same_members",
     "segment_counts",
     "skin",
     "skin_rest_length",

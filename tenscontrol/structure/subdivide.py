@@ -283,3 +283,22 @@ def _point_masses(counts: IntArray, node_mass: object, string_mass: object) -> F
         if points > 0 and m <= 0:
             raise ValueError(f"string_mass[{i}] is {m:g}, expected a positive mass in kg")
     return np.repeat(mass / np.maximum(new, 1), new)
+
+
+def same_members(one: Structure, other: Structure | None) -> bool:
+    """Return whether nodes, bars, strings and supports go together.
+
+    Masses and lengths may differ.
+
+    Parameters
+    ----------
+    one, other : Structure
+    """
+    return (
+        other is not None
+        and one.nodes.shape == other.nodes.shape
+        and all(
+            np.array_equal(getattr(one, what), getattr(other, what))
+            for what in ("bars", "strings", "fixed")
+        )
+    )

@@ -1,0 +1,8 @@
+"""State estimation: sensors, and a Kalman filter in reduced coordinates."""
+
+from tenscontrol.estimation.estimate import Estimate, FilterStatistics
+from tenscontrol.estimation.kalman import kalman
+from tenscontrol.estimation.kalman_filter import KalmanFilter
+from tenscontrol.estimation.sensors import Sensors
+
+__all__ = ["Estimate", "FilterStatistics", "KalmanFilter", "Sensors", "kalman"]

@@ -1,0 +1,250 @@
+"""The design of a Kalman filter: what may be seen, its noise, its steady gain, checked."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.analysis import LinearPlant
+from tenscontrol.control.path import acceleration_response
+from tenscontrol.control.reduced_dynamics import sampled_dynamics
+from tenscontrol.estimation.design import FilterDesign
+from tenscontrol.estimation.kalman_filter import KalmanFilter
+from tenscontrol.estimation.observability import refuse_unobservable
+from tenscontrol.estimation.outputs import observed_plant, output_function, output_matrix
+from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.structure import refuse_wrong_bar_lengths
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    frozen,
+    instance,
+    positive_number,
+    whole_number,
+)
+
+PREDICTIONS = ("linear", "nonlinear")
+
+# Part of the size by which string lengths at the start may be off in the coordinates.
+_START_TOLERANCE = 1e-3
+
+# A Riccati residual above this fraction of its terms means that the solution is wrong.
+_RESIDUAL_TOLERANCE = 1e-6
+
+
+def kalman(
+    plant: LinearPlant,
+    sensors: Sensors,
+    step: float,
+    *,
+    process_noise: float = 0.02,
+    prediction: str = "linear",
+    gate: float = 1e-4,
+    patience: int = 5,
+    start: object = None,
+    start_spread: float = 0.03,
+) -> KalmanFilter:
+    """Return a Kalman filter that finds the motion of a plant from readings.
+
+    The plant's input must be what the actuators hold between samples: of winches, linearize
+    with ``input="rest_length"``, whatever the controller commands. A plant in internal
+    coordinates gets those motions as one body added that the readings see.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        In internal or minimal coordinates.
+    sensors : Sensors
+        Of the structure of the plant's model.
+    step : float
+        Sample time, s; a reading is taken at the start of each sample.
+    process_noise : float
+        Standard deviation of an unknown acceleration in each coordinate, constant over a
+        sample and independent from one to the next, as a part of the root mean square
+        acceleration that each string would give if it pulled alone with its tension
+        at the operating point.
+    prediction : {"linear", "nonlinear"}
+        From sample to sample by the plant, or by the equations of motion themselves. The
+        first is for the neighbourhood of the operating point, the second for large motions.
+    gate : float
+        Probability that a good reading is refused, above 0 and below 1.
+    patience : int
+        After so many samples in a row with most readings refused, the filter and not the
+        sensors is taken to be wrong: it starts anew from the readings. At least 1.
+    start : array_like, shape (3, n), optional
+        Shape at the start as far as it is known, m, at rest; the operating point if not given.
+    start_spread : float
+        Standard deviation of the nodes from there, as a part of the size of the
+        structure; that of the speeds is what the forces of the strings give over this distance.
+
+    Returns
+    -------
+    KalmanFilter
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit; if a motion that does not decay
+        by itself is not seen (the message says how many states, and which readings in
+        addition would do); if no string pulls at the operating point; if the solution of the
+        Riccati equation does not stand the check of its residual and poles.
+
+    Notes
+    -----
+    ``z⁺ = Φ z + Γ v + d + Ψ w``, ``y = h(z, u) + e``, with Φ, Γ and Ψ exact for what is held
+    over a sample. The steady gain for ``C = ∂h/∂z`` at the operating point is that of
+    python-control's ``dlqe``, solved with whitened readings, and checked.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> sensors = tc.Sensors(structure=prism, string_length=0.001, node_position=0.005)
+    >>> estimator = tc.kalman(plant, sensors, step=0.02)
+    >>> estimator
+    KalmanFilter(30 states, 15 readings, step 0.02 s, linear prediction)
+    >>> bool(abs(estimator.poles).max() < 1)
+    True
+
+    The length of one string does not tell of all motions:
+
+    >>> few = tc.Sensors(structure=prism, string_length=0.001, strings=[0])
+    >>> tc.kalman(plant, few, step=0.02)  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    ValueError: 10 of the 18 states are not seen by ...
+    """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
+    step = positive_number("step", step, "s")
+    share = positive_number("process_noise", process_noise, "accelerations of the strings")
+    spread = positive_number("start_spread", start_spread, "sizes of the structure")
+    if positive_number("gate", gate, "no unit, below 1") >= 1:
+        raise ValueError(f"gate is {gate:g}, expected a probability above 0 and below 1")
+    patience = whole_number("patience", patience, least=1)
+    choice("prediction", prediction, PREDICTIONS)
+    if plant.coordinates.kind == "nodes":
+        raise ValueError(
+            "plant has 'nodes' coordinates, in which bars may stretch; linearize with "
+            "coordinates='internal' or 'minimal'"
+        )
+    if not same_members(sensors.structure, plant.model.structure):
+        raise ValueError(
+            f"sensors are those of {sensors.structure!r}, but plant is that of "
+            f"{plant.model.structure!r} with other nodes, bars or strings"
+        )
+    plant = observed_plant(plant, sensors)
+    if not len(plant.A):
+        raise ValueError("plant has no states, so there is nothing to estimate")
+    C = output_matrix(plant, sensors)
+    refuse_unobservable(plant, sensors, C)
+    pull = _pull(plant)
+    push = share * pull * acceleration_response(plant, step)
+    transition, input_matrix, drift = plant.discretize(step)
+    steady = _steady(transition, push, C, sensors.noise)
+    motion: ca.Function | None = None
+    if prediction == "nonlinear":
+        motion = sampled_dynamics(plant, step)[1]
+    return KalmanFilter(
+        FilterDesign(
+            plant=plant,
+            sensors=sensors,
+            step=step,
+            transition=transition,
+            input_matrix=input_matrix,
+            drift=drift,
+            process_covariance=push @ push.T,
+            start_covariance=_start(plant, spread, pull),
+            start=_start_state(plant, start),
+            outputs=output_function(plant, sensors),
+            motion=motion,
+            gate=gate,
+            patience=patience,
+        ),
+        frozen(C),
+        *steady,
+    )
+
+
+def _pull(plant: LinearPlant) -> float:
+    """Return the root mean square acceleration q̈ that strings give, each pulling alone."""
+    structure, commanded = plant.model.structure, plant.commanded
+    ends = plant.nodes[:, : commanded.nodes.shape[1]]
+    forces = np.zeros((len(commanded.strings), structure.nodes.shape[1], 3))
+    rows = np.arange(len(forces))
+    pulls = plant.force_density[:, None] * commanded.string_vectors(ends).T
+    forces[rows, commanded.strings[:, 0]] = pulls
+    forces[rows, commanded.strings[:, 1]] = -pulls
+    # Tᵀ M T = I, so that a force f gives q̈ = Tᵀ f.
+    given = forces.reshape(len(forces), -1) @ plant.basis
+    pull = float(np.linalg.norm(given) / np.sqrt(plant.degrees_of_freedom))
+    if not pull > 0:
+        raise ValueError(
+            "no string of the plant pulls at the operating point, so that process_noise has no "
+            "measure; linearize about a shape with some prestress"
+        )
+    return pull
+
+
+def _start_state(plant: LinearPlant, nodes: object) -> FloatArray:
+    if nodes is None:
+        return np.zeros(len(plant.A))
+    structure = plant.model.structure
+    shape = structure.checked_nodes("start", nodes)
+    refuse_wrong_bar_lengths("start", structure, shape)
+    z = plant.measure(shape, np.zeros_like(shape))
+    found = plant.to_nodes(z[: plant.degrees_of_freedom])
+    off = np.abs(structure.string_length(found) - structure.string_length(shape)).max()
+    if off > _START_TOLERANCE * float(np.ptp(plant.nodes, axis=1).max()):
+        raise ValueError(
+            f"start is a shape that these coordinates give with strings {off:.3g} m off: it is out "
+            "of reach of the operating point; linearize about a shape nearer to it"
+        )
+    return z
+
+
+def _start(plant: LinearPlant, spread: float, pull: float) -> FloatArray:
+    """Return the covariance at the start, shape (2r, 2r)."""
+    r, n = plant.degrees_of_freedom, plant.nodes.shape[1]
+    size = float(np.ptp(plant.nodes, axis=1).max())
+    shift = spread * size * np.sqrt(n) / float(np.linalg.norm(plant.basis))
+    return np.diag(np.r_[np.full(r, shift**2), np.full(r, 2 * pull * shift)])
+
+
+def _steady(
+    transition: FloatArray, push: FloatArray, C: FloatArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray, np.ndarray, float]:
+    """Return the steady gain, the covariance of predictions, the poles and the residual."""
+    import control
+
+    whitened = C / noise[:, None]
+    unit = 1 / float(np.linalg.norm(whitened, 2))
+    seen, driven = unit * whitened, push / unit
+    eye = np.eye(len(C))
+    try:
+        _, P, _ = control.dlqe(transition, driven, seen, np.eye(driven.shape[1]), eye)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise ValueError(
+            f"the Riccati equation of the filter has no stabilizing solution: {error}. A sample "
+            "time at which two vibrations look alike is one reason; process_noise that is "
+            "tiny against the noise of the sensors is another"
+        ) from error
+    # Φ (P − P Cᵀ S⁻¹ C P) Φᵀ − P + Ψ Ψᵀ = 0
+    gain = np.linalg.solve(seen @ P @ seen.T + eye, seen @ P).T
+    terms = [
+        transition @ P @ transition.T,
+        -transition @ gain @ seen @ P @ transition.T,
+        driven @ driven.T,
+        -P,
+    ]
+    largest = max(float(np.linalg.norm(term)) for term in terms)
+    residual = float(np.linalg.norm(sum(terms))) / largest
+    poles = np.linalg.eigvals(transition @ (np.eye(len(P)) - gain @ seen))
+    if not residual <= _RESIDUAL_TOLERANCE or not np.abs(poles).max() < 1:
+        raise ValueError(
+            f"the Riccati equation of the filter is left with a residual of {residual:.1e} and a "
+            f"pole of size {np.abs(poles).max():.9g}, expected at most {_RESIDUAL_TOLERANCE:.0e} "
+            "and below 1: bring process_noise and the noise of the sensors closer together"
+        )
+    return frozen(unit * gain / noise), frozen(unit**2 * P), frozen(poles), residual

@@ -1,0 +1,259 @@
+"""The running of a Kalman filter: correction by readings, refusals, delay, prediction."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import final
+
+import numpy as np
+
+from tenscontrol.analysis import LinearPlant
+from tenscontrol.dynamics import Evaluator
+from tenscontrol.estimation.correction import Correction
+from tenscontrol.estimation.design import FilterDesign
+from tenscontrol.estimation.estimate import Estimate, FilterStatistics, Tally
+from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.validation import FloatArray, frozen, measured, shaped
+
+# From one start anew to the next, without a good sample between, the spread grows by this.
+_WIDER = 10.0
+
+# A variance so many times that of the start says nothing any more, and would overflow in the end.
+_NOTHING_KNOWN = 1e12
+
+
+@final
+class KalmanFilter:
+    """Finds the motion of a plant from readings, sample by sample. Made by :func:`kalman`.
+
+    At each sample call :meth:`update` with what was read, and :meth:`predict` with
+    the input that is then held. The covariance is carried along, since readings are lost
+    and refused; while all are used near the operating point it settles at the steady one.
+
+    Attributes
+    ----------
+    C : ndarray, shape (m, s)
+        Derivative of the readings by the state at the operating point.
+    gain : ndarray, shape (s, m)
+        Steady gain K: ``z ← z + K (y − h(z))``.
+    covariance : ndarray, shape (s, s)
+        Steady covariance of the state before a correction.
+    poles : ndarray of complex, shape (s,)
+        Of the steady filter, in the z-plane.
+    riccati_residual : float
+        Residual of the Riccati equation relative to its largest term.
+    """
+
+    def __init__(
+        self,
+        design: FilterDesign,
+        C: FloatArray,
+        gain: FloatArray,
+        covariance: FloatArray,
+        poles: np.ndarray,
+        riccati_residual: float,
+    ) -> None:
+        self._design = design
+        self.C, self.gain, self.covariance, self.poles = C, gain, covariance, poles
+        self.riccati_residual = riccati_residual
+        self._motion = None if design.motion is None else Evaluator(design.motion)
+        self._correction = Correction(design)
+        structure, T = design.plant.model.structure, design.plant.basis
+        by_node = T.reshape(-1, 3, T.shape[1]).swapaxes(0, 1)
+        ends = structure.strings
+        self._string_rows = by_node[:, ends[:, 1]] - by_node[:, ends[:, 0]]
+        self.reset()
+
+    @property
+    def plant(self) -> LinearPlant:
+        """The plant in the coordinates of the filter."""
+        return self._design.plant
+
+    @property
+    def sensors(self) -> Sensors:
+        """The sensors it was designed for."""
+        return self._design.sensors
+
+    @property
+    def step(self) -> float:
+        """Sample time, s."""
+        return self._design.step
+
+    @property
+    def input(self) -> str:
+        """What it is told: ``"force_density"`` or ``"rest_length"``."""
+        return self.plant.input
+
+    @property
+    def statistics(self) -> FilterStatistics:
+        """What became of the readings since the last reset."""
+        return self._tally.statistics()
+
+    def reset(self, state: object = None, covariance: object = None) -> None:
+        """Forget everything, and start anew.
+
+        Parameters
+        ----------
+        state : array_like, shape (s,), optional
+            z at the start; that of :func:`kalman` if not given.
+        covariance : array_like, shape (s, s), optional
+            Its covariance; by ``start_spread`` of :func:`kalman` if not given.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument does not fit, or the covariance is not symmetric with
+            eigenvalues of at least 0.
+        """
+        size = len(self.plant.A)
+        z, P = self._design.start, self._design.start_covariance
+        if state is not None:
+            z = shaped("state", state, (size,), "displacements and rates")
+            self.plant.to_nodes(z[: size // 2])  # refuses what is out of reach
+        if covariance is not None:
+            P = _checked_covariance(covariance, size)
+        self._z, self._P = z, P
+        # Inputs since the moment of the state; the one before it acts on the tensions then.
+        self._inputs: deque[FloatArray] = deque()
+        self._before: FloatArray | None = None
+        self._mostly_refused = 0
+        self._tally = Tally(len(self.sensors.readings))
+
+    def update(self, measurement: object) -> Estimate:
+        """Return the estimate for now, after what was read.
+
+        What is NaN is lost. What is infinite, or farther off than the gate allows,
+        is refused. Of both the filter uses nothing.
+
+        Parameters
+        ----------
+        measurement : array_like, shape (m,), or None
+            y of the moment ``sensors.delay`` samples ago; None if it is lost. Before there
+            is such a moment it is not used.
+
+        Returns
+        -------
+        Estimate
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is no array of numbers or has the wrong shape.
+        """
+        count = len(self.sensors.noise)
+        y = np.full(count, np.nan)
+        if measurement is not None:
+            y = measured("measurement", measurement, (count,), "one entry per number read")
+        if len(self._inputs) < self.sensors.delay:
+            self._tally.wait()
+        else:
+            self._correct(y)
+        z, P = self._z, self._P
+        for held in self._inputs:
+            z, P = self._advanced(z, P, held)
+        if not self._correction.reaches(z):
+            self._start_over(after=True)
+            z, P = self._z, self._P
+        return self._estimate(z, P)
+
+    def predict(self, held: object) -> None:
+        """Go on to the next sample.
+
+        Parameters
+        ----------
+        held : array_like, shape (α,)
+            γ, N/m, or rest lengths, m, that the actuators hold from this sample to
+            the next: what was done, not what was asked for.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it does not fit or is not finite.
+        """
+        self._inputs.append(shaped("held", held, (self.plant.B.shape[1],), "one per string"))
+        if len(self._inputs) <= self.sensors.delay:
+            return
+        self._before = self._inputs.popleft()
+        self._z, self._P = self._advanced(self._z, self._P, self._before)
+        spread = np.diag(self._P) / np.diag(self._design.start_covariance)
+        if not self._correction.reaches(self._z) or spread.max() > _NOTHING_KNOWN:
+            self._start_over()
+
+    def _correct(self, y: FloatArray) -> None:
+        """Correct the state of the moment that was measured."""
+        gate = self._correction.gate
+        usable = gate.finite(y)
+        # Without the input that acted before, tensions say nothing.
+        if self._before is None:
+            usable &= ~gate.is_tension
+            y = np.where(gate.is_tension[self.sensors.reading_of], np.nan, y)
+        found = self._correction.fit(y, usable, self._z, self._P, self._before)
+        if 2 * int(found.passed.sum()) < int(usable.sum()):
+            self._mostly_refused += 1
+            late = self._mostly_refused - self._design.patience
+            if late >= 0:
+                self._P = self._design.start_covariance * _WIDER**late
+                self._tally.start_over()
+                found = self._correction.fit(y, usable, self._z, self._P, self._before)
+        elif usable.any():
+            self._mostly_refused = 0
+        entries = int(found.passed[self.sensors.reading_of].sum())
+        self._z, self._P = found.z, found.P
+        self._tally.add(gate.lost(y), usable, found.passed, found.nis, entries)
+
+    def _advanced(
+        self, z: FloatArray, P: FloatArray, held: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return state and covariance a sample later."""
+        design = self._design
+        if self._motion is None:
+            transition = design.transition
+            v = held - self.plant.equilibrium_input
+            z = transition @ z + design.input_matrix @ v + design.drift
+        else:
+            end, transition, _ = self._motion(z, held)
+            z = end.copy()
+        P = transition @ P @ transition.T + design.process_covariance
+        return z, 0.5 * (P + P.T)
+
+    def _start_over(self, after: bool = False) -> None:
+        """Start from the operating point: the estimate is of no shape of the structure."""
+        self._z, self._P = np.zeros_like(self._z), self._design.start_covariance
+        self._inputs.clear()
+        self._before = None
+        self._tally.start_over(after)
+
+    def _estimate(self, z: FloatArray, P: FloatArray) -> Estimate:
+        r, T = len(z) // 2, self.plant.basis
+        nodes = self.plant.to_nodes(z[:r])
+        strings = self.plant.model.structure.string_vectors(nodes)
+        along = strings / np.maximum(np.linalg.norm(strings, axis=0), np.finfo(float).tiny)
+        stretch = (along[:, :, None] * self._string_rows).sum(axis=0)
+        by_node, by_length = (((D @ P[:r, :r]) * D).sum(axis=1) for D in (T, stretch))
+        return Estimate(
+            nodes=frozen(nodes),
+            velocities=frozen(self.plant.to_velocities(z[:r], z[r:])),
+            state=frozen(z),
+            covariance=frozen(P),
+            node_deviation=frozen(np.sqrt(by_node).reshape(3, -1, order="F")),
+            length_deviation=frozen(np.sqrt(by_length)),
+            status=self._tally.last,
+        )
+
+    def __repr__(self) -> str:
+        kind = "linear" if self._motion is None else "nonlinear"
+        return (
+            f"KalmanFilter({len(self.plant.A)} states, {len(self.sensors.readings)} readings, "
+            f"step {self.step:g} s, {kind} prediction)"
+        )
+
+
+def _checked_covariance(value: object, size: int) -> FloatArray:
+    P = shaped("covariance", value, (size, size), "one row per state")
+    largest = float(np.abs(P).max(initial=0.0))
+    if np.abs(P - P.T).max(initial=0.0) > 1e-9 * largest:
+        raise ValueError("covariance is not symmetric")
+    least = float(np.linalg.eigvalsh(P).min())
+    if least < -1e-9 * largest:
+        raise ValueError(f"covariance has the eigenvalue {least:.3g}, expected at least 0")
+    return P

@@ -1,0 +1,291 @@
+"""What is measured of a structure, how well, how late, and how often it is lost or corrupt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from tenscontrol.structure import Structure
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    choice,
+    float_array,
+    frozen,
+    instance,
+    measured,
+    per_member,
+    positive,
+    shaped,
+    whole_number,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike
+
+# Kind of reading: its unit, the argument that chooses which ones, and the numbers in a reading.
+KINDS = (
+    ("node_position", "m", "nodes", 3),
+    ("string_length", "m", "strings", 1),
+    ("bar_direction", "no unit", "bars", 3),
+    ("string_tension", "N", "tension_strings", 1),
+)
+
+# A corrupt reading is off by so many standard deviations.
+_OFF = (20.0, 200.0)
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sensors:
+    """Readings taken of a structure at each sample, with Gaussian noise on each number.
+
+    A kind of reading is taken if its standard deviation is given. The readings of a
+    sample stand in one vector y, shape (m,): positions ``x, y, z`` node by node, string
+    lengths, bar directions ``x, y, z`` bar by bar, tensions. A direction is the unit
+    vector from start to end of the bar. Nodes and directions are seen in the frame
+    in which the structure is given.
+
+    Parameters
+    ----------
+    structure : Structure
+        Of a subdivided one the parent, if the plant of the filter is that of the parent.
+    node_position : float or array_like, shape (nodes,), optional
+        Standard deviation of each coordinate of a node, m.
+    string_length : float or array_like, shape (strings,), optional
+        That of the distance between the ends of a string, m.
+    bar_direction : float or array_like, shape (bars,), optional
+        That of each entry of a direction, about that of an angle in rad.
+    string_tension : float or array_like, shape (tension_strings,), optional
+        That of a tension, N.
+    nodes, strings, bars, tension_strings : sequence of int, optional
+        Which nodes, strings and bars are measured; all if not given.
+    delay : int
+        Whole samples from the moment that is measured to the sample at which y is there.
+    drop_rate : float
+        Probability that all of y is lost, at least 0 and below 1.
+    outlier_rate : float
+        Probability that a reading is off by 20 to 200 standard deviations, at least 0
+        and below 1.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, nothing is measured, or
+        what is to be measured is chosen for a kind that is not measured.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> sensors = tc.Sensors(
+    ...     structure=prism, string_length=0.001, bar_direction=0.01, bars=[0, 1], delay=2)
+    >>> len(sensors.noise), sensors.readings[0], sensors.readings[-1]
+    (15, 'string_length 0', 'bar_direction 1')
+    >>> sensors.measure(prism.nodes)[:3].round(3)
+    array([0.866, 0.866, 0.866])
+    """
+
+    structure: Structure
+    node_position: FloatArray | None = None
+    string_length: FloatArray | None = None
+    bar_direction: FloatArray | None = None
+    string_tension: FloatArray | None = None
+    nodes: IntArray | None = None
+    strings: IntArray | None = None
+    bars: IntArray | None = None
+    tension_strings: IntArray | None = None
+    delay: int = 0
+    drop_rate: float = 0.0
+    outlier_rate: float = 0.0
+
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            *,
+            structure: Structure,
+            node_position: ArrayLike | None = None,
+            string_length: ArrayLike | None = None,
+            bar_direction: ArrayLike | None = None,
+            string_tension: ArrayLike | None = None,
+            nodes: Sequence[int] | IntArray | None = None,
+            strings: Sequence[int] | IntArray | None = None,
+            bars: Sequence[int] | IntArray | None = None,
+            tension_strings: Sequence[int] | IntArray | None = None,
+            delay: int = 0,
+            drop_rate: float = 0.0,
+            outlier_rate: float = 0.0,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        instance("structure", self.structure, Structure, "make one by Structure(...) or prism()")
+        for kind, unit, chooser, _ in KINDS:
+            noise, chosen = getattr(self, kind), getattr(self, chooser)
+            if noise is None:
+                if chosen is not None:
+                    raise ValueError(f"{chooser} is given, but {kind} is not: give its noise")
+                continue
+            which = _chosen(chooser, chosen, self.count_of(chooser))
+            deviation = positive(
+                kind,
+                per_member(kind, noise, len(which), f"entry of {chooser}"),
+                f"standard deviation, {unit}",
+            )
+            object.__setattr__(self, kind, frozen(deviation))
+            object.__setattr__(self, chooser, frozen(which))
+        if not len(self.noise):
+            names = ", ".join(kind for kind, *_ in KINDS)
+            raise ValueError(f"nothing is measured: give the noise of one of {names}")
+        object.__setattr__(self, "delay", whole_number("delay", self.delay, least=0))
+        for name in ("drop_rate", "outlier_rate"):
+            object.__setattr__(self, name, _rate(name, getattr(self, name)))
+
+    def count_of(self, chooser: str) -> int:
+        """Return how many there are of what an argument chooses from.
+
+        Parameters
+        ----------
+        chooser : {"nodes", "strings", "bars", "tension_strings"}
+
+        Returns
+        -------
+        int
+        """
+        if choice("chooser", chooser, [name for _, _, name, _ in KINDS]) == "nodes":
+            return int(self.structure.nodes.shape[1])
+        return len(self.structure.bars if chooser == "bars" else self.structure.strings)
+
+    @cached_property
+    def readings(self) -> tuple[str, ...]:
+        """Names of the readings in the order of y, like ``"string_length 3"``."""
+        return tuple(
+            f"{kind} {index}"
+            for kind, _, chooser, _ in KINDS
+            if getattr(self, kind) is not None
+            for index in getattr(self, chooser)
+        )
+
+    @cached_property
+    def reading_of(self) -> IntArray:
+        """For each entry of y the index of its reading, shape (m,)."""
+        sizes = np.concatenate(
+            [
+                np.full(len(getattr(self, kind)), size)
+                for kind, _, _, size in KINDS
+                if getattr(self, kind) is not None
+            ]
+        )
+        return frozen(np.repeat(np.arange(len(sizes)), sizes))
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        """Standard deviation of each entry of y, shape (m,), in its unit."""
+        parts = [
+            np.repeat(getattr(self, kind), size)
+            for kind, _, _, size in KINDS
+            if getattr(self, kind) is not None
+        ]
+        return frozen(np.concatenate(parts) if parts else np.zeros(0))
+
+    def measure(self, nodes: object, tension: object = None) -> FloatArray:
+        """Return y without noise.
+
+        Parameters
+        ----------
+        nodes : array_like, shape (3, n)
+            Node positions, m.
+        tension : array_like, shape (α,), optional
+            Tension of each string of the structure, N. Where it is not given, measured
+            tensions are NaN, which is to say lost.
+
+        Returns
+        -------
+        ndarray, shape (m,)
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument does not fit or is not finite, or a bar has no length.
+        """
+        N = self.structure.checked_nodes("nodes", nodes)
+        parts = []
+        if self.node_position is not None:
+            parts.append(N[:, self.nodes].ravel(order="F"))
+        if self.string_length is not None:
+            parts.append(self.structure.string_length(N)[self.strings])
+        if self.bar_direction is not None:
+            vectors = self.structure.bar_vectors(N)[:, self.bars]
+            length = np.linalg.norm(vectors, axis=0)
+            if not length.all():
+                raise ValueError(
+                    f"nodes: bar {int(length.argmin())} of those measured has no length"
+                )
+            parts.append((vectors / length).ravel(order="F"))
+        if self.string_tension is not None:
+            pulls = np.full(len(self.structure.strings), np.nan)
+            if tension is not None:
+                pulls = shaped("tension", tension, pulls.shape, "one per string, N")
+            parts.append(pulls[self.tension_strings])
+        return np.concatenate(parts)
+
+    def disturb(self, exact: object, generator: np.random.Generator) -> FloatArray:
+        """Return y with noise, corrupt readings and losses; what is lost is NaN.
+
+        Each call draws as many random numbers, whatever comes of them.
+
+        Parameters
+        ----------
+        exact : array_like, shape (m,)
+            From :meth:`measure`.
+        generator : numpy.random.Generator
+
+        Returns
+        -------
+        ndarray, shape (m,)
+
+        Raises
+        ------
+        TypeError, ValueError
+            If ``generator`` is none, or ``exact`` has another shape.
+        """
+        exact = measured("exact", exact, self.noise.shape, "one entry per number read")
+        instance("generator", generator, np.random.Generator, "np.random.default_rng(seed)")
+        count = len(self.readings)
+        noise = generator.normal(size=len(self.noise))
+        lost = generator.random() < self.drop_rate
+        corrupt = generator.random(count) < self.outlier_rate
+        off = generator.uniform(*_OFF, size=count) * generator.choice([-1.0, 1.0], size=count)
+        if lost:
+            return np.full(len(noise), np.nan)
+        return np.asarray(exact + self.noise * (noise + (corrupt * off)[self.reading_of]))
+
+    def __repr__(self) -> str:
+        kinds = [kind for kind, *_ in KINDS if getattr(self, kind) is not None]
+        return f"Sensors({', '.join(kinds)}; {len(self.readings)} readings, delay {self.delay})"
+
+
+def _chosen(name: str, chosen: Any, count: int) -> IntArray:
+    """Return indices of what is measured, without repeats."""
+    if chosen is None:
+        return np.arange(count)
+    if isinstance(chosen, str) or np.ndim(chosen) != 1 or len(chosen) == 0:
+        raise ValueError(f"{name} is {chosen!r}, expected a sequence of indices from 0")
+    which = np.array([whole_number(f"{name}[{i}]", int_, 0) for i, int_ in enumerate(chosen)])
+    if which.max() >= count:
+        raise ValueError(f"{name} names {which.max()}, expected 0 to {count - 1}")
+    if len(set(which.tolist())) < len(which):
+        raise ValueError(f"{name} is {which.tolist()}, expected each index once")
+    return which
+
+
+def _rate(name: str, value: object) -> float:
+    rate = float_array(name, value)
+    if rate.ndim or not 0 <= rate < 1:
+        raise ValueError(f"{name} is {value!r}, expected a probability of at least 0 and below 1")
+    return float(rate)

@@ -1,0 +1,167 @@
+"""A motion beside what a filter made of its readings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from tenscontrol.plot.axes import legend_above, panel_axes
+from tenscontrol.plot.history import Curves, draw_curves
+from tenscontrol.plot.style import PALETTE, curve_style
+from tenscontrol.simulation import EstimateRecord, Trajectory
+from tenscontrol.validation import FloatArray, IntArray, instance, whole_number
+
+# Marks for what became of readings, told apart by their form.
+_MARKERS = {
+    "partly used": "|",
+    "lost": "x",
+    "refused": "v",
+    "waiting": ".",
+    "started anew": "s",
+}
+
+
+def estimate(
+    run: Trajectory,
+    *,
+    strings: Sequence[int] = (0,),
+    axes: Sequence[Axes] | None = None,
+) -> dict[str, Curves]:
+    """Draw lengths of strings as they are and as estimated, and how far the estimate is off.
+
+    The panels are ``"length"``, and ``"error"``: estimated less true length, with a band of two
+    standard deviations as the filter has them. Lengths do not depend on where the structure
+    is, which readings may not tell. Samples of which not all readings were used are marked on the
+    lower time axis.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Of a controller with an estimator.
+    strings : sequence of int
+        Which strings of the estimator's structure.
+    axes : sequence of Axes, optional
+        Where to draw, one for each panel; a new figure if not given.
+
+    Returns
+    -------
+    dict of str to Curves
+        What was drawn, by panel.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, there is no such string, or
+        nothing was estimated.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("Agg")
+    >>> import matplotlib.pyplot as plt, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> regulator = tc.lqr(plant, Q=1.0, R=1e-2, step=0.02)
+    >>> sensors = tc.Sensors(structure=prism, string_length=0.001)
+    >>> estimator = tc.kalman(plant, sensors, step=0.02)
+    >>> run = tc.simulate(
+    ...     tc.Model(prism), 0.2, controller=regulator, step=1e-3, estimator=estimator)
+    >>> panels = tc.plot.estimate(run)
+    >>> list(panels), panels["error"].ax.get_ylabel()
+    (['length', 'error'], 'error of length, mm')
+    >>> plt.close(panels["length"].ax.figure)
+    """
+    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    if run.control is None or run.control.estimate is None:
+        raise ValueError("run has no estimate: give simulate a controller and an estimator")
+    record = run.control.estimate
+    structure = run.structure
+    if structure.parent is not None and record.nodes.shape[1] < structure.nodes.shape[1]:
+        structure = structure.parent
+    which = _checked(strings, len(structure.strings))
+    pairs = structure.strings[which]
+    seen = run.nodes[:, : record.nodes.shape[1]]
+    true, found = _lengths(seen, pairs), _lengths(record.nodes, pairs)
+    at = np.searchsorted(run.time, record.time - 1e-9 * run.time[-1])
+    places = panel_axes(axes, ["length", "error"])
+    names = [f"string {i}" for i in which]
+    length = draw_curves(
+        places[0],
+        run.time,
+        {name: row[None] for name, row in zip(names, true, strict=True)},
+        "length, m",
+        xlabel=None if axes is None else "time, s",
+    )
+    for position, row in enumerate(found):
+        style = curve_style(position) | {"linestyle": "none"}
+        label = "estimated" if position == 0 else "_"
+        places[0].plot(record.time, row, marker="o", markersize=2.0, label=label, **style)
+    legend_above(places[0])
+    off = 1e3 * (found - true[:, at])
+    error = draw_curves(
+        places[1],
+        record.time,
+        {name: row[None] for name, row in zip(names, off, strict=True)},
+        "error of length, mm",
+    )
+    # At the start the filter knows little: that band would hide all that follows.
+    usual = 3e3 * float(np.median(record.length_deviation[which]))
+    room = max(usual, 1.2 * float(np.abs(off).max()))
+    places[1].set_ylim(-room, room)
+    for position, i in enumerate(which):
+        band = 2e3 * record.length_deviation[i]
+        places[1].fill_between(
+            record.time,
+            -band,
+            band,
+            color=PALETTE[position % len(PALETTE)],
+            alpha=0.15,
+            linewidth=0,
+            label="± 2 standard deviations" if position == 0 else "_",
+        )
+    return {"length": length, "error": _with_statuses(error, record)}
+
+
+def _checked(strings: object, count: int) -> list[int]:
+    if isinstance(strings, str) or not isinstance(strings, Sequence | np.ndarray):
+        raise TypeError(f"strings is {strings!r}, expected a sequence of indices, like (0, 1)")
+    if len(strings) == 0:
+        raise ValueError("strings is empty, expected at least one index")
+    which = [whole_number(f"strings[{i}]", entry, least=0) for i, entry in enumerate(strings)]
+    if max(which) >= count:
+        raise ValueError(
+            f"strings names {max(which)}, expected 0 to {count - 1}: "
+            f"there are {count} strings, counted from 0"
+        )
+    return which
+
+
+def _lengths(nodes: FloatArray, pairs: IntArray) -> FloatArray:
+    """Return lengths of strings over time, shape (k, T)."""
+    return np.asarray(np.linalg.norm(nodes[:, pairs[:, 1]] - nodes[:, pairs[:, 0]], axis=0))
+
+
+def _with_statuses(panel: Curves, record: EstimateRecord) -> Curves:
+    """Mark on the time axis the samples of which not all readings were used."""
+    marks: dict[str, Line2D] = {}
+    for position, (status, marker) in enumerate(_MARKERS.items()):
+        at = np.array([found == status for found in record.status])
+        if not at.any():
+            continue
+        (marks[status],) = panel.ax.plot(
+            record.time[at],
+            np.full(int(at.sum()), 0.03),
+            transform=panel.ax.get_xaxis_transform(),
+            linestyle="none",
+            marker=marker,
+            markersize=5.0,
+            color=PALETTE[(position + 1) % len(PALETTE)],
+            zorder=4,
+            label=f"{status} (×{int(at.sum())})",
+        )
+    legend_above(panel.ax)
+    return replace(panel, marks=marks)

@@ -1,0 +1,194 @@
+"""What a controller is told of a simulated motion, where it is estimated from readings."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol.control.controller import Controller
+from tenscontrol.dynamics import Evaluator, Model, pack_state
+from tenscontrol.estimation import Estimate, FilterStatistics, KalmanFilter, Sensors
+from tenscontrol.structure import same_members
+from tenscontrol.validation import FloatArray, frozen, whole_number
+
+
+@dataclass(frozen=True, eq=False)
+class EstimateRecord:
+    """What was read and estimated, sample by sample; the last part of a control record.
+
+    Attributes
+    ----------
+    time : ndarray, shape (K,)
+        Start of each sample, s.
+    nodes, velocities : ndarray, shape (3, n, K)
+        Estimated motion, m and m/s: what the controller was told.
+    node_deviation : ndarray, shape (3, n, K)
+        Standard deviation of each coordinate, m, as the filter has it.
+    length_deviation : ndarray, shape (α, K)
+        That of the length of each string of the filter's structure, m.
+    state : ndarray, shape (s, K)
+        In the coordinates of the filter.
+    measurement : ndarray, shape (m, K)
+        What came at each sample, NaN where nothing did.
+    status : tuple of str, length K
+        What became of it; see :class:`Estimate`.
+    statistics : FilterStatistics
+    """
+
+    time: FloatArray
+    nodes: FloatArray
+    velocities: FloatArray
+    node_deviation: FloatArray
+    length_deviation: FloatArray
+    state: FloatArray
+    measurement: FloatArray
+    status: tuple[str, ...]
+    statistics: FilterStatistics
+
+    @property
+    def status_count(self) -> dict[str, int]:
+        """How often each status came."""
+        return dict(Counter(self.status))
+
+
+class Observation:
+    """Takes readings of the simulated motion, and keeps what the filter makes of them.
+
+    Parameters
+    ----------
+    estimator : KalmanFilter
+    sensors : Sensors or None
+        What the readings are taken by; those of the estimator if None.
+    seed : int or None
+        Of the noise; 0 if None.
+    model : Model
+        Of the simulated motion.
+    hold : str
+        What its actuators hold.
+    controller : Controller
+    sample : float
+        Sample time, s.
+    """
+
+    def __init__(
+        self,
+        estimator: object,
+        sensors: object,
+        seed: object,
+        model: Model,
+        hold: str,
+        controller: Controller,
+        sample: float,
+    ) -> None:
+        if not isinstance(estimator, KalmanFilter):
+            raise TypeError(
+                f"estimator is a {type(estimator).__name__}, expected KalmanFilter: make one by "
+                "kalman(plant, sensors, step)"
+            )
+        if sensors is None:
+            sensors = estimator.sensors
+        if not isinstance(sensors, Sensors):
+            raise TypeError(
+                f"sensors is a {type(sensors).__name__}, expected Sensors: make them by "
+                "Sensors(structure=..., ...)"
+            )
+        _refuse_misfits(estimator, sensors, hold, controller, sample)
+        self._filter, self._sensors = estimator, sensors
+        self._generator = np.random.default_rng(
+            0 if seed is None else whole_number("seed", seed, least=0)
+        )
+        self._model = model
+        self._law = Evaluator(model.string_force_density) if hold == "rest_length" else None
+        self._held: FloatArray | None = None
+        self._nothing = np.full(len(sensors.noise), np.nan)
+        self._late = deque([self._nothing] * sensors.delay)
+        self._rows: list[tuple[FloatArray, Estimate]] = []
+        estimator.reset()
+
+    def look(self, nodes: FloatArray, velocities: FloatArray, lost: bool) -> Estimate:
+        """Return what the filter makes of the readings that are there at this sample.
+
+        What is read now may be lost, and is then missed as late as it would have come.
+        """
+        seen = self._sensors.structure.nodes.shape[1]
+        exact = self._sensors.measure(nodes[:, :seen], self._tension(nodes, velocities))
+        noisy = self._sensors.disturb(exact, self._generator)
+        self._late.append(self._nothing if lost else noisy)
+        reading = self._late.popleft()
+        estimate = self._filter.update(reading)
+        self._rows.append((reading, estimate))
+        return estimate
+
+    def hold(self, applied: FloatArray, held: FloatArray) -> None:
+        """Tell the filter what the actuators hold: one entry a winch, and one a string."""
+        self._filter.predict(applied)
+        self._held = held
+
+    def _tension(self, nodes: FloatArray, velocities: FloatArray) -> FloatArray | None:
+        """Return the tension of each string of the sensors' structure; None before anything acts.
+
+        Of a string that is cut into segments, the mean over them.
+        """
+        if self._sensors.string_tension is None or self._held is None:
+            return None
+        structure = self._model.structure
+        gamma = self._held
+        if self._law is not None:
+            (gamma,) = self._law(pack_state(structure, nodes, velocities), self._held)
+        tension = np.atleast_1d(gamma) * structure.string_length(nodes)
+        count = len(self._sensors.structure.strings)
+        if len(tension) == count:
+            return tension
+        of = structure.string_parent
+        assert of is not None  # the loop has checked that the structures go together
+        return np.asarray(np.bincount(of, weights=tension) / np.bincount(of))
+
+    def record(self, time: FloatArray) -> EstimateRecord:
+        """Return what was read and estimated at these times."""
+        readings, estimates = zip(*self._rows, strict=True)
+        return EstimateRecord(
+            time=frozen(time),
+            nodes=frozen(np.stack([each.nodes for each in estimates], axis=-1)),
+            velocities=frozen(np.stack([each.velocities for each in estimates], axis=-1)),
+            node_deviation=frozen(np.stack([each.node_deviation for each in estimates], axis=-1)),
+            length_deviation=frozen(np.column_stack([each.length_deviation for each in estimates])),
+            state=frozen(np.column_stack([each.state for each in estimates])),
+            measurement=frozen(np.column_stack(readings)),
+            status=tuple(each.status for each in estimates),
+            statistics=self._filter.statistics,
+        )
+
+
+def _refuse_misfits(
+    estimator: KalmanFilter, sensors: Sensors, hold: str, controller: Controller, sample: float
+) -> None:
+    if not np.isclose(estimator.step, sample, rtol=1e-12, atol=0):
+        raise ValueError(
+            f"estimator has the sample time {estimator.step:g} s, expected that of the loop, "
+            f"{sample:g} s"
+        )
+    if estimator.input != hold:
+        raise ValueError(
+            f"estimator knows the effect of {estimator.input}, but the actuators hold {hold} "
+            f"between samples: design it on linearize(model, rest, input={hold!r})"
+        )
+    seen, known = controller.plant.model.structure, estimator.plant.model.structure
+    if not same_members(known, seen):
+        raise ValueError(
+            f"estimator was designed on {known!r}, but the controller on {seen!r} with other "
+            "nodes, bars or strings"
+        )
+    if len(estimator.plant.commanded.strings) != len(controller.plant.commanded.strings):
+        raise ValueError(
+            f"estimator is told {len(estimator.plant.commanded.strings)} strings, but the "
+            f"controller commands {len(controller.plant.commanded.strings)}: use command_parents "
+            "on both plants or on none"
+        )
+    own = estimator.sensors
+    if not same_members(sensors.structure, known) or sensors.readings != own.readings:
+        raise ValueError(
+            f"sensors has the readings {sensors!r}, but estimator expects those of {own!r}: "
+            "the same kinds, of the same nodes, strings and bars"
+        )
