@@ -117,6 +117,24 @@ def pentagon_regulator():
     return tc.lqr(tc.linearize(tc.Model(pentagon), tc.prestress(pentagon, 17.0)), Q=1.0, R=1.0)
 
 
+def mpc_on(reference):
+    """An MPC on a reference."""
+    return tc.MPC(plant(), 2, 0.02, 50.0, reference=reference)
+
+
+def still_shape():
+    """A reference of one shape, without force densities."""
+    return tc.Reference([0.0], nodes()[:, :, None])
+
+
+@cache
+def short_path():
+    """A path of a few shapes."""
+    low = tc.Height(0.95, top=[0, 1, 2], bottom=[3, 4, 5])
+    goal = tc.shape_target(elastic(), low, force_density=17.3205)
+    return tc.shape_path(elastic(), rest(), goal, duration=1.0, step=0.25)
+
+
 @cache
 def lone_bar():
     """A bar and no string."""
@@ -622,6 +640,9 @@ ACTUATION = [
             r"shortest 0\.5 m exceeds longest 0\.2 m"),
     refused("range of two counts", lambda: tc.Winches(shortest=[0.1, 0.5], longest=[1.0] * 3),
             ValueError, r"shortest.*\(2,\).*longest.*\(3,\)"),
+    refused("pieces zero", lambda: tc.Winches(pieces=0), ValueError, r"pieces is 0, .*at least 1"),
+    refused("pieces of a part", lambda: tc.Winches(pieces=2.5), TypeError, r"pieces is 2\.5"),
+    refused("pieces text", lambda: tc.Winches(pieces="many"), TypeError, r"pieces is 'many'"),
     refused("Winches keyword", lambda: tc.Winches(speed=1.0), TypeError, r"argument 'speed'"),
     refused("move of two counts", lambda: tc.Winches().move([1.0, 1.0], [1.0], 0.1), ValueError,
             r"current has shape \(2,\) and wanted \(1,\)"),
@@ -918,6 +939,47 @@ CONTROL = [
             lambda: tc.ShapeControl(plant(), None, 0.02, 50.0, frequency=1.0).error(
                 NAN, nodes(), STILL),
             ValueError, r"time is nan"),
+    refused("Reference force_density of other times",
+            lambda: tc.Reference([0.0, 1.0], np.ones((3, 6, 2)), np.ones((9, 3))), ValueError,
+            r"force_density has shape \(9, 3\), expected \(α, 2\)"),
+    refused("Reference force_density negative",
+            lambda: tc.Reference([0.0, 1.0], np.ones((3, 6, 2)), [[1.0, 1.0], [1.0, -1.0]]),
+            ValueError, r"force_density\[1\]\[1\] is -1"),
+    refused("Reference force_density nan",
+            lambda: tc.Reference([0.0], np.ones((3, 6, 1)), np.full((9, 1), NAN)), ValueError,
+            r"force_density.* nan"),
+    refused("Reference force_density of other strings",
+            lambda: mpc_on(tc.Reference([0.0], nodes()[:, :, None], np.ones((8, 1)))),
+            ValueError, r"reference\.force_density has shape \(8, 1\), expected \(9, 1\)"),
+    refused("then no reference", lambda: still_shape().then(1.0, pause=1.0), TypeError,
+            r"other is a float, expected Reference"),
+    refused("then without a pause", lambda: still_shape().then(still_shape(), pause=0.0),
+            ValueError, r"pause is 0\.0"),
+    refused("then other nodes",
+            lambda: still_shape().then(tc.Reference([0.0], np.ones((3, 4, 1))), pause=1.0),
+            ValueError, r"other\.nodes has the shape \(3, 4\) at each time, expected \(3, 6\)"),
+    refused("then with force densities in one",
+            lambda: still_shape().then(
+                tc.Reference([0.0], nodes()[:, :, None], np.ones((9, 1))), 1.0),
+            ValueError, r"other\.force_density has the shape \(9,\) .*, expected None"),
+    refused("Schedule of none", lambda: tc.Schedule([]), ValueError, r"controllers is empty"),
+    refused("Schedule of one controller alone", lambda: tc.Schedule(regulator()), TypeError,
+            r"controllers is a LQR, expected a sequence"),
+    refused("Schedule of numbers", lambda: tc.Schedule([1.0]), TypeError,
+            r"controllers\[0\] is a float, expected Controller"),
+    refused("Schedule of two sample times",
+            lambda: tc.Schedule([regulator(), regulator(step=0.002)]), ValueError,
+            r"controllers\[1\] has step 0\.002, expected 0\.001"),
+    refused("Schedule of two inputs", lambda: tc.Schedule([regulator(), winch_regulator()]),
+            ValueError, r"controllers\[1\] has input 'rest_length', expected 'force_density'"),
+    refused("Schedule of two structures",
+            lambda: tc.Schedule([regulator(None), pentagon_regulator()]), ValueError,
+            r"controllers\[1\] was designed on a structure with other bars"),
+    refused("diagonals text", lambda: tc.prism(diagonals="yes"), TypeError, r"diagonals is 'yes'"),
+    refused("plants of no count", lambda: short_path().plants(0, "rest_length"), ValueError,
+            r"count is 0, expected .*at least 1"),
+    refused("plants of an unknown input", lambda: short_path().plants(2, "length"), ValueError,
+            r"input is 'length'"),
     refused("Reference times descend", lambda: tc.Reference([1.0, 0.0], np.ones((3, 6, 2))),
             ValueError, r"time\[1\] is 0 s after time\[0\] = 1 s"),
     refused("Reference of no time", lambda: tc.Reference([], np.ones((3, 6, 0))), ValueError,

@@ -26,6 +26,8 @@ def test_every_example_is_tested():
         "plot_control_estimation.py",
         "plot_control_robustness.py",
         "plot_control_shape.py",
+        "plot_control_lqr.py",
+        "plot_control_morph.py",
         "plot_control_string_mass.py",
         "plot_paper_skin.py",
         "plot_paper_string_mass.py",
@@ -109,6 +111,27 @@ def test_control_estimation():
     assert "of the 18 states are not seen" in found["refusal"]
     assert found["statistics"].refused.sum() > 20
     assert found["statistics"].restarts == 0
+
+
+def test_control_morph():
+    found = run("plot_control_morph.py")
+    for off, turned in found["errors"].values():
+        assert abs(off) < 0.05
+        assert abs(turned) < 0.01
+    assert found["run"].force_density.min() / 2 > 2.0
+    assert found["tension"].max() < found["LARGEST_TENSION"]
+    assert found["rates"].max() <= found["RATE"] * (1 + 1e-9)
+    assert found["at_rate"] > 0.25
+    applied = found["run"].control.applied
+    assert 0.4 < applied.min() < applied.max() < 1.3
+
+
+def test_control_lqr():
+    found = run("plot_control_lqr.py")
+    for _, law in found["designs"].values():
+        assert law.poles.real.max() < -0.2
+    assert found["off"]["force_density"][-1] < 1e-5
+    assert found["off"]["rest_length"][-1] < 2e-4
 
 
 def test_accuracy_error_against_time():

@@ -85,7 +85,7 @@ MAY_IMPORT = {
     | {"estimation"},
     "accuracy": {"simulation", "integrate", "actuation", "analysis", "dynamics", "statics"}
     | {"structure", "scene", "plot"},
-    "shape": {"control.reference", "actuation", "dynamics", "statics", "structure"},
+    "shape": {"control.reference", "actuation", "analysis", "dynamics", "statics", "structure"},
     "scene": {"simulation", "integrate", "control", "actuation", "analysis", "dynamics", "statics"}
     | {"structure", "shape"},
     "robustness": {"simulation", "control.controller", "actuation", "dynamics", "structure"}
@@ -528,8 +528,9 @@ CONSTRUCTED = {
     "PointAt",
     "Reference",
     "RotationalSymmetry",
-    "ShapeControl",
+    "Schedule",
     "Sensors",
+    "ShapeControl",
     "Structure",
     "Twist",
     "Uniform",
@@ -658,7 +659,7 @@ def values():
         tc.ElasticStrings(axial_rigidity=np.full(9, 100.0)),
         tc.OperatingPoint(prism.nodes.copy(), rest.force_density.copy(), still),
         regulator.command(0.0, prism.nodes, still),
-        tc.Reference([0.0], prism.nodes[:, :, None]),
+        tc.Reference([0.0], prism.nodes[:, :, None], rest.force_density[:, None]),
         mpc.statistics,
         tc.NMPC(plant, horizon=3, step=0.01, max_force_density=50.0).statistics,
         tc.ShapeControl(plant, None, 0.01, 50.0, frequency=1.0).statistics,
@@ -791,7 +792,11 @@ def _given():
             "bars": np.array([2]),
             "tension_strings": np.array([3]),
         },
-        "Reference": {"time": np.arange(2.0), "nodes": np.ones((3, 6, 2))},
+        "Reference": {
+            "time": np.arange(2.0),
+            "nodes": np.ones((3, 6, 2)),
+            "force_density": np.ones((9, 2)),
+        },
     }
 
 

@@ -15,6 +15,7 @@ from tenscontrol.validation import (
     member_parameters,
     positive,
     positive_number,
+    whole_number,
 )
 
 if TYPE_CHECKING:
@@ -53,11 +54,17 @@ class Winches:
         Largest speed of winding, m/s; unlimited if not given.
     shortest, longest : float or array_like, shape (α,), optional
         Range of the rest length, m; any positive length if not given.
+    pieces : int
+        Equal parts in which the move of a sample is made, evenly over the sample. With 1 a winch
+        jumps at the start of a sample and stands still. With more it winds, at a speed that is
+        constant within the sample but for small jumps: those should be shorter than the
+        stretch of the strings, T/k.
 
     Raises
     ------
     TypeError, ValueError
-        If a limit is not a positive finite number, or ``shortest`` exceeds ``longest``.
+        If a limit is not a positive finite number, ``shortest`` exceeds ``longest``, or
+        ``pieces`` is not a whole number of at least 1.
 
     Examples
     --------
@@ -71,6 +78,7 @@ class Winches:
     rate: FloatArray | None = None
     shortest: FloatArray | None = None
     longest: FloatArray | None = None
+    pieces: int = 1
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
@@ -79,9 +87,11 @@ class Winches:
             rate: ArrayLike | None = None,
             shortest: ArrayLike | None = None,
             longest: ArrayLike | None = None,
+            pieces: int = 1,
         ) -> None: ...
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "pieces", whole_number("pieces", self.pieces, least=1))
         limits = {}
         for name, unit in _UNITS:
             value = getattr(self, name)

@@ -8,6 +8,7 @@ from tenscontrol.control.mpc import MPC, MPCStatistics
 from tenscontrol.control.nmpc import NMPC
 from tenscontrol.control.nmpc_statistics import NMPCStatistics
 from tenscontrol.control.reference import Reference
+from tenscontrol.control.schedule import Schedule
 from tenscontrol.control.shape_control import ShapeControl, ShapeControlStatistics
 from tenscontrol.control.weights import energy_weights
 
@@ -22,6 +23,7 @@ __all__ = [
     "NMPCStatistics",
     "OutputLimit",
     "Reference",
+    "Schedule",
     "ShapeControl",
     "ShapeControlStatistics",
     "energy_weights",

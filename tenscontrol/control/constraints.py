@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -117,6 +117,18 @@ class RowBlock:
     offset: FloatArray
     on_nodes: FloatArray
 
+    def wound(self, inputs: int) -> RowBlock:
+        """Return the rows for inputs that move through samples, and so are reached at their ends.
+
+        Parameters
+        ----------
+        inputs : int
+            Number α of inputs before, which the state has in addition.
+        """
+        none = np.zeros((len(self.low), inputs))
+        after = np.hstack([self.before + self.after, none])
+        return replace(self, before=np.zeros_like(after), after=after)
+
 
 class Constraints:
     """All rows of a problem, with bounds that move along a path.
@@ -124,10 +136,13 @@ class Constraints:
     Parameters
     ----------
     blocks : list of RowBlock
+        Rows of strings see the state either before or after a sample.
+    states : int
+        Number s of states of the plant, which come first.
     """
 
-    def __init__(self, blocks: list[RowBlock]) -> None:
-        self.blocks = tuple(blocks)
+    def __init__(self, blocks: list[RowBlock], states: int) -> None:
+        self.blocks, self._states = tuple(blocks), states
 
     def rows(self) -> Rows | None:
         """Return the rows of the program, or None if there are none."""
@@ -164,9 +179,9 @@ class Constraints:
             base = np.tile(block.offset, (length, 1))
             if block.along:
                 # What the strings have where the path rests, less what the rows make of that rest.
-                base = getattr(stretch, block.along)[:length] - stretch.rest[:length] @ (
-                    block.before.T
-                )
+                by_state = (block.before + block.after)[:, : self._states]
+                base = getattr(stretch, block.along)[:length]
+                base = base - stretch.rest[:length] @ by_state.T
             low.append(block.low - base)
             high.append(block.high - base)
         return np.hstack(low), np.hstack(high)

@@ -125,9 +125,12 @@ class Controller(ABC):
                 wish, status = self._fall_back(BAD_WISH)
         else:
             wish, status = self._fall_back(fault)
-        value = frozen(self._within_reach(wish))
-        self._standing = value
-        return Command(value, status)
+        return self._given(wish, status)
+
+    def _given(self, wish: FloatArray, status: str) -> Command:
+        """Return the command that comes nearest to a wish; it stands from now on."""
+        self._standing = frozen(self._within_reach(wish))
+        return Command(self._standing, status)
 
     def applied(self, value: object) -> None:
         """Tell what the actuators hold, where that may not be the last command.
@@ -167,6 +170,16 @@ class Controller(ABC):
     def reset(self) -> None:
         """Forget everything that was measured, planned or applied."""
         self._standing = None
+
+    def take_over(self, command: FloatArray) -> None:
+        """Go on after another controller: what was planned from its own commands is void.
+
+        Parameters
+        ----------
+        command : ndarray, shape (α,)
+            What stands, or the last command of that one.
+        """
+        self._standing = frozen(command)
 
     @abstractmethod
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:

@@ -133,10 +133,7 @@ def lqr(
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     states, inputs = plant.B.shape
-    if states == 0 or inputs == 0:
-        raise ValueError(
-            f"plant has {states} states and {inputs} inputs, so there is nothing to control"
-        )
+    refuse_empty(plant)
     state_weight = weight_matrix("Q", Q, states, definite=False)
     input_weight = weight_matrix("R", R, inputs, definite=True)
     if winches is not None:
@@ -145,16 +142,43 @@ def lqr(
         step = positive_number("step", step, "s")
     bounds = input_bounds(plant, max_force_density, winches)
     change = largest_change(plant, max_change, winches, step)
-    _refuse_unreachable(plant)
+    refuse_unreachable(plant)
 
-    import control
-
-    # Solved with states and inputs in units of the same energy: a stiff plant is out of reach else.
-    unit, level = state_units(plant)
     if step is None:
         A, B = plant.A, plant.B
     else:
         A, B, _ = plant.discretize(step)
+    feedback = regulate(A, B, state_weight, input_weight, *state_units(plant), step is not None)
+    return LQR(plant, step, bounds, *feedback, change)
+
+
+def regulate(
+    A: FloatArray,
+    B: FloatArray,
+    state_weight: FloatArray,
+    input_weight: FloatArray,
+    unit: FloatArray,
+    level: float,
+    discrete: bool,
+) -> tuple[FloatArray, np.ndarray, FloatArray, float]:
+    """Return gain, poles, cost and Riccati residual of the regulator, checked.
+
+    Solved with states and inputs in units of the same energy: a stiff plant is out of reach else.
+
+    Parameters
+    ----------
+    A, B : ndarray, shapes (s, s) and (s, α)
+    state_weight, input_weight : ndarray, shapes (s, s) and (α, α)
+        Q and R.
+    unit : ndarray, shape (s,)
+        Units of the states.
+    level : float
+        Unit of the inputs.
+    discrete : bool
+        Whether A and B are of samples.
+    """
+    import control
+
     scaled = (
         A * unit / unit[:, None],
         level * B / unit[:, None],
@@ -162,16 +186,15 @@ def lqr(
         level**2 * input_weight,
     )
     try:
-        K, P, poles = (control.lqr if step is None else control.dlqr)(*scaled)
+        K, P, poles = (control.dlqr if discrete else control.lqr)(*scaled)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ValueError(
             f"the Riccati equation has no stabilizing solution: {error}. An undamped mode without "
             "weight in Q is one reason; weights that differ by many powers of ten are another"
         ) from error
-    residual = _riccati_residual(*scaled, P, discrete=step is not None)
-    _refuse_bad_solution(poles, residual, discrete=step is not None)
-    gain, cost = level * K / unit, P / unit[:, None] / unit
-    return LQR(plant, step, bounds, gain, poles, cost, residual, change)
+    residual = _riccati_residual(*scaled, P, discrete=discrete)
+    _refuse_bad_solution(poles, residual, discrete=discrete)
+    return level * K / unit, poles, P / unit[:, None] / unit, residual
 
 
 def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:
@@ -209,7 +232,17 @@ def _refuse_bad_solution(poles: np.ndarray, residual: float, discrete: bool) -> 
         )
 
 
-def _refuse_unreachable(plant: LinearPlant) -> None:
+def refuse_empty(plant: LinearPlant) -> None:
+    """Raise if there is nothing to control."""
+    states, inputs = plant.B.shape
+    if states == 0 or inputs == 0:
+        raise ValueError(
+            f"plant has {states} states and {inputs} inputs, so there is nothing to control"
+        )
+
+
+def refuse_unreachable(plant: LinearPlant) -> None:
+    """Raise if a pole that does not decay is out of reach, saying which and what to do."""
     lost = lost_poles(plant)
     if len(lost) == 0:
         return

@@ -20,6 +20,7 @@ from tenscontrol.control.mpc_design import Wishes, default_penalty, design
 from tenscontrol.control.path import Path, acceleration_response, checked_reference
 from tenscontrol.control.problem import Course, Form
 from tenscontrol.control.quadratic_program import QuadraticProgram, Status
+from tenscontrol.control.sampled import Lead, along_jumps, along_winding
 from tenscontrol.validation import (
     FloatArray,
     choice,
@@ -65,7 +66,9 @@ class MPC(Controller):
     Where the plant's input is the rest length, γ moves with the structure: its
     limits are linear in state and input, and soft, since a push may slacken a
     string before any winch moves. Along a reference, rest lengths start from
-    those that hold its shapes, and the plant's dynamics are taken about them.
+    those that hold its shapes, and the plant's dynamics are taken about them. Winches
+    that wind through samples (``Winches(pieces=...)``) are predicted as they do: about
+    the motion of the reference, with limits of strings at the ends of samples.
 
     If a program is not solved, or the measurement is not one that the structure can
     have, the command is the next input of the last plan; when that is used up, γ of
@@ -188,6 +191,7 @@ class MPC(Controller):
         if time_limit is not None:
             self._time_limit = positive_number("time_limit", time_limit, "s")
         self._problem, self._constraints = made.problem, made.constraints
+        self._sampled = made.sampled
         if choice("form", form, FORMS) == "auto":
             form = "condensed" if self._problem.input_count <= _LARGEST_CONDENSED else "sparse"
         self._form: Form = (
@@ -248,7 +252,7 @@ class MPC(Controller):
         """
         checked = checked_reference(self.plant, reference)
         assert self.step is not None  # given to the constructor
-        self._path = Path(self.plant, checked, self.step, self._push, self._problem.drift)
+        self._path = Path(self.plant, checked, self.step, self._push, self._sampled.drift)
 
     def reset(self) -> None:
         """Forget the last plan, what stands, the estimated load and the statistics."""
@@ -261,25 +265,36 @@ class MPC(Controller):
         if self._observer is not None:
             self._observer.reset()
 
+    def take_over(self, command: FloatArray) -> None:
+        """See :meth:`Controller.take_over`."""
+        super().take_over(command)
+        self._plan, self._used, self._guess = self._plan[:0], 0, None
+        if self._observer is not None:
+            self._observer.expect(None)
+
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
         deadline = self._called + self._time_limit
-        problem, path = self._problem, self._path.at(time + self._now)
-        reference = self._path.wanted(time + self._now[1:])
-        origin = path.input[:-1]
+        problem, winds = self._problem, self._sampled.winds
+        lead = self._lead(time)
+        path, origin = lead.path, lead.path.input[:-1]
+        drift, reference = lead.drift, lead.reference
         if self._standing is None:
-            self._standing = frozen(origin[0])
-        rest = path.rest[:-1]
-        drift = rest - rest @ problem.transition.T + path.drift[:-1]
+            self._standing = frozen(lead.before)
+        off_path = self._standing - lead.before
         effort = np.zeros_like(origin)
         if self._observer is not None:
-            self._observer.correct(state, problem.input_matrix @ self._standing)
+            self._observer.correct(state, self._sampled.by_input @ self._standing)
             drift = drift + self._observer.drift
             r = self.plant.degrees_of_freedom
-            known = (reference - path.rest[1:])[:, :r] @ self.plant.A[r:, :r].T
-            shift, effort = self._observer.rest(known)
-            reference = reference + np.hstack([shift, np.zeros_like(shift)])
-            coasting = problem.transition @ state - problem.input_matrix @ origin[0] + drift[0]
-            self._observer.expect(coasting)
+            ends = path.rest[:-1] if winds else path.rest[1:]
+            known = (reference - ends)[:, :r] @ self.plant.A[r:, :r].T
+            offset, effort = self._observer.rest(known)
+            reference = reference + np.hstack([offset, np.zeros_like(offset)])
+            self._observer.expect(self._sampled.coasting(state, off_path, origin[0]) + drift[0])
+        if winds:
+            none = np.zeros_like(origin)
+            state = np.concatenate([state, off_path])
+            drift, reference = np.hstack([drift, none]), np.hstack([reference, none])
         row_low, row_high = self._constraints.bounds(path, problem.length)
         course = Course(
             drift=drift,
@@ -302,6 +317,18 @@ class MPC(Controller):
         self._guess = self._form.shifted(answer.x, answer.y)
         self._statuses.append(answer.status.value)
         return self._plan[0], answer.status.value
+
+    def _lead(self, time: float) -> Lead:
+        """Return what the reference asks for over the horizon."""
+        assert self.step is not None  # given to the constructor
+        if not self._sampled.winds:
+            path = self._path.at(time + self._now)
+            return along_jumps(path, self._path.wanted(time + self._now[1:]), self._sampled)
+        times = time + self.step * np.arange(-1.0, len(self._now) + 1)
+        q = self._path.wanted(times)[:, : self.plant.degrees_of_freedom]
+        return along_winding(
+            self._path.at(times[1:]), q, self._sampled, self.plant, self._push, self.step
+        )
 
     def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
         if self._observer is not None:

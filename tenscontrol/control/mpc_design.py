@@ -17,8 +17,9 @@ from tenscontrol.control.constraints import (
     output_block,
     string_block,
 )
-from tenscontrol.control.lqr import lqr
+from tenscontrol.control.lqr import refuse_empty, refuse_unreachable, regulate, state_units
 from tenscontrol.control.problem import Horizon
+from tenscontrol.control.sampled import Sampled, sampled
 from tenscontrol.control.strings import gather_lengths, spread, string_map
 from tenscontrol.control.weights import energy_weights, weight_matrix
 from tenscontrol.validation import FloatArray, instance, non_negative, per_member, positive
@@ -51,12 +52,15 @@ class Design:
     ----------
     problem : Horizon
     constraints : Constraints
+    sampled : Sampled
+        What a sample does.
     low, high : ndarray, shape (α,)
         Least and largest command.
     """
 
     problem: Horizon
     constraints: Constraints
+    sampled: Sampled
     low: FloatArray
     high: FloatArray
 
@@ -66,6 +70,7 @@ def design(
 ) -> Design:
     """Return the data of a program, or raise naming the argument that does not fit."""
     states, count = plant.B.shape
+    refuse_empty(plant)
     low, high = _command_range(plant, wishes)
     natural_Q, natural_R = energy_weights(plant, by_mode=plant.input == "rest_length")
     state_weight = natural_Q if Q is None else weight_matrix("Q", Q, states, definite=False)
@@ -74,31 +79,44 @@ def design(
         if R is None
         else weight_matrix("R", R, count, definite=True)
     )
-    regulator = lqr(plant, state_weight, input_weight, step=step)
+    refuse_unreachable(plant)
     level = float(plant.force_density.max()) or float(high.max())
     if plant.input == "rest_length":
         lengths = plant.model.structure.string_length(plant.nodes)
         level = float((gather_lengths(plant, lengths) - plant.equilibrium_input).max())
-    transition, input_matrix, drift = plant.discretize(step)
+    pieces = 1 if wishes.winches is None else wishes.winches.pieces
+    wound = sampled(plant, step, pieces)
+    transition, input_matrix = wound.augmented
+    added = len(transition) - states
+    weight = np.zeros_like(transition)
+    weight[:states, :states] = state_weight
+    unit, size = state_units(plant)
+    units = np.r_[unit, np.full(added, size)]
+    gain, _, cost, _ = regulate(
+        transition, input_matrix, weight, input_weight, units, size, discrete=True
+    )
     # The price is relative to the cost of an input one level off.
-    unit = level**2 * float(np.linalg.eigvalsh(input_weight).min())
-    constraints = Constraints(_row_blocks(plant, wishes, wishes.string_penalty * unit))
+    penalty = wishes.string_penalty * level**2 * float(np.linalg.eigvalsh(input_weight).min())
+    blocks = _row_blocks(plant, wishes, penalty)
+    if wound.winds:
+        blocks = [block.wound(added) for block in blocks]
+    constraints = Constraints(blocks, states)
     problem = Horizon(
         transition=transition,
         input_matrix=input_matrix,
-        drift=drift,
-        state_weight=state_weight,
+        drift=np.r_[wound.drift, np.zeros(added)],
+        state_weight=weight,
         input_weight=input_weight,
-        terminal_weight=regulator.cost,
+        terminal_weight=cost,
         low=low - plant.equilibrium_input,
         high=high - plant.equilibrium_input,
         change=largest_change(plant, wishes.max_change, wishes.winches, step),
         length=length,
         level=level,
-        feedback=regulator.gain,
+        feedback=gain,
         rows=constraints.rows(),
     )
-    return Design(problem, constraints, low, high)
+    return Design(problem, constraints, wound, low, high)
 
 
 def default_penalty(value: object) -> float:

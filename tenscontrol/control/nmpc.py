@@ -143,6 +143,11 @@ class NMPC(Controller):
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         if winches is not None:
             instance("winches", winches, Winches, "make them by Winches(rate=...)")
+        if winches is not None and winches.pieces > 1:
+            raise ValueError(
+                f"winches.pieces is {winches.pieces}, expected 1: NMPC predicts winches that jump "
+                "at the start of a sample; MPC predicts those that wind"
+            )
         step = positive_number("step", step, "s")
         length = whole_number("horizon", horizon, least=1)
         self._rounds = whole_number("iterations", iterations, least=1)
@@ -254,6 +259,12 @@ class NMPC(Controller):
         self._preparing = 0.0
         if self._observer is not None:
             self._observer.reset()
+
+    def take_over(self, command: FloatArray) -> None:
+        """See :meth:`Controller.take_over`."""
+        super().take_over(command)
+        self._plan.reset()
+        self._followed, self._seen = 0, None
 
     def prepare(self) -> None:
         """Linearize along the plan, moved on by a sample: all that needs no measurement.

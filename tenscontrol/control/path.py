@@ -84,7 +84,12 @@ class Path:
         if plant.input == "rest_length":
             self._time = _refined(reference.time, step)
             rests = self._reference.at(self._time)[:, :r]
-            self._table = _held(plant, rests, push)
+            gamma = plant.force_density[:, None] * np.ones(len(self._time))
+            if reference.force_density is not None:
+                gamma = np.array(
+                    [np.interp(self._time, reference.time, row) for row in reference.force_density]
+                )
+            self._table = _held(plant, rests, gamma, push)
 
     def wanted(self, times: FloatArray) -> FloatArray:
         """Return ``[q; q̇]`` of the reference, shape (K, s)."""
@@ -135,6 +140,12 @@ def checked_reference(plant: LinearPlant, reference: object) -> Reference:
             f"reference.nodes has shape {reference.nodes.shape}, "
             f"expected {(*shape, len(reference.time))}: one column per node"
         )
+    count, gamma = plant.B.shape[1], reference.force_density
+    if gamma is not None and len(gamma) != count:
+        raise ValueError(
+            f"reference.force_density has shape {gamma.shape}, expected "
+            f"({count}, {len(reference.time)}): one row per string"
+        )
     return reference
 
 
@@ -171,18 +182,18 @@ def _refined(time: FloatArray, step: float) -> FloatArray:
     return np.concatenate([*parts, time[-1:]])
 
 
-def _held(plant: LinearPlant, q: FloatArray, push: FloatArray) -> FloatArray:
+def _held(plant: LinearPlant, q: FloatArray, wanted: FloatArray, push: FloatArray) -> FloatArray:
     """Return rest, input, γ, tension and drift of each shape, side by side, shape (K, ·).
 
-    γ is that of the operating point, changed as little as the balance of forces asks for; what
+    γ is the wanted one, shape (α, K), changed as little as the balance of forces asks for; what
     cannot be balanced shows as drift.
     """
     structure, law = plant.model.structure, plant.model.strings
     assert law is not None  # the rest length is the input
     shapes = np.array([plant.to_nodes(each) for each in q])
     offset, slope = _accelerations(plant, shapes)
-    chosen = spread(plant, "force_density", plant.force_density)
-    left = offset + slope @ chosen
+    chosen = np.array([spread(plant, "force_density", column) for column in wanted.T])
+    left = offset + (slope @ chosen[..., None])[..., 0]
     # Ridge regression from the operating point, shape by shape.
     U, sizes, Vt = np.linalg.svd(slope, full_matrices=False)
     floor = _RIDGE * sizes[:, :1]

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.validation import FloatArray, float_array, frozen
+from tenscontrol.validation import (
+    FloatArray,
+    float_array,
+    frozen,
+    instance,
+    non_negative,
+    positive_number,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -23,6 +30,9 @@ class Reference:
         s, ascending.
     nodes : array_like, shape (3, n, K)
         Node positions at these times, m.
+    force_density : array_like, shape (α, K), optional
+        γ that holds the shapes, N/m, at least 0. Where several balance in a shape, it says which
+        is wanted; if not given, the nearest to the operating point of the controller.
 
     Raises
     ------
@@ -45,6 +55,7 @@ class Reference:
 
     time: FloatArray
     nodes: FloatArray
+    force_density: FloatArray | None = None
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
@@ -52,6 +63,7 @@ class Reference:
             self,
             time: ArrayLike,
             nodes: ArrayLike,
+            force_density: ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -69,8 +81,87 @@ class Reference:
             raise ValueError(
                 f"nodes has shape {nodes.shape}, expected (3, n, {len(time)}): one shape per time"
             )
+        if self.force_density is not None:
+            gamma = float_array("force_density", self.force_density)
+            if gamma.ndim != 2 or gamma.shape[1] != len(time):
+                raise ValueError(
+                    f"force_density has shape {gamma.shape}, expected (α, {len(time)}): "
+                    "one row per string, one column per time"
+                )
+            for i, row in enumerate(gamma):
+                non_negative(f"force_density[{i}]", row, "a string can only pull")
+            object.__setattr__(self, "force_density", frozen(gamma))
         object.__setattr__(self, "time", frozen(time))
         object.__setattr__(self, "nodes", frozen(nodes))
+
+    def reversed(self) -> Reference:
+        """Return the same shapes the other way round: the last first, at the first time.
+
+        Examples
+        --------
+        >>> import numpy as np, tenscontrol as tc
+        >>> shapes = tc.prism().nodes[:, :, None] * [1.0, 0.9, 0.7]
+        >>> tc.Reference([0.0, 1.0, 3.0], shapes).reversed().time
+        array([0., 2., 3.])
+        """
+        gamma = self.force_density
+        return Reference(
+            self.time[0] + self.time[-1] - self.time[::-1],
+            self.nodes[:, :, ::-1],
+            None if gamma is None else gamma[:, ::-1],
+        )
+
+    def then(self, other: Reference, pause: float) -> Reference:
+        """Return this reference, a pause, then another one.
+
+        Parameters
+        ----------
+        other : Reference
+            Its first time comes a pause after the last of this one.
+        pause : float
+            s, more than 0.
+
+        Returns
+        -------
+        Reference
+            With force densities if both have them. In the pause the shape goes
+            straight from the last of this one to the first of the other.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the other is no reference or of other nodes or strings, one of the two
+            alone has force densities, or the pause is not a positive number.
+
+        Examples
+        --------
+        There and back, with a second of rest:
+
+        >>> import numpy as np, tenscontrol as tc
+        >>> there = tc.Reference([0.0, 2.0], tc.prism().nodes[:, :, None] * [1.0, 0.7])
+        >>> there.then(there.reversed(), pause=1.0).time
+        array([0., 2., 3., 5.])
+        """
+        instance("other", other, Reference, "make one by Reference(time, nodes)")
+        pause = positive_number("pause", pause, "s")
+        for what in ("nodes", "force_density"):
+            ours, theirs = (
+                None if value is None else value.shape[:-1]
+                for value in (getattr(self, what), getattr(other, what))
+            )
+            if ours != theirs:
+                raise ValueError(
+                    f"other.{what} has the shape {theirs} at each time, expected {ours}, as here"
+                )
+        begin = self.time[-1] + pause - other.time[0]
+        gamma = None
+        if self.force_density is not None and other.force_density is not None:
+            gamma = np.hstack([self.force_density, other.force_density])
+        return Reference(
+            np.concatenate([self.time, begin + other.time]),
+            np.concatenate([self.nodes, other.nodes], axis=-1),
+            gamma,
+        )
 
 
 class ReducedReference:

@@ -13,7 +13,7 @@ from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.estimation.observability import refuse_unobservable
 from tenscontrol.estimation.outputs import observed_plant, output_function, output_matrix
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.structure import refuse_wrong_bar_lengths
+from tenscontrol.structure import refuse_wrong_bar_lengths, same_members
 from tenscontrol.validation import (
     FloatArray,
     choice,

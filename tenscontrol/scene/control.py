@@ -123,6 +123,12 @@ def build_winches(document: Document, structure: Structure) -> Winches | None:
     if not document.has("winches"):
         return None
     table = document.table("winches")
-    limits = {key: per_string(table, key, whole(structure)) for key in table.values}
+    keys = [key for key in table.values if key != "pieces"]
+    limits = {key: per_string(table, key, whole(structure)) for key in keys}
     with table.checked():
-        return Winches(**limits)
+        return Winches(
+            limits.get("rate"),
+            limits.get("shortest"),
+            limits.get("longest"),
+            table.get("pieces", 1),
+        )

@@ -38,6 +38,7 @@ PRISM: Keys = MappingProxyType(
         "top_radius": (NUMBER, "m"),
         "bar_mass": (NUMBERS, "kg"),
         "handedness": (TEXT, ""),
+        "diagonals": (TRUTH, ""),
         "fixed": (NODES, ""),
     }
 )
@@ -126,6 +127,7 @@ TABLES: Mapping[str, Keys] = MappingProxyType(
             "rate": (BY_STRING, "m/s"),
             "shortest": (BY_STRING, "m"),
             "longest": (BY_STRING, "m"),
+            "pieces": (WHOLE, ""),
         },
     }
 )

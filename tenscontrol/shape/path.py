@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.actuation import Winches
+from tenscontrol.analysis import LinearPlant, OperatingPoint, linearize
 from tenscontrol.control.reference import Reference
 from tenscontrol.dynamics import Model
 from tenscontrol.shape.clearance import bar_distances, crossing
@@ -20,7 +21,15 @@ from tenscontrol.shape.target import ShapeTarget
 from tenscontrol.shape.timed import PathError, Timed, rest_at
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import restore_bar_lengths
-from tenscontrol.validation import FloatArray, float_array, frozen, instance, positive_number, truth
+from tenscontrol.validation import (
+    FloatArray,
+    float_array,
+    frozen,
+    instance,
+    positive_number,
+    truth,
+    whole_number,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +84,8 @@ class ShapePath:
         Returns
         -------
         Reference
-            Between the times of the path by cubic polynomials in the node
-            positions with bar lengths restored.
+            With the force densities of the path. Between its times by cubic
+            polynomials in the node positions with bar lengths restored.
 
         Raises
         ------
@@ -84,7 +93,7 @@ class ShapePath:
             If the times are not finite numbers or do not ascend.
         """
         if times is None:
-            return Reference(self.time, self.nodes)
+            return Reference(self.time, self.nodes, self.force_density)
         from scipy.interpolate import CubicHermiteSpline
 
         at = float_array("times", times)
@@ -94,7 +103,56 @@ class ShapePath:
         shapes = spline(np.clip(at, self.time[0], self.time[-1]))
         structure = self.model.structure
         kept = [restore_bar_lengths(structure, shapes[:, :, k]) for k in range(len(at))]
-        return Reference(at, np.stack(kept, axis=-1) if kept else shapes)
+        gamma = np.array([np.interp(at, self.time, row) for row in self.force_density])
+        return Reference(at, np.stack(kept, axis=-1) if kept else shapes, gamma)
+
+    def plants(self, count: int, input: str) -> tuple[LinearPlant, ...]:  # noqa: A002
+        """Return linear plants along the way, evenly by the distance that nodes travel.
+
+        Parameters
+        ----------
+        count : int
+            How many, at least 1. The first is at the start, the last at the end; one alone in
+            the middle.
+        input : {"force_density", "rest_length"}
+            As for :func:`linearize`.
+
+        Returns
+        -------
+        tuple of LinearPlant
+            In internal coordinates.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If ``count`` is not a whole number of at least 1, or a shape cannot be
+            linearized; see :func:`linearize`.
+
+        Examples
+        --------
+        >>> import tenscontrol as tc
+        >>> model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness=100.0))
+        >>> start = tc.prestress(tc.prism(), force_density=17.3205)
+        >>> low = tc.Height(0.85, top=[0, 1, 2], bottom=[3, 4, 5])
+        >>> goal = tc.shape_target(model, low, force_density=17.3205)
+        >>> path = tc.shape_path(model, start, goal, duration=2.0)
+        >>> [plant.nodes[2, 0].round(3) for plant in path.plants(3, input="rest_length")]
+        [np.float64(1.0), np.float64(0.964), np.float64(0.925)]
+        """
+        count = whole_number("count", count, least=1)
+        travel = np.linalg.norm(np.diff(self.nodes, axis=2), axis=(0, 1))
+        gone = np.concatenate([[0.0], np.cumsum(travel)])
+        shares = np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
+        places = [int(np.argmin(np.abs(gone - share * gone[-1]))) for share in shares]
+        load = self.model.constant_force
+        return tuple(
+            linearize(
+                self.model,
+                OperatingPoint(self.nodes[:, :, k], self.force_density[:, k], load),
+                input=input,
+            )
+            for k in places
+        )
 
     def __repr__(self) -> str:
         return (

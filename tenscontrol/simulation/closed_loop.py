@@ -69,13 +69,18 @@ def run_closed_loop(
         began = perf_counter()
         command = controller.command(loop.now, *told)
         taken = perf_counter() - began
-        move, held = actuators.apply(command, N, loop.faults.stuck(moment))
+        move, parts = actuators.apply(command, N, loop.faults.stuck(moment))
         controller.applied(actuators.acting(N))
         if eyes is not None:
-            eyes.hold(move.rest_length, held)
+            eyes.hold(actuators.mean, parts[-1])
         log.add(loop.now, command, move, taken)
-        span = min(sample, duration - loop.now)
-        state = loop.run(state, held, span, report, lambda: log.record(sample))
+        end = min(loop.now + sample, duration)
+        whole = end - loop.now
+        for i, held in enumerate(parts):
+            span = min(loop.now + sample / len(parts), end) if i + 1 < len(parts) else end
+            span -= loop.now
+            if span > 1e-9 * whole:  # not round-off
+                state = loop.run(state, held, span, report, lambda: log.record(sample))
     return loop.trajectory(log.record(sample))
 
 
@@ -144,15 +149,17 @@ class _Actuators:
 
     def apply(
         self, command: Command, nodes: FloatArray, stuck: IntArray
-    ) -> tuple[WinchMove, FloatArray]:
-        """Return what the actuators did, one entry a winch, and what is held, one a string."""
+    ) -> tuple[WinchMove, list[FloatArray]]:
+        """Return what the actuators did, one entry a winch, and what is held, one a string.
+
+        What is held comes part by part: they share the sample evenly.
+        """
         wanted = self._checked(command.value)
         if self._hold == "force_density":
             wanted = self._moved(wanted, stuck)
-            self._current = wanted
-            return WinchMove(frozen(wanted), _NONE, _NONE), self._wiring.spread_force_density(
-                wanted
-            )
+            self._current = self.mean = wanted
+            gamma = self._wiring.spread_force_density(wanted)
+            return WinchMove(frozen(wanted), _NONE, _NONE), [gamma]
         if self._convert:
             assert isinstance(self._law, StringLaw)  # a rest length is held
             gamma = self._wiring.spread_force_density(wanted)
@@ -160,13 +167,16 @@ class _Actuators:
                 self._law.rest_length(self._wiring.structure.string_length(nodes), gamma)
             )
         wanted = self._moved(wanted, stuck)
-        if self._winches is None:
-            move = WinchMove(frozen(wanted), _NONE, _NONE)
-        else:
-            start = wanted if self._current is None else self._current
+        start = wanted if self._current is None else self._current
+        move, pieces = WinchMove(frozen(wanted), _NONE, _NONE), 1
+        if self._winches is not None:
             move = self._winches.move(start, wanted, self._sample)
+            pieces = self._winches.pieces
         self._current = move.rest_length
-        return move, self._wiring.spread_rest_length(move.rest_length)
+        left = np.arange(pieces - 1.0, -1.0, -1.0)[:, None] / pieces
+        reached = move.rest_length - left * (move.rest_length - start)
+        self.mean = reached.mean(axis=0)
+        return move, [self._wiring.spread_rest_length(each) for each in reached]
 
     def _moved(self, wanted: FloatArray, stuck: IntArray) -> FloatArray:
         """Return what is wanted, but what stands where an actuator is stuck."""

@@ -28,13 +28,13 @@ class ControlRecord:
         What the controller asked for, in the unit of its input.
     applied : ndarray, shape (α, K)
         What the actuators held: γ, N/m, or rest lengths, m, one a string of
-        the controller.
+        the controller; where winches wind, what they reach by the end.
     status : tuple of str, length K
         Status of each command; ``"ok"`` where all went well.
     winch_rate : ndarray, shape (α, K)
-        Change of the rest length at the start of each sample over the sample
-        time, m/s; zero where γ is held. The first counts from where the
-        winches stood, if that was given.
+        Change of the rest length in each sample over the sample time, m/s;
+        zero where γ is held. The first counts from where the winches stood, if
+        that was given.
     rate_limited, range_limited : ndarray of int, shape (K,)
         Number of winches that met a limit.
     computing_time : ndarray, shape (K,)

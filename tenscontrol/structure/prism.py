@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.structure.structure import Structure
-from tenscontrol.validation import choice, positive_number, whole_number
+from tenscontrol.validation import choice, positive_number, truth, whole_number
 
 
 def prism(
@@ -15,6 +15,7 @@ def prism(
     top_radius: float | None = None,
     bar_mass: object = 1.0,
     handedness: str = "left",
+    diagonals: bool = False,
 ) -> Structure:
     """Return the tensegrity prism in its equilibrium shape.
 
@@ -37,6 +38,10 @@ def prism(
         Mass of each bar, kg.
     handedness : {"left", "right"}
         The screw that the bars follow on their way up.
+    diagonals : bool
+        Whether there is a second set of strings from top to bottom, group
+        ``"diagonal"``. They are slack in the shape returned; pulling, they hold
+        the prism at any turn from there to a quarter of a circle.
 
     Returns
     -------
@@ -45,8 +50,8 @@ def prism(
     Raises
     ------
     TypeError, ValueError
-        If a number is not positive and finite, ``sides`` is below 3, or
-        ``handedness`` is another word.
+        If a number is not positive and finite, ``sides`` is below 3,
+        ``handedness`` is another word, or ``diagonals`` is no truth value.
 
     Notes
     -----
@@ -78,19 +83,19 @@ def prism(
         ]
     )
     following = (k + 1) % q
-    strings = np.vstack(
-        [
-            np.column_stack([k, following]),
-            np.column_stack([q + k, q + following]),
-            np.column_stack([k, q + k]),
-        ]
-    )
+    groups = {
+        "top": np.column_stack([k, following]),
+        "bottom": np.column_stack([q + k, q + following]),
+        "vertical": np.column_stack([k, q + k]),
+    }
+    if truth("diagonals", diagonals, "whether there is a second set of strings from top to bottom"):
+        groups["diagonal"] = np.column_stack([k, q + (k - 1) % q])
     return Structure(
         nodes=nodes,
         bars=np.column_stack([k, q + following]),
-        strings=strings,
+        strings=np.vstack(list(groups.values())),
         bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
-        string_groups=("top",) * q + ("bottom",) * q + ("vertical",) * q,
+        string_groups=[name for name in groups for _ in range(q)],
     )
 
 

@@ -97,3 +97,32 @@ def test_prism_radius_inverts_prism(sides, radius, height):
     found = tc.prism_radius(float(length), height, sides)
     # The radius is the root of a difference: its error grows where bars stand nearly upright.
     assert found == pytest.approx(radius, rel=1e-13 * (1 + (height / radius) ** 2))
+
+
+@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("sides", SIDES)
+@pytest.mark.parametrize("share", [0.2, 0.7])
+def test_with_diagonals_any_turn_up_to_a_quarter_balances(sides, hand, share):
+    """Forces around the axis and along a radius at a top node, radii equal."""
+    prism = tc.prism(sides, handedness=hand, diagonals=True)
+    least, third = np.pi / 2 - np.pi / sides, 2 * np.pi / sides
+    turn = least + share * (np.pi / 2 - least)
+    further = (turn - least) * (-1 if hand == "left" else 1)
+    c, s = np.cos(further), np.sin(further)
+    nodes = prism.nodes.copy()
+    nodes[:2, :sides] = [[c, -s], [s, c]] @ nodes[:2, :sides]
+    vertical = 1.0
+    # v sin φ + d sin(φ − θ) = (v + d) sin(φ + θ), and d ≥ 0.
+    diagonal = (
+        vertical
+        * (np.sin(turn + third) - np.sin(turn))
+        / (np.sin(turn - third) - np.sin(turn + third))
+    )
+    bar = vertical + diagonal
+    pull = bar * (1 - np.cos(turn + third)) - vertical * (1 - np.cos(turn))
+    around = (pull - diagonal * (1 - np.cos(turn - third))) / (2 * (1 - np.cos(third)))
+    gamma = np.repeat([around, around, vertical, diagonal], sides)
+    assert (gamma > 0).all()
+    turned = tc.Structure(nodes, prism.bars, prism.strings, prism.bar_mass)
+    assert tc.prestress(turned, gamma).residual < 1e-12
+    assert prism.strings_in("diagonal").tolist() == list(range(3 * sides, 4 * sides))

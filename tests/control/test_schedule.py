@@ -1,0 +1,158 @@
+"""Controllers in turn along a path that leads far from any one operating point."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+
+TOP, BOTTOM = [0, 1, 2], [3, 4, 5]
+LEVEL, SAMPLE = 17.320508, 0.02
+STILL = np.zeros((3, 6))
+
+
+@cache
+def path():
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(1e4, damping=2.0))
+    start = tc.prestress(tc.prism(), force_density=LEVEL)
+    goal = tc.shape_target(model, tc.Height(0.7, TOP, BOTTOM), force_density=LEVEL)
+    return tc.shape_path(model, start, goal, duration=2.5, step=SAMPLE)
+
+
+def mpc_of(plant, **options):
+    return tc.MPC(plant, 8, SAMPLE, reference=path().reference(), **options)
+
+
+@cache
+def schedule(count=4):
+    return tc.Schedule([mpc_of(plant) for plant in path().plants(count, "rest_length")])
+
+
+def test_plants_lie_along_the_path_evenly():
+    plants = path().plants(4, "rest_length")
+    np.testing.assert_allclose(plants[0].nodes, path().nodes[:, :, 0])
+    np.testing.assert_allclose(plants[-1].nodes, path().nodes[:, :, -1])
+    for plant in plants:
+        k = int(np.abs(path().nodes - plant.nodes[:, :, None]).max(axis=(0, 1)).argmin())
+        np.testing.assert_array_equal(plant.force_density, path().force_density[:, k])
+        np.testing.assert_allclose(plant.rest_length, path().rest_length[:, k], rtol=1e-12)
+        assert np.abs(plant.drift).max() < 1e-9
+    places = [plant.nodes[2, 0] for plant in plants]
+    np.testing.assert_allclose(np.diff(places), np.diff(places).mean(), rtol=0.25)
+    (middle,) = path().plants(1, "force_density")
+    assert middle.input == "force_density"
+    assert middle.nodes[2, 0] == pytest.approx((1.0 + 0.85) / 2, abs=0.01)
+
+
+def test_the_nearest_acts_and_gives_its_own_command():
+    found = schedule()
+    found.reset()
+    last = None
+    for i, each in enumerate(found.controllers):
+        nodes = each.plant.to_nodes(1e-4 * np.ones(9))
+        # As one body it may stand anywhere.
+        moved = np.diag([-1.0, -1.0, 1.0]) @ nodes + np.array([[1.0], [2.0], [0.5]])
+        alone = mpc_of(each.plant)
+        if last is not None:
+            alone.take_over(last)
+        command = found.command(0.1 * i, moved, STILL)
+        assert found.active == i
+        assert command.status == "ok"
+        np.testing.assert_allclose(command.value, alone.command(0.1 * i, nodes, STILL).value,
+                                   atol=1e-7)  # fmt: skip
+        last = command.value
+    found.reset()
+    assert found.active == 0
+
+
+def test_limits_of_change_hold_across_a_switch():
+    winches = tc.Winches(rate=0.05)
+    plants = path().plants(2, "rest_length")
+    found = tc.Schedule([mpc_of(plant, winches=winches) for plant in plants])
+    last = found.command(0.0, plants[0].nodes, STILL).value
+    for k in range(1, 6):
+        command = found.command(k * SAMPLE, plants[k % 2].nodes, STILL).value
+        assert found.active == k % 2
+        assert np.abs(command - last).max() <= 0.05 * SAMPLE * (1 + 1e-9)
+        last = command
+
+
+def test_a_bad_measurement_is_left_to_the_one_that_acted_last():
+    found = schedule()
+    found.reset()
+    found.command(1.0, found.controllers[2].plant.nodes, STILL)
+    planned = found.controllers[2].plan[:, 1]
+    broken = found.command(1.0 + SAMPLE, np.full((3, 6), np.nan), STILL)
+    assert broken.status == "measurement not finite: last plan continued"
+    np.testing.assert_array_equal(broken.value, planned)
+    assert found.active == 2
+
+
+def test_a_schedule_holds_there_and_back_where_one_plant_does_not():
+    """Strings of 10 kN/m, winding through the samples: one operating point is not enough."""
+    there = path().reference()
+    reference = there.then(there.reversed(), pause=0.3)
+    winches = tc.Winches(rate=0.5, pieces=10)
+    plants = path().plants(6, "rest_length")
+    off = []
+    for count in (1, 6):
+        chosen = plants[-1:] if count == 1 else plants
+        controllers = [
+            tc.MPC(plant, 8, SAMPLE, reference=reference, winches=winches) for plant in chosen
+        ]
+        run = tc.simulate(
+            path().model, reference.time[-1] + 0.7, controller=tc.Schedule(controllers),
+            winches=winches, rest_length=path().rest_length[:, 0], step=1e-3,
+        )  # fmt: skip
+        height = run.nodes[2, TOP].mean(axis=0) - run.nodes[2, BOTTOM].mean(axis=0)
+        off.append(abs(height[-1] - 1.0))
+    assert off[1] < 1e-4
+    assert off[0] > 10 * off[1]
+    assert run.force_density.min() > 10.0
+
+
+def test_a_regulator_can_be_scheduled():
+    plants = path().plants(2, "rest_length")
+    laws = []
+    for plant in plants:
+        Q, R = tc.energy_weights(plant, by_mode=True)
+        laws.append(tc.lqr(plant, Q, R, step=SAMPLE))
+    found = tc.Schedule(laws)
+    nodes = plants[1].to_nodes(1e-4 * np.ones(9))
+    expected = laws[1].command(0.0, nodes, STILL).value
+    np.testing.assert_allclose(found.command(0.0, nodes, STILL).value, expected, atol=1e-12)
+
+
+# ---- references ----
+
+
+def test_a_reference_turned_round_and_continued():
+    there = path().reference()
+    whole = there.then(there.reversed(), pause=0.5)
+    assert whole.time[-1] == pytest.approx(2 * there.time[-1] + 0.5)
+    for what in ("nodes", "force_density"):
+        values = getattr(whole, what)
+        np.testing.assert_array_equal(values, values[..., ::-1])
+        np.testing.assert_array_equal(values[..., : len(there.time)], getattr(there, what))
+    bare = tc.Reference(there.time, there.nodes)
+    assert bare.reversed().then(bare, pause=1.0).force_density is None
+
+
+def test_force_densities_of_a_reference_say_which_prestress_is_wanted():
+    """Twelve strings balance in one shape in many ways."""
+    model = tc.Model(tc.prism(diagonals=True), strings=tc.LinearStrings(1e3))
+    twist = tc.Twist(np.radians(-45.0), TOP, BOTTOM)
+    soft, firm = (
+        tc.shape_target(model, twist, force_density=level, min_force_density=1.0)
+        for level in (10.0, 20.0)
+    )
+    plant = tc.linearize(model, soft.prestress, input="rest_length")
+    reference = tc.Reference([0.0], firm.nodes[:, :, None], firm.force_density[:, None])
+    mpc = tc.MPC(plant, 5, SAMPLE, reference=reference)
+    np.testing.assert_allclose(
+        mpc.command(0.0, firm.nodes, STILL).value, firm.rest_length, atol=1e-6
+    )
+    mpc.follow(firm.nodes)  # the shape alone: the prestress stays near that of the plant
+    held = tc.to_force_density(model, firm.nodes, mpc.command(0.0, firm.nodes, STILL).value)
+    assert held.mean() < 0.7 * firm.force_density.mean()

@@ -1,0 +1,174 @@
+"""Winches that wind through a sample: what is simulated, and what MPC predicts."""
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol import demo
+from tenscontrol.control.mpc_design import Wishes, design
+from tenscontrol.control.sampled import sampled
+
+SAMPLE = 0.02
+STILL = np.zeros((3, 6))
+
+
+def plant_of(stiffness=1e3):
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(stiffness, damping=0.02 * stiffness**0.5))
+    rest = tc.prestress(prism, force_density=demo.TOP_FORCE_DENSITY)
+    return tc.linearize(model, rest, input="rest_length")
+
+
+class Winding(tc.Controller):
+    """Asks for one change of the rest lengths, at once."""
+
+    def __init__(self, plant, change):
+        start = plant.rest_length
+        super().__init__(plant, SAMPLE, 0.5 * start, 2 * start)
+        self.change = change
+
+    def reset(self):
+        pass
+
+    def _decide(self, time, state):
+        return self.plant.rest_length + self.change, "ok"
+
+    def _fall_back(self, reason):
+        raise AssertionError(reason)
+
+
+def run_of(plant, change, pieces, duration=SAMPLE, **options):
+    return tc.simulate(
+        plant.model, duration, controller=Winding(plant, change), step=1e-4,
+        winches=tc.Winches(pieces=pieces), rest_length=plant.rest_length, **options,
+    )  # fmt: skip
+
+
+def test_a_winch_winds_in_equal_pieces_through_the_sample():
+    plant = plant_of()
+    change = 1e-3 * np.arange(1.0, 10.0)
+    run = run_of(plant, change, 5, duration=2 * SAMPLE, output_step=SAMPLE)
+    np.testing.assert_allclose(run.time, np.r_[0, np.arange(1, 11) * SAMPLE / 5], atol=1e-12)
+    wound = run.rest_length - plant.rest_length[:, None]
+    shares = np.r_[0.2, 0.2, 0.4, 0.6, 0.8, 1.0, np.ones(5)]
+    np.testing.assert_allclose(wound, change[:, None] * shares, atol=1e-12)
+    # The record is of whole samples.
+    np.testing.assert_allclose(run.control.winch_rate, np.outer(change / SAMPLE, [1, 0]))
+    np.testing.assert_allclose(run.control.applied[:, 0], plant.rest_length + change)
+
+
+def test_the_last_sample_may_be_cut_short():
+    plant = plant_of()
+    run = run_of(plant, 1e-3 * np.ones(9), 4, duration=1.6 * SAMPLE, output_step=SAMPLE)
+    assert run.time[-1] == pytest.approx(1.6 * SAMPLE)
+    assert len(run.time) == 1 + 4 + 3
+
+
+def test_many_pieces_converge_to_winding_at_constant_speed():
+    plant = plant_of()
+    change = 2e-3 * np.random.default_rng(0).uniform(-1, 1, 9)
+    ends = [run_of(plant, change, pieces).nodes[:, :, -1] for pieces in (5, 10, 20, 200)]
+    off = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
+    assert off[0] / off[1] == pytest.approx(2.0, rel=0.2)
+    assert off[1] / off[2] == pytest.approx(2.0, rel=0.2)
+
+
+@pytest.mark.parametrize("pieces", [1, 7])
+def test_the_model_of_a_sample_is_that_of_the_nonlinear_plant(pieces):
+    plant = plant_of()
+    model = sampled(plant, SAMPLE, pieces)
+    errors = []
+    for size in (2e-4, 1e-4):
+        change = size * np.random.default_rng(1).uniform(-1, 1, 9)
+        run = run_of(plant, change, pieces)
+        found = plant.measure(run.nodes[:, :, -1], run.velocities[:, :, -1])
+        expected = model.by_input @ change
+        errors.append(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+    assert errors[0] < 0.02
+    assert errors[1] < 0.6 * errors[0]
+
+
+def test_one_piece_is_the_zero_order_hold_and_pieces_add_up():
+    plant = plant_of()
+    transition, input_matrix, drift = plant.discretize(SAMPLE)
+    jump, wind = (sampled(plant, SAMPLE, pieces) for pieces in (1, 9))
+    assert not jump.winds
+    assert not jump.by_before.any()
+    for model in (jump, wind):
+        np.testing.assert_allclose(model.transition, transition, atol=1e-9)
+        # An input that does not change acts alike.
+        np.testing.assert_allclose(model.by_before + model.by_input, input_matrix, atol=1e-9)
+        np.testing.assert_allclose(model.drift, drift, atol=1e-9)
+
+
+def test_prediction_and_limits_of_winding_winches_are_those_of_the_plant():
+    """What the program plans is what the linear plant then does, and γ is limited at the ends."""
+    plant = plant_of()
+    N, winches = 4, tc.Winches(rate=0.1, pieces=6)
+    made = design(plant, N, SAMPLE, None, None, Wishes(None, 5.0, None, None, winches, (), 1e2))
+    mpc = tc.MPC(plant, N, SAMPLE, winches=winches, min_force_density=5.0)
+    nodes = plant.to_nodes(np.random.default_rng(2).normal(size=9) * 2e-3)
+    mpc.command(0.0, nodes, STILL)
+    v = mpc.plan.T - plant.rest_length
+    z, before = plant.measure(nodes, STILL), np.zeros(9)
+    fine = plant.discretize(SAMPLE / 6)
+    augmented = np.r_[z, before]
+    block = made.problem.rows
+    for k in range(N):
+        for piece in range(1, 7):
+            share = piece / 6
+            z = fine[0] @ z + fine[1] @ ((1 - share) * before + share * v[k])
+        augmented = made.problem.transition @ augmented + made.problem.input_matrix @ v[k]
+        np.testing.assert_allclose(augmented[:18], z, atol=1e-10)
+        np.testing.assert_array_equal(augmented[18:], v[k])
+        before = v[k]
+        gamma = tc.to_force_density(plant.model, plant.to_nodes(z[:9]), plant.rest_length + v[k])
+        still = augmented.copy()
+        still[9:18] = 0.0
+        row = plant.force_density + block.after @ still + block.inputs @ v[k]
+        assert np.abs(row - gamma).max() < 0.05 * np.abs(gamma - plant.force_density).max() + 1e-3
+
+
+@pytest.mark.parametrize("stiffness", [1e3, 1e5])
+def test_a_height_is_reached_by_winding_where_jumps_slacken_strings(stiffness):
+    prism = tc.prism()
+    target = demo.prism_of_height(prism, 0.95)
+    strings = tc.LinearStrings(stiffness, damping=0.02 * stiffness**0.5)
+    model = tc.Model(target, strings=strings)
+    plant = tc.linearize(model, tc.prestress(target, demo.TOP_FORCE_DENSITY), input="rest_length")
+    reference = demo.ramp(prism, 1.0, 0.95, 1.0)
+    rest = tc.prestress(prism, demo.TOP_FORCE_DENSITY)
+    wound = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
+    slackest = {}
+    for pieces in (1, 40):
+        winches = tc.Winches(rate=0.2, pieces=pieces)
+        mpc = tc.MPC(plant, 10, SAMPLE, reference=reference, winches=winches)
+        run = tc.simulate(
+            model, 1.5, prism.nodes, controller=mpc, winches=winches, rest_length=wound,
+            step=5e-4, machine_code=False,
+        )  # fmt: skip
+        slackest[pieces] = run.force_density.min()
+    assert slackest[40] > 1.0
+    assert abs(demo.height_of(run.nodes)[-1] - 0.95) < 1e-3
+    assert np.abs(run.control.winch_rate).max() <= 0.2 * (1 + 1e-9)
+    if stiffness > 1e4:
+        assert slackest[1] == 0.0
+
+
+def test_nonlinear_mpc_refuses_winches_that_wind():
+    with pytest.raises(ValueError, match=r"winches\.pieces is 5, expected 1"):
+        tc.NMPC(plant_of(), 3, SAMPLE, winches=tc.Winches(rate=0.1, pieces=5))
+
+
+@pytest.mark.parametrize("form", ["condensed", "sparse"])
+def test_both_forms_give_the_same_inputs(form):
+    plant = plant_of()
+    nodes = plant.to_nodes(np.random.default_rng(3).normal(size=9) * 2e-3)
+    commands = [
+        tc.MPC(
+            plant, 5, SAMPLE, form=each, winches=tc.Winches(rate=0.05, pieces=8), tolerance=1e-8,
+            max_iterations=50000,
+        ).command(0.0, nodes, STILL)
+        for each in (form, "condensed")
+    ]  # fmt: skip
+    np.testing.assert_allclose(commands[0].value, commands[1].value, atol=1e-6)
