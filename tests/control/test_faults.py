@@ -319,7 +319,7 @@ def test_nmpc_begins_anew_where_its_plan_has_no_value(monkeypatch):
     failing[0] = True
     lost = made.command(STEP, at.nodes, STILL)
     assert lost.status == "data not finite or too large: last command held"
-    np.testing.assert_allclose(lost.value, at.rest_length, atol=1e-6)
+    np.testing.assert_allclose(lost.value, at.rest_length, atol=1e-4)
     failing[0] = False
     assert made.command(2 * STEP, at.nodes, STILL).status == "ok"
 
