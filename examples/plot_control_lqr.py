@@ -63,7 +63,7 @@ names = {"force_density": "γ as the input", "rest_length": "rest length as the 
 for column, (held, (plant, law)) in enumerate(designs.items()):
     ax = figure.add_subplot(grid[0, column])
     tc.plot.poles({"open loop": np.linalg.eigvals(plant.A), "LQR": law.poles}, ax=ax)
-    ax.set_title(names[held], pad=26)
+    ax.set_title(names[held], pad=42)
 drawn = tc.plot.history(
     runs["force_density"].time,
     {names[held]: values for held, values in off.items()},

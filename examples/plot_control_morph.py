@@ -148,7 +148,7 @@ tc.plot.history(
     {name: run.force_density[first[strings]] / 2 for name, strings in groups.items()},
     "γ, N/m",
     ax=figure.add_subplot(grid[4, :]),
-    references={"least": 0.0},
+    references={"least asked for": 2.0},
 )
 
 if __name__ == "__main__":

@@ -103,10 +103,10 @@ for panel, hold in zip(panels, ("force_density", "rest_length"), strict=True):
         off = 1e3 * errors[hold, name]
         panel.semilogy(runs[hold, name].time, off, dashes, color=color, label=name)
     panel.set_title(f"held between samples: {hold.replace('_', ' ')}", loc="left")
-    panel.set_ylabel("largest node error (mm)")
+    panel.set_ylabel("largest node error, mm")
     panel.set_ylim(1e-3, 30)
 panels[0].legend(frameon=False, ncols=3, loc="upper right")
-panels[1].set_xlabel("time (s)")
+panels[1].set_xlabel("time, s")
 
 # %%
 # What shape control left of its law, on winches.

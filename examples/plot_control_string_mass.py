@@ -84,7 +84,8 @@ for segments, share in cases:
         off = off_target(run)
         left[name].append(off[run.time > DURATION - 0.5].max())
         if name == "MPC" and segments in (1, 8) and share in (0.0, 0.2):
-            curves[f"{segments} segments, {100 * share:g} %"] = off
+            label = "massless" if segments == 1 else f"{segments} segments, {100 * share:g} %"
+            curves[label] = off
     values = "  ".join(f"{1e3 * left[name][-1]:10.4f} mm" for name in designs)
     print(f"{segments:8d}  {100 * share:9.1f} %  {values}")
 stable = all(max(values) < 1e-3 for values in left.values())

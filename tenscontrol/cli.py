@@ -87,6 +87,8 @@ def _draw(run: Trajectory, folder: Path) -> None:
     _save(drawn.ax.figure, folder / "structure.png")
     _save(plot.trajectory(run)["coordinates"].ax.figure, folder / "trajectory.png")
     _save(plot.health(run)["energy"].ax.figure, folder / "health.png")
+    if run.control is not None and run.control.estimate is not None:
+        _save(plot.estimate(run)["error"].ax.figure, folder / "estimate.png")
 
 
 def _modes(options: argparse.Namespace) -> None:
@@ -211,7 +213,7 @@ def _parser() -> argparse.ArgumentParser:
         help="measure error against run time of all methods on a scene file",
         description="Integrate a scene by several methods at several settings, print error, run "
         "time and what is conserved, and save them as accuracy.csv, accuracy.md and accuracy.png. "
-        "Of a scene with a controller, the open loop is taken.",
+        "Of a scene with a controller or faults, the open loop without them is taken.",
     )
     for command in (simulate, modes, accuracy):
         command.add_argument("scene", metavar="SCENE", type=Path, help="scene file (TOML)")

@@ -88,7 +88,7 @@ MAY_IMPORT = {
     | {"structure", "scene", "plot"},
     "shape": {"control.reference", "actuation", "analysis", "dynamics", "statics", "structure"},
     "scene": {"simulation", "integrate", "control", "actuation", "analysis", "dynamics", "statics"}
-    | {"structure", "shape"},
+    | {"structure", "shape", "estimation"},
     "robustness": {"simulation", "control.controller", "actuation", "dynamics", "structure"}
     | {"accuracy.tables", "_version"},
     "plot": None,  # everything

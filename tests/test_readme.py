@@ -1,10 +1,14 @@
 """What the README shows runs, and its commands exist."""
 
 import re
+import textwrap
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
+import pytest
 
+DOCS = Path(__file__).parent.parent / "docs"
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
 
 
@@ -17,6 +21,22 @@ def test_first_session_runs_and_brings_the_prism_to_rest():
     start, end = (plant.measure(run.nodes[..., k], run.velocities[..., k])[:9] for k in (0, -1))
     assert abs(start).max() > 0.019
     assert abs(end).max() < 1e-3
+
+
+def test_the_way_from_a_shape_to_winch_commands_runs(capsys):
+    page = (DOCS / "control.rst").read_text(encoding="utf-8")
+    blocks = re.findall(r".. code-block:: python\n\n((?:   .*\n|\n)+)", page)
+    assert len(blocks) == 5
+    names: dict = {}
+    exec(textwrap.dedent("".join(blocks)), names)
+    plt.close("all")
+    assert "winch 6 stuck from 0.3 s to 0.5 s" in capsys.readouterr().out
+    run = names["run"]
+    assert np.abs(run.control.winch_rate).max() < 0.15 + 1e-9
+    assert set(run.control.status) == {"ok"}
+    heights = run.nodes[2, :3].mean(axis=0) - run.nodes[2, 3:].mean(axis=0)
+    assert heights[0] == pytest.approx(1.0)
+    assert heights[-1] == pytest.approx(0.85, abs=5e-3)
 
 
 def test_commands_of_the_table_are_there():

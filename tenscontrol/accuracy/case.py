@@ -134,7 +134,7 @@ def as_case(scene: object) -> Case:
     """Return a case as it is, or that of a scene.
 
     Of a scene with a controller, the open loop is taken: its actuators hold
-    what they hold at the start, and the note of the case says so.
+    what they hold at the start. Nothing breaks. The note of the case says so.
 
     Parameters
     ----------
@@ -159,10 +159,12 @@ def as_case(scene: object) -> Case:
 
 def _of_scene(scene: Scene) -> Case:
     held = "force_density" if scene.rest_length is None else "rest_length"
-    note = ""
+    notes = []
     if scene.controller is not None:
         words = held.replace("_", " ").replace("density", "densities").replace("length", "lengths")
-        note = f"The controller of the scene is left out: {words} are held as at the start."
+        notes.append(f"The controller of the scene is left out: {words} are held as at the start.")
+    if scene.faults:
+        notes.append(f"Its faults are left out: {', '.join(each.label for each in scene.faults)}.")
     return Case(
         model=scene.model,
         duration=scene.duration,
@@ -171,5 +173,5 @@ def _of_scene(scene: Scene) -> Case:
         held=held,
         value=scene.force_density if scene.rest_length is None else scene.rest_length,
         name=Path(scene.file).stem,
-        note=note,
+        note=" ".join(notes),
     )

@@ -4,19 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from tenscontrol.actuation import Winches
 from tenscontrol.analysis import linearize
-from tenscontrol.control import MPC, NMPC, Controller, ShapeControl, energy_weights, lqr
-from tenscontrol.dynamics import Model, StringLaw
+from tenscontrol.control import (
+    MPC,
+    NMPC,
+    Controller,
+    Reference,
+    Schedule,
+    ShapeControl,
+    energy_weights,
+    lqr,
+)
+from tenscontrol.dynamics import Model
 from tenscontrol.scene import keys
-from tenscontrol.scene.document import Document
+from tenscontrol.scene.document import Document, Table
 from tenscontrol.scene.members import per_string, whole
 from tenscontrol.scene.reference import build_outputs, build_reference, build_tracked
-from tenscontrol.statics import Prestress, prestress
-from tenscontrol.structure import Structure, spread_force_density
-from tenscontrol.validation import FloatArray, positive_number
+from tenscontrol.shape.along import plants_along
+from tenscontrol.statics import Prestress
+from tenscontrol.structure import Structure
+from tenscontrol.validation import positive_number, whole_number
 
 # Of energy_weights, where the scene gives no R.
 _INPUT_WEIGHT = 0.1
@@ -29,38 +37,32 @@ _NEEDED = {
     "shape_control": ("step", "max_force_density", "frequency"),
 }
 
+# Of γ, which a reference keeps to as well.
+_BOUNDS = ("min_force_density", "max_force_density")
+
+# Keys that are not arguments of the controller itself.
+_OTHER = ("kind", "input", "sample_time", "plants")
+
 
 def build_controller(
-    document: Document,
-    structure: Structure,
-    law: StringLaw | None,
-    gravity: object,
-    forces: FloatArray | None,
-    force_density: FloatArray,
-    winches: Winches | None,
-) -> Controller | None:
-    """Return the controller, designed on the structure with its strings whole.
+    document: Document, model: Model, rest: Prestress, winches: Winches | None
+) -> Controller:
+    """Return the controller that the scene has.
 
     Parameters
     ----------
     document : Document
-    structure : Structure
-        The plant.
-    law : StringLaw, optional
+    model : Model
         Of the whole strings.
-    gravity, forces : optional
-        Loads on the plant.
-    force_density : ndarray, shape (α,)
-        γ of the plant, N/m.
+    rest : Prestress
+        About which it is designed.
     winches : Winches, optional
         Of the whole strings.
 
     Returns
     -------
-    Controller, or None if the scene has none
+    Controller
     """
-    if not document.has("controller"):
-        return None
     kind = document.table("controller").choice("kind", tuple(keys.CONTROLLERS))
     table = document.table("controller", keys.CONTROLLERS[kind], f" with kind = {kind!r}")
     held = table.choice("input", ("force_density", "rest_length"), "force_density")
@@ -72,26 +74,24 @@ def build_controller(
         table.need(key)
     if kind in ("mpc", "nmpc") and held == "force_density":
         table.need("max_force_density")
-    design = whole(structure)
-    load: Any = False if forces is None else forces[:, : design.nodes.shape[1]]
-    model = Model(design, strings=law, external_force=load, gravity=gravity)
-    with document.table("prestress").checked("force_density", "for a controller "):
-        rest = _at_rest(structure, force_density, model)
     arguments: dict[str, Any] = {
-        key: per_string(table, key, design) if isinstance(value, dict) else value
+        key: per_string(table, key, model.structure) if isinstance(value, dict) else value
         for key, value in table.values.items()
-        if key not in ("kind", "input", "sample_time")
+        if key not in _OTHER
     }
     if "tracked" in table:
-        arguments["tracked"] = build_tracked(table, design)
+        arguments["tracked"] = build_tracked(table, model.structure)
     if "outputs" in table:
-        arguments["outputs"] = build_outputs(table, design)
+        arguments["outputs"] = build_outputs(table, model.structure)
     if "reference" in table:
+        bounds = {key: arguments[key] for key in _BOUNDS if key in arguments}
         arguments["reference"] = build_reference(
-            table, model, rest, winches, table.need("step"), arguments.get("max_force_density")
+            table, model, rest, winches, table.need("step"), bounds
         )
     if kind in ("mpc", "nmpc") and held == "rest_length":
         arguments["winches"] = winches
+    if "plants" in table:
+        return _schedule(table, model, arguments, held)
     with table.checked():
         plant = linearize(model, rest, input=held)
         if kind == "mpc":
@@ -105,17 +105,21 @@ def build_controller(
         return lqr(plant, **(weights | arguments))
 
 
-def _at_rest(structure: Structure, gamma: FloatArray, model: Model) -> Prestress:
-    """Return the prestress of the whole strings, or raise if they are not at rest."""
-    design = model.structure
-    if design is not structure:
-        parent = structure.string_parent
-        assert parent is not None  # a subdivision
-        together = np.bincount(parent, weights=gamma) / np.bincount(parent) ** 2
-        if not np.allclose(spread_force_density(structure, together), gamma):
-            raise ValueError("force_density differs between the segments of a string")
-        gamma = together
-    return prestress(design, gamma, external_force=model.constant_force)
+def _schedule(table: Table, model: Model, arguments: dict[str, Any], held: str) -> Schedule:
+    """Return MPCs designed along the reference, which take turns."""
+    if "reference" not in table:
+        raise table.error(
+            "plants",
+            f"in {table.title}, plants counts those along the reference, but there is none: add "
+            "[[controller.reference]]",
+        )
+    with table.checked("plants"):
+        count = whole_number("plants", table.need("plants"), least=1)
+    reference: Reference = arguments["reference"]
+    assert reference.force_density is not None  # build_reference gives it
+    with table.checked():
+        plants = plants_along(model, reference.nodes, reference.force_density, count, held)
+        return Schedule([MPC(plant, **arguments) for plant in plants])
 
 
 def build_winches(document: Document, structure: Structure) -> Winches | None:

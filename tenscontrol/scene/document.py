@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from tenscontrol.scene.keys import TABLES, Keys
+from tenscontrol.scene.keys import LISTS, TABLES, Keys
 from tenscontrol.scene.lines import Path as KeyPath
 from tenscontrol.scene.lines import key_lines
 
@@ -188,7 +188,10 @@ def read_document(file: str | Path) -> Document:
             raise document.error(
                 (table,), f"a scene has no table [{table}]{_hint(table, TABLES, 'The tables')}"
             )
-        if not isinstance(value, dict):
+        if table in LISTS:
+            if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
+                raise document.error((table,), f"{table} is no list of tables; write [[{table}]]")
+        elif not isinstance(value, dict):
             raise document.error((table,), f"{table} is no table; write [{table}] on a line")
     for table in ("structure", "run"):
         if table not in values:

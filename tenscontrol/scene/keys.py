@@ -9,6 +9,7 @@ from tenscontrol.scene.kinds import (
     BY_STRING,
     COUNT_BY_STRING,
     FORCES,
+    INDICES,
     NODES,
     NUMBER,
     NUMBERS,
@@ -122,6 +123,8 @@ TABLES: Mapping[str, Keys] = MappingProxyType(
             "reference": (TABLES_OF_KEYS, ""),
             "tolerance": (NUMBER, ""),
             "max_iterations": (WHOLE, ""),
+            "time_limit": (NUMBER, "s"),
+            "plants": (WHOLE, ""),
         },
         "winches": {
             "rate": (BY_STRING, "m/s"),
@@ -129,8 +132,39 @@ TABLES: Mapping[str, Keys] = MappingProxyType(
             "longest": (BY_STRING, "m"),
             "pieces": (WHOLE, ""),
         },
+        "sensors": {
+            "node_position": (NUMBERS, "m"),
+            "string_length": (NUMBERS, "m"),
+            "bar_direction": (NUMBERS, ""),
+            "string_tension": (NUMBERS, "N"),
+            "nodes": (NODES, ""),
+            "strings": (INDICES, ""),
+            "bars": (INDICES, ""),
+            "tension_strings": (INDICES, ""),
+            "delay": (WHOLE, ""),
+            "drop_rate": (NUMBER, ""),
+            "outlier_rate": (NUMBER, ""),
+            "seed": (WHOLE, ""),
+        },
+        "estimator": {
+            "kind": (TEXT, ""),
+            "process_noise": (NUMBER, ""),
+            "prediction": (TEXT, ""),
+            "gate": (NUMBER, ""),
+            "patience": (WHOLE, ""),
+            "start_spread": (NUMBER, ""),
+        },
+        "faults": {
+            "kind": (TEXT, ""),
+            "string": (WHOLE, ""),
+            "time": (NUMBER, "s"),
+            "until": (NUMBER, "s"),
+        },
     }
 )
+
+# Those of which a file has a list, each with a heading like [[faults]].
+LISTS = ("faults",)
 
 # Entries of [[controller.tracked]], [[controller.outputs]] and [[controller.reference]].
 TRACKED: Keys = MappingProxyType(
@@ -166,12 +200,12 @@ def _controller(*names: str) -> Keys:
 
 # Keys of a table for one choice of its first key; those of the other choices are unknown.
 _SOLVED = ("max_change", "tolerance", "max_iterations", "reference")
-_PREDICTED = ("Q", "R", "horizon", *_SOLVED)
-_LIMITED = ("min_force_density", "max_tension", "outputs", "string_penalty")
+_LIMITED = ("min_force_density", "max_tension", "outputs", "string_penalty", "time_limit")
+_PREDICTED = ("Q", "R", "horizon", "load_gain", "tracked", *_SOLVED, *_LIMITED)
 CONTROLLERS: Mapping[str, Keys] = MappingProxyType(
     {
-        "lqr": _controller("Q", "R", "sample_time"),
-        "mpc": _controller(*_PREDICTED, *_LIMITED, "load_gain", "tracked", "form"),
+        "lqr": _controller("Q", "R", "sample_time", "max_change"),
+        "mpc": _controller(*_PREDICTED, "form", "plants"),
         "nmpc": _controller(*_PREDICTED, "iterations"),
         "shape_control": _controller(*_SOLVED, "frequency", "damping", "regularization", "tracked"),
     }
@@ -181,4 +215,17 @@ LINEAR: Keys = MappingProxyType(
 )
 ELASTIC: Keys = MappingProxyType(
     {key: TABLES["strings"][key] for key in ("law", "axial_rigidity", "damping", "per")}
+)
+
+
+def _fault(*names: str) -> Keys:
+    return MappingProxyType({key: TABLES["faults"][key] for key in ("kind", "time", *names)})
+
+
+FAULTS: Mapping[str, Keys] = MappingProxyType(
+    {
+        "cut_string": _fault("string"),
+        "stuck_winch": _fault("string", "until"),
+        "lost_measurement": _fault("until"),
+    }
 )

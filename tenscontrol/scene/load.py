@@ -12,7 +12,10 @@ from tenscontrol.analysis import equilibrium
 from tenscontrol.dynamics import Model
 from tenscontrol.integrate import METHODS
 from tenscontrol.scene.control import build_controller, build_winches
+from tenscontrol.scene.design import build_design
 from tenscontrol.scene.document import Document, Table, read_document
+from tenscontrol.scene.estimation import build_estimator
+from tenscontrol.scene.faults import build_faults
 from tenscontrol.scene.forces import build_force_density, build_law, build_loads
 from tenscontrol.scene.members import build_structure
 from tenscontrol.scene.scene import Scene
@@ -82,9 +85,11 @@ def load_scene(file: str | Path) -> Scene:
         arguments of :class:`MPC`, :class:`NMPC`, :class:`ShapeControl` or :func:`lqr`;
         of the latter also ``sample_time``. ``input`` as for :func:`linearize`; where it is
         ``"rest_length"``, MPC and NMPC know the winches of the scene. It is designed
-        about the prestress, on the structure with its strings whole.
+        about the prestress, on the structure with its strings whole. With ``plants = 8``, MPCs
+        are designed at eight shapes along the reference, and take turns as a :class:`Schedule`.
     ``[[controller.reference]]``
-        A shape to be reached at ``time``, s, through equilibria: ``height``, m, and
+        A shape to be reached at ``time``, s, through equilibria within the controller's bounds
+        of γ and what the winches can do: ``height``, m, and
         ``twist``, rad, between the nodes ``top`` and ``bottom`` (those of a prism if not
         given); ``nodes`` with their ``positions``. The move begins at ``start``, s; at the
         end of the one before if not given. ``force_density``: mean γ of the group of the first
@@ -94,6 +99,13 @@ def load_scene(file: str | Path) -> Scene:
         node ``relative_to``. As ``outputs`` with ``low`` and ``high``, m, and ``penalty``.
     ``[winches]``
         The arguments of :class:`Winches`.
+    ``[sensors]``, ``[estimator]``
+        The arguments of :class:`Sensors`, with ``seed`` of their noise;
+        ``kind = "kalman"`` with ``process_noise``, ``prediction``, ``gate``, ``patience`` and
+        ``start_spread`` of :func:`kalman`. The controller is then told the estimate.
+    ``[[faults]]``
+        ``kind = "cut_string"``, ``"stuck_winch"`` or ``"lost_measurement"`` with the
+        arguments of :class:`CutString`, :class:`StuckWinch` or :class:`LostMeasurement`.
 
     Examples
     --------
@@ -154,10 +166,18 @@ def load_scene(file: str | Path) -> Scene:
             gravity=gravity,
         )
     winches = build_winches(document, structure)
-    controller = build_controller(
-        document, structure, whole_law, gravity, forces, force_density, winches
-    )
-    _refuse_contradictions(document, hold)
+    _refuse_alone(document)
+    controller = estimator = None
+    if document.has("controller"):
+        design, rest = build_design(document, structure, whole_law, gravity, forces, force_density)
+        controller = build_controller(document, design, rest, winches)
+        _refuse_contradictions(document, hold)
+        sample = controller.step or document.table("controller").get(
+            "sample_time", settings["step"]
+        )
+        estimator = build_estimator(document, design, rest, hold, sample)
+    wound = None if controller is None else len(controller.plant.commanded.strings)
+    faults = build_faults(document, len(structure.strings), wound)
     nodes, velocities = build_start(document, structure)
     return Scene(
         file=document.file,
@@ -169,6 +189,9 @@ def load_scene(file: str | Path) -> Scene:
         controller=controller,
         winches=winches,
         sample_time=document.table("controller").get("sample_time"),
+        estimator=estimator,
+        seed=None if estimator is None else document.table("sensors").get("seed", 0),
+        faults=faults,
         hold=hold,
         **settings,
     )
@@ -198,22 +221,22 @@ def _settings(run: Table) -> dict[str, Any]:
     return {"step": None, "output_step": None} | settings
 
 
+def _refuse_alone(document: Document) -> None:
+    """Raise if a table has no use without a controller, and there is none."""
+    for name in ("winches", "sensors", "estimator"):
+        if document.has(name) and not document.has("controller"):
+            raise document.table(name).error(None, f"[{name}] goes with a table [controller]")
+
+
 def _refuse_contradictions(document: Document, hold: str) -> None:
-    """Raise if a table has no use beside the others."""
+    """Raise if the controller does not go with the other tables."""
     controller, winches = document.table("controller"), document.table("winches")
-    if document.has("winches"):
-        if not document.has("controller"):
-            raise winches.error(None, "[winches] goes with a table [controller]")
-        if hold == "force_density":
-            raise winches.error(
-                None, "[winches] limits rest lengths, but [run] holds force_density"
-            )
+    if document.has("winches") and hold == "force_density":
+        raise winches.error(None, "[winches] limits rest lengths, but [run] holds force_density")
     if controller.get("input") == "rest_length" and hold == "force_density":
         raise controller.error(
             "input", "in [controller], input is 'rest_length', but [run] holds force_density"
         )
-    if not document.has("controller"):
-        return
     run = document.table("run")
     sampled = "step" in controller or "sample_time" in controller or "step" in run
     if controller.get("kind") == "lqr" and not sampled:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ def build_reference(
     rest: Prestress,
     winches: Winches | None,
     step: float,
-    max_force_density: object,
+    bounds: dict[str, Any],
 ) -> Reference:
     """Return the way by the shapes of ``[[controller.reference]]``, through equilibria.
 
@@ -39,8 +40,8 @@ def build_reference(
         What they allow, the way keeps to.
     step : float
         Of the controller, s.
-    max_force_density : float or ndarray, shape (α,), or None
-        N/m.
+    bounds : dict
+        ``min_force_density`` and ``max_force_density``, N/m, as far as there are any.
 
     Returns
     -------
@@ -51,7 +52,7 @@ def build_reference(
     here: Prestress | ShapeTarget = rest
     nodes, now = model.structure.nodes, 0.0
     times: list[FloatArray] = [np.zeros(1)]
-    shapes = [nodes[:, :, None]]
+    shapes, gammas = [nodes[:, :, None]], [rest.force_density[:, None]]
     for entry in _entries(table, "reference", keys.WAYPOINT):
         begin, end = _span(entry, now)
         demands = _demands(entry, table, model.structure)
@@ -60,9 +61,9 @@ def build_reference(
                 model,
                 demands,
                 force_density=entry.get("force_density", level),
-                max_force_density=max_force_density,
                 winches=winches,
                 start=nodes,
+                **bounds,
             )
             path = shape_path(
                 model,
@@ -71,14 +72,17 @@ def build_reference(
                 winches=winches,
                 duration=end - begin,
                 step=step,
-                max_force_density=max_force_density,
+                **bounds,
             )
         # Where the way stands still for a while, its last shape comes twice.
         first = 0 if begin > now else 1
         times.append(begin + path.time[first:])
         shapes.append(path.nodes[:, :, first:])
+        gammas.append(path.force_density[:, first:])
         here, nodes, now = goal, goal.nodes, end
-    return Reference(np.concatenate(times), np.concatenate(shapes, axis=2))
+    return Reference(
+        np.concatenate(times), np.concatenate(shapes, axis=2), np.concatenate(gammas, axis=1)
+    )
 
 
 def build_tracked(table: Table, structure: Structure) -> FloatArray:

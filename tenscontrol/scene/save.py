@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,8 @@ def save_trajectory(run: Trajectory, file: str | Path) -> Path:
     -----
     Read it by ``numpy.load(file)``. The arrays have the names of the attributes
     of :class:`Trajectory`; those of the structure and of the control record
-    come after ``structure_`` and ``control_``, and so on. What is None is left out.
+    come after ``structure_`` and ``control_``, and so on. Faults are texts. What is None is
+    left out, and so is the count of the statuses, all of which are there.
 
     Examples
     --------
@@ -58,8 +59,10 @@ def _arrays(prefix: str, value: Any) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for field in fields(value):
         part = getattr(value, field.name)
-        if field.name in ("structure", "control", "parent", "choice", "work") and part is not None:
+        if is_dataclass(part):
             found |= _arrays(f"{prefix}{field.name}_", part)
-        elif part is not None:
+        elif field.name == "faults":
+            found[field.name] = np.array([repr(fault) for fault in part], dtype=str)
+        elif part is not None and not isinstance(part, dict):
             found[f"{prefix}{field.name}"] = np.asarray(part)
     return found

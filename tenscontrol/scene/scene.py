@@ -10,7 +10,8 @@ from tenscontrol.actuation import Winches
 from tenscontrol.analysis import LinearPlant, linearize
 from tenscontrol.control import Controller
 from tenscontrol.dynamics import Model
-from tenscontrol.simulation import Trajectory, simulate
+from tenscontrol.estimation import KalmanFilter
+from tenscontrol.simulation import Fault, Trajectory, simulate
 from tenscontrol.statics import prestress
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, frozen
@@ -18,7 +19,7 @@ from tenscontrol.validation import FloatArray, frozen
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A structure with its strings, loads, start, controller and run. Made by :func:`load_scene`.
+    """A structure with strings, loads, start, controller, faults, run. By :func:`load_scene`.
 
     ``dataclasses.replace(scene, duration=0.1)`` gives the scene with other settings.
 
@@ -39,6 +40,12 @@ class Scene:
         Their limits, one for each whole string.
     sample_time : float or None
         Of a controller without its own, s.
+    estimator : KalmanFilter or None
+        What tells the controller the motion; None where it sees it.
+    seed : int or None
+        Of the noise of the sensors; None without them.
+    faults : tuple of Fault
+        What breaks.
     hold : str
         ``"force_density"`` or ``"rest_length"``: what the actuators hold.
     duration : float
@@ -62,6 +69,9 @@ class Scene:
     controller: Controller | None
     winches: Winches | None
     sample_time: float | None
+    estimator: KalmanFilter | None
+    seed: int | None
+    faults: tuple[Fault, ...]
     hold: str
     duration: float
     step: float | None
@@ -101,7 +111,8 @@ class Scene:
         held: dict[str, object] = {}
         if self.controller is not None:
             held = {"controller": self.controller, "hold": self.hold, "winches": self.winches}
-            held["sample_time"] = self.sample_time
+            held |= {"sample_time": self.sample_time, "estimator": self.estimator}
+            held["seed"] = self.seed
             if self.rest_length is not None:
                 held["rest_length"] = self._wound(self.controller.plant.model.structure)
         elif self.rest_length is not None:
@@ -117,6 +128,7 @@ class Scene:
             tolerance=self.tolerance,
             step=self.step,
             output_step=self.output_step,
+            faults=self.faults,
             progress=progress,
             **held,  # type: ignore[arg-type]  # each under its own name
         )

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.analysis import LinearPlant, OperatingPoint, linearize
+from tenscontrol.analysis import LinearPlant
 from tenscontrol.control.reference import Reference
 from tenscontrol.dynamics import Model
+from tenscontrol.shape.along import plants_along
 from tenscontrol.shape.clearance import bar_distances, crossing
 from tenscontrol.shape.continuation import Continuation, Waypoint
 from tenscontrol.shape.ends import path_end, refuse_same
@@ -28,7 +29,6 @@ from tenscontrol.validation import (
     instance,
     positive_number,
     truth,
-    whole_number,
 )
 
 
@@ -139,20 +139,7 @@ class ShapePath:
         >>> [plant.nodes[2, 0].round(3) for plant in path.plants(3, input="rest_length")]
         [np.float64(1.0), np.float64(0.964), np.float64(0.925)]
         """
-        count = whole_number("count", count, least=1)
-        travel = np.linalg.norm(np.diff(self.nodes, axis=2), axis=(0, 1))
-        gone = np.concatenate([[0.0], np.cumsum(travel)])
-        shares = np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
-        places = [int(np.argmin(np.abs(gone - share * gone[-1]))) for share in shares]
-        load = self.model.constant_force
-        return tuple(
-            linearize(
-                self.model,
-                OperatingPoint(self.nodes[:, :, k], self.force_density[:, k], load),
-                input=input,
-            )
-            for k in places
-        )
+        return plants_along(self.model, self.nodes, self.force_density, count, input)
 
     def __repr__(self) -> str:
         return (

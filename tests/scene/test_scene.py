@@ -27,18 +27,6 @@ step = 1e-2
 """
 
 
-@pytest.fixture
-def load(tmp_path):
-    """A function that writes a scene file and loads it."""
-
-    def write_and_load(text):
-        file = tmp_path / "scene.toml"
-        file.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return tc.load_scene(file)
-
-    return write_and_load
-
-
 def shipped(name, **settings):
     return replace(tc.load_scene(SCENES / f"{name}.toml"), **settings)
 
@@ -239,6 +227,7 @@ def test_forces_in_tables_of_their_own(load):
 
 def test_every_scene_that_ships_is_tested():
     assert {file.stem for file in SCENES.glob("*.toml")} == {
+        "prism_fault",
         "prism_free",
         "prism_massive_strings",
         "prism_massive_literal",
@@ -516,6 +505,8 @@ SHAPE = (
     "[controller]\nkind = 'shape_control'\nstep = 0.02\nfrequency = 2.0\nmax_force_density = 60.0\n"
 )
 AIM = "[[controller.reference]]\n"
+SEEN = "[sensors]\nstring_length = 0.001\nbar_direction = 0.01\n[estimator]\nkind = 'kalman'\n"
+CUT = "[[faults]]\nkind = 'cut_string'\nstring = 6\ntime = 0.05\n"
 BAR = "[structure]\nnodes = [[0,0,0],[1,0,0]]\nbars = [[0,1]]\nstrings = []\nbar_mass = 1\n"
 RUN = "[run]\nduration = 1\n"
 
@@ -920,6 +911,124 @@ BROKEN = {
     "winches and force": (
         changed("1e-2", "1e-2\nhold = 'force_density'") + LQR + "[winches]\nrate = 1\n",
         r":14: \[winches\] limits rest lengths",
+    ),
+    "mpc time limit": (
+        PRISM + MPC + "max_force_density = 60\ntime_limit = 0.0\n",
+        r":16: in \[controller\] .*time_limit is 0.*expected a positive",
+    ),
+    "lqr change": (
+        PRISM + LQR + "max_change = -1.0\n",
+        r":13: in \[controller\] .*max_change\[0\] is -1",
+    ),
+    "nmpc gain": (
+        PRISM + MPC.replace("mpc", "nmpc") + "max_force_density = 60\nload_gain = 2.0\n",
+        r":16: in \[controller\] .*load_gain",
+    ),
+    "lqr time limit": (
+        PRISM + LQR + "time_limit = 0.1\n",
+        r":13: \[controller\] with kind = 'lqr' has no key 'time_limit'",
+    ),
+    "plants of nmpc": (
+        PRISM + MPC.replace("mpc", "nmpc") + "max_force_density = 60\nplants = 2\n",
+        r":16: \[controller\] with kind = 'nmpc' has no key 'plants'",
+    ),
+    "plants without reference": (
+        PRISM + MPC + "max_force_density = 60\nplants = 2\n",
+        r":16: .*plants counts those along the reference, but there is none",
+    ),
+    "no plants": (
+        PRISM + MPC + "max_force_density = 60\nplants = 0\n" + AIM + "time = 1.0\nheight = 0.9\n",
+        r":16: .*plants is 0, expected a whole number of at least 1",
+    ),
+    "pieces": (
+        PRISM + LQR + "[winches]\npieces = 0\n",
+        r":14: in \[winches\], pieces is 0, expected a whole number of at least 1",
+    ),
+    "sensors alone": (
+        PRISM + LQR + "[sensors]\nstring_length = 0.001\n",
+        r":13: \[sensors\] goes with a table \[estimator\]",
+    ),
+    "estimator alone": (
+        PRISM + LQR + "[estimator]\nkind = 'kalman'\n",
+        r":13: \[estimator\] goes with a table \[sensors\]",
+    ),
+    "estimator in open loop": (
+        PRISM + SEEN,
+        r":11: \[sensors\] goes with a table \[controller\]",
+    ),
+    "estimator kind": (
+        PRISM + LQR + SEEN.replace("kalman", "kalmann"),
+        r":17: in \[estimator\], kind is 'kalmann'; did you mean 'kalman'\?",
+    ),
+    "estimator without kind": (
+        PRISM + LQR + SEEN.replace("kind = 'kalman'\n", "gate = 0.01\n"),
+        r":16: \[estimator\] lacks the key kind",
+    ),
+    "estimator key": (
+        PRISM + LQR + SEEN + "step = 0.02\n",
+        r":18: \[estimator\] has no key 'step'",
+    ),
+    "estimator gate": (PRISM + LQR + SEEN + "gate = 2\n", r":18: in \[estimator\], gate is 2"),
+    "sensor key": (
+        PRISM + LQR + SEEN.replace("bar_direction", "bar_directions"),
+        r":15: \[sensors\] has no key 'bar_directions'; did you mean 'bar_direction'",
+    ),
+    "sensor noise": (
+        PRISM + LQR + SEEN.replace("0.001", "0"),
+        r":14: in \[sensors\], string_length\[0\] is 0, expected a positive",
+    ),
+    "sensor of no bar": (
+        PRISM + LQR + SEEN.replace("[estimator]", "bars = [3]\n[estimator]"),
+        r":16: in \[sensors\], bars names 3, expected 0 to 2",
+    ),
+    "sensor seed": (
+        PRISM + LQR + SEEN.replace("[estimator]", "seed = -1\n[estimator]"),
+        r":16: in \[sensors\], seed is -1, expected a whole number of at least 0",
+    ),
+    "seen too little": (
+        PRISM + LQR + "[sensors]\nstring_length=0.001\nstrings=[0]\n[estimator]\nkind='kalman'\n",
+        r":16: in \[estimator\], .*of the 18 states are not seen",
+    ),
+    "faults no list": (
+        PRISM + "[faults]\nkind = 'cut_string'\n",
+        r":11: faults is no list of tables",
+    ),
+    "faults of numbers": ("faults = [1]\n" + PRISM, r":1: faults is no list of tables; write"),
+    "fault kind": (
+        PRISM + "[[faults]]\nkind = 'cut_strings'\n",
+        r":12: in \[\[faults\]\] number 1, kind is 'cut_strings'; did you mean 'cut_string'\?",
+    ),
+    "fault without kind": (
+        PRISM + "[[faults]]\ntime = 1.0\n",
+        r":11: \[\[faults\]\] number 1 lacks the key kind",
+    ),
+    "fault key": (
+        PRISM + CUT + "until = 1.0\n",
+        r":15: \[\[faults\]\] number 1 with kind = 'cut_string' has no key 'until'",
+    ),
+    "fault without time": (
+        PRISM + CUT.replace("time = 0.05\n", ""),
+        r":11: .* number 1 .*lacks the key time: a number in s",
+    ),
+    "fault time": (
+        PRISM + CUT.replace("0.05", "-1.0"),
+        r":14: .*number 1.*time is -1.* at least 0",
+    ),
+    "fault string": (
+        PRISM + CUT + CUT.replace("6", "9"),
+        r":17: .*number 2 .*string is 9, expected 0 to 8: there are 9 strings",
+    ),
+    "fault winch": (
+        PRISM + LQR + CUT.replace("cut_string", "stuck_winch").replace("6", "-1"),
+        r":15: .*number 1 .*string is -1, expected 0 to 8: there are 9 winches",
+    ),
+    "fault in open loop": (
+        PRISM + "[[faults]]\nkind = 'lost_measurement'\ntime = 0.0\nuntil = 1.0\n",
+        r":12: .* number 1 .* goes with a table \[controller\]",
+    ),
+    "fault over before": (
+        PRISM + LQR + "[[faults]]\nkind = 'lost_measurement'\ntime = 1.0\nuntil = 1.0\n",
+        r":16: .*number 1 .*until is 1 s, expected after time",
     ),
     "winch rate": (
         PRISM + LQR + "[winches]\nrate = 0\n",

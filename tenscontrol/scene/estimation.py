@@ -1,0 +1,46 @@
+"""Sensors and estimator of a scene."""
+
+from __future__ import annotations
+
+from tenscontrol.analysis import linearize
+from tenscontrol.dynamics import Model
+from tenscontrol.estimation import KalmanFilter, Sensors, kalman
+from tenscontrol.scene.document import Document
+from tenscontrol.statics import Prestress
+from tenscontrol.validation import whole_number
+
+
+def build_estimator(
+    document: Document, model: Model, rest: Prestress, hold: str, step: float
+) -> KalmanFilter | None:
+    """Return the Kalman filter, designed on what the actuators hold, or None.
+
+    Parameters
+    ----------
+    document : Document
+    model : Model
+        Of the whole strings.
+    rest : Prestress
+        About which it is designed.
+    hold : {"force_density", "rest_length"}
+    step : float
+        Sample time, s.
+
+    Returns
+    -------
+    KalmanFilter, or None if the scene has none
+    """
+    sensors, estimator = document.table("sensors"), document.table("estimator")
+    for name, other in (("sensors", "estimator"), ("estimator", "sensors")):
+        if document.has(name) and not document.has(other):
+            raise document.error((name,), f"[{name}] goes with a table [{other}]")
+    if not document.has("estimator"):
+        return None
+    estimator.choice("kind", ("kalman",))
+    given = {key: value for key, value in sensors.values.items() if key != "seed"}
+    with sensors.checked():
+        whole_number("seed", sensors.get("seed", 0), least=0)
+        readings = Sensors(structure=model.structure, **given)
+    given = {key: value for key, value in estimator.values.items() if key != "kind"}
+    with estimator.checked():
+        return kalman(linearize(model, rest, input=hold), readings, step, **given)
