@@ -122,12 +122,14 @@ def positive_number(name: str, value: object, unit: str) -> float:
     return number
 
 
-def whole_number(name: str, value: object, least: int) -> int:
-    """Return an integer that is at least ``least``."""
+def whole_number(name: str, value: object, least: int, most: int | None = None) -> int:
+    """Return an integer that is at least ``least``, and at most ``most`` if that is given."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise TypeError(f"{name} is {value!r}, expected a whole number of at least {least}")
     if value < least:
         raise ValueError(f"{name} is {value}, expected a whole number of at least {least}")
+    if most is not None and value > most:
+        raise ValueError(f"{name} is {value}, expected a whole number of at most {most}")
     return int(value)
 
 

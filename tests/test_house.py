@@ -79,8 +79,8 @@ MAY_IMPORT = {
     "integrate": {"dynamics", "structure"},
     "analysis": {"dynamics", "statics", "structure"},
     "control": {"actuation", "analysis", "dynamics", "statics", "structure"},
-    "estimation": {"control.path", "control.reduced_dynamics", "control.strings", "analysis"}
-    | {"dynamics", "structure"},
+    "estimation": {"control.path", "control.reduced_dynamics", "control.sampled", "control.strings"}
+    | {"analysis", "actuation", "dynamics", "structure"},
     "actuation": {"dynamics", "structure"},
     "simulation": {"integrate", "actuation", "dynamics", "structure", "control.controller"}
     | {"estimation"},

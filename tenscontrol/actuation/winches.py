@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 
+# Each is a span of the integration.
+_MOST_PIECES = 10_000
+
 _UNITS = (("rate", "speed in m/s"), ("shortest", "length in m"), ("longest", "length in m"))
 
 
@@ -64,7 +67,7 @@ class Winches:
     ------
     TypeError, ValueError
         If a limit is not a positive finite number, ``shortest`` exceeds ``longest``, or
-        ``pieces`` is not a whole number of at least 1.
+        ``pieces`` is not a whole number from 1 to 10,000.
 
     Examples
     --------
@@ -91,7 +94,7 @@ class Winches:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pieces", whole_number("pieces", self.pieces, least=1))
+        object.__setattr__(self, "pieces", whole_number("pieces", self.pieces, 1, _MOST_PIECES))
         limits = {}
         for name, unit in _UNITS:
             value = getattr(self, name)

@@ -82,11 +82,14 @@ class LoadObserver:
         ----------
         state : ndarray, shape (s,)
         pushed : ndarray, shape (s,)
-            What the input that was held since the last sample did to the state.
+            What the input that was held since the last sample did to the state. Where it is
+            not finite, nothing is learned.
         """
         if self._coasting is not None:
-            expected = self._coasting + pushed
-            self.acceleration = self.acceleration + self._gain @ (state - expected)
+            off = state - (self._coasting + pushed)
+            # The nonlinear dynamics have no value where a bar turns beyond the coordinates.
+            if np.isfinite(off).all():
+                self.acceleration = self.acceleration + self._gain @ off
 
     def expect(self, state: FloatArray | None) -> None:
         """Note the state at the next sample, the load but no input included; None if unknown."""

@@ -16,7 +16,7 @@ from tenscontrol.control.controller import Controller
 from tenscontrol.control.held_loop import warn_of_held_lengths
 from tenscontrol.control.horizon import Condensed, Sparse
 from tenscontrol.control.load_observer import load_observer
-from tenscontrol.control.mpc_design import Wishes, default_penalty, design
+from tenscontrol.control.mpc_design import LONGEST_HORIZON, Wishes, default_penalty, design
 from tenscontrol.control.path import Path, acceleration_response, checked_reference
 from tenscontrol.control.problem import Course, Form
 from tenscontrol.control.quadratic_program import QuadraticProgram, Status
@@ -34,6 +34,9 @@ FORMS = ("auto", "condensed", "sparse")
 
 # Up to so many unknown inputs the dense form is the cheaper one: tests/benchmarks/mpc_step.py.
 _LARGEST_CONDENSED = 600
+
+# Beyond so many its dense matrices fill gigabytes.
+_MOST_CONDENSED = 5000
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +84,7 @@ class MPC(Controller):
     plant : LinearPlant
         In internal coordinates.
     horizon : int
-        Number of samples predicted, at least 1.
+        Number of samples predicted, 1 to 10,000.
     step : float
         Sample time, s.
     max_force_density : float or array_like, shape (α,)
@@ -180,7 +183,7 @@ class MPC(Controller):
         if winches is not None:
             instance("winches", winches, Winches, "make them by Winches(rate=...)")
         step = positive_number("step", step, "s")
-        length = whole_number("horizon", horizon, least=1)
+        length = whole_number("horizon", horizon, 1, LONGEST_HORIZON)
         wishes = Wishes(
             max_force_density, min_force_density, max_tension, max_change, winches, outputs,
             default_penalty(string_penalty),
@@ -194,6 +197,11 @@ class MPC(Controller):
         self._sampled = made.sampled
         if choice("form", form, FORMS) == "auto":
             form = "condensed" if self._problem.input_count <= _LARGEST_CONDENSED else "sparse"
+        if form == "condensed" and self._problem.input_count > _MOST_CONDENSED:
+            raise ValueError(
+                f"form is 'condensed', which is dense, for {self._problem.input_count} unknown "
+                f"inputs; expected at most {_MOST_CONDENSED}. Take form='sparse'"
+            )
         self._form: Form = (
             Condensed(self._problem) if form == "condensed" else Sparse(self._problem)
         )

@@ -31,6 +31,10 @@ _INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
 _PENALTY = 1e2
 
 
+# Longer horizons only fill memory: the terminal cost stands for what comes after.
+LONGEST_HORIZON = 10_000
+
+
 @dataclass(frozen=True, eq=False)
 class Wishes:
     """Limits that a user gave, unchecked; see :class:`MPC`."""

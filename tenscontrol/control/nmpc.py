@@ -16,7 +16,7 @@ from tenscontrol.control.constraints import OutputLimit
 from tenscontrol.control.controller import OK, Controller
 from tenscontrol.control.load_observer import LoadObserver, load_observer
 from tenscontrol.control.lqr import state_units
-from tenscontrol.control.mpc_design import Wishes, default_penalty, design
+from tenscontrol.control.mpc_design import LONGEST_HORIZON, Wishes, default_penalty, design
 from tenscontrol.control.nmpc_statistics import NMPCStatistics, statistics
 from tenscontrol.control.path import Path, acceleration_response, checked_reference
 from tenscontrol.control.trajectory_model import TrajectoryModel
@@ -58,7 +58,7 @@ class NMPC(Controller):
         In internal coordinates, at an equilibrium. It says which input, and
         gives the terminal cost, that of its discrete LQR.
     horizon : int
-        Number N of samples predicted, at least 1.
+        Number N of samples predicted, 1 to 10,000.
     step : float
         Sample time, s.
     max_force_density : float or array_like, shape (α,)
@@ -149,7 +149,7 @@ class NMPC(Controller):
                 "at the start of a sample; MPC predicts those that wind"
             )
         step = positive_number("step", step, "s")
-        length = whole_number("horizon", horizon, least=1)
+        length = whole_number("horizon", horizon, 1, LONGEST_HORIZON)
         self._rounds = whole_number("iterations", iterations, least=1)
         wishes = Wishes(
             max_force_density, min_force_density, max_tension, max_change, winches, outputs,

@@ -12,12 +12,7 @@ import casadi as ca
 
 from tenscontrol.dynamics.compiler import FLAGS, Compiler, CompilerError, compiler
 from tenscontrol.dynamics.compiler_cache import Cache, key_of, open_cache
-from tenscontrol.validation import instance, positive_number, whole_number
-
-# Measured on x86-64 with GCC 12: what compiling costs, and what a compiled instruction saves.
-_SECONDS_AT_LEAST = 0.2
-_SECONDS_PER_INSTRUCTION = 5e-4
-_SECONDS_SAVED = 2.5e-9
+from tenscontrol.validation import instance, positive_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +83,7 @@ def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
     One long straight piece of code (SX) compiles slowly: about half a
     millisecond an instruction, more than in proportion beyond some ten
     thousand. A graph (MX) that calls a small function many times runs as fast
-    and compiles in the time of the small one. See :func:`worth_compiling`.
+    and compiles in the time of the small one.
 
     Examples
     --------
@@ -177,50 +172,6 @@ def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, 
     return library, cached, cache
 
 
-def worth_compiling(function: ca.Function, calls: int) -> bool:
-    """Return whether so many calls gain more time than compiling takes.
-
-    A rough rule, good to a factor of two or so, from numbers of instructions:
-    compiling takes 0.2 s and 0.5 ms for each instruction of the code; running
-    compiled gains 2.5 ns for each instruction carried out. An operation on a
-    whole matrix counts as one: its loop runs in machine code anyway. Code
-    called in many places is compiled once. A conditional is taken to carry out
-    the shortest of its branches. That the library may be in the cache already
-    is not considered.
-
-    Parameters
-    ----------
-    function : casadi.Function
-    calls : int
-        Number of calls to come.
-
-    Returns
-    -------
-    bool
-
-    Raises
-    ------
-    TypeError, ValueError
-        If ``function`` is no CasADi function or ``calls`` no number of calls.
-
-    Examples
-    --------
-    >>> import casadi as ca
-    >>> from tenscontrol.dynamics.compiled import worth_compiling
-    >>> x = ca.SX.sym("x")
-    >>> step = ca.Function("step", [x], [x + 1e-3 * ca.sin(x)])
-    >>> worth_compiling(step, 1000)
-    False
-    >>> worth_compiling(step.mapaccum(10_000), 10_000)
-    True
-    """
-    instance("function", function, ca.Function, "make one by casadi.Function(...)")
-    whole_number("calls", calls, 0)
-    written = sum(_instructions(part) for part in (function, *function.find_functions()))
-    cost = _SECONDS_AT_LEAST + _SECONDS_PER_INSTRUCTION * written
-    return calls * _carried_out(function, {}) * _SECONDS_SAVED > cost
-
-
 def _source(function: ca.Function) -> str:
     # One prefix for all internal names: they are of no concern outside of the library.
     code = ca.CodeGenerator("lib", {"with_header": False})
@@ -240,35 +191,3 @@ def _load(name: str, library: Path) -> ca.Function:
             f"be one for another machine: see CC; or the system may not run code from "
             f"{library.parent}: set XDG_CACHE_HOME to another folder"
         ) from None
-
-
-def _instructions(function: ca.Function) -> int:
-    """Return the number of instructions of a function, less those of what it calls."""
-    if function.class_name() in ("SXFunction", "MXFunction"):
-        return int(function.n_instructions())
-    return 1
-
-
-def _carried_out(function: ca.Function, known: dict[int, int]) -> int:
-    """Return how many instructions a call carries out, at least."""
-    identity = function.__hash__()
-    if identity not in known:
-        kind = function.class_name()
-        if kind == "MXFunction":
-            count = 0
-            for k in range(function.n_instructions()):
-                if function.instruction_id(k) == ca.OP_CALL:
-                    count += _carried_out(function.instruction_MX(k).which_function(), known)
-                else:
-                    count += 1
-        elif kind in ("Map", "ThreadMap", "OmpMap"):
-            info = function.info()
-            count = info["n"] * _carried_out(info["f"], known)
-        elif kind == "Switch":
-            info = function.info()
-            branches = [*info["f"], info["f_def"]]
-            count = min(_carried_out(branch, known) for branch in branches)
-        else:
-            count = _instructions(function)
-        known[identity] = count
-    return known[identity]

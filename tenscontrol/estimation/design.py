@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from tenscontrol.analysis import LinearPlant
+from tenscontrol.control.sampled import Sampled
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.validation import FloatArray
 
@@ -20,14 +21,16 @@ class FilterDesign:
     plant : LinearPlant
     sensors : Sensors
     step : float
-    transition, input_matrix, drift : ndarray
-        ``z⁺ = Φ z + Γ v + d``.
+    pieces : int
+        In which the input winds through a sample; 1 if it jumps at its start.
+    sampled : Sampled
+        What a sample does to the linear plant.
     process_covariance, start_covariance : ndarray, shape (s, s)
     start : ndarray, shape (s,)
     outputs : casadi.Function
         ``(z, u) -> (y, ∂y/∂z)``.
     motion : casadi.Function or None
-        ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``; None for a linear prediction.
+        ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)`` of a piece; None for a linear prediction.
     gate : float
     patience : int
     """
@@ -35,9 +38,8 @@ class FilterDesign:
     plant: LinearPlant
     sensors: Sensors
     step: float
-    transition: FloatArray
-    input_matrix: FloatArray
-    drift: FloatArray
+    pieces: int
+    sampled: Sampled
     process_covariance: FloatArray
     start_covariance: FloatArray
     start: FloatArray

@@ -5,9 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from tenscontrol.actuation import Winches
 from tenscontrol.analysis import LinearPlant
 from tenscontrol.control.path import acceleration_response
 from tenscontrol.control.reduced_dynamics import sampled_dynamics
+from tenscontrol.control.sampled import sampled
 from tenscontrol.estimation.design import FilterDesign
 from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.estimation.observability import refuse_unobservable
@@ -43,6 +45,7 @@ def kalman(
     patience: int = 5,
     start: object = None,
     start_spread: float = 0.03,
+    winches: Winches | None = None,
 ) -> KalmanFilter:
     """Return a Kalman filter that finds the motion of a plant from readings.
 
@@ -76,6 +79,9 @@ def kalman(
     start_spread : float
         Standard deviation of the nodes from there, as a part of the size of the
         structure; that of the speeds is what the forces of the strings give over this distance.
+    winches : Winches, optional
+        Those that set the rest lengths, where they wind through samples
+        (``Winches(pieces=...)``): the prediction winds as they do. Their limits do not matter.
 
     Returns
     -------
@@ -92,8 +98,9 @@ def kalman(
     Notes
     -----
     ``z⁺ = Φ z + Γ v + d + Ψ w``, ``y = h(z, u) + e``, with Φ, Γ and Ψ exact for what is held
-    over a sample. The steady gain for ``C = ∂h/∂z`` at the operating point is that of
-    python-control's ``dlqe``, solved with whitened readings, and checked.
+    over a sample; for winches that wind there from v_before, ``Γ_b v_before`` is added. The steady
+    gain for ``C = ∂h/∂z`` at the operating point is that of python-control's ``dlqe``, solved with
+    whitened readings, and checked.
 
     Examples
     --------
@@ -124,6 +131,7 @@ def kalman(
         raise ValueError(f"gate is {gate:g}, expected a probability above 0 and below 1")
     patience = whole_number("patience", patience, least=1)
     choice("prediction", prediction, PREDICTIONS)
+    pieces = _pieces(plant, winches)
     if plant.coordinates.kind == "nodes":
         raise ValueError(
             "plant has 'nodes' coordinates, in which bars may stretch; linearize with "
@@ -141,19 +149,18 @@ def kalman(
     refuse_unobservable(plant, sensors, C)
     pull = _pull(plant)
     push = share * pull * acceleration_response(plant, step)
-    transition, input_matrix, drift = plant.discretize(step)
-    steady = _steady(transition, push, C, sensors.noise)
+    moved = sampled(plant, step, pieces)
+    steady = _steady(moved.transition, push, C, sensors.noise)
     motion: ca.Function | None = None
     if prediction == "nonlinear":
-        motion = sampled_dynamics(plant, step)[1]
+        motion = sampled_dynamics(plant, step / pieces)[1]
     return KalmanFilter(
         FilterDesign(
             plant=plant,
             sensors=sensors,
             step=step,
-            transition=transition,
-            input_matrix=input_matrix,
-            drift=drift,
+            pieces=pieces,
+            sampled=moved,
             process_covariance=push @ push.T,
             start_covariance=_start(plant, spread, pull),
             start=_start_state(plant, start),
@@ -165,6 +172,18 @@ def kalman(
         frozen(C),
         *steady,
     )
+
+
+def _pieces(plant: LinearPlant, winches: Winches | None) -> int:
+    if winches is None:
+        return 1
+    instance("winches", winches, Winches, "make them by Winches(pieces=...)")
+    if plant.input != "rest_length":
+        raise ValueError(
+            f"winches set rest lengths, but plant has input={plant.input!r}; linearize with "
+            "input='rest_length'"
+        )
+    return winches.pieces
 
 
 def _pull(plant: LinearPlant) -> float:

@@ -85,11 +85,16 @@ class KalmanFilter:
         return self.plant.input
 
     @property
+    def pieces(self) -> int:
+        """Equal parts in which the input is taken to move through a sample."""
+        return self._design.pieces
+
+    @property
     def statistics(self) -> FilterStatistics:
         """What became of the readings since the last reset."""
         return self._tally.statistics()
 
-    def reset(self, state: object = None, covariance: object = None) -> None:
+    def reset(self, state: object = None, covariance: object = None, held: object = None) -> None:
         """Forget everything, and start anew.
 
         Parameters
@@ -98,6 +103,9 @@ class KalmanFilter:
             z at the start; that of :func:`kalman` if not given.
         covariance : array_like, shape (s, s), optional
             Its covariance; by ``start_spread`` of :func:`kalman` if not given.
+        held : array_like, shape (α,), optional
+            What the actuators hold at the start, as for :meth:`predict`. If not given,
+            tensions are not used before the next sample, and winches do not wind in the first.
 
         Raises
         ------
@@ -115,7 +123,7 @@ class KalmanFilter:
         self._z, self._P = z, P
         # Inputs since the moment of the state; the one before it acts on the tensions then.
         self._inputs: deque[FloatArray] = deque()
-        self._before: FloatArray | None = None
+        self._before = None if held is None else self._checked_input(held)
         self._mostly_refused = 0
         self._tally = Tally(len(self.sensors.readings))
 
@@ -149,8 +157,10 @@ class KalmanFilter:
         else:
             self._correct(y)
         z, P = self._z, self._P
+        before = self._before
         for held in self._inputs:
-            z, P = self._advanced(z, P, held)
+            z, P = self._advanced(z, P, before, held)
+            before = held
         if not self._correction.reaches(z):
             self._start_over(after=True)
             z, P = self._z, self._P
@@ -163,21 +173,24 @@ class KalmanFilter:
         ----------
         held : array_like, shape (α,)
             γ, N/m, or rest lengths, m, that the actuators hold from this sample to
-            the next: what was done, not what was asked for.
+            the next, or have wound to by then: what was done, not what was asked for.
 
         Raises
         ------
         TypeError, ValueError
             If it does not fit or is not finite.
         """
-        self._inputs.append(shaped("held", held, (self.plant.B.shape[1],), "one per string"))
+        self._inputs.append(self._checked_input(held))
         if len(self._inputs) <= self.sensors.delay:
             return
-        self._before = self._inputs.popleft()
-        self._z, self._P = self._advanced(self._z, self._P, self._before)
+        before, self._before = self._before, self._inputs.popleft()
+        self._z, self._P = self._advanced(self._z, self._P, before, self._before)
         spread = np.diag(self._P) / np.diag(self._design.start_covariance)
         if not self._correction.reaches(self._z) or spread.max() > _NOTHING_KNOWN:
             self._start_over()
+
+    def _checked_input(self, held: object) -> FloatArray:
+        return shaped("held", held, (self.plant.B.shape[1],), "one per string")
 
     def _correct(self, y: FloatArray) -> None:
         """Correct the state of the moment that was measured."""
@@ -202,17 +215,21 @@ class KalmanFilter:
         self._tally.add(gate.lost(y), usable, found.passed, found.nis, entries)
 
     def _advanced(
-        self, z: FloatArray, P: FloatArray, held: FloatArray
+        self, z: FloatArray, P: FloatArray, before: FloatArray | None, held: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return state and covariance a sample later."""
-        design = self._design
+        """Return state and covariance a sample later, the input moved from before to held."""
+        design, start = self._design, held if before is None else before
         if self._motion is None:
-            transition = design.transition
-            v = held - self.plant.equilibrium_input
-            z = transition @ z + design.input_matrix @ v + design.drift
+            moved, rest = design.sampled, self.plant.equilibrium_input
+            transition = moved.transition
+            z = transition @ z + moved.by_input @ (held - rest) + moved.drift
+            if moved.winds:
+                z = z + moved.by_before @ (start - rest)
         else:
-            end, transition, _ = self._motion(z, held)
-            z = end.copy()
+            transition = np.eye(len(z))
+            for left in range(design.pieces - 1, -1, -1):
+                end, along, _ = self._motion(z, held + left / design.pieces * (start - held))
+                z, transition = end.copy(), along @ transition
         P = transition @ P @ transition.T + design.process_covariance
         return z, 0.5 * (P + P.T)
 

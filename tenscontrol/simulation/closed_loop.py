@@ -52,7 +52,10 @@ def run_closed_loop(
         controller.applied(actuators.acting(N))
     eyes = None
     if estimation is not None:
-        eyes = Observation(*estimation, loop.model, loop.hold, controller, sample)
+        pieces = 1 if winches is None else winches.pieces
+        eyes = Observation(
+            *estimation, loop.model, loop.hold, controller, sample, actuators.start, pieces
+        )
     log = _Log(loop.hold, actuators.start, eyes)
     seen = controller.plant.nodes.shape[1]  # of a subdivision, the nodes of its parent come first
     # The allowance keeps round-off from adding a last sample of no length.
@@ -72,7 +75,7 @@ def run_closed_loop(
         move, parts = actuators.apply(command, N, loop.faults.stuck(moment))
         controller.applied(actuators.acting(N))
         if eyes is not None:
-            eyes.hold(actuators.mean, parts[-1])
+            eyes.hold(move.rest_length, parts[-1])
         log.add(loop.now, command, move, taken)
         end = min(loop.now + sample, duration)
         whole = end - loop.now
@@ -118,9 +121,9 @@ class _Actuators:
             self.start = self._wiring.checked_rest_length(rest_length)
             if winches is not None:
                 winches.refuse_out_of_range("rest_length", self.start)
-        elif winches is not None and winches.rate is not None:
+        elif winches is not None and (winches.rate is not None or winches.pieces > 1):
             raise ValueError(
-                "winches with a rate need rest_length: where they stand at the start, m; "
+                "winches with a rate or pieces need rest_length: where they stand at the start, m; "
                 "to_rest_length(model, nodes, force_density) finds it"
             )
         self._current = self.start
@@ -157,7 +160,7 @@ class _Actuators:
         wanted = self._checked(command.value)
         if self._hold == "force_density":
             wanted = self._moved(wanted, stuck)
-            self._current = self.mean = wanted
+            self._current = wanted
             gamma = self._wiring.spread_force_density(wanted)
             return WinchMove(frozen(wanted), _NONE, _NONE), [gamma]
         if self._convert:
@@ -175,7 +178,6 @@ class _Actuators:
         self._current = move.rest_length
         left = np.arange(pieces - 1.0, -1.0, -1.0)[:, None] / pieces
         reached = move.rest_length - left * (move.rest_length - start)
-        self.mean = reached.mean(axis=0)
         return move, [self._wiring.spread_rest_length(each) for each in reached]
 
     def _moved(self, wanted: FloatArray, stuck: IntArray) -> FloatArray:
@@ -183,9 +185,10 @@ class _Actuators:
         if not len(stuck):
             return wanted
         if self._current is None:
+            how = "give rest_length, or" if self._hold == "rest_length" else "give"
             raise ValueError(
                 f"faults has winch {stuck[0]} stuck from the start, but it is not known where it "
-                "stands: give rest_length, or a time after the first sample"
+                f"stands: {how} a time after the first sample"
             )
         moved = wanted.copy()
         moved[stuck] = self._current[stuck]

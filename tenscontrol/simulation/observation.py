@@ -70,6 +70,10 @@ class Observation:
     controller : Controller
     sample : float
         Sample time, s.
+    start : ndarray, shape (α,), or None
+        Where the winches stand at the start, m, if that is known.
+    pieces : int
+        In which they wind through a sample.
     """
 
     def __init__(
@@ -81,6 +85,8 @@ class Observation:
         hold: str,
         controller: Controller,
         sample: float,
+        start: FloatArray | None,
+        pieces: int,
     ) -> None:
         if not isinstance(estimator, KalmanFilter):
             raise TypeError(
@@ -94,7 +100,7 @@ class Observation:
                 f"sensors is a {type(sensors).__name__}, expected Sensors: make them by "
                 "Sensors(structure=..., ...)"
             )
-        _refuse_misfits(estimator, sensors, hold, controller, sample)
+        _refuse_misfits(estimator, sensors, hold, controller, sample, pieces)
         self._filter, self._sensors = estimator, sensors
         self._generator = np.random.default_rng(
             0 if seed is None else whole_number("seed", seed, least=0)
@@ -105,7 +111,7 @@ class Observation:
         self._nothing = np.full(len(sensors.noise), np.nan)
         self._late = deque([self._nothing] * sensors.delay)
         self._rows: list[tuple[FloatArray, Estimate]] = []
-        estimator.reset()
+        estimator.reset(held=start)
 
     def look(self, nodes: FloatArray, velocities: FloatArray, lost: bool) -> Estimate:
         """Return what the filter makes of the readings that are there at this sample.
@@ -162,7 +168,12 @@ class Observation:
 
 
 def _refuse_misfits(
-    estimator: KalmanFilter, sensors: Sensors, hold: str, controller: Controller, sample: float
+    estimator: KalmanFilter,
+    sensors: Sensors,
+    hold: str,
+    controller: Controller,
+    sample: float,
+    pieces: int,
 ) -> None:
     if not np.isclose(estimator.step, sample, rtol=1e-12, atol=0):
         raise ValueError(
@@ -173,6 +184,11 @@ def _refuse_misfits(
         raise ValueError(
             f"estimator knows the effect of {estimator.input}, but the actuators hold {hold} "
             f"between samples: design it on linearize(model, rest, input={hold!r})"
+        )
+    if estimator.pieces != pieces:
+        raise ValueError(
+            f"estimator predicts winches with pieces={estimator.pieces}, but those of the run "
+            f"have pieces={pieces}: give them to kalman(..., winches=...) as well"
         )
     seen, known = controller.plant.model.structure, estimator.plant.model.structure
     if not same_members(known, seen):

@@ -95,7 +95,8 @@ def simulate(
         What the actuators hold between samples. The rest length if the model
         has a string law, else γ.
     winches : Winches, optional
-        Limits of the winches; none if not given.
+        Limits of the winches; none if not given. With a rate or pieces, ``rest_length`` says
+        where they start.
     sample_time : float, optional
         For a controller without a sample time of its own, s; else ``step``.
     faults : sequence of CutString, StuckWinch and LostMeasurement
@@ -131,7 +132,8 @@ def simulate(
         Whether to show a progress bar; never shown away from a terminal.
     estimator : KalmanFilter, optional
         From :func:`kalman`. The controller is then told its estimate in place of the motion, and
-        it is told what the actuators hold. It is reset first. Its step is that of the samples.
+        it is told what the actuators hold. It is reset first. Its step is that of the samples,
+        and its winches move in as many pieces as those here.
     sensors : Sensors, optional
         What the readings are taken by, if other than the estimator believes: noise, delay and
         losses may differ.

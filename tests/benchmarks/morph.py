@@ -1,8 +1,8 @@
 """A prism lowered from 1.0 m to 0.7 m, twisted by 20 degrees, and brought back, by winches.
 
 Run: ``python -m tests.benchmarks.morph``, with ``--jumps`` for winches that jump at the start of a
-sample, or with stiffnesses in N/m. Some minutes: the integrator follows strings of up to 25,000
-rad/s.
+sample, ``--plants 1`` for fewer plants, or with stiffnesses in N/m. Some minutes: the integrator
+follows strings of up to 25,000 rad/s.
 
 Twelve strings, rest lengths held, 0.02 s samples. MPC is designed on strings without mass, at
 eight shapes of the way. The plant has strings of 5 % of the mass of the bars, each in two segments,
@@ -165,13 +165,14 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("stiffness", nargs="*", type=float, default=list(PIECES))
     parser.add_argument("--jumps", action="store_true")
+    parser.add_argument("--plants", type=int, default=PLANTS)
     arguments = parser.parse_args()
     print("k, N/m  pieces  height, mm  twist, deg  node, mm  γ, N/m  tension, N  "
           "rate, m/s  samples at it  statuses")  # fmt: skip
     for stiffness in arguments.stiffness:
         pieces = 1 if arguments.jumps else PIECES[stiffness]
         try:
-            made = morph(stiffness, pieces)
+            made = morph(stiffness, pieces, plants=arguments.plants)
         except tc.SimulationError as error:
             print(f"{stiffness:6.0e}  {pieces:6d}  {error}", flush=True)
             continue

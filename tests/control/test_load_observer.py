@@ -5,6 +5,8 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol import demo
+from tenscontrol.control.load_observer import LoadObserver
+from tenscontrol.control.path import acceleration_response
 
 SAMPLE, LOAD = 0.02, 2.0
 
@@ -48,9 +50,6 @@ def test_unknown_load_leaves_no_offset_where_it_is_estimated():
 @pytest.mark.parametrize("held", ["force_density", "rest_length"])
 def test_estimate_converges_and_the_rest_is_a_rest(held):
     """On the linear plant, where everything is exact."""
-    from tenscontrol.control.load_observer import LoadObserver
-    from tenscontrol.control.path import acceleration_response
-
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(1e3))
     plant = tc.linearize(model, tc.prestress(prism, 17.3205), input=held)
@@ -72,3 +71,75 @@ def test_estimate_converges_and_the_rest_is_a_rest(held):
     left = transition @ rest + inputs @ effort[0] + observer.drift - rest
     assert np.linalg.norm(left) < 1e-6 * np.linalg.norm(rest)
     assert np.abs(tracked @ shift[0]).max() < 1e-4 * np.linalg.norm(shift[0])
+
+
+def controlled(kind, plant, pieces):
+    """Return a controller that estimates, and what a sample does, ``(z, before, v) -> z``."""
+    winches = tc.Winches(rate=0.2, shortest=0.4, longest=1.3, pieces=pieces)
+    if kind == "NMPC":
+        made = tc.NMPC(plant, 4, SAMPLE, winches=winches, load_gain=0.5)
+        return made, lambda z, before, now: made.sampled(z, now).full().ravel()
+    made = tc.MPC(plant, 8, SAMPLE, winches=winches, load_gain=0.5)
+    fine = plant.discretize(SAMPLE / pieces)
+
+    def sample(z, before, now):
+        for piece in range(1, pieces + 1):
+            z = fine[0] @ z + fine[1] @ (
+                before + piece / pieces * (now - before) - plant.rest_length
+            )
+        return z
+
+    return made, sample
+
+
+@pytest.mark.parametrize(("kind", "pieces"), [("MPC", 1), ("MPC", 6), ("NMPC", 1)])
+def test_the_load_is_found_exactly_whatever_the_winches_do(kind, pieces):
+    """Two winches stick, one is slower than it should be, and three measurements are lost."""
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(200.0, damping=0.3))
+    plant = tc.linearize(model, tc.prestress(prism, 17.3205), input="rest_length")
+    made, sample = controlled(kind, plant, pieces)
+    push = acceleration_response(plant, SAMPLE)
+    load = 0.3 * np.random.default_rng(0).normal(size=9)
+    z, stands, off, statuses = np.zeros(18), plant.rest_length, [], []
+    made.applied(stands)
+    for k in range(60):
+        lost = np.nan if 20 <= k < 23 else 1.0
+        q, rates = np.split(z, 2)
+        command = made.command(k * SAMPLE, lost * plant.to_nodes(q), plant.to_velocities(q, rates))
+        statuses.append(command.status)
+        off.append(np.linalg.norm(made.load - load))
+        moved = command.value.copy()
+        if k > 4:
+            moved[:2] = stands[:2]
+        moved[5] = np.clip(moved[5], stands[5] - 2e-4, stands[5] + 2e-4)
+        z = sample(z, stands, moved) + push @ load
+        stands = moved
+        made.applied(stands)
+    # Halved by each comparison: none at the first sample, while blind, and at the first after.
+    compared = np.cumsum([k not in (0, 20, 21, 22, 23) for k in range(60)])
+    np.testing.assert_allclose(off[:40], off[0] * 0.5 ** compared[:40], rtol=1e-6, atol=1e-11)
+    assert off[-1] < 1e-10
+    assert statuses.count("ok") == 57
+    assert np.abs(z).max() > 1e-3  # it did move
+
+
+@pytest.mark.parametrize("kind", ["MPC", "NMPC"])
+def test_a_shape_without_dynamics_spoils_no_estimate(kind):
+    """Bars turned round have their lengths; the coordinates do not reach where they go."""
+    prism = tc.prism()
+    plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 17.3205))
+    made = getattr(tc, kind)(plant, 4, SAMPLE, 60.0, load_gain=0.5)
+    rng, still = np.random.default_rng(1), np.zeros((3, 6))
+    start, end = prism.bars.T
+    for k in range(60):
+        middle = (prism.nodes[:, start] + prism.nodes[:, end]) / 2
+        along = rng.normal(size=(3, 3))
+        along *= prism.bar_length / 2 / np.linalg.norm(along, axis=0)
+        nodes = np.empty((3, 6))
+        nodes[:, start], nodes[:, end] = middle - along, middle + along
+        assert np.isfinite(
+            made.command(k * SAMPLE, nodes, 10 * rng.normal(size=(3, 6))).value
+        ).all()
+        assert np.isfinite(made.load).all()
+    assert made.command(2.0, prism.nodes, still).status == "ok"

@@ -89,27 +89,42 @@ def test_a_bad_measurement_is_left_to_the_one_that_acted_last():
     assert found.active == 2
 
 
-def test_a_schedule_holds_there_and_back_where_one_plant_does_not():
-    """Strings of 10 kN/m, winding through the samples: one operating point is not enough."""
+def test_a_schedule_goes_there_and_back():
+    """Strings of 10 kN/m, winding through the samples."""
     there = path().reference()
     reference = there.then(there.reversed(), pause=0.3)
     winches = tc.Winches(rate=0.5, pieces=10)
     plants = path().plants(6, "rest_length")
-    off = []
-    for count in (1, 6):
-        chosen = plants[-1:] if count == 1 else plants
-        controllers = [
-            tc.MPC(plant, 8, SAMPLE, reference=reference, winches=winches) for plant in chosen
-        ]
-        run = tc.simulate(
-            path().model, reference.time[-1] + 0.7, controller=tc.Schedule(controllers),
-            winches=winches, rest_length=path().rest_length[:, 0], step=1e-3,
-        )  # fmt: skip
-        height = run.nodes[2, TOP].mean(axis=0) - run.nodes[2, BOTTOM].mean(axis=0)
-        off.append(abs(height[-1] - 1.0))
-    assert off[1] < 1e-4
-    assert off[0] > 10 * off[1]
+    controllers = [
+        tc.MPC(plant, 8, SAMPLE, reference=reference, winches=winches) for plant in plants
+    ]
+    run = tc.simulate(
+        path().model, reference.time[-1] + 0.7, controller=tc.Schedule(controllers),
+        winches=winches, rest_length=path().rest_length[:, 0], step=1e-3,
+    )  # fmt: skip
+    height = run.nodes[2, TOP].mean(axis=0) - run.nodes[2, BOTTOM].mean(axis=0)
+    assert abs(height[-1] - 1.0) < 1e-4
+    assert height.min() == pytest.approx(0.7, abs=1e-3)
     assert run.force_density.min() > 10.0
+    assert set(run.control.status_count) == {"ok"}
+
+
+@pytest.mark.parametrize(("push", "gained"), [(1e-4, 5.0), (1e-3, 40.0)])
+def test_the_nearest_plant_predicts_where_a_far_one_does_not(push, gained):
+    """By what the shape does otherwise than predicted, as accelerations, near the start."""
+    winches = tc.Winches(pieces=10)
+    plants = path().plants(6, "rest_length")
+    start = plants[0].to_nodes(push * np.random.default_rng(0).normal(size=9))
+    left = {}
+    for name, chosen in (("far", plants[-1:]), ("middle", plants[2:3]), ("nearest", plants)):
+        found = tc.Schedule([mpc_of(plant, winches=winches, load_gain=1.0) for plant in chosen])
+        tc.simulate(
+            path().model, 5 * SAMPLE, start, controller=found, winches=winches, step=1e-4,
+            rest_length=path().rest_length[:, 0],
+        )  # fmt: skip
+        left[name] = np.linalg.norm(found.controllers[found.active].load)
+    assert left["middle"] > gained * left["nearest"]
+    assert left["far"] > 4 * left["middle"]
 
 
 def test_a_regulator_can_be_scheduled():
@@ -122,6 +137,76 @@ def test_a_regulator_can_be_scheduled():
     nodes = plants[1].to_nodes(1e-4 * np.ones(9))
     expected = laws[1].command(0.0, nodes, STILL).value
     np.testing.assert_allclose(found.command(0.0, nodes, STILL).value, expected, atol=1e-12)
+
+
+def test_the_change_counts_from_what_winches_hold_across_a_switch():
+    """A stuck winch stands elsewhere than was commanded; the next controller is told."""
+    winches = tc.Winches(rate=0.05)
+    plants = path().plants(2, "rest_length")
+    found = tc.Schedule([mpc_of(plant, winches=winches, load_gain=0.5) for plant in plants])
+    stands = plants[0].rest_length
+    found.applied(stands)
+    for k in range(6):
+        broken = k in (2, 3)
+        nodes = plants[k // 2 % 2].nodes * (np.nan if broken else 1.0)
+        command = found.command(k * SAMPLE, nodes, STILL)
+        assert (command.status == "ok") != broken
+        assert np.abs(command.value - stands).max() <= 0.05 * SAMPLE * (1 + 1e-9)
+        stands = np.r_[stands[:3], command.value[3:]]
+        found.applied(stands)
+        active = found.controllers[found.active]
+        np.testing.assert_array_equal(active._reachable, stands)
+    assert found.active == 0
+    assert [each.statistics.fallbacks for each in found.controllers] == [2, 0]
+    found.command(6 * SAMPLE, plants[1].nodes, STILL)
+    assert found.controllers[1].load is not None
+    assert not found.controllers[1].load.any()  # from the winches that stand, it has seen nothing
+    found.reset()
+    assert sum(sum(e.statistics.status_count.values()) for e in found.controllers) == 0
+
+
+def test_each_controller_keeps_its_own_bounds():
+    plants = path().plants(2, "rest_length")
+    lows = [0.95 * plant.rest_length for plant in plants]
+    found = tc.Schedule(
+        [
+            mpc_of(plant, winches=tc.Winches(0.05, shortest=low))
+            for plant, low in zip(plants, lows, strict=True)
+        ]
+    )
+    np.testing.assert_array_equal(found.bounds[0], np.minimum(*lows))
+    stands = 0.9 * np.minimum(*lows)  # where neither would go
+    for i in (0, 1):
+        found.applied(stands)
+        value = found.command(0.0, plants[i].nodes, STILL).value
+        assert found.active == i
+        assert (value >= lows[i]).all()
+        # Bounds come first, and then the change.
+        assert (value <= lows[i] + 0.05 * SAMPLE * (1 + 1e-9)).all()
+
+
+def test_a_schedule_in_a_run_with_faults():
+    plants = path().plants(3, "rest_length")
+    winches = tc.Winches(rate=0.5, pieces=5)
+    found = tc.Schedule([mpc_of(plant, winches=winches, load_gain=0.2) for plant in plants])
+    stuck, lost = tc.StuckWinch(2, time=0.4, until=0.7), tc.LostMeasurement(time=1.0, until=1.06)
+    run = tc.simulate(
+        path().model, 2.8, controller=found, winches=winches, step=1e-3, faults=[stuck, lost],
+        rest_length=path().rest_length[:, 0],
+    )  # fmt: skip
+    control = run.control
+    during = (control.time >= 0.4 - 1e-9) & (control.time < 0.7 - 1e-9)
+    assert np.ptp(control.applied[2, during]) == 0
+    assert np.abs(control.command[2, during] - control.applied[2, during]).max() > 1e-4
+    assert control.status_count == {
+        "ok": len(control.time) - 3,
+        "measurement not finite: last plan continued": 3,
+    }
+    assert found.active == 2
+    before = np.column_stack([path().rest_length[:, 0], control.applied[:, :-1]])
+    assert np.abs(control.command - before).max() <= 0.5 * SAMPLE * (1 + 1e-9)
+    shape = plants[-1].measure(run.nodes[:, :, -1], run.velocities[:, :, -1])
+    assert np.abs(shape[:9]).max() < 1e-3
 
 
 # ---- references ----

@@ -15,7 +15,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.dynamics.compiled import compiled, worth_compiling
+from tenscontrol.dynamics.compiled import compiled
 from tenscontrol.dynamics.compiler import CompilerError, compiler
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
@@ -577,51 +577,3 @@ def test_put_right_it_is_loaded_again(cache):
         compiled(square())
     cache.chmod(0o700)
     assert compiled(square()).cached
-
-
-# ---- whether it pays ----
-
-
-def least_calls(function):
-    """The number of calls from which compiling pays, to a thousandth."""
-    low, high = 0, 10**12
-    assert not worth_compiling(function, low)
-    assert worth_compiling(function, high)
-    while high - low > max(1, low // 1000):
-        middle = (low + high) // 2
-        low, high = (low, middle) if worth_compiling(function, middle) else (middle, high)
-    return high
-
-
-def test_a_loop_pays_by_its_length():
-    slope, _, _ = prism_slope()
-    once = least_calls(slope)
-    for many in (slope.map(100), slope.map(100, "thread", 2)):
-        assert least_calls(many) == pytest.approx(once / 100, rel=0.1)
-    step = rk4_graph(slope)
-    assert least_calls(step) == pytest.approx(once / 4, rel=0.25)
-    assert least_calls(step.mapaccum(512)) == pytest.approx(least_calls(step) / 512, rel=0.5)
-    assert least_calls(step.fold(1000)) == pytest.approx(least_calls(step) / 1000, rel=0.5)
-
-
-def test_copies_of_code_cost_more_than_calls():
-    slope, _, _ = prism_slope()
-    graph = rk4_graph(slope)
-    assert least_calls(graph.expand()) > 1.5 * least_calls(graph)
-
-
-def test_a_branch_counts_its_shortest_way():
-    slope, _, _ = prism_slope()
-    symbols = slope.sx_in()
-    nothing = ca.Function("nothing", symbols, [0 * symbols[0]])
-    either = ca.Function.if_else("either", slope, nothing)
-    assert least_calls(either) > 5 * least_calls(slope)
-    both = ca.Function.if_else("both", slope, slope)
-    assert least_calls(both) == pytest.approx(least_calls(slope), rel=0.1)
-
-
-def test_the_rule_refuses_what_it_cannot_count():
-    with pytest.raises(TypeError, match="function is a int, expected Function"):
-        worth_compiling(3, 3)
-    with pytest.raises(ValueError, match="calls is -1, expected a whole number"):
-        worth_compiling(square(), -1)

@@ -387,10 +387,29 @@ def steered(fault, **changes):
      r"faults\[0\]\.string is 9, expected 0 to 8: there are 9 strings of the controller"),
     (lambda: steered([tc.StuckWinch(3, 0.0)]), ValueError,
      r"faults has winch 3 stuck from the start.*give rest_length"),
+    (lambda: tc.simulate(
+        tc.Model(tc.prism()), 0.1, controller=controller("lqr", "force_density"), step=2e-3,
+        faults=[tc.StuckWinch(3, 0.0)],
+    ), ValueError, r"winch 3 stuck from the start.* stands: give a time after the first sample"),
+    (lambda: tc.StuckWinch(1, -0.2), ValueError, r"time is -0\.2, expected a time in s"),
+    (lambda: tc.LostMeasurement(0.3, 0.2), ValueError, r"until is 0\.2 s, expected after time"),
 ])  # fmt: skip
 def test_faults_that_do_not_fit_are_refused(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+def test_stuck_faults_may_overlap_and_what_comes_after_the_end_does_nothing():
+    twice = [tc.StuckWinch(3, 0.02, 0.06), tc.StuckWinch(3, 0.04, 0.08)]
+    late = [tc.CutString(0, 5.0), tc.StuckWinch(1, 5.0), tc.LostMeasurement(5.0, 6.0)]
+    pushed = plant("rest_length").to_nodes(0.01 * np.random.default_rng(0).normal(size=9))
+    options = {"nodes": pushed, "rest_length": start()}
+    run, one, none = (
+        steered(faults, **options) for faults in (twice + late, [tc.StuckWinch(3, 0.02, 0.08)], [])
+    )
+    np.testing.assert_array_equal(run.nodes, one.nodes)
+    assert np.abs(run.nodes - none.nodes).max() > 1e-6
+    np.testing.assert_array_equal(steered(late, **options).nodes, none.nodes)
 
 
 def test_a_winch_stuck_from_the_start_stands_where_it_was_said_to():
