@@ -89,7 +89,14 @@ MAY_IMPORT = {
     "shape": {"control.reference", "actuation", "analysis", "dynamics", "statics", "structure"},
     "scene": {"simulation", "integrate", "control", "actuation", "analysis", "dynamics", "statics"}
     | {"structure", "shape", "estimation"},
-    "robustness": {"simulation", "control.controller", "actuation", "dynamics", "structure"}
+    "robustness": {
+        "simulation",
+        "estimation",
+        "control.controller",
+        "actuation",
+        "dynamics",
+        "structure",
+    }
     | {"accuracy.tables", "_version"},
     "plot": None,  # everything
 }

@@ -43,6 +43,7 @@ class Correction:
         self.gate = Gate(design.sensors, design.gate)
         # Bar vectors move by these rows; the bars of the reference have no part across themselves.
         structure, T = plant.model.structure, plant.basis
+        self._r = plant.degrees_of_freedom
         by_node = T.reshape(-1, 3, T.shape[1]).swapaxes(0, 1)
         bars = by_node[:, structure.bars[:, 1]] - by_node[:, structure.bars[:, 0]]
         self._bar_rows = bars.reshape(-1, T.shape[1])
@@ -137,6 +138,6 @@ class Correction:
         """Whether the coordinates reach the shape: no bar is turned by a right angle."""
         if not np.isfinite(z).all():
             return False
-        bars = (self._bar_rows @ z[: len(z) // 2]).reshape(3, -1)
+        bars = (self._bar_rows @ z[: self._r]).reshape(3, -1)
         across = bars - (bars * self._axes).sum(axis=0) * self._axes
         return bool(((across**2).sum(axis=0) < self._reach).all())

@@ -16,15 +16,19 @@ from tenscontrol.validation import FloatArray
 class FilterDesign:
     """What :func:`kalman` made, in the coordinates of ``plant``.
 
+    Where a load is estimated, z has r more entries: the acceleration q̈ that it gives.
+
     Attributes
     ----------
     plant : LinearPlant
     sensors : Sensors
     step : float
+    load : bool
+        Whether a load is estimated.
     pieces : int
         In which the input winds through a sample; 1 if it jumps at its start.
     sampled : Sampled
-        What a sample does to the linear plant.
+        What a sample does to z by the linear plant.
     process_covariance, start_covariance : ndarray, shape (s, s)
     start : ndarray, shape (s,)
     outputs : casadi.Function
@@ -38,6 +42,7 @@ class FilterDesign:
     plant: LinearPlant
     sensors: Sensors
     step: float
+    load: bool
     pieces: int
     sampled: Sampled
     process_covariance: FloatArray

@@ -22,8 +22,12 @@ class Estimate:
     nodes, velocities : ndarray, shape (3, n)
         m and m/s. Bars have their lengths. Motions as one body that no reading tells
         of are left out.
+    load : ndarray, shape (3, n), or None
+        Unknown force on each node, N, that acts on the bars in proportion to their mass: of all
+        loads that move the structure so, one. None if the filter estimates none.
     state : ndarray, shape (s,)
-        z in the coordinates of the filter.
+        z in the coordinates of the filter; where a load is estimated, with the accelerations that
+        it gives at the end.
     covariance : ndarray, shape (s, s)
         Of the state, as the filter has it.
     node_deviation : ndarray, shape (3, n)
@@ -38,6 +42,7 @@ class Estimate:
 
     nodes: FloatArray
     velocities: FloatArray
+    load: FloatArray | None
     state: FloatArray
     covariance: FloatArray
     node_deviation: FloatArray

@@ -12,9 +12,10 @@ from tenscontrol.control.reduced_dynamics import sampled_dynamics
 from tenscontrol.control.sampled import sampled
 from tenscontrol.estimation.design import FilterDesign
 from tenscontrol.estimation.kalman_filter import KalmanFilter
-from tenscontrol.estimation.observability import refuse_unobservable
+from tenscontrol.estimation.observability import refuse_unobservable, refuse_unseen_loads
 from tenscontrol.estimation.outputs import observed_plant, output_function, output_matrix
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.estimation.unknown_load import with_load
 from tenscontrol.structure import refuse_wrong_bar_lengths, same_members
 from tenscontrol.validation import (
     FloatArray,
@@ -22,6 +23,7 @@ from tenscontrol.validation import (
     frozen,
     instance,
     positive_number,
+    truth,
     whole_number,
 )
 
@@ -40,6 +42,8 @@ def kalman(
     step: float,
     *,
     process_noise: float = 0.02,
+    load: bool = False,
+    load_noise: float = 0.05,
     prediction: str = "linear",
     gate: float = 1e-4,
     patience: int = 5,
@@ -66,6 +70,13 @@ def kalman(
         sample and independent from one to the next, as a part of the root mean square
         acceleration that each string would give if it pulled alone with its tension
         at the operating point.
+    load : bool
+        Whether to estimate a load that the model does not know, an acceleration q̈ in each
+        coordinate. Strings of another stiffness count as one, near the operating point. Without
+        it such a load shifts the estimate.
+    load_noise : float
+        Standard deviation by which that acceleration changes from one sample to the next, in the
+        unit of ``process_noise``. More follows faster, and lets more noise through.
     prediction : {"linear", "nonlinear"}
         From sample to sample by the plant, or by the equations of motion themselves. The
         first is for the neighbourhood of the operating point, the second for large motions.
@@ -92,15 +103,16 @@ def kalman(
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit; if a motion that does not decay
         by itself is not seen (the message says how many states, and which readings in
-        addition would do); if no string pulls at the operating point; if the solution of the
-        Riccati equation does not stand the check of its residual and poles.
+        addition would do), or a load is not; if no string pulls at the operating point; if
+        the solution of the Riccati equation does not stand the check of its residual and poles.
 
     Notes
     -----
-    ``z⁺ = Φ z + Γ v + d + Ψ w``, ``y = h(z, u) + e``, with Φ, Γ and Ψ exact for what is held
-    over a sample; for winches that wind there from v_before, ``Γ_b v_before`` is added. The steady
-    gain for ``C = ∂h/∂z`` at the operating point is that of python-control's ``dlqe``, solved with
-    whitened readings, and checked.
+    ``z⁺ = Φ z + Γ v + d + Ψ (w + a)``, ``y = h(z, u) + e``, with Φ, Γ and Ψ exact for what
+    is held over a sample; for winches that wind there from v_before, ``Γ_b v_before`` is added.
+    The acceleration a by the unknown load has ``a⁺ = a + w'`` where it is estimated, and is 0
+    else. The steady gain for ``C = ∂h/∂z`` at the operating point is that of python-control's
+    ``dlqe``, solved with whitened readings, and checked.
 
     Examples
     --------
@@ -129,6 +141,8 @@ def kalman(
     spread = positive_number("start_spread", start_spread, "sizes of the structure")
     if positive_number("gate", gate, "no unit, below 1") >= 1:
         raise ValueError(f"gate is {gate:g}, expected a probability above 0 and below 1")
+    truth("load", load, "whether to estimate an unknown load")
+    walk = positive_number("load_noise", load_noise, "accelerations of the strings")
     patience = whole_number("patience", patience, least=1)
     choice("prediction", prediction, PREDICTIONS)
     pieces = _pieces(plant, winches)
@@ -147,30 +161,36 @@ def kalman(
         raise ValueError("plant has no states, so there is nothing to estimate")
     C = output_matrix(plant, sensors)
     refuse_unobservable(plant, sensors, C)
-    pull = _pull(plant)
-    push = share * pull * acceleration_response(plant, step)
-    moved = sampled(plant, step, pieces)
-    steady = _steady(moved.transition, push, C, sensors.noise)
+    if load:
+        refuse_unseen_loads(plant, sensors, C)
+    pull, by_load = _pull(plant), acceleration_response(plant, step)
     motion: ca.Function | None = None
     if prediction == "nonlinear":
         motion = sampled_dynamics(plant, step / pieces)[1]
+    design = FilterDesign(
+        plant=plant,
+        sensors=sensors,
+        step=step,
+        load=False,
+        pieces=pieces,
+        sampled=sampled(plant, step, pieces),
+        process_covariance=(share * pull) ** 2 * by_load @ by_load.T,
+        start_covariance=_start(plant, spread, pull),
+        start=_start_state(plant, start),
+        outputs=output_function(plant, sensors),
+        motion=motion,
+        gate=gate,
+        patience=patience,
+    )
+    push = share * pull * by_load
+    if load:
+        design = with_load(design, pull, walk)
+        r = plant.degrees_of_freedom
+        none = np.zeros((2 * r, r))
+        push = np.block([[push, none], [none[:r], walk * pull * np.eye(r)]])
+        C = np.hstack([C, np.zeros((len(C), r))])
     return KalmanFilter(
-        FilterDesign(
-            plant=plant,
-            sensors=sensors,
-            step=step,
-            pieces=pieces,
-            sampled=moved,
-            process_covariance=push @ push.T,
-            start_covariance=_start(plant, spread, pull),
-            start=_start_state(plant, start),
-            outputs=output_function(plant, sensors),
-            motion=motion,
-            gate=gate,
-            patience=patience,
-        ),
-        frozen(C),
-        *steady,
+        design, frozen(C), *_steady(design.sampled.transition, push, C, sensors.noise)
     )
 
 

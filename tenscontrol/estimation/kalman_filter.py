@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -25,6 +25,8 @@ _NOTHING_KNOWN = 1e12
 @final
 class KalmanFilter:
     """Finds the motion of a plant from readings, sample by sample. Made by :func:`kalman`.
+
+    A pickled one is loaded as new, with nothing of the readings that it has had.
 
     At each sample call :meth:`update` with what was read, and :meth:`predict` with
     the input that is then held. The covariance is carried along, since readings are lost
@@ -54,6 +56,7 @@ class KalmanFilter:
         riccati_residual: float,
     ) -> None:
         self._design = design
+        self._size = len(design.start)
         self.C, self.gain, self.covariance, self.poles = C, gain, covariance, poles
         self.riccati_residual = riccati_residual
         self._motion = None if design.motion is None else Evaluator(design.motion)
@@ -113,13 +116,12 @@ class KalmanFilter:
             If an argument does not fit, or the covariance is not symmetric with
             eigenvalues of at least 0.
         """
-        size = len(self.plant.A)
         z, P = self._design.start, self._design.start_covariance
         if state is not None:
-            z = shaped("state", state, (size,), "displacements and rates")
-            self.plant.to_nodes(z[: size // 2])  # refuses what is out of reach
+            z = shaped("state", state, (self._size,), "displacements, rates and load")
+            self.plant.to_nodes(z[: self.plant.degrees_of_freedom])  # refuses what is out of reach
         if covariance is not None:
-            P = _checked_covariance(covariance, size)
+            P = _checked_covariance(covariance, self._size)
         self._z, self._P = z, P
         # Inputs since the moment of the state; the one before it acts on the tensions then.
         self._inputs: deque[FloatArray] = deque()
@@ -241,7 +243,7 @@ class KalmanFilter:
         self._tally.start_over(after)
 
     def _estimate(self, z: FloatArray, P: FloatArray) -> Estimate:
-        r, T = len(z) // 2, self.plant.basis
+        r, T = self.plant.degrees_of_freedom, self.plant.basis
         nodes = self.plant.to_nodes(z[:r])
         strings = self.plant.model.structure.string_vectors(nodes)
         along = strings / np.maximum(np.linalg.norm(strings, axis=0), np.finfo(float).tiny)
@@ -249,7 +251,8 @@ class KalmanFilter:
         by_node, by_length = (((D @ P[:r, :r]) * D).sum(axis=1) for D in (T, stretch))
         return Estimate(
             nodes=frozen(nodes),
-            velocities=frozen(self.plant.to_velocities(z[:r], z[r:])),
+            velocities=frozen(self.plant.to_velocities(z[:r], z[r : 2 * r])),
+            load=frozen(self._load(z[2 * r :])) if self._design.load else None,
             state=frozen(z),
             covariance=frozen(P),
             node_deviation=frozen(np.sqrt(by_node).reshape(3, -1, order="F")),
@@ -257,10 +260,19 @@ class KalmanFilter:
             status=self._tally.last,
         )
 
+    def _load(self, acceleration: FloatArray) -> FloatArray:
+        """Return forces M T q̈ on the nodes, which give this acceleration: Tᵀ M T = I."""
+        weighed = self.plant.coordinates.project(np.eye(self.plant.nodes.size)).T
+        return np.asarray((weighed @ acceleration).reshape(3, -1, order="F"))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        steady = self.C, self.gain, self.covariance, self.poles, self.riccati_residual
+        return KalmanFilter, (self._design, *steady)
+
     def __repr__(self) -> str:
         kind = "linear" if self._motion is None else "nonlinear"
         return (
-            f"KalmanFilter({len(self.plant.A)} states, {len(self.sensors.readings)} readings, "
+            f"KalmanFilter({self._size} states, {len(self.sensors.readings)} readings, "
             f"step {self.step:g} s, {kind} prediction)"
         )
 

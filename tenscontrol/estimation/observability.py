@@ -46,6 +46,38 @@ def refuse_unobservable(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> 
     )
 
 
+def refuse_unseen_loads(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> None:
+    """Refuse readings that do not tell a constant load from a shape that they do not see.
+
+    A constant load shifts the structure. At the pole 0 the test of Hautus for the plant with
+    ``q̈`` of the load as states comes down to this: ``∂y/∂q`` has full column rank.
+    """
+    r = plant.degrees_of_freedom
+    count = r - _rank((C / sensors.noise[:, None])[:, :r])
+    if not count:
+        return
+    remedies = []
+    for kind, _, chooser, _ in KINDS:
+        if sensors.count_of(chooser):
+            arguments: dict[str, Any] = {"structure": sensors.structure, kind: 1.0}
+            more = output_matrix(plant, Sensors(**arguments))[:, :r]
+            seen = (C / sensors.noise[:, None])[:, :r]
+            if _rank(np.vstack([seen, more])) == r:
+                remedies.append(f"{kind} of all {chooser.removeprefix('tension_')}")
+    advice = "No single kind of reading in addition would do; leave out load"
+    if remedies:
+        advice = f"Measure in addition {', or '.join(remedies)}, or leave out load"
+    raise ValueError(
+        f"load: {count} of the {r} ways to shift the structure change nothing that {sensors!r} "
+        f"read, to first order, so that a load which does it is not seen. {advice}"
+    )
+
+
+def _rank(rows: FloatArray) -> int:
+    sizes = np.linalg.svd(rows, compute_uv=False)
+    return int(np.count_nonzero(sizes > _TOLERANCE * sizes.max(initial=0.0)))
+
+
 def unseen_poles(plant: LinearPlant, C: FloatArray) -> np.ndarray:
     """Return the poles with Im s ≥ 0 that do not decay and that C does not see, 1/s.
 

@@ -19,7 +19,7 @@ from tenscontrol.validation import FloatArray, frozen
 _UNSEEN = 1e-9
 
 
-def output_function(plant: LinearPlant, sensors: Sensors) -> ca.Function:
+def output_function(plant: LinearPlant, sensors: Sensors, more: int = 0) -> ca.Function:
     """Return ``(z, u) -> (y, ∂y/∂z)``, dense; exact, with bars of constant length.
 
     Parameters
@@ -27,10 +27,12 @@ def output_function(plant: LinearPlant, sensors: Sensors) -> ca.Function:
     plant : LinearPlant
         In internal or minimal coordinates, of the structure of the sensors.
     sensors : Sensors
+    more : int
+        Entries of z after the state of the plant, of which the readings do not tell.
     """
     structure = plant.model.structure
-    z, u = ca.SX.sym("z", len(plant.A)), ca.SX.sym("u", plant.B.shape[1])
-    N, V = reduced_motion(plant, z)
+    z, u = ca.SX.sym("z", len(plant.A) + more), ca.SX.sym("u", plant.B.shape[1])
+    N, V = reduced_motion(plant, z[: len(plant.A)])
     parts = []
     if sensors.nodes is not None:
         parts.append(ca.vec(N[:, sensors.nodes.tolist()]))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -11,9 +11,12 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import OK, Controller
 from tenscontrol.dynamics import Model, StringLaw
+from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.robustness.errors import SweepError
 from tenscontrol.robustness.outcome import Outcome
+from tenscontrol.robustness.varied import varied_sensors, varied_strings
 from tenscontrol.simulation import Limits, Trajectory, simulate
+from tenscontrol.simulation.faults import Fault, Faults
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
@@ -27,7 +30,7 @@ from tenscontrol.validation import (
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-_PARAMETERS = ("bar_mass", "string_node_mass", "stiffness", "damping", "start")
+_PARAMETERS = ("bar_mass", "string_node_mass", "stiffness", "damping", "start", "noise", "delay")
 
 # What a factor on the stiffness acts on, by the law.
 _STIFFNESS = ("stiffness", "axial_rigidity")
@@ -44,7 +47,10 @@ class ClosedLoopCase:
     For :func:`sweep`. The parameters it knows: ``"bar_mass"``,
     ``"string_node_mass"``, ``"stiffness"`` and ``"damping"`` are factors on the
     nominal values, one for all or one a member; ``"start"`` is where the
-    structure starts, coordinates q of the controller's plant, m.
+    structure starts, coordinates q of the controller's plant, m. With an estimator,
+    ``"noise"`` is a factor on the standard deviations of all readings, and ``"delay"``
+    how many samples late they come: draw it by :class:`OneOf`. The estimator is
+    not told, as the controller is not. The noise itself is drawn from the run's generator.
 
     The figures of a run: ``final_error``, m, the largest distance of a node from
     its place in the last tenth of the run, motion of the structure as one body
@@ -72,7 +78,7 @@ class ClosedLoopCase:
         Where the nodes are to be, m; at the operating point if not given.
     gravity : float or array_like, shape (3,), optional
         As in :class:`Model`. Weights go with the masses.
-    rest_length, hold, winches, sample_time : optional
+    rest_length, hold, winches, sample_time, estimator, sensors, faults : optional
         As in :func:`simulate`.
 
     Raises
@@ -109,6 +115,9 @@ class ClosedLoopCase:
     hold: str | None = None
     winches: Winches | None = None
     sample_time: float | None = None
+    estimator: KalmanFilter | None = None
+    sensors: Sensors | None = None
+    faults: Sequence[Fault] = ()
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
@@ -127,6 +136,9 @@ class ClosedLoopCase:
             hold: str | None = None,
             winches: Winches | None = None,
             sample_time: float | None = None,
+            estimator: KalmanFilter | None = None,
+            sensors: Sensors | None = None,
+            faults: Sequence[Fault] = (),
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -147,6 +159,13 @@ class ClosedLoopCase:
         for name in ("gravity", "rest_length"):
             if getattr(self, name) is not None:
                 put(self, name, frozen(float_array(name, getattr(self, name))))
+        if self.estimator is not None:
+            instance("estimator", self.estimator, KalmanFilter, "make one by kalman(...)")
+        if self.sensors is not None:
+            instance("sensors", self.sensors, Sensors, "make them by Sensors(structure=..., ...)")
+            if self.estimator is None:
+                raise ValueError("sensors go with an estimator; kalman(...) makes one")
+        put(self, "faults", self._checked_faults())
         self._model({})  # refuses strings and gravity that do not fit
 
     def __call__(self, parameters: Mapping[str, object], rng: np.random.Generator) -> Outcome:
@@ -157,7 +176,7 @@ class ClosedLoopCase:
         parameters : mapping of str to float or array_like
             Factors, and where the structure starts.
         rng : numpy.random.Generator
-            Not used: nothing is random but the parameters.
+            For the noise of the readings.
 
         Returns
         -------
@@ -168,12 +187,15 @@ class ClosedLoopCase:
         TypeError, ValueError, SimulationError
             If the plant cannot be built of these, or the motion runs away or is not accurate.
         SweepError
-            If there is no such parameter.
+            If there is no such parameter, or it has nothing to act on.
         """
         unknown = sorted(set(parameters) - set(_PARAMETERS))
         if unknown:
             known = ", ".join(repr(name) for name in _PARAMETERS)
             raise SweepError(f"there is no parameter {unknown[0]!r}, expected some of {known}")
+        sensors = self.sensors
+        if sensors is None and self.estimator is not None:
+            sensors = self.estimator.sensors
         run = simulate(
             self._model(parameters),
             self.duration,
@@ -185,6 +207,10 @@ class ClosedLoopCase:
             sample_time=self.sample_time,
             step=self.step,
             limits=Limits(action="raise"),
+            estimator=self.estimator,
+            sensors=varied_sensors(sensors, parameters),
+            seed=None if self.estimator is None else int(rng.integers(2**63)),
+            faults=self.faults,
         )
         if run.stopped is not None:
             raise SweepError(f"a simulation {run.stopped}")
@@ -199,8 +225,19 @@ class ClosedLoopCase:
                 structure = replace(structure, **{name: factor * nominal})
         for name, of_law in (("stiffness", _STIFFNESS), ("damping", ("damping",))):
             if name in parameters:
-                strings = _scaled(strings, name, of_law, parameters[name], len(structure.strings))
+                strings = varied_strings(
+                    strings, name, of_law, parameters[name], len(structure.strings)
+                )
         return Model(structure, strings=strings, gravity=self.gravity)
+
+    def _checked_faults(self) -> tuple[Fault, ...]:
+        """Return the faults, after checking that there is what they break."""
+        held = "force_density" if self.strings is None else "rest_length"
+        size = float(np.ptp(self.structure.nodes, axis=1).max())
+        breaking = Faults(self.faults, size, self.hold or held)
+        winches = len(self.controller.plant.commanded.strings)
+        breaking.refuse_unknown(len(self.structure.strings), winches)
+        return tuple(self.faults)
 
     def _start(self, parameters: Mapping[str, object]) -> FloatArray | None:
         if "start" not in parameters:
@@ -239,15 +276,3 @@ class ClosedLoopCase:
             q = plant.measure(run.nodes[:, :count, k], still)[:r]
             farthest = max(farthest, np.linalg.norm(plant.to_nodes(q) - wanted, axis=0).max())
         return float(farthest)
-
-
-def _scaled(
-    strings: StringLaw | None, name: str, of_law: tuple[str, ...], factor: object, count: int
-) -> StringLaw:
-    """Return the law with a parameter multiplied."""
-    found = [] if strings is None else [each.name for each in fields(strings)]
-    scaled = [each for each in of_law if each in found]
-    if strings is None or not scaled:
-        raise SweepError(f"{name} is drawn, but the strings have none: {strings!r}")
-    value = per_member(name, factor, count, "string")
-    return replace(strings, **{scaled[0]: value * getattr(strings, scaled[0])})

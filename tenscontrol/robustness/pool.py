@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
+import signal
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -15,6 +16,9 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import contextmanager
+from multiprocessing.context import SpawnContext
+from multiprocessing.process import BaseProcess
+from typing import Any, final
 
 from tenscontrol.robustness.errors import SweepError
 from tenscontrol.robustness.record import Record
@@ -27,42 +31,127 @@ _PER_PROCESS = 2
 _IN_FLIGHT = 64
 
 
+class Workers(ABC):
+    """Where runs are done, and how many are handed out at a time."""
+
+    in_flight: int
+
+    @abstractmethod
+    def submit(self, function: Callable[..., Record], *arguments: object) -> Future[Record]:
+        """Hand out a run."""
+
+    @abstractmethod
+    def give_up(self, pending: Iterable[Future[Record]]) -> None:
+        """See that runs which are not done do not hold up the end."""
+
+
+@final
+class _Given(Workers):
+    """The executor of a user, which is left as it is."""
+
+    def __init__(self, executor: Executor, in_flight: int) -> None:
+        self._executor, self.in_flight = executor, in_flight
+
+    def submit(self, function: Callable[..., Record], *arguments: object) -> Future[Record]:
+        return self._executor.submit(function, *arguments)
+
+    def give_up(self, pending: Iterable[Future[Record]]) -> None:
+        for future in pending:
+            future.cancel()
+
+
+@final
+class _Own(Workers):
+    """Processes of our own."""
+
+    def __init__(self, width: int, in_flight: int) -> None:
+        self.in_flight = in_flight
+        # Processes are started anew: a fork of a process that has threads can lock up.
+        self._context = _Remembering()
+        self._pool = ProcessPoolExecutor(width, self._context, initializer=ignore_interrupts)
+
+    def submit(self, function: Callable[..., Record], *arguments: object) -> Future[Record]:
+        # This may start a process. It inherits the mask: Ctrl-C, which the terminal sends to all
+        # processes, would else end it before it can ignore that.
+        with _interrupts_blocked():
+            return self._pool.submit(function, *arguments)
+
+    def give_up(self, pending: Iterable[Future[Record]]) -> None:
+        # The pool finds that its processes have ended, and clears up. Nothing is cancelled:
+        # the thread of Python 3.11 that clears up fails at a cancelled future, and the processes
+        # that are left wait for ever.
+        for process in self._context.started:
+            process.terminate()
+
+    def close(self) -> None:
+        """Wait until the processes have ended."""
+        self._pool.shutdown()
+
+
+class _Remembering(SpawnContext):
+    """Starts processes anew, and remembers them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.started: list[BaseProcess] = []
+
+    def Process(self, *args: Any, **kwargs: Any) -> BaseProcess:  # type: ignore[override]  # noqa: N802 - a name of the standard library
+        """Return a process that is to be started."""
+        process = SpawnContext.Process(*args, **kwargs)
+        self.started.append(process)
+        return process
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Hold Ctrl-C back, where the system can: on Windows it cannot."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 @contextmanager
 def workers(
     executor: Executor | None, processes: int | None, in_flight: int | None
-) -> Iterator[tuple[Executor, int]]:
-    """Yield the user's executor, or one of our own, and how many runs to have in flight.
+) -> Iterator[Workers]:
+    """Yield the user's executor, or processes of our own.
 
-    Our own is shut down at the end, the user's is left as it is.
+    Our own have ended afterwards, the user's executor is left as it is.
     """
     if executor is not None:
-        yield executor, in_flight or _IN_FLIGHT
+        yield _Given(executor, in_flight or _IN_FLIGHT)
         return
     width = processes or _processors()
-    # Processes are started anew: a fork of a process that has threads can lock up.
-    with ProcessPoolExecutor(
-        width, multiprocessing.get_context("spawn"), initializer=ignore_interrupts
-    ) as pool:
-        yield pool, in_flight or _PER_PROCESS * width
+    own = _Own(width, in_flight or _PER_PROCESS * width)
+    try:
+        yield own
+    finally:
+        own.close()
 
 
 def spread(
-    executor: Executor,
-    start: Callable[[int], tuple[object, ...]],
+    pool: Workers,
+    start: Callable[[int], tuple[Any, ...]],
     runs: Iterable[int],
-    in_flight: int,
     keep: Callable[[Record], None],
 ) -> None:
     """Do all runs, and keep the record of each as it comes.
 
-    Whatever stops this, runs that have not begun are cancelled.
+    Whatever stops this, runs that are not done are given up.
     """
     todo = iter(runs)
     pending: dict[Future[Record], int] = {}
+    over = False
     try:
         while True:
-            _fill(executor, start, todo, in_flight, pending)
+            _fill(pool, start, todo, pending)
             if not pending:
+                over = True
                 return
             done, _ = wait(pending, return_when=FIRST_COMPLETED)
             # Records first: what is done is kept, whatever became of the others.
@@ -73,24 +162,22 @@ def spread(
                 del pending[future]
                 keep(future.result())
     finally:
-        for future in pending:
-            future.cancel()
+        if not over:
+            pool.give_up(pending)
 
 
 def _fill(
-    executor: Executor,
-    start: Callable[[int], tuple[object, ...]],
+    pool: Workers,
+    start: Callable[[int], tuple[Any, ...]],
     todo: Iterator[int],
-    in_flight: int,
     pending: dict[Future[Record], int],
 ) -> None:
-    while len(pending) < in_flight:
+    while len(pending) < pool.in_flight:
         run = next(todo, None)
         if run is None:
             return
-        function, *arguments = start(run)
         try:
-            pending[executor.submit(function, *arguments)] = run  # type: ignore[arg-type]
+            pending[pool.submit(*start(run))] = run
         except BrokenExecutor as error:
             raise _stopped(error, run, [run, *pending.values()]) from error
 

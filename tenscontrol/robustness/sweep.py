@@ -87,9 +87,9 @@ def sweep(
     Warns
     -----
     RuntimeWarning
-        If the user interrupts: the report of what is done is returned, once the
-        runs at work have come to their end. If the last line of the
-        file is torn: it is dropped.
+        If the user interrupts: the report of what is done is returned, and runs at
+        work are given up; an executor that is given ends those by itself. If the last
+        line of the file is torn: it is dropped.
 
     Examples
     --------
@@ -140,7 +140,7 @@ def sweep(
         with (
             store.appending(path) as write,
             progress_bar(count, progress, label="sweep", unit="runs") as report,
-            workers(executor, processes, in_flight) as (pool, width),
+            workers(executor, processes, in_flight) as pool,
         ):
 
             def keep(record: Record) -> None:
@@ -155,7 +155,7 @@ def sweep(
             def start(run: int) -> tuple[Any, ...]:
                 return run_one, pickled, distributions, seed, run
 
-            spread(pool, start, runs, width, keep)
+            spread(pool, start, runs, keep)
     except SweepError as error:
         raise SweepError(str(error), collected(header, records)) from error.__cause__
     except KeyboardInterrupt:

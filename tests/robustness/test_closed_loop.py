@@ -1,6 +1,7 @@
 """The closed loop with a plant that varies: against simulations by hand and closed forms."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -125,6 +126,68 @@ def test_a_pickled_mpc_commands_what_a_new_one_does(prism, strings, plant):
     assert loaded(draw, RNG).figures == fresh(draw, RNG).figures
 
 
+@pytest.fixture(scope="module")
+def watched(prism, strings, plant, regulator):
+    """The regulator on what a filter makes of readings."""
+    sensors = tc.Sensors(structure=prism, string_length=1e-3, bar_direction=[5e-3, 6e-3, 7e-3])
+    estimator = tc.kalman(plant, sensors, 0.02)
+    return tc.ClosedLoopCase(
+        prism, strings, regulator, 0.2, STEP, tolerance=0.02, estimator=estimator
+    )
+
+
+def test_noise_and_delay_are_those_of_the_true_sensors(watched, prism, strings, regulator):
+    figures = watched({"noise": 2.0, "delay": 3.0}, np.random.default_rng(8)).figures
+    true = tc.Sensors(
+        structure=prism, string_length=2e-3, bar_direction=[1e-2, 1.2e-2, 1.4e-2], delay=3
+    )
+    run = tc.simulate(
+        tc.Model(prism, strings=strings), 0.2, controller=regulator, step=STEP,
+        estimator=watched.estimator, sensors=true,
+        seed=int(np.random.default_rng(8).integers(2**63)),
+    )  # fmt: skip
+    assert figures["largest_command"] == run.control.command.max()
+    assert figures["least_force_density"] == run.force_density.min()
+    assert watched.estimator.sensors.delay == 0  # it believes what it did
+
+
+def test_noise_is_that_of_the_run_alone(watched):
+    drawn = {"noise": tc.Uniform(0.5, 2.0), "delay": tc.OneOf([0, 1])}
+    whole, part = (tc.sweep(watched, drawn, n, seed=1, executor=Inline()) for n in (4, 3))
+    assert whole.completed.all()
+    assert [record.line() for record in whole._records[:3]] == [
+        record.line() for record in part._records
+    ]
+    same = tc.sweep(watched, {}, 2, seed=1, executor=Inline()).figure("largest_command")
+    assert same[0] != same[1]
+
+
+def test_sensors_of_ones_own_are_those_that_vary(watched):
+    own = replace(watched.estimator.sensors, delay=2)
+    late = replace(watched, sensors=own)
+    two, drawn = (case(given, np.random.default_rng(0)).figures
+                  for case, given in ((late, {}), (watched, {"delay": 2})))  # fmt: skip
+    assert two == drawn
+
+
+def test_draws_that_no_sensor_can_have_stop_the_sweep(case, watched):
+    for name in ("noise", "delay"):
+        with pytest.raises(tc.SweepError, match=f"{name} is drawn, but nothing is measured"):
+            case({name: 1.0}, RNG)
+    for late in (0.5, -1.0, np.ones(2)):
+        with pytest.raises(tc.SweepError, match="expected whole samples, at least 0: draw it by"):
+            watched({"delay": late}, RNG)
+    with pytest.raises(ValueError, match="noise is 0"):
+        watched({"noise": 0.0}, RNG)
+
+
+def test_faults_are_those_of_each_run(prism, strings, regulator):
+    cut = tc.ClosedLoopCase(
+        prism, strings, regulator, 0.2, STEP, 0.02, faults=[tc.CutString(string=0, time=0.1)]
+    )
+    assert cut({}, RNG).figures["least_force_density"] == 0.0
+
+
 def test_an_estimate_of_the_load_makes_up_for_wrong_stiffness(prism, strings, plant, regulator):
     """What the sweep is for: strings that are not as stiff as the controller was told."""
     mpc = tc.MPC(plant, horizon=8, step=0.04, max_force_density=65.0, load_gain=0.3)
@@ -132,7 +195,7 @@ def test_an_estimate_of_the_load_makes_up_for_wrong_stiffness(prism, strings, pl
     rates = []
     for controller in (regulator, mpc):
         case = tc.ClosedLoopCase(prism, strings, controller, 2.0, 1e-2, tolerance=0.01)
-        rates.append(tc.sweep(case, drawn, 8, seed=3, executor=Inline()))
+        rates.append(tc.sweep(case, drawn, 4, seed=3, executor=Inline()))
     assert rates[0].success_rate < 0.3
     assert rates[1].success_rate == 1.0
     assert np.array_equal(rates[0].parameters["stiffness"], rates[1].parameters["stiffness"])

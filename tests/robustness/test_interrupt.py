@@ -1,0 +1,61 @@
+"""Ctrl-C in a script: it ends at once, with the report of what is done."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="a process group gets no Ctrl-C there")
+
+ROOT = Path(__file__).parents[2]
+
+# More of it than a pipe holds is on its way to the workers when they are ended.
+SCRIPT = """
+import sys, time
+import tenscontrol as tc
+
+class Case:
+    def __init__(self):
+        self.ballast = bytes(300_000)
+
+    def __call__(self, parameters, rng):
+        if parameters["x"] == 1.0:
+            print("at work", flush=True)
+            time.sleep(600)
+        return tc.Outcome(success=True)
+
+if __name__ == "__mp_main__" and sys.argv[1] == "starting":
+    print("starting", flush=True)
+    time.sleep(600)
+
+if __name__ == "__main__":
+    report = tc.sweep(Case(), {"x": tc.OneOf([0.0, 1.0])}, 60, seed=0, processes=2)
+    print(f"{len(report)} runs reported", flush=True)
+"""
+
+
+@pytest.mark.parametrize("moment", ["starting", "at work"])
+def test_ctrl_c_ends_the_script(tmp_path, moment):
+    """Runs of ten minutes, or workers that take as long to start, do not hold it up."""
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT, "utf-8")
+    with subprocess.Popen(
+        [sys.executable, script, moment],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    ) as process:  # fmt: skip
+        try:
+            assert process.stdout.readline() == f"{moment}\n"
+            os.killpg(process.pid, signal.SIGINT)  # as the terminal does
+            # This waits for the workers too, which hold the pipes.
+            out, error = process.communicate(timeout=60)
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 0
+    assert "runs reported" in out
+    assert "RuntimeWarning: the sweep was interrupted with" in error
+    assert "Traceback" not in error
