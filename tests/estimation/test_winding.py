@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import tenscontrol as tc
 from tests.estimation.conftest import STEP
@@ -43,6 +44,24 @@ def blind(plant, prediction):
     size = len(plant.A)
     made.reset(state=np.zeros(size), covariance=np.zeros((size, size)), held=plant.rest_length)
     return made
+
+
+@pytest.mark.parametrize("prediction", ["linear", "nonlinear"])
+def test_a_load_acts_through_every_piece(stiff, prediction):
+    sensors = tc.Sensors(structure=stiff.model.structure, string_length=1e-3, bar_direction=1e-3)
+    made = tc.kalman(stiff, sensors, STEP, load=True, prediction=prediction, winches=WINCHES)
+    r = made.plant.degrees_of_freedom  # with the rotations that bar directions show
+    A = np.zeros((3 * r, 3 * r))  # z and a load that stays, in continuous time
+    A[: 2 * r, : 2 * r], A[r : 2 * r, 2 * r :] = made.plant.A, np.eye(r)
+    state = np.r_[np.zeros(2 * r), 1e-3 * np.random.default_rng(2).normal(size=r)]
+    made.reset(state=state, covariance=np.zeros(A.shape), held=stiff.rest_length)
+    made.predict(stiff.rest_length)
+    expected = expm(STEP * A) @ state
+    found = made.update(None).state
+    for part in (slice(0, r), slice(r, 2 * r), slice(2 * r, 3 * r)):  # q, rates, load
+        off = np.abs(found[part] - expected[part]).max()
+        # The nonlinear one takes the load to first order in a piece, by RK4 between.
+        assert off < (1e-9 if prediction == "linear" else 0.02) * np.abs(expected[part]).max()
 
 
 def test_the_linear_prediction_is_that_of_the_plant_piece_by_piece(stiff):
