@@ -67,6 +67,7 @@ if TYPE_CHECKING:
         held_loop,
         lqr,
     )
+    from tenscontrol.deploy import CompiledController, GeneratedController, generate_c
     from tenscontrol.dynamics import (
         Coordinates,
         ElasticStrings,
@@ -198,6 +199,7 @@ _HOME = {
         "held_loop",
         "lqr",
     ],
+    "deploy": ["CompiledController", "GeneratedController", "generate_c"],
     "dynamics": [
         "Coordinates",
         "ElasticStrings",

@@ -82,6 +82,7 @@ MAY_IMPORT = {
     "estimation": {"control.path", "control.reduced_dynamics", "control.sampled", "control.strings"}
     | {"analysis", "actuation", "dynamics", "structure"},
     "actuation": {"dynamics", "structure"},
+    "deploy": {"control", "analysis", "dynamics"},
     "simulation": {"integrate", "actuation", "dynamics", "structure", "control.controller"}
     | {"estimation"},
     "accuracy": {"simulation", "integrate", "actuation", "analysis", "dynamics", "statics"}
@@ -606,7 +607,7 @@ def test_classes_document_what_they_hold(name):
 
 
 @pytest.fixture(scope="module")
-def values():
+def values(tmp_path_factory):
     """One value of each public dataclass, by class name."""
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0, damping=0.1))
@@ -669,6 +670,7 @@ def values():
         regulator.command(0.0, prism.nodes, still),
         tc.Reference([0.0], prism.nodes[:, :, None], rest.force_density[:, None]),
         mpc.statistics,
+        tc.generate_c(regulator, tmp_path_factory.mktemp("code")),
         tc.NMPC(plant, horizon=3, step=0.01, max_force_density=50.0).statistics,
         tc.ShapeControl(plant, None, 0.01, 50.0, frequency=1.0).statistics,
         tc.OutputLimit(np.ones((1, 18)), np.zeros(1), np.ones(1)),

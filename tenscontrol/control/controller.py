@@ -118,14 +118,23 @@ class Controller(ABC):
         time = float(float_array("time", time))
         shape = self._plant.nodes.shape
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
-        fault = self._plausible.fault(N, V)
+        state, fault = self._perceived(N, V)
         if fault is None:
-            wish, status = self._decide(time, self._plant.measure(N, V))
+            wish, status = self._decide(time, state)
             if not np.isfinite(wish).all():
                 wish, status = self._fall_back(BAD_WISH)
         else:
             wish, status = self._fall_back(fault)
         return self._given(wish, status)
+
+    def _perceived(
+        self, nodes: FloatArray, velocities: FloatArray
+    ) -> tuple[FloatArray, str | None]:
+        """Return the reduced state z, and what is wrong with the measurement, None for nothing."""
+        fault = self._plausible.fault(nodes, velocities)
+        if fault is not None:
+            return np.zeros(0), fault
+        return self._plant.measure(nodes, velocities), None
 
     def _given(self, wish: FloatArray, status: str) -> Command:
         """Return the command that comes nearest to a wish; it stands from now on."""

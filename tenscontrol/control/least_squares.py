@@ -35,12 +35,18 @@ class BoundedLeastSquares:
         bounds = hstack([eye_array(columns), csc_array((columns, rows))])
         law = hstack([csc_array(np.ones((rows, columns))), -eye_array(rows)])
         A = csc_array(vstack([bounds, law]))
-        self._program = QuadraticProgram(P, A, tolerance, max_iterations, polish=True)
-        self.forget()
+        self._made_of = P, A, tolerance, max_iterations
+        self.reset()
 
     def forget(self) -> None:
         """Start the next solve from the centre."""
         self._guess: tuple[FloatArray, FloatArray] | None = None
+
+    def reset(self) -> None:
+        """Forget the last answer, and what the solver adapted to it and to the matrices before."""
+        self.forget()
+        # Where A is updated, OSQP scales it anew by what the cost was then: only a new one forgets.
+        self._program = QuadraticProgram(*self._made_of, polish=True)
 
     def solve(
         self, J: FloatArray, d: FloatArray, c: FloatArray, low: FloatArray, high: FloatArray

@@ -31,6 +31,13 @@ class LoadObserver:
         g, above 0 and at most 1.
     tracked : ndarray, shape (p, r)
         What is to be brought to the reference, as combinations of q.
+
+    Attributes
+    ----------
+    gain : ndarray, shape (r, s)
+        g Ψ⁺.
+    acceleration : ndarray, shape (r,)
+        The estimate a.
     """
 
     def __init__(
@@ -38,7 +45,7 @@ class LoadObserver:
     ) -> None:
         r, count = plant.degrees_of_freedom, plant.B.shape[1]
         self._push = push
-        self._gain = gain * np.linalg.pinv(push)
+        self.gain = gain * np.linalg.pinv(push)
         # min ‖H q‖² + thrift (‖q‖² + ‖v‖²), in units of each, where A₂₁ q + B₂ v + a = 0.
         stiffness, acting = plant.A[r:, :r], plant.B[r:]
         reach = max(float(np.linalg.norm(stiffness, 2)), 1e-300)
@@ -89,7 +96,7 @@ class LoadObserver:
             off = state - (self._coasting + pushed)
             # The nonlinear dynamics have no value where a bar turns beyond the coordinates.
             if np.isfinite(off).all():
-                self.acceleration = self.acceleration + self._gain @ off
+                self.acceleration = self.acceleration + self.gain @ off
 
     def expect(self, state: FloatArray | None) -> None:
         """Note the state at the next sample, the load but no input included; None if unknown."""

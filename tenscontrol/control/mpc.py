@@ -18,7 +18,7 @@ from tenscontrol.control.horizon import Condensed, Sparse
 from tenscontrol.control.load_observer import load_observer
 from tenscontrol.control.mpc_design import LONGEST_HORIZON, Wishes, default_penalty, design
 from tenscontrol.control.path import Path, acceleration_response, checked_reference
-from tenscontrol.control.problem import Course, Form
+from tenscontrol.control.problem import Ahead, Course, Form
 from tenscontrol.control.quadratic_program import QuadraticProgram, Status
 from tenscontrol.control.sampled import Lead, along_jumps, along_winding
 from tenscontrol.validation import (
@@ -270,6 +270,7 @@ class MPC(Controller):
         super().reset()
         self._statuses: list[str] = []
         self._iterations: list[int] = []
+        self._program.reset()
         if self._observer is not None:
             self._observer.reset()
 
@@ -280,28 +281,22 @@ class MPC(Controller):
         if self._observer is not None:
             self._observer.expect(None)
 
-    def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
-        deadline = self._called + self._time_limit
+    def _ahead(self, time: float) -> Ahead:
+        """Return what is known of the horizon before anything is measured at its start."""
         problem, winds = self._problem, self._sampled.winds
         lead = self._lead(time)
         path, origin = lead.path, lead.path.input[:-1]
         drift, reference = lead.drift, lead.reference
-        if self._standing is None:
-            self._standing = frozen(lead.before)
-        off_path = self._standing - lead.before
         effort = np.zeros_like(origin)
         if self._observer is not None:
-            self._observer.correct(state, self._sampled.by_input @ self._standing)
             drift = drift + self._observer.drift
             r = self.plant.degrees_of_freedom
             ends = path.rest[:-1] if winds else path.rest[1:]
             known = (reference - ends)[:, :r] @ self.plant.A[r:, :r].T
             offset, effort = self._observer.rest(known)
             reference = reference + np.hstack([offset, np.zeros_like(offset)])
-            self._observer.expect(self._sampled.coasting(state, off_path, origin[0]) + drift[0])
         if winds:
             none = np.zeros_like(origin)
-            state = np.concatenate([state, off_path])
             drift, reference = np.hstack([drift, none]), np.hstack([reference, none])
         row_low, row_high = self._constraints.bounds(path, problem.length)
         course = Course(
@@ -313,13 +308,35 @@ class MPC(Controller):
             row_low=row_low,
             row_high=row_high,
         )
-        vectors = self._form.vectors(state, reference, self._reachable - origin[0], course)
+        return Ahead(lead.before, reference, origin, course)
+
+    def _begun(self, state: FloatArray, standing: FloatArray, ahead: Ahead) -> FloatArray:
+        """Return z_0 of the program: ``[z; v_before]`` where winches wind."""
+        return np.concatenate([state, standing - ahead.before]) if self._sampled.winds else state
+
+    def _coasting(self, state: FloatArray, standing: FloatArray, ahead: Ahead) -> FloatArray:
+        """Return the state a sample later, the load but not the input of the sample included."""
+        coasting = self._sampled.coasting(state, standing - ahead.before, ahead.origin[0])
+        return coasting + ahead.course.drift[0, : len(state)]
+
+    def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
+        deadline = self._called + self._time_limit
+        if self._observer is not None and self._standing is not None:
+            self._observer.correct(state, self._sampled.by_input @ self._standing)
+        ahead = self._ahead(time)
+        origin, course = ahead.origin, ahead.course
+        if self._standing is None:
+            self._standing = frozen(ahead.before)
+        if self._observer is not None:
+            self._observer.expect(self._coasting(state, self._standing, ahead))
+        begun = self._begun(state, self._standing, ahead)
+        vectors = self._form.vectors(begun, ahead.reference, self._reachable - origin[0], course)
         answer = self._program.solve(*vectors, start=self._guess, deadline=deadline)
         self._iterations.append(answer.iterations)
         if answer.x is None or answer.y is None:
             return self._continue(answer.status.value)
         # Solved to a tolerance: what is left outside the bounds is cut off.
-        inputs = origin + self._form.inputs(answer.x, state, course)
+        inputs = origin + self._form.inputs(answer.x, begun, course)
         self._plan = np.clip(inputs, self._low, self._high)
         self._used = 0
         self._guess = self._form.shifted(answer.x, answer.y)

@@ -32,7 +32,7 @@ from tenscontrol.validation import (
 )
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
-_CONVERGED = 1e-5
+CONVERGED = 1e-5
 
 
 @final
@@ -252,6 +252,7 @@ class NMPC(Controller):
         """Forget the plan, what stands, the estimated load and the statistics."""
         super().reset()
         self._plan.reset()
+        self._program.reset()
         self._followed = 0
         self._seen: FloatArray | None = None
         self._statuses: list[str] = []
@@ -300,7 +301,7 @@ class NMPC(Controller):
                 self._record(rounds, work, change, preparing, began)
                 return self._continue(answer.status.value)
             self._followed = 0
-            if change < _CONVERGED or perf_counter() >= deadline:
+            if change < CONVERGED or perf_counter() >= deadline:
                 break
         self._plan.release(solved=True)
         self._statuses.append(OK)

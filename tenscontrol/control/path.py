@@ -64,6 +64,11 @@ class Path:
         What unit accelerations do to the state in a sample.
     drift : ndarray, shape (s,)
         Drift of the plant at its operating point over a sample.
+
+    Attributes
+    ----------
+    span : tuple of float
+        First and last time of the reference, s: beyond them nothing moves.
     """
 
     def __init__(
@@ -80,6 +85,7 @@ class Path:
         q = np.array([plant.measure(N, still)[:r] for N in shapes])
         self._reference = ReducedReference(reference.time, q)
         self._plant, self._drift = plant, drift
+        self.span = float(reference.time[0]), float(reference.time[-1])
         self._time: FloatArray | None = None
         if plant.input == "rest_length":
             self._time = _refined(reference.time, step)

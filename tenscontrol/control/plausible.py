@@ -34,6 +34,25 @@ class Plausible:
         Gives bars, supports, size and poles.
     step : float or None
         Sample time, s.
+
+    Attributes
+    ----------
+    farthest : float
+        Largest coordinate of a node, m.
+    fastest_seen : float
+        Largest velocity along an axis, m/s, that is looked at closer.
+    spread, fastest : float
+        Largest difference of positions, m, and of velocities, m/s, of two nodes along an axis.
+    off : float
+        Largest distance of a fixed node from its place, m.
+    bars : ndarray of int, shape (2, b)
+        Ends of bars.
+    squares : tuple of ndarray, shape (b,) each
+        Least and largest square of their lengths, m².
+    fixed : ndarray of int, shape (f,)
+        Fixed nodes.
+    places : ndarray, shape (3, f)
+        Their places, m.
     """
 
     def __init__(self, plant: LinearPlant, step: float | None) -> None:
@@ -43,13 +62,14 @@ class Plausible:
         if step is not None:
             rate = max(rate, 1 / step)
         # A plant without stiffness, run at any sample time, has no speed of its own.
-        self._fastest = _SPEED * size * rate if rate > 0 else np.finfo(float).max / _FAR
-        self._far, self._spread, self._off = _FAR * size, _SPREAD * size, _SUPPORT * size
-        self._bars, self._fixed = structure.bars.T, structure.fixed
-        self._places = plant.nodes[:, structure.fixed]
-        self._shortest, self._longest = (
-            (part * structure.bar_length) ** 2 for part in (1 - _BAR, 1 + _BAR)
-        )
+        self.fastest = _SPEED * size * rate if rate > 0 else np.finfo(float).max / _FAR
+        self.fastest_seen = _FAR * self.fastest
+        self.farthest, self.spread, self.off = _FAR * size, _SPREAD * size, _SUPPORT * size
+        self.bars, self.fixed = structure.bars.T, structure.fixed
+        self.places = plant.nodes[:, structure.fixed]
+        self.squares = (
+            ((1 - _BAR) * structure.bar_length) ** 2, ((1 + _BAR) * structure.bar_length) ** 2
+        )  # fmt: skip
 
     def fault(self, nodes: FloatArray, velocities: FloatArray) -> str | None:
         """Return a status for what is wrong, None where nothing is.
@@ -61,19 +81,19 @@ class Plausible:
         """
         # Comparisons with what is not finite are false; no square overflows after the first.
         if not (
-            np.abs(nodes).max() <= self._far and np.abs(velocities).max() <= _FAR * self._fastest
+            np.abs(nodes).max() <= self.farthest and np.abs(velocities).max() <= self.fastest_seen
         ):
             finite = np.isfinite(nodes).all() and np.isfinite(velocities).all()
             return ABSURD_MEASUREMENT if finite else BAD_MEASUREMENT
-        start, end = self._bars
+        start, end = self.bars
         bars = nodes[:, end] - nodes[:, start]
         square = (bars * bars).sum(axis=0)
         plausible = (
-            np.ptp(nodes, axis=1).max() <= self._spread
-            and np.ptp(velocities, axis=1).max() <= self._fastest
-            and ((square >= self._shortest) & (square <= self._longest)).all()
+            np.ptp(nodes, axis=1).max() <= self.spread
+            and np.ptp(velocities, axis=1).max() <= self.fastest
+            and ((square >= self.squares[0]) & (square <= self.squares[1])).all()
         )
-        if plausible and len(self._fixed):
-            off = np.linalg.norm(nodes[:, self._fixed] - self._places, axis=0)
-            plausible = bool(off.max() <= self._off)
+        if plausible and len(self.fixed):
+            off = np.linalg.norm(nodes[:, self.fixed] - self.places, axis=0)
+            plausible = bool(off.max() <= self.off)
         return None if plausible else ABSURD_MEASUREMENT

@@ -85,6 +85,27 @@ class Course:
 
 
 @dataclass(frozen=True, eq=False)
+class Ahead:
+    """What is known of the horizon before anything is measured at its start.
+
+    Attributes
+    ----------
+    before : ndarray, shape (α,)
+        Input that the reference has before the first sample.
+    reference : ndarray, shape (N, s)
+        r_1 … r_N, moved to where the plant rests under the estimated load.
+    origin : ndarray, shape (N, α)
+        Inputs that v_0 … v_{N−1} are measured from.
+    course : Course
+    """
+
+    before: FloatArray
+    reference: FloatArray
+    origin: FloatArray
+    course: Course
+
+
+@dataclass(frozen=True, eq=False)
 class Horizon:
     """Data of the problem that never change.
 

@@ -48,6 +48,9 @@ _STATUS = {
 
 _LARGEST = 1e20
 
+# Step of ADMM at the start.
+START_RHO = 1.0
+
 
 @dataclass(frozen=True, eq=False)
 class QPSolution:
@@ -123,7 +126,7 @@ class QuadraticProgram:
             polishing=polish,
             # Iterations, not seconds, decide when ρ is adapted: the same data
             # give the same answer on every machine.
-            rho=1.0,  # both forms are scaled for it
+            rho=START_RHO,  # both forms are scaled for it
             adaptive_rho=1,
             adaptive_rho_interval=50,
             check_termination=5,
@@ -155,6 +158,27 @@ class QuadraticProgram:
         self._solver.update(Ax=A)
         if not self._fresh:
             self._counted += perf_counter() - began
+
+    def reset(self) -> None:
+        """Forget the last solution and the step that was adapted to it."""
+        self._cold_start()
+        self._solver.update_settings(rho=START_RHO)
+
+    def write_c(self, folder: str, prefix: str) -> None:
+        """Write the program and OSQP itself as C code, in the state it is in.
+
+        Parameters
+        ----------
+        folder : str
+            A folder that is not there.
+        prefix : str
+            How names of the workspace start.
+        """
+        # With "vectors" the code could adapt neither the step nor the kinds of the rows.
+        self._solver.codegen(folder, parameters="matrices", extension_name=None, prefix=prefix)
+
+    def _cold_start(self) -> None:
+        self._solver.warm_start(x=np.zeros(self._shapes["q"]), y=np.zeros(self._shapes["l"]))
 
     def solve(
         self,
@@ -213,6 +237,6 @@ class QuadraticProgram:
         status = self._status[result.info.status_val]
         if status is not Status.SOLVED:
             # What OSQP leaves in x then is not a solution, and may warm-start nothing.
-            self._solver.warm_start(x=np.zeros(self._shapes["q"]), y=np.zeros(self._shapes["l"]))
+            self._cold_start()
             return QPSolution(status, None, None, result.info.iter)
         return QPSolution(status, result.x, result.y, result.info.iter)

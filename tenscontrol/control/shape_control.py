@@ -259,7 +259,7 @@ class ShapeControl(Controller):
     def reset(self) -> None:
         """Forget what stands and the statistics."""
         super().reset()
-        self._squares.forget()
+        self._squares.reset()
         self._statuses: list[str] = []
         self._records: list[tuple[float, ...]] = []
 

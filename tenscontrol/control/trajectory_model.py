@@ -56,6 +56,15 @@ class TrajectoryModel:
         What is limited beside the inputs.
     machine_code : bool
         Whether to compile the derivatives where there is a C compiler.
+
+    Attributes
+    ----------
+    sampled : casadi.Function
+        ``(z, u) -> z⁺``.
+    linearized : casadi.Function
+        ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
+    limited : casadi.Function or None
+        ``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of the rows that are limited, dense.
     """
 
     def __init__(
@@ -66,14 +75,15 @@ class TrajectoryModel:
         constraints: Constraints,
         machine_code: bool,
     ) -> None:
-        self.sampled, linearized = sampled_dynamics(plant, step)
+        self.sampled, self.linearized = sampled_dynamics(plant, step)
         self._advance = Evaluator(self.sampled)
         self._length = length
         self.back_end = "virtual machine"
-        self.motion = self._evaluator(linearized, machine_code)
+        self.motion = self._evaluator(self.linearized, machine_code)
         self._acceleration = Evaluator(reduced_acceleration(plant).map(length))
         rows = limited_rows(plant, constraints)
-        self._rows = None if rows is None else self._evaluator(_dense(rows), machine_code)
+        self.limited = None if rows is None else _dense(rows)
+        self._rows = None if rows is None else self._evaluator(self.limited, machine_code)
         self._patterns = () if rows is None else tuple(
             np.array(ca.DM(rows.sparsity_out(i), 1.0)) for i in (1, 2, 3)
         )  # fmt: skip

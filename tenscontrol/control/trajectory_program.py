@@ -180,6 +180,11 @@ class TrajectoryProgram:
         """Start the next solve from nothing."""
         self._guess = None
 
+    def reset(self) -> None:
+        """Forget the last answer, and what the solver adapted to it."""
+        self.forget()
+        self._program.reset()
+
     def linearize(self, motion: Tangents, rows: Tangents | None = None) -> None:
         """Put dynamics and limited rows in.
 
@@ -263,10 +268,10 @@ class TrajectoryProgram:
 
     def shift(self) -> None:
         """Move the last answer on by a sample, to start the next from."""
-        if self._guess is None:
-            return
+        if self._guess is not None:
+            self._guess = self.moved(*self._guess)
+
+    def moved(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return a primal and dual solution moved on by a sample."""
         N, (wide, high) = self._horizon.length, self._widths
-        self._guess = (
-            moved(self._guess[0], N, wide, repeat=True),
-            moved(self._guess[1], N, high, repeat=False),
-        )
+        return moved(x, N, wide, repeat=True), moved(y, N, high, repeat=False)

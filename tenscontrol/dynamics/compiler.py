@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -79,10 +80,41 @@ class Compiler:
         CompilerError
             If the compiler fails, writes nothing, or takes longer than that.
         """
-        library = folder / f"function{suffix()}"
-        (folder / "function.c").write_text(source, encoding="utf-8")
         # Names without a folder: the library must not depend on where it was made.
-        command = [*self.command, *FLAGS, "function.c", "-o", library.name, *_libraries()]
+        (folder / "function.c").write_text(source, encoding="utf-8")
+        return self.link([Path("function.c")], folder, "function", timeout)
+
+    def link(
+        self,
+        sources: Sequence[Path],
+        folder: Path,
+        name: str,
+        timeout: float,
+        extra: tuple[str, ...] = (),
+    ) -> Path:
+        """Compile files of C code to one library and return its path.
+
+        Parameters
+        ----------
+        sources : sequence of Path
+            As seen from the folder.
+        folder : Path
+            Where to work: a folder that nobody else writes into.
+        name : str
+            Name of the library, without its ending.
+        timeout : float
+            Longest time to wait, s.
+        extra : tuple of str
+            Options that go after all others.
+
+        Raises
+        ------
+        CompilerError
+            If the compiler fails, writes nothing, or takes longer than that.
+        """
+        library = folder / f"{name}{suffix()}"
+        files = [str(source) for source in sources]
+        command = [*self.command, *FLAGS, *extra, *files, "-o", library.name, *_libraries()]
         status, said = _run(command, folder, timeout)
         if status is None:
             raise CompilerError(f"{self.command[0]} was stopped after {timeout:g} s. {_ADVICE}")

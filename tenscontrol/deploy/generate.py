@@ -1,0 +1,202 @@
+"""A controller written as C code: one folder that a plain C compiler builds."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from tenscontrol.analysis import LinearPlant
+from tenscontrol.control import LQR, MPC, NMPC, Controller
+from tenscontrol.deploy.code_files import code_files
+from tenscontrol.deploy.compiled_controller import CompiledController
+from tenscontrol.deploy.lqr_parts import lqr_parts
+from tenscontrol.deploy.mpc_parts import mpc_parts
+from tenscontrol.deploy.nmpc_parts import nmpc_parts
+from tenscontrol.deploy.parts import Parts
+from tenscontrol.validation import FloatArray, frozen
+
+# Names of functions and headers that a controller may not have.
+_TAKEN = {"main", "osqp", "casadi", "qdldl", "math", "string", "stdio"}
+
+
+@dataclass(frozen=True, eq=False)
+class GeneratedController:
+    """A controller as C code. Made by :func:`generate_c`.
+
+    Attributes
+    ----------
+    folder : Path
+        Where the code is.
+    name : str
+        What its functions begin with.
+    kind : str
+        ``"LQR"``, ``"MPC"`` or ``"NMPC"``.
+    files : tuple of str
+        All files of the folder.
+    sizes : tuple of int
+        Their sizes, bytes.
+    plant : LinearPlant
+        What the controller was designed on.
+    step : float
+        Sample time, s.
+    low, high : ndarray, shape (α,)
+        Bounds of the commands.
+    """
+
+    folder: Path
+    name: str
+    kind: str
+    files: tuple[str, ...]
+    sizes: tuple[int, ...]
+    plant: LinearPlant
+    step: float
+    low: FloatArray
+    high: FloatArray
+
+    def compile(self, timeout: float = 600.0) -> CompiledController:
+        """Compile the code, and return it as a controller for this process.
+
+        Every call makes one with a memory of its own.
+
+        Parameters
+        ----------
+        timeout : float
+            Longest time that the compiler may take, s.
+
+        Returns
+        -------
+        CompiledController
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no C compiler, or it is switched off by ``TENSCONTROL_COMPILER=none``.
+        CompilerError
+            If the compiler fails, or its library cannot be loaded.
+        ValueError
+            If the timeout is not positive.
+        """
+        sources = [self.folder / file for file in self.files if file.endswith(".c")]
+        return CompiledController(
+            self.name,
+            self.kind,
+            [source for source in sources if source.name != "main.c"],
+            self.plant,
+            self.step,
+            (self.low, self.high),
+            timeout,
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"GeneratedController({self.kind} in {str(self.folder)!r}, {len(self.files)} files, "
+            f"{sum(self.sizes) / 1024:.0f} kB)"
+        )
+
+
+def generate_c(controller: Controller, folder: object, *, name: str = "controller") -> (
+    GeneratedController
+):  # fmt: skip
+    """Write a controller as C code into a new folder.
+
+    The code is C99, allocates no memory and needs nothing but a C compiler:
+    ``cc -O2 *.c -lm`` in the folder builds a program that runs it on samples
+    from a file. It commands what the controller in Python does, to round-off,
+    its fallbacks included, from a fresh start. See ``README.txt`` in the folder.
+
+    Parameters
+    ----------
+    controller : LQR, MPC or NMPC
+        An LQR must have a sample time. What it does afterwards, in particular
+        ``follow``, does not reach the code.
+    folder : path-like
+        Is made; must not be there, or be empty.
+    name : str
+        What files and functions begin with, in C.
+
+    Returns
+    -------
+    GeneratedController
+
+    Raises
+    ------
+    TypeError
+        If the controller is of another kind: that cannot be written as C code.
+    ValueError
+        If an argument does not fit, the controller has a ``time_limit``, an NMPC a
+        ``load_gain``, or the reference lasts too long for a table.
+    FileExistsError
+        If there is something in the folder.
+
+    Notes
+    -----
+    The quadratic program is solved by the code that OSQP generates (Banjac et
+    al. 2017, doi:10.1109/CDC.2017.8263928), with the settings of the controller;
+    the reduced state is found by code that CasADi generates. A reference that
+    moves is put into a table, a row a sample, and time is rounded to a whole sample.
+
+    Examples
+    --------
+    >>> import tempfile, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> mpc = tc.MPC(plant, horizon=5, step=0.02, max_force_density=60.0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     made = tc.generate_c(mpc, folder)
+    ...     made.kind, "controller.h" in made.files
+    ('MPC', True)
+    """
+    parts = _parts(controller)
+    name = _checked_name(name)
+    if not isinstance(folder, str | os.PathLike):
+        raise TypeError(f"folder is {folder!r}, expected a path")
+    place = Path(os.fsdecode(folder)).absolute()
+    if place.is_dir() and any(place.iterdir()):
+        raise FileExistsError(
+            f"folder {str(place)!r} is not empty, and other C files in it would be compiled too: "
+            "give a new one"
+        )
+    place.mkdir(parents=True, exist_ok=True)
+    texts = code_files(controller, parts, name)
+    for file, text in texts.items():
+        (place / file).write_text(text, encoding="utf-8", newline="\n")
+    assert controller.step is not None  # the parts have been made
+    low, high = controller.bounds
+    listed = sorted(texts)
+    return GeneratedController(
+        folder=place,
+        name=name,
+        kind=type(controller).__name__,
+        files=tuple(listed),
+        sizes=tuple((place / file).stat().st_size for file in listed),
+        plant=controller.plant,
+        step=controller.step,
+        low=frozen(low),
+        high=frozen(high),
+    )
+
+
+def _parts(controller: object) -> Parts:
+    if isinstance(controller, MPC):
+        return mpc_parts(controller)
+    if isinstance(controller, NMPC):
+        return nmpc_parts(controller)
+    if isinstance(controller, LQR):
+        return lqr_parts(controller)
+    raise TypeError(
+        f"controller is a {type(controller).__name__}, expected an LQR with a sample time, an "
+        "MPC or an NMPC: only these can be written as C code"
+    )
+
+
+def _checked_name(name: object) -> str:
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name):
+        raise ValueError(
+            f"name is {name!r}, expected a letter, then letters, digits and _, 31 at most: "
+            "names of C begin with it"
+        )
+    if name.lower() in _TAKEN:
+        raise ValueError(f"name is {name!r}, which is taken; give another")
+    return name

@@ -1,0 +1,141 @@
+"""Nonlinear MPC as parts of C code.
+
+The motion over a sample, the limited rows and their derivatives are CasADi functions. Where their
+values go in the matrix of the program, the program itself says.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tenscontrol.control import NMPC
+from tenscontrol.control.nmpc import CONVERGED
+from tenscontrol.control.quadratic_program import START_RHO
+from tenscontrol.control.trajectory_model import Tangents
+from tenscontrol.control.trajectory_program import TrajectoryProgram
+from tenscontrol.deploy.over_time import over_time
+from tenscontrol.deploy.parts import Parts, refuse_time_limit
+from tenscontrol.validation import FloatArray, IntArray
+
+
+def nmpc_parts(controller: NMPC) -> Parts:
+    """Return the parts of a nonlinear MPC.
+
+    Raises
+    ------
+    ValueError
+        If it estimates a load, has a time limit, or its reference lasts too long for a table.
+    """
+    if controller._observer is not None:
+        raise ValueError(
+            "controller is an NMPC with load_gain, and the shape at rest under a load is not "
+            "written as C code: leave load_gain out, or take MPC, whose estimate is written"
+        )
+    refuse_time_limit(controller._time_limit)
+    assert controller.step is not None  # NMPC has one
+    problem, model = controller._problem, controller._model
+    N, (s, a) = problem.length, problem.input_matrix.shape
+    p = 0 if problem.rows is None else len(problem.rows.scale)
+    program = _fresh(controller)
+    fixed = program.pattern.data
+    still = _flat(N, s, s, a), None if p == 0 else _flat(N, p, s, a, s)
+    program.linearize(*still)
+    nothing = np.zeros(s), np.zeros((N, s)), np.zeros((N, a))
+
+    def row(time: float) -> FloatArray:
+        reference, origin = controller.targets(time)
+        q, _, _ = program.vectors(nothing[0], reference, origin, np.zeros(a))
+        return np.concatenate([q, reference.ravel(), origin.ravel()])
+
+    first, table = over_time(controller._path.span, controller.step, N, row)
+    low, high = program.vectors(*nothing, np.zeros(a))[1:]
+    slopes = np.zeros((len(low), a))
+    # Rows of a change are bounded on both sides, and move alike; no others move.
+    bounded = np.isfinite(low)
+    for i, unit in enumerate(np.eye(a)):
+        slopes[bounded, i] = program.vectors(*nothing, unit)[1][bounded] - low[bounded]
+    source, factor = _places(program, fixed, (N, s, a, p))
+    limit_of_row, limit_scale = _limits(program, N, p)
+    x, y = program.moved(np.arange(1.0, program.pattern.shape[1] + 1), np.arange(1.0, len(low) + 1))
+    functions = {"advance": model.sampled, "linearize": model.linearized}
+    if model.limited is not None:
+        functions["limited"] = model.limited
+    return Parts(
+        templates=("program.c", "over_time.c", "nmpc.c"),
+        constants={
+            "UNKNOWNS": program.pattern.shape[1],
+            "ROWS": program.pattern.shape[0],
+            "ENTRIES": len(fixed),
+            "HORIZON": N,
+            "PLANNED": problem.input_count,
+            "LIMITED": p,
+            "LEVEL": float(problem.level),
+            "ROUNDS": controller._rounds,
+            "CONVERGED": CONVERGED,
+            "FIRST_RHO": START_RHO,
+        },
+        arrays={
+            "unit": program.units,
+            "first_low": low,
+            "first_high": high,
+            "source_of_entry": source,
+            "entry": factor,
+            "limit_of_row": limit_of_row,
+            "limit_scale": limit_scale,
+            "source_of_x": x.astype(np.int64) - 1,
+            "source_of_y": y.astype(np.int64) - 1,
+        },
+        matrices={"by_previous": slopes, "feedback": -problem.feedback},
+        program=_fresh(controller)._program,
+        table=(first, table),
+        functions=functions,
+    )
+
+
+def _fresh(controller: NMPC) -> TrajectoryProgram:
+    """Return a program like that of the controller, which may be in the middle of a run."""
+    used = controller._program
+    return TrajectoryProgram(
+        controller._problem,
+        controller.bounds,
+        used._row_bounds,
+        used.units,
+        used._program.tolerance,
+        used._program.max_iterations,
+    )
+
+
+def _flat(N: int, values: int, *arguments: int) -> Tangents:
+    """Return the tangents of functions that are zero."""
+    return Tangents(np.zeros((N, values)), tuple(np.zeros((N, j, values)) for j in arguments))
+
+
+def _places(
+    program: TrajectoryProgram, fixed: FloatArray, sizes: tuple[int, int, int, int]
+) -> tuple[IntArray, FloatArray]:
+    """Return which slope each entry of the matrix is, −1 for none, and its factor or its value.
+
+    Slopes are numbered as the C code has them: all A_k, then all B_k, E_k, G_k and F_k, by columns.
+    """
+    N, s, a, p = sizes
+    starts = np.cumsum([0, N * s * s, N * s * a, N * p * s, N * p * a])
+    source, factor = np.full(len(fixed), -1), fixed.copy()
+    motion, parts = program._slots
+    for begin, slots in [
+        *zip(starts[:2], motion, strict=True),
+        *((begin, slots) for part in parts for begin, slots in zip(starts[2:], part, strict=True)),
+    ]:
+        source[slots.place], factor[slots.place] = begin + slots.source, slots.factor
+    return source, factor
+
+
+def _limits(program: TrajectoryProgram, N: int, p: int) -> tuple[IntArray, FloatArray]:
+    """Return which of the N p limited values each row bounds, −1 for none, and its unit."""
+    count = program.pattern.shape[0]
+    limit, unit, rows = np.full(count, -1), np.ones(count), program._horizon.rows
+    for places, start in program._limits.parts:
+        assert rows is not None  # there are parts
+        found = program._states + start + np.arange(N * len(places))
+        limit[found] = (p * np.arange(N)[:, None] + places).ravel()
+        unit[found] = np.tile(rows.scale[places], N)
+    return limit, unit

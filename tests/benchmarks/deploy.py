@@ -1,0 +1,84 @@
+"""Controllers as C code: difference from Python, time of a sample against Python, size.
+
+Run: ``python -m tests.benchmarks.deploy``. Needs a C compiler. Each controller runs the nonlinear
+prism for 500 samples, eight of them spoilt. Times are medians of one command, taken in turns and
+called from Python both: that call is part of the time of the C code.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from pathlib import Path
+from time import thread_time
+
+import numpy as np
+
+import tenscontrol as tc
+from tenscontrol.dynamics.compiler import compiler
+from tests.deploy import scenes
+
+
+def main() -> None:
+    found = compiler()
+    if found is None:
+        print("there is no C compiler")
+        return
+    plant = scenes.plant("force_density")
+    held = {"rest_length": scenes.plant("rest_length").rest_length, "hold": "rest_length"}
+    controllers = {
+        "LQR": (tc.lqr(plant, *tc.energy_weights(plant), scenes.SAMPLE, 80.0), {}),
+        "MPC, γ, N = 10": (scenes.of_force_density(), {}),
+        "MPC, rest length, N = 4": (scenes.of_rest_length(), {"winches": scenes.WINCHES, **held}),
+        "MPC, winding, load, N = 4": (scenes.winding(), {"winches": scenes.WINDING, **held}),
+        "MPC, load, sparse, N = 6": (scenes.with_load(), {}),
+        "NMPC, γ, N = 3, twice": (scenes.nonlinear(), {}),
+    }
+    print("controller                 difference  Python / C  iterations  code kB  numbers kB")
+    for name, (controller, options) in controllers.items():
+        with tempfile.TemporaryDirectory() as folder:
+            made = tc.generate_c(controller, folder)
+            pair = scenes.Pair(controller, made.compile())
+            scenes.closed_loop(pair, **options)
+            one, other = pair.statuses
+            assert one == other  # what the table is about
+            times = taken(pair)
+            code, numbers = sizes(found.command, Path(folder))
+        print(
+            f"{name:26s} {pair.error:10.1e} {times[0] / times[1]:11.1f} "
+            f"{np.median(pair.iterations):11.0f} {code / 1024:8.0f} {numbers / 1024:11.0f}"
+        )
+
+
+def taken(pair: scenes.Pair) -> list[float]:
+    """Return the median time of a command of both, s: in turns, of the processor alone."""
+    both = pair.one, pair.other
+    for each in both:
+        each.reset()
+    times: list[list[float]] = [[], []]
+    for time, *rest in pair.asked:
+        N, V = (part.reshape(3, -1, order="F") for part in np.split(np.array(rest), 2))
+        for each, found in zip(both, times, strict=True):
+            began = thread_time()
+            each.command(time, N, V)
+            found.append(thread_time() - began)
+    return [float(np.median(found)) for found in times]
+
+
+def sizes(command: tuple[str, ...], folder: Path) -> tuple[int, int]:
+    """Return bytes of instructions, and of numbers, constant or not."""
+    sources = [path.name for path in folder.glob("*.c") if path.name != "main.c"]
+    subprocess.run([*command, "-O2", "-c", *sources], cwd=folder, check=True)
+    objects = [path.name for path in folder.glob("*.o")]
+    done = subprocess.run(
+        ["size", "-A", *objects], cwd=folder, check=True, capture_output=True, text=True
+    )
+    rows = [line.split() for line in done.stdout.splitlines()]
+    parts = [(row[0], int(row[1])) for row in rows if len(row) == 3 and row[1].isdigit()]
+    code = sum(size for name, size in parts if name.startswith(".text"))
+    numbers = sum(size for name, size in parts if name.startswith((".data", ".rodata", ".bss")))
+    return code, numbers
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,203 @@
+"""Controllers that become C code, and a controller that asks two for every command."""
+
+from functools import cache
+
+import numpy as np
+
+import tenscontrol as tc
+from tenscontrol import demo
+
+SAMPLE = 0.02
+SAMPLES = 500
+
+# Samples whose measurement is spoilt: one alone, three in a row, and one again.
+SPOILT = (57, 120, 121, 122, 400)
+ABSURD = (180, 181, 300)
+
+WINCHES = tc.Winches(rate=0.5, shortest=0.1)
+WINDING = tc.Winches(rate=0.5, shortest=0.1, pieces=10)
+
+
+class Pair(tc.Controller):
+    """Obeys one controller, and asks another for the same command.
+
+    Every measurement in ``SPOILT`` is handed to both with one entry that is not a number, every
+    one in ``ABSURD`` with a bar twice as long.
+    """
+
+    def __init__(self, one, other):
+        super().__init__(one.plant, one.step, *one.bounds)
+        self.one, self.other = one, other
+        self.reset()
+
+    def reset(self):
+        self.one.reset()
+        self.other.reset()
+        self.asked, self.told, self.answers, self.iterations = [], [], [], []
+
+    def command(self, time, nodes, velocities):
+        nodes, velocities = np.array(nodes), np.array(velocities)
+        if len(self.answers) in SPOILT:
+            velocities[1, 2] = np.nan
+        if len(self.answers) in ABSURD:
+            start, end = self.plant.model.structure.bars[0]
+            nodes[:, end] += nodes[:, end] - nodes[:, start]
+        self.asked.append(np.r_[time, nodes.ravel(order="F"), velocities.ravel(order="F")])
+        first, second = (each.command(time, nodes, velocities) for each in (self.one, self.other))
+        self.answers.append((first, second))
+        self.iterations.append(self.other.iterations)
+        return first
+
+    def applied(self, value):
+        self.told.append((len(self.answers), value))
+        for each in (self.one, self.other):
+            each.applied(value)
+
+    def _decide(self, time, state):
+        raise NotImplementedError
+
+    def _fall_back(self, reason):
+        raise NotImplementedError
+
+    @property
+    def commands(self):
+        """Commands of both, shape (2, samples, strings)."""
+        return np.array([[command.value for command in pair] for pair in self.answers]).swapaxes(
+            0, 1
+        )
+
+    @property
+    def statuses(self):
+        """Statuses of both."""
+        one, other = zip(*self.answers, strict=True)
+        return [command.status for command in one], [command.status for command in other]
+
+    @property
+    def error(self):
+        """Largest difference of the commands over the largest command."""
+        one, other = self.commands
+        return float(np.abs(one - other).max() / np.abs(one).max())
+
+
+@cache
+def model():
+    return tc.Model(tc.prism(), strings=tc.LinearStrings(demo.STIFFNESS))
+
+
+@cache
+def plant(held, height=demo.HEIGHT):
+    shape = demo.prism_of_height(model().structure, height)
+    return tc.linearize(model(), tc.prestress(shape, demo.TOP_FORCE_DENSITY), input=held)
+
+
+def ramp(end=demo.TARGET):
+    return demo.ramp(model().structure, demo.HEIGHT, end, demo.RAMP)
+
+
+def height_row():
+    """The height of the top of the prism above its bottom, as a row over all coordinates."""
+    row = np.zeros((3, 6))
+    row[2, :3], row[2, 3:] = 1 / 3, -1 / 3
+    return row.ravel(order="F")[None]
+
+
+def of_force_density(**options):
+    """The demo's: a moving reference."""
+    return tc.MPC(
+        plant("force_density", demo.TARGET), 10, SAMPLE, 80.0, reference=ramp(), **options
+    )
+
+
+def of_rest_length():
+    """Winches, soft limits on γ and tension, and a moving reference."""
+    return tc.MPC(
+        plant("rest_length", demo.TARGET),
+        4,
+        SAMPLE,
+        60.0,
+        winches=WINCHES,
+        max_tension=50.0,
+        reference=ramp(),
+    )
+
+
+def winding():
+    """Winches that wind through samples, under an unknown load and along a moving reference."""
+    return tc.MPC(
+        plant("rest_length", demo.TARGET),
+        4,
+        SAMPLE,
+        winches=WINDING,
+        load_gain=0.1,
+        reference=ramp(),
+    )
+
+
+def with_load():
+    """An unknown load is estimated; the program is written the sparse way, changes are limited."""
+    return tc.MPC(
+        plant("force_density"),
+        6,
+        SAMPLE,
+        80.0,
+        load_gain=0.1,
+        tracked=height_row(),
+        max_change=4.0,
+        outputs=[tc.OutputLimit(height_row(), low=0.9, penalty=100.0)],
+        form="sparse",
+    )
+
+
+def nonlinear_of_rest_length():
+    """Winches, soft limits on γ and tension and on height, linearized at each sample."""
+    return tc.NMPC(
+        plant("rest_length", demo.TARGET), 3, SAMPLE, 60.0, reference=ramp(),
+        winches=WINCHES, max_tension=50.0,
+        outputs=[tc.OutputLimit(height_row(), low=0.8, penalty=100.0)],
+    )  # fmt: skip
+
+
+def nonlinear():
+    """Linearized along the predicted motion, twice a sample, and changes are limited."""
+    return tc.NMPC(
+        plant("force_density", demo.TARGET), 3, SAMPLE, 80.0, reference=ramp(),
+        max_change=10.0, iterations=2,
+    )  # fmt: skip
+
+
+def closed_loop(pair, pull=0.0, **options):
+    """Run a pair on the nonlinear prism, disturbed at the start, for 500 samples.
+
+    Its ends are pulled apart, N at each, or not.
+    """
+    force = np.zeros((3, 6))
+    force[2, :3], force[2, 3:] = pull, -pull
+    loaded = tc.Model(model().structure, strings=model().strings, external_force=force)
+    start = plant("force_density").to_nodes(np.r_[0.02, np.zeros(8)])
+    return tc.simulate(loaded, SAMPLES * SAMPLE, start, controller=pair, step=SAMPLE, **options)
+
+
+def pair_of(controller, folder):
+    return Pair(controller, tc.generate_c(controller, folder).compile())
+
+
+def check(pair, solved=True):
+    """Same commands, statuses and numbers of iterations; bounds are kept."""
+    statuses = pair.statuses
+    assert len(pair.answers) >= SAMPLES
+    assert statuses[0] == statuses[1]
+    found = [
+        {k for k, status in enumerate(statuses[1]) if f"measurement not {what}" in status}
+        for what in ("finite", "plausible")
+    ]
+    assert found == [set(SPOILT), set(ABSURD)]
+    spoilt = set(SPOILT + ABSURD)
+    assert pair.error < 1e-10  # 1e-8 is what is promised
+    low, high = pair.one.bounds
+    assert (pair.commands[1] >= low).all()
+    assert (pair.commands[1] <= high).all()
+    if isinstance(pair.one, tc.MPC | tc.NMPC):
+        solves = [count for k, count in enumerate(pair.iterations) if k not in spoilt]
+        np.testing.assert_array_equal(solves, pair.one.statistics.iterations)
+    if solved:
+        assert {statuses[0][k] for k in range(SAMPLES) if k not in spoilt} == {"ok"}

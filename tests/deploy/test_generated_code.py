@@ -1,0 +1,192 @@
+"""Controllers as C code do what they do in Python, in closed loop and on spoilt input."""
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol import demo
+from tenscontrol.dynamics.compiler import compiler
+from tests.deploy import scenes
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+STILL = np.zeros((3, 6))
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory):
+    """The demo's motion by γ, commanded by both."""
+    pair = scenes.pair_of(scenes.of_force_density(), tmp_path_factory.mktemp("moved"))
+    return pair, scenes.closed_loop(pair)
+
+
+def test_force_density_along_a_moving_reference(moved):
+    pair, run = moved
+    scenes.check(pair)
+    # Five samples were spoilt, and the prism arrived all the same.
+    height = demo.height_of(run.nodes)[run.time > 9.0]
+    assert np.abs(height - demo.TARGET).max() < 2e-3
+
+
+def test_rest_length_with_winches_and_soft_limits(tmp_path):
+    pair = scenes.pair_of(scenes.of_rest_length(), tmp_path)
+    start = scenes.plant("rest_length").rest_length
+    run = scenes.closed_loop(pair, winches=scenes.WINCHES, rest_length=start, hold="rest_length")
+    scenes.check(pair)
+    assert run.control.command.shape == (9, scenes.SAMPLES)
+
+
+def test_winches_that_wind_under_an_unknown_load(tmp_path):
+    """The state of the program holds the last command too."""
+    pair = scenes.pair_of(scenes.winding(), tmp_path)
+    start = scenes.plant("rest_length").rest_length
+    scenes.closed_loop(
+        pair, pull=0.05, winches=scenes.WINDING, rest_length=start, hold="rest_length"
+    )
+    scenes.check(pair)
+    assert np.linalg.norm(pair.one.load) > 0.1
+
+
+def test_unknown_load_is_estimated_alike(tmp_path):
+    pair = scenes.pair_of(scenes.with_load(), tmp_path)
+    scenes.closed_loop(pair, pull=2 / 3)
+    scenes.check(pair)
+    assert np.linalg.norm(pair.one.load) > 0.1
+
+
+@pytest.mark.parametrize("held", ["force_density", "rest_length"])
+def test_lqr(held, tmp_path):
+    """Bounds, a largest change and what stands, on motions at random and actuators that stick."""
+    plant = scenes.plant(held)
+    limits = {"max_force_density": 30.1} if held == "force_density" else {}
+    change = 2.0 if held == "force_density" else 0.01
+    lqr = tc.lqr(plant, *tc.energy_weights(plant), scenes.SAMPLE, max_change=change, **limits)
+    pair = scenes.pair_of(lqr, tmp_path)
+    rng = np.random.default_rng(2)
+    for k in range(scenes.SAMPLES):
+        nodes = plant.to_nodes(0.02 * rng.normal(size=9))
+        given = pair.command(k * scenes.SAMPLE, nodes, 0.05 * rng.normal(size=(3, 6)))
+        pair.applied(given.value + (0.3 * change * rng.normal(size=9) if k % 7 == 0 else 0.0))
+    scenes.check(pair, solved=False)
+    taken = plant.equilibrium_input + change * rng.normal(size=9)
+    for each in (pair.one, pair.other):
+        each.take_over(taken)
+    pair.command(10.0, plant.to_nodes(np.full(9, 0.03)), STILL)
+    holds = "last command held" if held == "rest_length" else "equilibrium held"
+    assert set(pair.statuses[1]) == {
+        "ok", "saturated", f"measurement not finite: {holds}", f"measurement not plausible: {holds}"
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def short_of_iterations(tmp_path_factory):
+    """Code whose program is not solved where the prism is pushed hard."""
+    plant = scenes.plant("force_density")
+    mpc = tc.MPC(plant, 4, scenes.SAMPLE, 34.0, max_iterations=10)
+    return mpc, tc.generate_c(mpc, tmp_path_factory.mktemp("short") / "code")
+
+
+def test_out_of_iterations_is_the_same_fallback(short_of_iterations):
+    """Plans are continued until they end, then the equilibrium is held."""
+    mpc, made = short_of_iterations
+    pair = scenes.Pair(mpc, made.compile())
+    rng = np.random.default_rng(1)
+    for k in range(scenes.SAMPLES):
+        push = 2.0 if k % 50 < 10 else 0.003
+        nodes = mpc.plant.nodes + 0.003 * rng.normal(size=(3, 6))
+        pair.command(k * scenes.SAMPLE, nodes, push * rng.normal(size=(3, 6)))
+    scenes.check(pair, solved=False)
+    assert {
+        "ok",
+        "out of iterations: last plan continued",
+        "out of iterations: equilibrium held",
+    } <= set(pair.statuses[1])
+
+
+def test_reset_is_a_fresh_start(moved):
+    """The same commands again, to the last bit, after runs that adapted the solver."""
+    pair, _ = moved
+    compiled = pair.other
+    samples = [np.split(each[1:], 2) for each in pair.asked[:40]]
+    runs = []
+    for _ in range(2):
+        compiled.reset()
+        runs.append([
+            compiled.command(k * scenes.SAMPLE, *(part.reshape(3, 6, order="F") for part in parts))
+            .value
+            for k, parts in enumerate(samples)
+        ])  # fmt: skip
+    np.testing.assert_array_equal(*runs)
+    np.testing.assert_array_equal(runs[0], pair.commands[1][:40])
+
+
+def test_two_of_one_code_have_a_memory_each(short_of_iterations):
+    _, made = short_of_iterations
+    one, other = made.compile(), made.compile()
+    nodes = scenes.plant("force_density").to_nodes(np.r_[0.02, np.zeros(8)])
+    before = one.command(0.0, nodes, STILL).value
+    spoilt = np.full((3, 6), np.inf)
+    assert one.command(0.02, spoilt, STILL).status == "measurement not finite: last plan continued"
+    assert other.command(0.02, spoilt, STILL).status == "measurement not finite: equilibrium held"
+    other.reset()
+    np.testing.assert_array_equal(other.command(0.0, nodes, STILL).value, before)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [scenes.winding, scenes.nonlinear_of_rest_length],
+)
+def test_code_of_every_law_has_no_warnings(make, tmp_path):
+    tc.generate_c(make(), tmp_path)
+    strict = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+    subprocess.run([*compiler().command, *strict, "-c", "controller.c"], cwd=tmp_path, check=True)
+
+
+@pytest.fixture(scope="module")
+def replay(moved, tmp_path_factory):
+    """The program that runs samples from a file, and its lines of 500 samples."""
+    folder = tmp_path_factory.mktemp("replay")
+    tc.generate_c(moved[0].one, folder, name="height")
+    cc = [*compiler().command, "-std=c99", "-g"]
+    strict = ["-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+    sources = sorted(path.name for path in folder.glob("*.c"))
+    for own in ("height.c", "main.c"):
+        subprocess.run([*cc, *strict, "-c", own], cwd=folder, check=True)
+        sources.remove(own)
+    command = [*cc, *sources, "height.o", "main.o", "-lm", "-o", "replay"]
+    subprocess.run(command, cwd=folder, check=True)
+    return folder / "replay", [" ".join(map(repr, each.tolist())) for each in moved[0].asked]
+
+
+def test_program_that_replays_prints_the_same(moved, replay):
+    pair, (program, lines) = moved[0], replay
+    done = subprocess.run(
+        [program], input="\n".join(lines), capture_output=True, text=True, check=True
+    )
+    rows = np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
+    assert len(rows) == scenes.SAMPLES
+    np.testing.assert_array_equal(rows[:, 1], pair.iterations)
+    size = np.abs(pair.commands[1]).max()
+    np.testing.assert_allclose(rows[:, 2:], pair.commands[1], rtol=0, atol=1e-10 * size)
+    assert set(np.flatnonzero(rows[:, 0])) == {*scenes.SPOILT, *scenes.ABSURD}
+    short = subprocess.run([program], input="0.0 1.0", capture_output=True, text=True)
+    assert short.returncode == 1
+    assert "expected 1 + 36 numbers" in short.stderr
+
+
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not there")
+def test_nothing_is_allocated_and_no_memory_is_misused(replay):
+    program, lines = replay
+    done = subprocess.run(
+        ["valgrind", "--error-exitcode=9", program],
+        input="\n".join(lines[50:62]),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) == 12
+    # The buffers of the standard input and output alone.
+    assert "total heap usage: 2 allocs" in done.stderr

@@ -1,0 +1,58 @@
+"""Nonlinear MPC as C code does what it does in Python."""
+
+import numpy as np
+import pytest
+
+from tenscontrol import demo
+from tenscontrol.dynamics.compiler import compiler
+from tests.deploy import scenes
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+
+def test_force_density_along_a_moving_reference(tmp_path):
+    pair = scenes.pair_of(scenes.nonlinear(), tmp_path)
+    run = scenes.closed_loop(pair)
+    scenes.check(pair)
+    # Within 2 mm of the new height, although eight samples were spoilt.
+    assert np.abs(demo.height_of(run.nodes)[run.time > 9.0] - demo.TARGET).max() < 2e-3
+
+
+@pytest.fixture(scope="module")
+def limited(tmp_path_factory):
+    """Winches, limited rows, and code that does the same."""
+    return scenes.pair_of(scenes.nonlinear_of_rest_length(), tmp_path_factory.mktemp("limited"))
+
+
+def test_limited_rows_and_winches(limited):
+    """In runs of four samples: programs of hundreds of iterations let round-off grow."""
+    plant, rng = limited.plant, np.random.default_rng(3)
+    limited.reset()
+    for k in range(60):
+        if k % 4 == 0:
+            limited.one.reset()
+            limited.other.reset()
+        given = limited.command(
+            k * scenes.SAMPLE,
+            plant.to_nodes(0.003 * rng.normal(size=9)),
+            plant.to_velocities(np.zeros(9), 0.02 * rng.normal(size=9)),
+        )
+        if k % 3 == 0:
+            limited.applied(given.value + 0.01 * rng.normal(size=9))
+    assert limited.statuses[0] == limited.statuses[1]
+    assert {"ok", "measurement not finite: plan continued"} <= set(limited.statuses[1])
+    assert limited.error < 1e-8
+
+
+def test_plan_that_ends_is_forgotten(limited):
+    """Rest lengths that stand are held once the plan is used up, and before there is one."""
+    lost, nodes = np.full((3, 6), np.inf), limited.plant.nodes
+    limited.reset()
+    limited.applied(1.01 * limited.plant.rest_length)
+    for k, measured in enumerate([lost, nodes, lost, lost, lost, lost, nodes]):
+        limited.command(scenes.SAMPLE * k, measured, np.zeros((3, 6)))
+    held, followed = "last command held", "plan continued"
+    statuses = [status.split(": ")[-1] for status in limited.statuses[1]]
+    assert statuses == [held, "ok", followed, followed, held, held, "ok"]
+    assert limited.statuses[0] == limited.statuses[1]
+    assert limited.error < 1e-8

@@ -1,0 +1,108 @@
+"""What cannot be written or compiled, and what the refusal says."""
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.dynamics.compiler import VARIABLE
+from tests.deploy import scenes
+
+
+def regulator(step=scenes.SAMPLE):
+    plant = scenes.plant("force_density")
+    return tc.lqr(plant, *tc.energy_weights(plant), step)
+
+
+def test_law_in_continuous_time(tmp_path):
+    with pytest.raises(ValueError, match=r"controller is an LQR in continuous time.*step="):
+        tc.generate_c(regulator(None), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("what", [None, 3, scenes.Pair])
+def test_other_controllers(what, tmp_path):
+    with pytest.raises(TypeError, match=r"controller is a \w+, expected an LQR .* or an NMPC"):
+        tc.generate_c(what, tmp_path)
+
+
+def test_controllers_that_are_not_written(tmp_path):
+    plant = scenes.plant("force_density")
+    shape = tc.ShapeControl(plant, None, scenes.SAMPLE, 60.0, frequency=1.0)
+    for given in (shape, tc.Schedule([regulator()])):
+        with pytest.raises(TypeError, match=r"controller is a S\w+, expected an LQR .* or an NMPC"):
+            tc.generate_c(given, tmp_path)
+
+
+@pytest.mark.parametrize("kind", [tc.MPC, tc.NMPC])
+def test_limit_of_time(kind, tmp_path):
+    limited = kind(scenes.plant("force_density"), 2, scenes.SAMPLE, 80.0, time_limit=0.01)
+    with pytest.raises(ValueError, match=r"time_limit=0\.01 s, and C code .* has no clock"):
+        tc.generate_c(limited, tmp_path)
+
+
+def test_nonlinear_mpc_that_estimates_a_load(tmp_path):
+    nmpc = tc.NMPC(scenes.plant("force_density"), 2, scenes.SAMPLE, 80.0, load_gain=0.1)
+    with pytest.raises(ValueError, match=r"NMPC with load_gain.* or take MPC"):
+        tc.generate_c(nmpc, tmp_path)
+
+
+@pytest.mark.parametrize("folder", [None, 3, np.zeros(2)])
+def test_folder_that_is_no_path(folder):
+    with pytest.raises(TypeError, match=r"folder is .*expected a path"):
+        tc.generate_c(regulator(), folder)
+
+
+def test_folder_with_something_in_it(tmp_path):
+    (tmp_path / "mine.c").write_text("int mine;")
+    with pytest.raises(FileExistsError, match="is not empty"):
+        tc.generate_c(regulator(), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.c"]
+
+
+@pytest.mark.parametrize("name", [None, "", "1st", "my controller", "a/b", "ä", "x" * 32, "main"])
+def test_name_that_is_none_in_c(name, tmp_path):
+    with pytest.raises(ValueError, match=r"name is .*, (expected a letter|which is taken)"):
+        tc.generate_c(regulator(), tmp_path / "code", name=name)
+    assert not (tmp_path / "code").exists()
+
+
+def test_name_of_a_file_of_the_solver(tmp_path):
+    mpc = tc.MPC(scenes.plant("force_density"), 2, scenes.SAMPLE, 80.0)
+    with pytest.raises(ValueError, match=r"name is 'kkt', but OSQP has a file 'kkt\.[ch]'"):
+        tc.generate_c(mpc, tmp_path, name="kkt")
+    assert not list(tmp_path.iterdir())
+
+
+def test_reference_too_long_for_a_table(tmp_path):
+    mpc = tc.MPC(scenes.plant("force_density"), 2, scenes.SAMPLE, 80.0)
+    nodes = mpc.plant.nodes
+    mpc.follow(tc.Reference([0.0, 1e5], np.stack([nodes, 1.001 * nodes], axis=-1)))
+    with pytest.raises(ValueError, match=r"reference of 100000 s, \d+ samples.*Follow a shorter"):
+        tc.generate_c(mpc, tmp_path)
+
+
+def test_no_compiler(tmp_path, monkeypatch):
+    made = tc.generate_c(regulator(), tmp_path)
+    monkeypatch.setenv(VARIABLE, "none")
+    with pytest.raises(FileNotFoundError, match="switched off by TENSCONTROL_COMPILER"):
+        made.compile()
+
+
+@pytest.mark.parametrize("timeout", [0.0, -1.0, np.nan, None])
+def test_timeout(timeout, tmp_path):
+    made = tc.generate_c(regulator(), tmp_path)
+    with pytest.raises((TypeError, ValueError), match=r"timeout is .*positive"):
+        made.compile(timeout)
+
+
+def test_generating_leaves_the_controller_as_it_was(tmp_path):
+    """Also in the middle of a run: the next command is the same to the last bit."""
+    nodes = scenes.plant("force_density").to_nodes(np.r_[0.02, np.zeros(8)])
+    commands = []
+    for generates in (False, True):
+        mpc = scenes.with_load()
+        for k in range(6):
+            if k == 3 and generates:
+                tc.generate_c(mpc, tmp_path)
+            commands.append(mpc.command(k * scenes.SAMPLE, nodes, np.zeros((3, 6))).value)
+    np.testing.assert_array_equal(commands[:6], commands[6:])
