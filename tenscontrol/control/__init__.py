@@ -1,5 +1,6 @@
 """Controllers: LQR and MPC behind one face."""
 
+from tenscontrol.control.bars_apart import bars_apart
 from tenscontrol.control.constraints import OutputLimit
 from tenscontrol.control.controller import Command, Controller
 from tenscontrol.control.held_loop import HeldLoop, held_loop
@@ -26,6 +27,7 @@ __all__ = [
     "Schedule",
     "ShapeControl",
     "ShapeControlStatistics",
+    "bars_apart",
     "energy_weights",
     "held_loop",
     "lqr",

@@ -11,7 +11,6 @@ from tenscontrol.analysis import LinearPlant
 from tenscontrol.control.reference import Reference
 from tenscontrol.dynamics import Model
 from tenscontrol.shape.along import plants_along
-from tenscontrol.shape.clearance import bar_distances, crossing
 from tenscontrol.shape.continuation import Continuation, Waypoint
 from tenscontrol.shape.ends import path_end, refuse_same
 from tenscontrol.shape.limits import checked_bounds
@@ -21,7 +20,7 @@ from tenscontrol.shape.solve import STIFF
 from tenscontrol.shape.target import ShapeTarget
 from tenscontrol.shape.timed import PathError, Timed, rest_at
 from tenscontrol.statics import Prestress
-from tenscontrol.structure import restore_bar_lengths
+from tenscontrol.structure import bar_distances, crossing, restore_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
     float_array,

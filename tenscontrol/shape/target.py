@@ -10,13 +10,17 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model
-from tenscontrol.shape.clearance import bar_distances
 from tenscontrol.shape.constraints import Demand
 from tenscontrol.shape.limits import Limits, checked_limits
 from tenscontrol.shape.solve import MET, STIFF, Solved, solve_shape
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics import Prestress
-from tenscontrol.structure import Structure, refuse_moved_supports, restore_bar_lengths
+from tenscontrol.structure import (
+    Structure,
+    bar_distances,
+    refuse_moved_supports,
+    restore_bar_lengths,
+)
 from tenscontrol.validation import FloatArray, choice, frozen, instance, truth
 
 CHOICES = ("centred", "least")

@@ -1,5 +1,6 @@
 """What a tensegrity structure is: nodes, bars, strings, masses."""
 
+from tenscontrol.structure.clearance import BarDistances, bar_distances, crossing
 from tenscontrol.structure.lengths import (
     refuse_moved_supports,
     refuse_strings_without_length,
@@ -27,8 +28,11 @@ from tenscontrol.structure.subdivide import (
 from tenscontrol.structure.tower import prism_tower
 
 __all__ = [
+    "BarDistances",
     "Structure",
     "affine_motions",
+    "bar_distances",
+    "crossing",
     "left_by_supports",
     "net",
     "prism",
