@@ -55,7 +55,8 @@ for held, (plant, _) in designs.items():
           f"{1e3 * off[held][-1]:.4f} mm after {DURATION:g} s")  # fmt: skip
 
 # %%
-# Poles in open and closed loop, and the responses.
+# Poles in open loop and under the laws in continuous time; the responses are those under laws in
+# samples.
 
 figure = plt.figure(figsize=(7.5, 8.0), layout="constrained")
 grid = figure.add_gridspec(3, 2, height_ratios=(1.3, 1.0, 1.0))

@@ -130,7 +130,10 @@ class Controller(ABC):
     def _perceived(
         self, nodes: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, str | None]:
-        """Return the reduced state z, and what is wrong with the measurement, None for nothing."""
+        """Return what is decided on, and what is wrong with the measurement, None for nothing.
+
+        The first is the reduced state z, unless a subclass measures for itself.
+        """
         fault = self._plausible.fault(nodes, velocities)
         if fault is not None:
             return np.zeros(0), fault
@@ -192,7 +195,7 @@ class Controller(ABC):
 
     @abstractmethod
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
-        """Return the wanted input, shape (α,), for the reduced state z, and a status."""
+        """Return the wanted input, shape (α,), for what is perceived, and a status."""
 
     @abstractmethod
     def _fall_back(self, reason: str) -> tuple[FloatArray, str]:

@@ -104,7 +104,8 @@ def lqr(
     max_change : float or array_like, shape (α,), optional
         Largest change of the command from sample to sample, N/m or m.
     winches : Winches, optional
-        Speed and range that bound rest lengths.
+        Speed and range that bound rest lengths. The feedback is that of winches that jump at the
+        start of a sample, whatever their ``pieces``.
 
     Returns
     -------

@@ -50,7 +50,7 @@ class MPCStatistics:
     fallbacks : int
         Commands that did not come from a solved program.
     iterations : ndarray of int, shape (K,)
-        OSQP iterations of each solve.
+        OSQP iterations of each solve; a fallback for want of a measurement has none.
     """
 
     status_count: dict[str, int]
@@ -129,8 +129,8 @@ class MPC(Controller):
         coordinates, as well as can be, if not given.
     time_limit : float, optional
         Time for a command, s, from its call. A program that is not solved by then
-        is given up at the end of an OSQP iteration. What follows takes some tens of
-        microseconds and is not counted.
+        is given up at the end of an OSQP iteration. The few operations that follow are
+        not counted.
 
     Raises
     ------
@@ -242,7 +242,7 @@ class MPC(Controller):
 
     @property
     def load(self) -> FloatArray | None:
-        """Accelerations laid to an unknown load, shape (r,); None where none is estimated."""
+        """q̈ laid to an unknown load, m √kg/s², shape (r,); None where none is estimated."""
         return None if self._observer is None else frozen(self._observer.acceleration)
 
     def follow(self, reference: object) -> None:

@@ -70,7 +70,7 @@ class NMPC(Controller):
     max_change : float or array_like, shape (α,), optional
         Largest change of the input from sample to sample, N/m or m.
     winches : Winches, optional
-        Speed and range that bound rest lengths.
+        Speed and range that bound rest lengths; of those that jump at the start of a sample.
     reference : Reference or array_like, shape (3, n), optional
         Shapes to follow, seen ahead. The operating point if not given.
     iterations : int
@@ -214,7 +214,7 @@ class NMPC(Controller):
 
     @property
     def load(self) -> FloatArray | None:
-        """Accelerations laid to an unknown load, shape (r,); None where none is estimated."""
+        """q̈ laid to an unknown load, m √kg/s², shape (r,); None where none is estimated."""
         return None if self._observer is None else frozen(self._observer.acceleration)
 
     def follow(self, reference: object) -> None:

@@ -14,6 +14,9 @@ from tenscontrol.validation import FloatArray, frozen
 class NMPCStatistics:
     """What became of the samples since the last reset.
 
+    The arrays have an entry for each of the K samples whose measurement was used; a fallback for
+    want of a measurement is counted in ``status_count`` alone.
+
     Attributes
     ----------
     status_count : dict of str to int
@@ -24,7 +27,7 @@ class NMPCStatistics:
         OSQP iterations in each sample.
     last_change : ndarray, shape (K,)
         Largest change of an input by the last program of each sample, in units of an input: how
-        far the plan is from converged.
+        far the plan is from converged. Infinite where that program was not solved.
     preparation_time, feedback_time : ndarray, shape (K,)
         Before the measurement is needed, and after it is there, s.
     """

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Status(Enum):
-    """What became of a solve, with what to do about it."""
+    """What became of a solve."""
 
     SOLVED = "ok"
     INACCURATE = "solved inaccurately"

@@ -32,7 +32,8 @@ class Reference:
         Node positions at these times, m.
     force_density : array_like, shape (α, K), optional
         γ that holds the shapes, N/m, at least 0. Where several balance in a shape, it says which
-        is wanted; if not given, the nearest to the operating point of the controller.
+        is wanted; if not given, the nearest to the operating point of the controller. For
+        controllers of rest lengths: those of γ aim at γ of their operating point.
 
     Raises
     ------

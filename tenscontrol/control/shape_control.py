@@ -57,10 +57,11 @@ class ShapeControlStatistics:
         NaN for a fallback, which asks for nothing.
     unbounded_residual : ndarray, shape (K,)
         What would be missed without bounds on γ, m/s²: the strings pull in no such direction.
+        NaN for a fallback too.
     at_bound : ndarray of int, shape (K,)
-        Strings commanded at a bound of γ or of its change.
+        Strings commanded at a bound of γ or of its change; 0 for a fallback.
     iterations : ndarray of int, shape (K,)
-        OSQP iterations.
+        OSQP iterations; 0 where no program was begun.
     """
 
     status_count: dict[str, int]
@@ -71,7 +72,7 @@ class ShapeControlStatistics:
 
     @property
     def largest_residual(self) -> float:
-        """Largest residual, m/s²; zero before the first sample."""
+        """Largest residual, m/s²; zero where no sample has one."""
         return float(np.nanmax(self.residual, initial=0.0))
 
 
@@ -89,8 +90,8 @@ class ShapeControl(Controller):
     free to swing. Strings must pull in every tracked direction; a mechanism answers only to
     prestress, and leaves a residual.
 
-    If a program is not solved, or a measurement is not finite, γ of the operating point is
-    commanded.
+    If a program is not solved, or the measurement is not one that the structure can have, γ of
+    the operating point is commanded.
 
     Parameters
     ----------

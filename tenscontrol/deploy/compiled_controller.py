@@ -129,8 +129,9 @@ class CompiledController(Controller):
         return command, f"{reason}: {fallback}" if fallback else reason
 
     def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
-        # The code falls back for itself where a measurement is no number.
-        return self._decide(0.0, np.full(2 * self.plant.nodes.size, np.nan))
+        # The code falls back for itself where a measurement is no number, and gives that reason.
+        command, status = self._decide(0.0, np.full(2 * self.plant.nodes.size, np.nan))
+        return command, status.replace(BAD_MEASUREMENT, reason, 1)
 
     def __repr__(self) -> str:
         return f"CompiledController({self.plant!r}, every {self.step:g} s)"

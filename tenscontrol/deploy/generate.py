@@ -123,7 +123,8 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     Raises
     ------
     TypeError
-        If the controller is of another kind: that cannot be written as C code.
+        If the controller is of another kind, which cannot be written as C code, or ``folder``
+        is no path.
     ValueError
         If an argument does not fit, the controller has a ``time_limit``, an NMPC a
         ``load_gain``, or the reference lasts too long for a table.

@@ -47,7 +47,7 @@ class ClosedLoopCase:
     For :func:`sweep`. The parameters it knows: ``"bar_mass"``,
     ``"string_node_mass"``, ``"stiffness"`` and ``"damping"`` are factors on the
     nominal values, one for all or one a member; ``"start"`` is where the
-    structure starts, coordinates q of the controller's plant, m. With an estimator,
+    structure starts, coordinates q of the controller's plant, m √kg. With an estimator,
     ``"noise"`` is a factor on the standard deviations of all readings, and ``"delay"``
     how many samples late they come: draw it by :class:`OneOf`. The estimator is
     not told, as the controller is not. The noise itself is drawn from the run's generator.

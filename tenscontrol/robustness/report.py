@@ -6,7 +6,7 @@ import os
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
@@ -295,5 +295,5 @@ class SweepReport:
 
 def collected(header: store.Header, records: dict[int, Record]) -> SweepReport:
     """Return the report of records by run, in their order."""
-    ordered: Any = tuple(records[run] for run in sorted(records))
+    ordered = tuple(records[run] for run in sorted(records))
     return SweepReport(header.case, header.seed, header.count, ordered)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tenscontrol.actuation import Winches
 from tenscontrol.analysis import linearize
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter, Sensors, kalman
@@ -11,7 +12,12 @@ from tenscontrol.validation import whole_number
 
 
 def build_estimator(
-    document: Document, model: Model, rest: Prestress, hold: str, step: float
+    document: Document,
+    model: Model,
+    rest: Prestress,
+    hold: str,
+    step: float,
+    winches: Winches | None,
 ) -> KalmanFilter | None:
     """Return the Kalman filter, designed on what the actuators hold, or None.
 
@@ -25,6 +31,8 @@ def build_estimator(
     hold : {"force_density", "rest_length"}
     step : float
         Sample time, s.
+    winches : Winches, optional
+        Of the whole strings: the prediction winds as they do.
 
     Returns
     -------
@@ -43,4 +51,5 @@ def build_estimator(
         readings = Sensors(structure=model.structure, **given)
     given = {key: value for key, value in estimator.values.items() if key != "kind"}
     with estimator.checked():
-        return kalman(linearize(model, rest, input=hold), readings, step, **given)
+        plant = linearize(model, rest, input=hold)
+        return kalman(plant, readings, step, winches=winches, **given)

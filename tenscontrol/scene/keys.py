@@ -149,6 +149,8 @@ TABLES: Mapping[str, Keys] = MappingProxyType(
         "estimator": {
             "kind": (TEXT, ""),
             "process_noise": (NUMBER, ""),
+            "load": (TRUTH, ""),
+            "load_noise": (NUMBER, ""),
             "prediction": (TEXT, ""),
             "gate": (NUMBER, ""),
             "patience": (WHOLE, ""),
@@ -198,10 +200,10 @@ def _controller(*names: str) -> Keys:
     return MappingProxyType({key: TABLES["controller"][key] for key in (*shared, *names)})
 
 
-# Keys of a table for one choice of its first key; those of the other choices are unknown.
 _SOLVED = ("max_change", "tolerance", "max_iterations", "reference")
 _LIMITED = ("min_force_density", "max_tension", "outputs", "string_penalty", "time_limit")
 _PREDICTED = ("Q", "R", "horizon", "load_gain", "tracked", *_SOLVED, *_LIMITED)
+# Keys of a table for one choice of its first key; those of the other choices are unknown.
 CONTROLLERS: Mapping[str, Keys] = MappingProxyType(
     {
         "lqr": _controller("Q", "R", "sample_time", "max_change"),

@@ -101,8 +101,9 @@ def load_scene(file: str | Path) -> Scene:
         The arguments of :class:`Winches`.
     ``[sensors]``, ``[estimator]``
         The arguments of :class:`Sensors`, with ``seed`` of their noise;
-        ``kind = "kalman"`` with ``process_noise``, ``prediction``, ``gate``, ``patience`` and
-        ``start_spread`` of :func:`kalman`. The controller is then told the estimate.
+        ``kind = "kalman"`` with ``process_noise``, ``load``, ``load_noise``, ``prediction``,
+        ``gate``, ``patience`` and ``start_spread`` of :func:`kalman`, which knows the winches
+        of the scene. The controller is then told the estimate.
     ``[[faults]]``
         ``kind = "cut_string"``, ``"stuck_winch"`` or ``"lost_measurement"`` with the
         arguments of :class:`CutString`, :class:`StuckWinch` or :class:`LostMeasurement`.
@@ -175,7 +176,7 @@ def load_scene(file: str | Path) -> Scene:
         sample = controller.step or document.table("controller").get(
             "sample_time", settings["step"]
         )
-        estimator = build_estimator(document, design, rest, hold, sample)
+        estimator = build_estimator(document, design, rest, hold, sample, winches)
     wound = None if controller is None else len(controller.plant.commanded.strings)
     faults = build_faults(document, len(structure.strings), wound)
     nodes, velocities = build_start(document, structure)

@@ -161,7 +161,10 @@ class StuckWinch(Fault):
 @final
 @dataclass(frozen=True)
 class LostMeasurement(Fault):
-    """A time in which the controller is given NaN for positions and velocities.
+    """A time in which nothing is measured.
+
+    The controller is given NaN for positions and velocities. With an estimator the readings
+    taken in that time do not come, and the controller is given the estimate without them.
 
     Parameters
     ----------

@@ -132,8 +132,8 @@ def simulate(
         Whether to show a progress bar; never shown away from a terminal.
     estimator : KalmanFilter, optional
         From :func:`kalman`. The controller is then told its estimate in place of the motion, and
-        it is told what the actuators hold. It is reset first. Its step is that of the samples,
-        and its winches move in as many pieces as those here.
+        the estimator what the actuators hold. It is reset first. Its step is that of the
+        samples, and its winches move in as many pieces as those here.
     sensors : Sensors, optional
         What the readings are taken by, if other than the estimator believes: noise, delay and
         losses may differ.

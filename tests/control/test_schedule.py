@@ -127,6 +127,28 @@ def test_the_nearest_plant_predicts_where_a_far_one_does_not(push, gained):
     assert left["far"] > 4 * left["middle"]
 
 
+def test_bars_may_be_turned_beyond_the_coordinates():
+    """And seem 5 % too long: a command comes, that of the regulator itself."""
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    plant = tc.linearize(model, tc.prestress(prism, 17.3205), input="rest_length")
+    regulator, rng = tc.lqr(plant, *tc.energy_weights(plant), SAMPLE), np.random.default_rng(0)
+    schedule = tc.Schedule([tc.lqr(plant, *tc.energy_weights(plant), SAMPLE)])
+    start, end = prism.bars.T
+    middle = (prism.nodes[:, start] + prism.nodes[:, end]) / 2
+    beyond = 0
+    for _ in range(100):
+        axes = rng.normal(size=(3, len(prism.bars)))
+        half = 1.05 * prism.bar_length / 2 * axes / np.linalg.norm(axes, axis=0)
+        nodes = np.hstack([middle - half, middle + half])[:, np.argsort(np.r_[start, end])]
+        found, own = (each.command(0.0, nodes, 0 * nodes) for each in (schedule, regulator))
+        assert (found.status, own.status) == ("ok", "ok")
+        np.testing.assert_array_equal(found.value, own.value)
+        turned = (prism.bar_vectors(nodes) * prism.bar_vectors(prism.nodes)).sum(axis=0)
+        beyond += bool((turned < 0).any())
+    assert beyond > 50
+
+
 def test_a_regulator_can_be_scheduled():
     plants = path().plants(2, "rest_length")
     laws = []

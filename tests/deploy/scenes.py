@@ -192,7 +192,7 @@ def check(pair, solved=True):
     ]
     assert found == [set(SPOILT), set(ABSURD)]
     spoilt = set(SPOILT + ABSURD)
-    assert pair.error < 1e-10  # 1e-8 is what is promised
+    assert pair.error < 1e-10
     low, high = pair.one.bounds
     assert (pair.commands[1] >= low).all()
     assert (pair.commands[1] <= high).all()

@@ -81,6 +81,16 @@ def test_lqr(held, tmp_path):
     }  # fmt: skip
 
 
+def test_a_schedule_says_why_the_code_falls_back(tmp_path):
+    """It judges a measurement before the code does; no bar is three times as long as it is."""
+    plant = scenes.plant("rest_length")
+    lqr = tc.lqr(plant, *tc.energy_weights(plant), scenes.SAMPLE)
+    pair = lqr, tc.generate_c(lqr, tmp_path / "code").compile()
+    found = [tc.Schedule([each]).command(0.0, 3 * plant.nodes, STILL) for each in pair]
+    assert [each.status for each in found] == ["measurement not plausible: equilibrium held"] * 2
+    np.testing.assert_array_equal(*[each.value for each in found])
+
+
 @pytest.fixture(scope="module")
 def short_of_iterations(tmp_path_factory):
     """Code whose program is not solved where the prism is pushed hard."""

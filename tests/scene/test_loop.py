@@ -274,6 +274,31 @@ def test_the_estimator_knows_what_is_held(load):
     assert held.estimator.input == "force_density"
 
 
+def test_the_estimator_winds_as_the_winches_do(load):
+    """Refused by simulate where it does not; the estimate tells pieces from jumps."""
+    text = (
+        PLAIN
+        + LQR
+        + "[start]\ndisturbance = 0.02\n[winches]\nrate = 0.1\npieces = 4\n"
+        + "[sensors]\nstring_length = 0.001\nbar_direction = 0.01\n"
+        + "[estimator]\nkind = 'kalman'\n"
+    )
+    scene = load(text)
+    assert scene.estimator.pieces == 4
+    winding = scene.simulate().control.estimate.nodes
+    jumping = load(text.replace("pieces = 4\n", "")).simulate().control.estimate.nodes
+    assert np.abs(winding - jumping).max() > 1e-5
+
+
+def test_the_estimator_can_find_a_load(load):
+    text = "[sensors]\nstring_length = 0.001\nbar_direction = 0.01\n[estimator]\nkind = 'kalman'\n"
+    plain, loaded = (load(PLAIN + LQR + text + more) for more in ("", "load = true\n"))
+    assert plain.simulate().control.estimate.state.shape[0] == 24
+    assert loaded.simulate().control.estimate.state.shape[0] == 36
+    noisier = load(PLAIN + LQR + text + "load = true\nload_noise = 0.5\n")
+    assert not np.allclose(noisier.estimator.gain, loaded.estimator.gain)
+
+
 def test_an_estimator_of_whole_strings(load):
     scene = load(
         PLAIN
