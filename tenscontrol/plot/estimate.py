@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 
 from tenscontrol.plot.axes import legend_above, panel_axes
-from tenscontrol.plot.history import Curves, draw_curves
+from tenscontrol.plot.history import Curves, draw_curves, mark_statuses
 from tenscontrol.plot.style import PALETTE, curve_style
-from tenscontrol.simulation import EstimateRecord, Trajectory
+from tenscontrol.simulation import Trajectory
 from tenscontrol.validation import FloatArray, IntArray, instance, whole_number
 
 # Marks for what became of readings, told apart by their form.
@@ -123,7 +121,9 @@ def estimate(
             linewidth=0,
             label="± 2 standard deviations" if position == 0 else "_",
         )
-    return {"length": length, "error": _with_statuses(error, record)}
+    error = mark_statuses(error, record.time, record.status, _MARKERS, height=0.03)
+    legend_above(places[1])
+    return {"length": length, "error": error}
 
 
 def _checked(strings: object, count: int) -> list[int]:
@@ -143,25 +143,3 @@ def _checked(strings: object, count: int) -> list[int]:
 def _lengths(nodes: FloatArray, pairs: IntArray) -> FloatArray:
     """Return lengths of strings over time, shape (k, T)."""
     return np.asarray(np.linalg.norm(nodes[:, pairs[:, 1]] - nodes[:, pairs[:, 0]], axis=0))
-
-
-def _with_statuses(panel: Curves, record: EstimateRecord) -> Curves:
-    """Mark on the time axis the samples of which not all readings were used."""
-    marks: dict[str, Line2D] = {}
-    for position, (status, marker) in enumerate(_MARKERS.items()):
-        at = np.array([found == status for found in record.status])
-        if not at.any():
-            continue
-        (marks[status],) = panel.ax.plot(
-            record.time[at],
-            np.full(int(at.sum()), 0.03),
-            transform=panel.ax.get_xaxis_transform(),
-            linestyle="none",
-            marker=marker,
-            markersize=5.0,
-            color=PALETTE[(position + 1) % len(PALETTE)],
-            zorder=4,
-            label=f"{status} (×{int(at.sum())})",
-        )
-    legend_above(panel.ax)
-    return replace(panel, marks=marks)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from tenscontrol.plot.axes import dress, flat_axes, legend_above
-from tenscontrol.plot.style import curve_style, reference_style
+from tenscontrol.plot.style import PALETTE, curve_style, reference_style
 from tenscontrol.validation import FloatArray, float_array
 
 
@@ -183,3 +183,45 @@ def _checked_mapping(name: str, mapping: object) -> Mapping[str, object]:
 def _entry(name: str) -> str:
     """Return a name as the legend shows it: matplotlib hides names that begin with _."""
     return name if not name.startswith("_") else f"\u200b{name}"
+
+
+def mark_statuses(
+    panel: Curves,
+    time: FloatArray,
+    statuses: Sequence[str],
+    markers: Mapping[str, str],
+    height: float = 0.0,
+) -> Curves:
+    """Mark on the time axis of a panel the samples with one of the statuses that have a marker.
+
+    The legend is left as it is.
+
+    Parameters
+    ----------
+    panel : Curves
+    time : ndarray, shape (K,)
+        s.
+    statuses : sequence of str, length K
+    markers : mapping of str to str
+        Statuses that are marked, in the order of their colours.
+    height : float
+        Of the marks above the axis, as a part of the panel.
+    """
+    marks: dict[str, Line2D] = {}
+    for position, (status, marker) in enumerate(markers.items()):
+        at = np.array([found == status for found in statuses])
+        if not at.any():
+            continue
+        (marks[status],) = panel.ax.plot(
+            time[at],
+            np.full(int(at.sum()), height),
+            transform=panel.ax.get_xaxis_transform(),
+            linestyle="none",
+            marker=marker,
+            markersize=5.0,
+            color=PALETTE[(position + 1) % len(PALETTE)],
+            clip_on=False,
+            zorder=4,
+            label=f"{status} (×{int(at.sum())})",
+        )
+    return replace(panel, marks=panel.marks | marks)

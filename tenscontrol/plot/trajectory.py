@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 
 from tenscontrol.plot.axes import legend_above, panel_axes
 from tenscontrol.plot.faults import with_faults, wound
-from tenscontrol.plot.history import Curves, checked_references, draw_curves
-from tenscontrol.plot.style import PALETTE
+from tenscontrol.plot.history import Curves, checked_references, draw_curves, mark_statuses
 from tenscontrol.simulation import ControlRecord, Trajectory
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, instance, whole_number
@@ -134,24 +131,8 @@ def _by_group(structure: Structure, values: FloatArray) -> dict[str, FloatArray]
 def _with_statuses(panel: Curves, control: ControlRecord) -> Curves:
     """Mark the samples whose status is not ok on the time axis of a panel."""
     statuses = [status for status in dict.fromkeys(control.status) if status != "ok"]
-    marks: dict[str, Line2D] = {}
-    for position, status in enumerate(statuses):
-        at = np.array([found == status for found in control.status])
-        style: dict[str, Any] = {
-            "marker": _MARKERS[position % len(_MARKERS)],
-            "color": PALETTE[(position + 1) % len(PALETTE)],
-        }
-        (marks[status],) = panel.ax.plot(
-            control.time[at],
-            np.zeros(int(at.sum())),
-            transform=panel.ax.get_xaxis_transform(),
-            linestyle="none",
-            markersize=5.0,
-            clip_on=False,
-            zorder=4,
-            label=f"{status} (×{int(at.sum())})",
-            **style,
-        )
-    if marks:
+    markers = dict(zip(statuses, cycle(_MARKERS), strict=False))
+    panel = mark_statuses(panel, control.time, control.status, markers)
+    if statuses:
         legend_above(panel.ax)
-    return replace(panel, marks=panel.marks | marks)
+    return panel

@@ -22,14 +22,15 @@ from tenscontrol.validation import (
 _SLACK = 1e6
 
 
-@dataclass(frozen=True)
 class Fault(ABC):
     """Something that breaks during a simulation; see :func:`simulate`."""
 
+    time: float  # of every kind
+
     @property
-    @abstractmethod
     def start(self) -> float:
         """When it begins, s."""
+        return self.time
 
     @property
     @abstractmethod
@@ -85,11 +86,6 @@ class CutString(Fault):
         object.__setattr__(self, "time", _checked_time("time", self.time))
 
     @property
-    def start(self) -> float:
-        """When it is cut, s."""
-        return self.time
-
-    @property
     def end(self) -> float:
         """Infinite: it is not mended."""
         return np.inf
@@ -143,11 +139,6 @@ class StuckWinch(Fault):
             object.__setattr__(self, "until", _checked_end(self.until, self.time))
 
     @property
-    def start(self) -> float:
-        """When it is stuck, s."""
-        return self.time
-
-    @property
     def end(self) -> float:
         """When it is free again, s."""
         return np.inf if self.until is None else self.until
@@ -191,11 +182,6 @@ class LostMeasurement(Fault):
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", _checked_time("time", self.time))
         object.__setattr__(self, "until", _checked_end(self.until, self.time))
-
-    @property
-    def start(self) -> float:
-        """When it is lost, s."""
-        return self.time
 
     @property
     def end(self) -> float:
