@@ -94,9 +94,12 @@ class Recorder:
         self._values = values.copy()
         self._program.update(values)
 
-    def solve(self, q, l, u, start=None):  # noqa: E741
+    def solve(self, q, l, u, start=None, **options):  # noqa: E741
         self.data.append((self._values, q.copy(), l.copy(), u.copy(), start))
-        return self._program.solve(q, l, u, start)
+        return self._program.solve(q, l, u, start, **options)
+
+    def __getattr__(self, name):
+        return getattr(self._program, name)
 
 
 def report(recorded) -> None:
