@@ -14,8 +14,13 @@ ROOT = Path(__file__).parents[2]
 
 # More of it than a pipe holds is on its way to the workers when they are ended.
 SCRIPT = """
-import sys, time
+import os, sys, time
 import tenscontrol as tc
+
+def say(text):
+    # In one piece, so that what two workers say at the same time stays in lines:
+    # print writes text and end of line apart where output is not buffered.
+    os.write(1, f"{text}\\n".encode())
 
 class Case:
     def __init__(self):
@@ -23,17 +28,17 @@ class Case:
 
     def __call__(self, parameters, rng):
         if parameters["x"] == 1.0:
-            print("at work", flush=True)
+            say("at work")
             time.sleep(600)
         return tc.Outcome(success=True)
 
 if __name__ == "__mp_main__" and sys.argv[1] == "starting":
-    print("starting", flush=True)
+    say("starting")
     time.sleep(600)
 
 if __name__ == "__main__":
     report = tc.sweep(Case(), {"x": tc.OneOf([0.0, 1.0])}, 60, seed=0, processes=2)
-    print(f"{len(report)} runs reported", flush=True)
+    say(f"{len(report)} runs reported")
 """
 
 
