@@ -77,8 +77,10 @@ def stability(
     defect = int(np.count_nonzero(np.abs(eigenvalues) <= _TOLERANCE * largest))
     axes = _axes(structure)
     held = structure.nodes[:, structure.fixed]
-    supported = np.linalg.matrix_rank(np.vstack([held, np.ones(held.shape[1])]))
-    least = axes.shape[1] + 1 - int(supported)
+    # The rank of an empty matrix is an error in NumPy 1.26.
+    anchors = np.vstack([held, np.ones(held.shape[1])])
+    supported = int(np.linalg.matrix_rank(anchors)) if held.size else 0
+    least = axes.shape[1] + 1 - supported
     affine_free = _affine_motions_keeping_length(structure, taut, axes) == 0
     is_super = bool(
         eigenvalues.min() > -_TOLERANCE * largest

@@ -63,6 +63,7 @@ def main() -> None:
         list(settings),
         settings,
         peers,
+        repeats=60,  # most runs take milliseconds
         outputs=50,
         machine_code=not given.plain,
         progress=True,
