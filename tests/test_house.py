@@ -288,6 +288,22 @@ def test_assertions_say_why_they_hold():
     assert bare == []
 
 
+def test_no_folder_reads_private_names_of_another():
+    own, reads = set(), []
+    for path in SOURCES:
+        folder = path.relative_to(PACKAGE).parts[0]
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.FunctionDef):
+                own.add((folder, node.name))
+            elif isinstance(node, ast.Attribute) and re.match("_[^_]", node.attr):
+                if ast.unparse(node.value) not in {"self", "cls", "super()"}:
+                    reads.append((folder, node.attr, f"{place(path)}:{node.lineno}"))
+                elif isinstance(node.ctx, ast.Store):
+                    own.add((folder, node.attr))
+    assert reads
+    assert [item for item in reads if item[:2] not in own] == []
+
+
 # The only places that may catch any error, each by one handler that keeps what it caught.
 CATCH_ANY = {"robustness/worker.py": 1}  # a run that fails is data of a sweep
 

@@ -61,7 +61,7 @@ class Controller(ABC):
         self._plant = plant
         self._step = step
         self._low, self._high = frozen(low), frozen(high)
-        self._change = change
+        self._change = None if change is None else frozen(change)
         self._plausible = Plausible(plant, step)
         self._called = 0.0  # when a command was asked for, by perf_counter
         # What the actuators hold: as told, else the last command; None before the first.
@@ -86,6 +86,16 @@ class Controller(ABC):
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Least and largest command, shape (α,) each."""
         return self._low, self._high
+
+    @property
+    def largest_change(self) -> FloatArray | None:
+        """Largest change from what the actuators hold, shape (α,); None for any."""
+        return self._change
+
+    @property
+    def plausible(self) -> Plausible:
+        """Which measurements are acted on."""
+        return self._plausible
 
     def command(self, time: float, nodes: object, velocities: object) -> Command:
         """Return the command for the sample that starts now.

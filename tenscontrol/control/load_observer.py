@@ -2,19 +2,86 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from tenscontrol.analysis import LinearPlant
 from tenscontrol.control.path import checked_tracked
-from tenscontrol.validation import FloatArray, positive_number
+from tenscontrol.validation import FloatArray, frozen, positive_number
 
 # Weight of the departure of inputs in the choice of where to rest, against that of what is
 # tracked: small enough that nothing is given up for it.
 _THRIFT = 1e-6
 
 
+@dataclass(frozen=True, eq=False)
+class LoadModel:
+    """What a constant unknown load does to a plant: accelerations a held over each sample.
+
+    Attributes
+    ----------
+    push : ndarray, shape (s, r)
+        Ψ: what unit accelerations, held over a sample, do to the state.
+    gain : ndarray, shape (r, s)
+        g Ψ⁺: the accelerations that an unexpected change of the state is laid to.
+    shift : ndarray, shape (r, r)
+        Change of q at which the plant rests under unit accelerations.
+    effort : ndarray, shape (α, r)
+        Change of v that holds it there.
+    """
+
+    push: FloatArray
+    gain: FloatArray
+    shift: FloatArray
+    effort: FloatArray
+
+    def rest(self, accelerations: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return changes of q and v, shapes (K, r) and (K, α), at which the plant rests.
+
+        Parameters
+        ----------
+        accelerations : ndarray, shape (K, r)
+            All that have to be balanced.
+        """
+        return accelerations @ self.shift.T, accelerations @ self.effort.T
+
+
+def load_model(plant: LinearPlant, push: FloatArray, gain: float, tracked: FloatArray) -> LoadModel:
+    """Return what a load does, and where to rest under it.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    push : ndarray, shape (s, r)
+        Ψ.
+    gain : float
+        g, above 0 and at most 1.
+    tracked : ndarray, shape (p, r)
+        What is to be brought to the reference, as combinations of q.
+    """
+    r, count = plant.degrees_of_freedom, plant.B.shape[1]
+    # min ‖H q‖² + thrift (‖q‖² + ‖v‖²), in units of each, where A₂₁ q + B₂ v + a = 0.
+    stiffness, acting = plant.A[r:, :r], plant.B[r:]
+    reach = max(float(np.linalg.norm(stiffness, 2)), 1e-300)
+    unit = reach / float(np.linalg.norm(acting, 2))
+    size = max(float(np.linalg.norm(tracked, 2)), 1e-300)
+    weight = np.zeros((r + count, r + count))
+    weight[:r, :r] = tracked.T @ tracked / size**2
+    weight += _THRIFT * np.eye(r + count)
+    balance = np.hstack([stiffness / reach, acting * unit / reach])
+    system = np.block([[weight, balance.T], [balance, np.zeros((r, r))]])
+    answer = np.linalg.lstsq(system, np.vstack([np.zeros((r + count, r)), np.eye(r)]))[0]
+    return LoadModel(
+        push=push,
+        gain=frozen(gain * np.linalg.pinv(push)),
+        shift=frozen(-answer[:r] / reach),
+        effort=frozen(-unit * answer[r : r + count] / reach),
+    )
+
+
 class LoadObserver:
-    """Estimates constant accelerations that the model does not know, and where to rest under them.
+    """Estimates constant accelerations that the model does not know.
 
     The state is measured whole, so the disturbance model needs no Kalman filter for it:
     what the state did beyond the prediction is laid to accelerations a held over the sample,
@@ -24,63 +91,27 @@ class LoadObserver:
 
     Parameters
     ----------
-    plant : LinearPlant
-    push : ndarray, shape (s, r)
-        Ψ: what unit accelerations, held over a sample, do to the state.
-    gain : float
-        g, above 0 and at most 1.
-    tracked : ndarray, shape (p, r)
-        What is to be brought to the reference, as combinations of q.
+    model : LoadModel
 
     Attributes
     ----------
-    gain : ndarray, shape (r, s)
-        g Ψ⁺.
     acceleration : ndarray, shape (r,)
         The estimate a.
     """
 
-    def __init__(
-        self, plant: LinearPlant, push: FloatArray, gain: float, tracked: FloatArray
-    ) -> None:
-        r, count = plant.degrees_of_freedom, plant.B.shape[1]
-        self._push = push
-        self.gain = gain * np.linalg.pinv(push)
-        # min ‖H q‖² + thrift (‖q‖² + ‖v‖²), in units of each, where A₂₁ q + B₂ v + a = 0.
-        stiffness, acting = plant.A[r:, :r], plant.B[r:]
-        reach = max(float(np.linalg.norm(stiffness, 2)), 1e-300)
-        unit = reach / float(np.linalg.norm(acting, 2))
-        size = max(float(np.linalg.norm(tracked, 2)), 1e-300)
-        weight = np.zeros((r + count, r + count))
-        weight[:r, :r] = tracked.T @ tracked / size**2
-        weight += _THRIFT * np.eye(r + count)
-        balance = np.hstack([stiffness / reach, acting * unit / reach])
-        system = np.block([[weight, balance.T], [balance, np.zeros((r, r))]])
-        answer = np.linalg.lstsq(system, np.vstack([np.zeros((r + count, r)), np.eye(r)]))[0]
-        self._shift = -answer[:r] / reach
-        self._input = -unit * answer[r : r + count] / reach
+    def __init__(self, model: LoadModel) -> None:
+        self.model = model
         self.reset()
 
     def reset(self) -> None:
         """Forget the estimate."""
-        self.acceleration = np.zeros(self._push.shape[1])
+        self.acceleration = np.zeros(self.model.push.shape[1])
         self._coasting: FloatArray | None = None
 
     @property
     def drift(self) -> FloatArray:
         """What the load does to the state in a sample, shape (s,)."""
-        return np.asarray(self._push @ self.acceleration)
-
-    def rest(self, known: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return changes of q and v, shapes (K, r) and (K, α), at which the plant rests.
-
-        Parameters
-        ----------
-        known : ndarray, shape (K, r)
-            Accelerations beside those of the load.
-        """
-        total = known + self.acceleration
-        return total @ self._shift.T, total @ self._input.T
+        return np.asarray(self.model.push @ self.acceleration)
 
     def correct(self, state: FloatArray, pushed: FloatArray) -> None:
         """Compare a measured state with what was expected.
@@ -96,7 +127,7 @@ class LoadObserver:
             off = state - (self._coasting + pushed)
             # The nonlinear dynamics have no value where a bar turns beyond the coordinates.
             if np.isfinite(off).all():
-                self.acceleration = self.acceleration + self.gain @ off
+                self.acceleration = self.acceleration + self.model.gain @ off
 
     def expect(self, state: FloatArray | None) -> None:
         """Note the state at the next sample, the load but no input included; None if unknown."""
@@ -129,4 +160,4 @@ def load_observer(
     combinations = np.eye(plant.degrees_of_freedom)
     if tracked is not None:
         combinations = checked_tracked(plant, tracked) @ plant.basis
-    return LoadObserver(plant, push, gain, combinations)
+    return LoadObserver(load_model(plant, push, gain, combinations))

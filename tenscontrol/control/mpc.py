@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import final
 
 import numpy as np
@@ -14,48 +13,13 @@ from tenscontrol.analysis import LinearPlant
 from tenscontrol.control.constraints import OutputLimit
 from tenscontrol.control.controller import Controller
 from tenscontrol.control.held_loop import warn_of_held_lengths
-from tenscontrol.control.horizon import Condensed, Sparse
+from tenscontrol.control.horizon import Condensed
 from tenscontrol.control.load_observer import load_observer
-from tenscontrol.control.mpc_design import LONGEST_HORIZON, Wishes, default_penalty, design
-from tenscontrol.control.path import Path, acceleration_response, checked_reference
-from tenscontrol.control.problem import Ahead, Course, Form
-from tenscontrol.control.quadratic_program import QuadraticProgram, Status
-from tenscontrol.control.sampled import Lead, along_jumps, along_winding
-from tenscontrol.validation import (
-    FloatArray,
-    choice,
-    frozen,
-    instance,
-    positive_number,
-    whole_number,
-)
-
-FORMS = ("auto", "condensed", "sparse")
-
-# Up to so many unknown inputs the dense form is the cheaper one: tests/benchmarks/mpc_step.py.
-_LARGEST_CONDENSED = 600
-
-# Beyond so many its dense matrices fill gigabytes.
-_MOST_CONDENSED = 5000
-
-
-@dataclass(frozen=True, eq=False)
-class MPCStatistics:
-    """What became of the solves since the last reset.
-
-    Attributes
-    ----------
-    status_count : dict of str to int
-        How often each status came; ``"ok"`` is a solved program.
-    fallbacks : int
-        Commands that did not come from a solved program.
-    iterations : ndarray of int, shape (K,)
-        OSQP iterations of each solve; a fallback for want of a measurement has none.
-    """
-
-    status_count: dict[str, int]
-    fallbacks: int
-    iterations: np.ndarray
+from tenscontrol.control.mpc_design import Wishes, checked_time_limit, default_penalty, design
+from tenscontrol.control.mpc_law import MPCLaw, form_of
+from tenscontrol.control.mpc_statistics import MPCStatistics, statistics
+from tenscontrol.control.path import Path, acceleration_response
+from tenscontrol.validation import FloatArray, frozen, instance, positive_number, whole_number
 
 
 @final
@@ -183,57 +147,46 @@ class MPC(Controller):
         if winches is not None:
             instance("winches", winches, Winches, "make them by Winches(rate=...)")
         step = positive_number("step", step, "s")
-        length = whole_number("horizon", horizon, 1, LONGEST_HORIZON)
         wishes = Wishes(
             max_force_density, min_force_density, max_tension, max_change, winches, outputs,
             default_penalty(string_penalty),
         )  # fmt: skip
-        made = design(plant, length, step, Q, R, wishes)
+        made = design(plant, horizon, step, Q, R, wishes)
         super().__init__(plant, step, made.low, made.high, made.problem.change)
-        self._time_limit = np.inf
-        if time_limit is not None:
-            self._time_limit = positive_number("time_limit", time_limit, "s")
-        self._problem, self._constraints = made.problem, made.constraints
-        self._sampled = made.sampled
-        if choice("form", form, FORMS) == "auto":
-            form = "condensed" if self._problem.input_count <= _LARGEST_CONDENSED else "sparse"
-        if form == "condensed" and self._problem.input_count > _MOST_CONDENSED:
-            raise ValueError(
-                f"form is 'condensed', which is dense, for {self._problem.input_count} unknown "
-                f"inputs; expected at most {_MOST_CONDENSED}. Take form='sparse'"
-            )
-        self._form: Form = (
-            Condensed(self._problem) if form == "condensed" else Sparse(self._problem)
+        push = acceleration_response(plant, step)
+        observer = load_observer(plant, push, load_gain, tracked)
+        self._observer = observer
+        self._law = MPCLaw(
+            plant=plant,
+            step=step,
+            design=made,
+            form=form_of(made.problem, form),
+            push=push,
+            load=None if observer is None else observer.model,
+            tolerance=positive_number("tolerance", tolerance, "units of the largest force density"),
+            max_iterations=whole_number("max_iterations", max_iterations, least=1),
+            time_limit=checked_time_limit(time_limit),
+            path=Path(plant, reference, step, push, made.sampled.drift),
         )
-        self._form_name = form
-        self._program = QuadraticProgram(
-            self._form.P,
-            self._form.A,
-            positive_number("tolerance", tolerance, "units of the largest force density"),
-            whole_number("max_iterations", max_iterations, least=1),
-        )
-        self._push = acceleration_response(plant, step)
-        self._observer = load_observer(plant, self._push, load_gain, tracked)
-        self._now: FloatArray = step * np.arange(length + 1.0)
-        self.follow(reference)
+        self._program = self._law.program()
         self.reset()
         if plant.input == "force_density" and plant.model.strings is not None:
-            warn_of_held_lengths(plant, self._problem.feedback, step)
+            warn_of_held_lengths(plant, made.problem.feedback, step)
+
+    @property
+    def law(self) -> MPCLaw:
+        """All that it goes by, except what it remembers; not for users, and may change."""
+        return self._law
 
     @property
     def form(self) -> str:
         """``"condensed"`` or ``"sparse"``."""
-        return self._form_name
+        return "condensed" if isinstance(self._law.form, Condensed) else "sparse"
 
     @property
     def statistics(self) -> MPCStatistics:
         """What became of the solves since the last reset."""
-        counts = dict(Counter(self._statuses))
-        return MPCStatistics(
-            status_count=counts,
-            fallbacks=len(self._statuses) - counts.get(Status.SOLVED.value, 0),
-            iterations=frozen(np.array(self._iterations, dtype=np.int64)),
-        )
+        return statistics(self._statuses, self._iterations)
 
     @property
     def plan(self) -> FloatArray:
@@ -258,9 +211,7 @@ class MPC(Controller):
         TypeError, ValueError
             If it does not fit the structure.
         """
-        checked = checked_reference(self.plant, reference)
-        assert self.step is not None  # given to the constructor
-        self._path = Path(self.plant, checked, self.step, self._push, self._sampled.drift)
+        self._law = replace(self._law, path=self._law.path.following(reference))
 
     def reset(self) -> None:
         """Forget the last plan, what stands, the estimated load and the statistics."""
@@ -281,79 +232,28 @@ class MPC(Controller):
         if self._observer is not None:
             self._observer.expect(None)
 
-    def _ahead(self, time: float) -> Ahead:
-        """Return what is known of the horizon before anything is measured at its start."""
-        problem, winds = self._problem, self._sampled.winds
-        lead = self._lead(time)
-        path, origin = lead.path, lead.path.input[:-1]
-        drift, reference = lead.drift, lead.reference
-        effort = np.zeros_like(origin)
-        if self._observer is not None:
-            drift = drift + self._observer.drift
-            r = self.plant.degrees_of_freedom
-            ends = path.rest[:-1] if winds else path.rest[1:]
-            known = (reference - ends)[:, :r] @ self.plant.A[r:, :r].T
-            offset, effort = self._observer.rest(known)
-            reference = reference + np.hstack([offset, np.zeros_like(offset)])
-        if winds:
-            none = np.zeros_like(origin)
-            drift, reference = np.hstack([drift, none]), np.hstack([reference, none])
-        row_low, row_high = self._constraints.bounds(path, problem.length)
-        course = Course(
-            drift=drift,
-            input_reference=effort,
-            low=self._low - origin,
-            high=self._high - origin,
-            shift=np.diff(origin, axis=0, prepend=origin[:1]),
-            row_low=row_low,
-            row_high=row_high,
-        )
-        return Ahead(lead.before, reference, origin, course)
-
-    def _begun(self, state: FloatArray, standing: FloatArray, ahead: Ahead) -> FloatArray:
-        """Return z_0 of the program: ``[z; v_before]`` where winches wind."""
-        return np.concatenate([state, standing - ahead.before]) if self._sampled.winds else state
-
-    def _coasting(self, state: FloatArray, standing: FloatArray, ahead: Ahead) -> FloatArray:
-        """Return the state a sample later, the load but not the input of the sample included."""
-        coasting = self._sampled.coasting(state, standing - ahead.before, ahead.origin[0])
-        return coasting + ahead.course.drift[0, : len(state)]
-
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
-        deadline = self._called + self._time_limit
-        if self._observer is not None and self._standing is not None:
-            self._observer.correct(state, self._sampled.by_input @ self._standing)
-        ahead = self._ahead(time)
-        origin, course = ahead.origin, ahead.course
+        law, observer = self._law, self._observer
+        deadline = self._called + law.time_limit
+        if observer is not None and self._standing is not None:
+            observer.correct(state, law.design.sampled.by_input @ self._standing)
+        ahead = law.ahead(time, None if observer is None else observer.acceleration)
         if self._standing is None:
             self._standing = frozen(ahead.before)
-        if self._observer is not None:
-            self._observer.expect(self._coasting(state, self._standing, ahead))
-        begun = self._begun(state, self._standing, ahead)
-        vectors = self._form.vectors(begun, ahead.reference, self._reachable - origin[0], course)
+        if observer is not None:
+            observer.expect(law.coasting(ahead, state, self._standing))
+        vectors = law.vectors(ahead, state, self._standing, self._reachable)
         answer = self._program.solve(*vectors, start=self._guess, deadline=deadline)
         self._iterations.append(answer.iterations)
         if answer.x is None or answer.y is None:
             return self._continue(answer.status.value)
         # Solved to a tolerance: what is left outside the bounds is cut off.
-        inputs = origin + self._form.inputs(answer.x, begun, course)
+        inputs = law.inputs(answer.x, ahead, state, self._standing)
         self._plan = np.clip(inputs, self._low, self._high)
         self._used = 0
-        self._guess = self._form.shifted(answer.x, answer.y)
+        self._guess = law.form.shifted(answer.x, answer.y)
         self._statuses.append(answer.status.value)
         return self._plan[0], answer.status.value
-
-    def _lead(self, time: float) -> Lead:
-        """Return what the reference asks for over the horizon."""
-        assert self.step is not None  # given to the constructor
-        if not self._sampled.winds:
-            path = self._path.at(time + self._now)
-            return along_jumps(path, self._path.wanted(time + self._now[1:]), self._sampled)
-        times = time + self.step * np.arange(-1.0, len(self._now) + 1)
-        q = self._path.wanted(times)[:, : self.plant.degrees_of_freedom]
-        return along_winding(
-            self._path.at(times[1:]), q, self._sampled, self.plant, self._push, self.step
-        )
 
     def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
         if self._observer is not None:
@@ -376,6 +276,6 @@ class MPC(Controller):
 
     def __repr__(self) -> str:
         return (
-            f"MPC({self.plant!r}, horizon {self._problem.length}, step {self.step:g} s, "
-            f"{self._form_name})"
+            f"MPC({self.plant!r}, horizon {self._law.design.problem.length}, "
+            f"step {self.step:g} s, {self.form})"
         )

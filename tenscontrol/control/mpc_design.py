@@ -22,7 +22,16 @@ from tenscontrol.control.problem import Horizon
 from tenscontrol.control.sampled import Sampled, sampled
 from tenscontrol.control.strings import gather_lengths, spread, string_map
 from tenscontrol.control.weights import energy_weights, weight_matrix
-from tenscontrol.validation import FloatArray, instance, non_negative, per_member, positive
+from tenscontrol.validation import (
+    FloatArray,
+    frozen,
+    instance,
+    non_negative,
+    per_member,
+    positive,
+    positive_number,
+    whole_number,
+)
 
 # Input weight, in units of energy_weights, when the user gives none.
 _INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
@@ -30,9 +39,8 @@ _INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
 # Price of a violation by one level, against the cost of an input one level off.
 _PENALTY = 1e2
 
-
 # Longer horizons only fill memory: the terminal cost stands for what comes after.
-LONGEST_HORIZON = 10_000
+_LONGEST = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +78,11 @@ class Design:
 
 
 def design(
-    plant: LinearPlant, length: int, step: float, Q: object, R: object, wishes: Wishes
+    plant: LinearPlant, horizon: object, step: float, Q: object, R: object, wishes: Wishes
 ) -> Design:
     """Return the data of a program, or raise naming the argument that does not fit."""
     states, count = plant.B.shape
+    length = whole_number("horizon", horizon, 1, _LONGEST)
     refuse_empty(plant)
     low, high = _command_range(plant, wishes)
     natural_Q, natural_R = energy_weights(plant, by_mode=plant.input == "rest_length")
@@ -120,7 +129,7 @@ def design(
         feedback=gain,
         rows=constraints.rows(),
     )
-    return Design(problem, constraints, wound, low, high)
+    return Design(problem, constraints, wound, frozen(low), frozen(high))
 
 
 def default_penalty(value: object) -> float:
@@ -132,6 +141,11 @@ def default_penalty(value: object) -> float:
             f"string_penalty is {value!r}, expected a positive number; inf for hard limits"
         )
     return float(value)
+
+
+def checked_time_limit(value: object) -> float:
+    """Return the time for a command, s; inf where none is given."""
+    return np.inf if value is None else positive_number("time_limit", value, "s")
 
 
 def _command_range(plant: LinearPlant, wishes: Wishes) -> tuple[FloatArray, FloatArray]:

@@ -16,12 +16,12 @@ from tenscontrol.control.constraints import OutputLimit
 from tenscontrol.control.controller import OK, Controller
 from tenscontrol.control.load_observer import LoadObserver, load_observer
 from tenscontrol.control.lqr import state_units
-from tenscontrol.control.mpc_design import LONGEST_HORIZON, Wishes, default_penalty, design
+from tenscontrol.control.mpc_design import Wishes, checked_time_limit, default_penalty, design
+from tenscontrol.control.nmpc_law import NMPCLaw
 from tenscontrol.control.nmpc_statistics import NMPCStatistics, statistics
-from tenscontrol.control.path import Path, acceleration_response, checked_reference
+from tenscontrol.control.path import Path, acceleration_response
 from tenscontrol.control.trajectory_model import TrajectoryModel
 from tenscontrol.control.trajectory_plan import TrajectoryPlan
-from tenscontrol.control.trajectory_program import TrajectoryProgram
 from tenscontrol.validation import (
     FloatArray,
     frozen,
@@ -149,56 +149,66 @@ class NMPC(Controller):
                 "at the start of a sample; MPC predicts those that wind"
             )
         step = positive_number("step", step, "s")
-        length = whole_number("horizon", horizon, 1, LONGEST_HORIZON)
-        self._rounds = whole_number("iterations", iterations, least=1)
+        # All before the model is built, which may be compiled.
+        rounds = whole_number("iterations", iterations, least=1)
+        tolerance = positive_number("tolerance", tolerance, "units of an input")
+        max_iterations = whole_number("max_iterations", max_iterations, least=1)
+        longest = checked_time_limit(time_limit)
         wishes = Wishes(
             max_force_density, min_force_density, max_tension, max_change, winches, outputs,
             default_penalty(string_penalty),
         )  # fmt: skip
-        made = design(plant, length, step, Q, R, wishes)
+        made = design(plant, horizon, step, Q, R, wishes)
         super().__init__(plant, step, made.low, made.high, made.problem.change)
-        self._time_limit = np.inf
-        if time_limit is not None:
-            self._time_limit = positive_number("time_limit", time_limit, "s")
-        self._model = TrajectoryModel(
-            plant, step, length, made.constraints,
+        model = TrajectoryModel(
+            plant, step, made.problem.length, made.constraints,
             truth("machine_code", machine_code, "whether to compile the derivatives"),
         )  # fmt: skip
-        self._problem = replace(made.problem, rows=self._model.with_places(made.problem.rows))
-        self._program = TrajectoryProgram(
-            self._problem,
-            self.bounds,
-            made.constraints.limits,
-            state_units(plant)[0],
-            positive_number("tolerance", tolerance, "units of an input"),
-            whole_number("max_iterations", max_iterations, least=1),
+        push = acceleration_response(plant, step)
+        observer = load_observer(plant, push, load_gain, tracked)
+        self._observer = observer
+        self._law = NMPCLaw(
+            step=step,
+            model=model,
+            problem=replace(made.problem, rows=model.with_places(made.problem.rows)),
+            bounds=self.bounds,
+            row_bounds=made.constraints.limits,
+            units=state_units(plant)[0],
+            load=None if observer is None else observer.model,
+            rounds=rounds,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            time_limit=longest,
+            path=Path(plant, reference, step, push, made.sampled.drift),
         )
-        self._plan = TrajectoryPlan(self._model, self._program, self._problem, self.bounds)
-        self._push = acceleration_response(plant, step)
-        self._observer = load_observer(plant, self._push, load_gain, tracked)
-        self._ahead: FloatArray = step * np.arange(length + 1.0)
-        self.follow(reference)
+        self._program = self._law.program()
+        self._plan = TrajectoryPlan(model, self._program, self._law.problem, self.bounds)
         self.reset()
+
+    @property
+    def law(self) -> NMPCLaw:
+        """All that it goes by, except what it remembers; not for users, and may change."""
+        return self._law
 
     @property
     def horizon(self) -> int:
         """Number N of samples predicted."""
-        return self._problem.length
+        return self._law.problem.length
 
     @property
     def sampled(self) -> ca.Function:
         """The prediction model ``(z, u) -> z`` a sample later."""
-        return self._model.sampled
+        return self._law.model.sampled
 
     @property
     def back_end(self) -> str:
         """What evaluates the derivatives: ``"machine code"`` or ``"virtual machine"``."""
-        return self._model.back_end
+        return self._law.model.back_end
 
     @property
     def weights(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Q, R and the terminal P."""
-        problem = self._problem
+        problem = self._law.problem
         return problem.state_weight, problem.input_weight, problem.terminal_weight
 
     @property
@@ -230,9 +240,7 @@ class NMPC(Controller):
         TypeError, ValueError
             If it does not fit the structure.
         """
-        assert self.step is not None  # given to the constructor
-        checked = checked_reference(self.plant, reference)
-        self._path = Path(self.plant, checked, self.step, self._push, self._problem.drift)
+        self._law = replace(self._law, path=self._law.path.following(reference))
 
     def targets(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Return what the cost measures from: r_1 … r_N, shape (N, s), and s_0 … , shape (N, α).
@@ -242,11 +250,10 @@ class NMPC(Controller):
         time : float
             Of the sample that starts now, s.
         """
-        times = time + self._ahead
-        reference, origin = self._path.wanted(times[1:]), self._path.at(times[:-1]).input
+        reference, origin = self._law.targets(time)
         if self._observer is None:
             return reference, origin
-        return self._model.at_rest(reference, origin, self._observer)
+        return self._law.model.at_rest(reference, origin, self._observer)
 
     def reset(self) -> None:
         """Forget the plan, what stands, the estimated load and the statistics."""
@@ -280,7 +287,7 @@ class NMPC(Controller):
         self._preparing = perf_counter() - began
 
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
-        deadline = self._called + self._time_limit
+        deadline = self._called + self._law.time_limit
         drift = None if self._observer is None else self._corrected(self._observer, state)
         reference, origin = self.targets(time)
         if self._standing is None:
@@ -292,7 +299,7 @@ class NMPC(Controller):
             self._plan.begin(state, reference, origin)
         preparing, began = self._preparing, perf_counter()
         work = 0
-        for rounds in range(1, self._rounds + 1):
+        for rounds in range(1, self._law.rounds + 1):
             answer, change = self._plan.improve(
                 state, reference, origin, self._reachable, drift, deadline
             )
@@ -315,7 +322,7 @@ class NMPC(Controller):
         What the input did since then is found now, from what the actuators really held.
         """
         if self._seen is not None and self._standing is not None:
-            observer.correct(state, self._model.advance(self._seen, self._standing))
+            observer.correct(state, self._law.model.advance(self._seen, self._standing))
         self._seen = state
         observer.expect(observer.drift)
         return observer.drift

@@ -12,7 +12,7 @@ from tenscontrol.analysis import LinearPlant
 from tenscontrol.control.reference import ReducedReference, Reference
 from tenscontrol.control.strings import gather_lengths, spread
 from tenscontrol.dynamics import evaluate_columns
-from tenscontrol.validation import FloatArray, float_array
+from tenscontrol.validation import FloatArray, float_array, frozen
 
 # Force densities of a reference shape may leave those of the operating point only as far as the
 # balance of forces gains from it, by this fraction of the largest singular value.
@@ -57,7 +57,8 @@ class Path:
     Parameters
     ----------
     plant : LinearPlant
-    reference : Reference
+    reference : Reference or array_like, shape (3, n), or None
+        The operating point for None.
     step : float
         Sample time, s.
     push : ndarray, shape (s, r)
@@ -69,22 +70,28 @@ class Path:
     ----------
     span : tuple of float
         First and last time of the reference, s: beyond them nothing moves.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the reference does not fit the structure.
     """
 
     def __init__(
         self,
         plant: LinearPlant,
-        reference: Reference,
+        reference: object,
         step: float,
         push: FloatArray,
         drift: FloatArray,
     ) -> None:
+        reference = checked_reference(plant, reference)
         still = np.zeros_like(plant.nodes)
         r = plant.degrees_of_freedom
         shapes = [reference.nodes[:, :, k] for k in range(len(reference.time))]
         q = np.array([plant.measure(N, still)[:r] for N in shapes])
         self._reference = ReducedReference(reference.time, q)
-        self._plant, self._drift = plant, drift
+        self._plant, self._step, self._push, self._drift = plant, step, push, drift
         self.span = float(reference.time[0]), float(reference.time[-1])
         self._time: FloatArray | None = None
         if plant.input == "rest_length":
@@ -96,6 +103,10 @@ class Path:
                     [np.interp(self._time, reference.time, row) for row in reference.force_density]
                 )
             self._table = _held(plant, rests, gamma, push)
+
+    def following(self, reference: object) -> Path:
+        """Return the path of another reference, given as to the constructor."""
+        return Path(self._plant, reference, self._step, self._push, self._drift)
 
     def wanted(self, times: FloatArray) -> FloatArray:
         """Return ``[q; q̇]`` of the reference, shape (K, s)."""
@@ -176,7 +187,8 @@ def acceleration_response(plant: LinearPlant, step: float) -> FloatArray:
         s.
     """
     r = plant.degrees_of_freedom
-    return replace(plant, B=np.vstack([np.zeros((r, r)), np.eye(r)])).discretize(step)[1]
+    pushed = replace(plant, B=np.vstack([np.zeros((r, r)), np.eye(r)]))
+    return frozen(pushed.discretize(step)[1])
 
 
 def _refined(time: FloatArray, step: float) -> FloatArray:

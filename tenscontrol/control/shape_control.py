@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -23,11 +21,11 @@ from tenscontrol.control.shape_design import (
     refuse_other_plants,
     rounded_up,
 )
+from tenscontrol.control.shape_statistics import ShapeControlStatistics, statistics
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.validation import (
     FloatArray,
     float_array,
-    frozen,
     instance,
     positive_number,
     whole_number,
@@ -41,39 +39,6 @@ _REACHED = 1e-4
 
 # A γ so close to a bound, in units of the largest at the operating point, is at it.
 _CLOSE = 1e-7
-
-
-@dataclass(frozen=True, eq=False)
-class ShapeControlStatistics:
-    """What became of the samples since the last reset.
-
-    Attributes
-    ----------
-    status_count : dict of str to int
-        How often the law was reached (``"ok"``), how often not, and how often each
-        fallback was taken.
-    residual : ndarray, shape (K,)
-        How far the applied γ misses the law: largest entry of ``Ë + a Ė + b E``, m/s².
-        NaN for a fallback, which asks for nothing.
-    unbounded_residual : ndarray, shape (K,)
-        What would be missed without bounds on γ, m/s²: the strings pull in no such direction.
-        NaN for a fallback too.
-    at_bound : ndarray of int, shape (K,)
-        Strings commanded at a bound of γ or of its change; 0 for a fallback.
-    iterations : ndarray of int, shape (K,)
-        OSQP iterations; 0 where no program was begun.
-    """
-
-    status_count: dict[str, int]
-    residual: FloatArray
-    unbounded_residual: FloatArray
-    at_bound: np.ndarray
-    iterations: np.ndarray
-
-    @property
-    def largest_residual(self) -> float:
-        """Largest residual, m/s²; zero where no sample has one."""
-        return float(np.nanmax(self.residual, initial=0.0))
 
 
 @final
@@ -209,14 +174,7 @@ class ShapeControl(Controller):
     @property
     def statistics(self) -> ShapeControlStatistics:
         """What became of the samples since the last reset."""
-        records = np.array(self._records).reshape(-1, 4)
-        return ShapeControlStatistics(
-            status_count=dict(Counter(self._statuses)),
-            residual=frozen(records[:, 0]),
-            unbounded_residual=frozen(records[:, 1]),
-            at_bound=frozen(records[:, 2].astype(np.int64)),
-            iterations=frozen(records[:, 3].astype(np.int64)),
-        )
+        return statistics(self._statuses, self._records)
 
     def follow(self, reference: object) -> None:
         """Follow another reference from now on.

@@ -24,7 +24,6 @@ class StringMap:
         γ, N/m, and tension, N, at the operating point, one a string of the model.
     gamma_by_state, tension_by_state : ndarray, shape (α', s)
     gamma_by_input, tension_by_input : ndarray, shape (α', α)
-    length_by_state : ndarray, shape (α', s)
     """
 
     force_density: FloatArray
@@ -33,7 +32,6 @@ class StringMap:
     gamma_by_input: FloatArray
     tension_by_state: FloatArray
     tension_by_input: FloatArray
-    length_by_state: FloatArray
 
 
 def string_map(plant: LinearPlant, held: str) -> StringMap:
@@ -55,14 +53,12 @@ def string_map(plant: LinearPlant, held: str) -> StringMap:
     if held == "rest_length":
         assert plant.rest_length is not None  # there is a law
         at = spread(plant, "rest_length", plant.rest_length)
-    *outputs, length = string_forces(plant, held, N, Nd, u)
-    z, outputs = ca.vertcat(q, rates), [ca.densify(part) for part in outputs]
+    z = ca.vertcat(q, rates)
+    outputs = [ca.densify(part) for part in string_forces(plant, held, N, Nd, u)]
     function = ca.Function(
         "strings",
         [z, u],
-        outputs
-        + [ca.densify(ca.jacobian(y, x)) for y in outputs for x in (z, u)]
-        + [ca.densify(ca.jacobian(length, z))],
+        outputs + [ca.densify(ca.jacobian(y, x)) for y in outputs for x in (z, u)],
     )
     values = [np.array(value.full()) for value in function(np.zeros(2 * r), at)]
     whole = np.eye(plant.B.shape[1])
@@ -74,12 +70,11 @@ def string_map(plant: LinearPlant, held: str) -> StringMap:
         gamma_by_input=values[3] @ spreading,
         tension_by_state=values[4],
         tension_by_input=values[5] @ spreading,
-        length_by_state=values[6],
     )
 
 
-def string_forces(plant: LinearPlant, held: str, N: Any, Nd: Any, u: Any) -> tuple[Any, Any, Any]:
-    """Return expressions of γ, tension and length of the strings, shape (α', 1) each.
+def string_forces(plant: LinearPlant, held: str, N: Any, Nd: Any, u: Any) -> tuple[Any, Any]:
+    """Return expressions of γ and tension of the strings, shape (α', 1) each.
 
     Where the rest length is held, they are those of strings that pull, and negative beyond.
 
@@ -99,7 +94,7 @@ def string_forces(plant: LinearPlant, held: str, N: Any, Nd: Any, u: Any) -> tup
     if held == "rest_length":
         assert law is not None  # a rest length is held
         gamma = law.taut_force_density(length, u, kernel.dots(S, Sd).T / length)
-    return gamma, gamma * length, length
+    return gamma, gamma * length
 
 
 def spreading(plant: LinearPlant, u: Any) -> Any:

@@ -22,7 +22,7 @@ from tenscontrol.dynamics.compiled import compiled
 from tenscontrol.validation import FloatArray
 
 # At a shape that changes its stiffness by a tenth these leave 1e-5 of what was off.
-_NEWTON_STEPS = 5
+NEWTON_STEPS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +63,8 @@ class TrajectoryModel:
         ``(z, u) -> z⁺``.
     linearized : casadi.Function
         ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
+    acceleration : casadi.Function
+        ``(z, u) -> q̈``.
     limited : casadi.Function or None
         ``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of the rows that are limited, dense.
     """
@@ -80,7 +82,8 @@ class TrajectoryModel:
         self._length = length
         self.back_end = "virtual machine"
         self.motion = self._evaluator(self.linearized, machine_code)
-        self._acceleration = Evaluator(reduced_acceleration(plant).map(length))
+        self.acceleration = reduced_acceleration(plant)
+        self._acceleration = Evaluator(self.acceleration.map(length))
         rows = limited_rows(plant, constraints)
         self.limited = None if rows is None else _dense(rows)
         self._rows = None if rows is None else self._evaluator(self.limited, machine_code)
@@ -117,11 +120,11 @@ class TrajectoryModel:
         """
         r = reference.shape[1] // 2
         reference, held, still = reference.copy(), held.copy(), np.zeros_like(reference[:, :r])
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(NEWTON_STEPS):
             states = np.hstack([reference[:, :r], still])
             columns = (x.T if len(x) > 1 else x[0] for x in (states, held))
             left = self._acceleration(*columns)[0].reshape(r, -1, order="F").T
-            shift, effort = observer.rest(left)
+            shift, effort = observer.model.rest(left + observer.acceleration)
             reference[:, :r] += shift
             held += effort
         return reference, held

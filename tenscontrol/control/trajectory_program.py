@@ -26,14 +26,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class _Slots:
-    """Where slopes go: ``data[place] = factor * slope.ravel()[source]``."""
+class Slots:
+    """Where slopes go in the values of A: ``data[place] = factor * slope.ravel()[source]``."""
 
     place: IntArray
     source: IntArray
     factor: FloatArray
 
     def fill(self, data: FloatArray, slope: FloatArray) -> None:
+        """Put the values of a slope into those of A."""
         data[self.place] = self.factor * slope.reshape(-1)[self.source]
 
 
@@ -56,6 +57,14 @@ class TrajectoryProgram:
         Units of the state.
     tolerance : float
     max_iterations : int
+
+    Attributes
+    ----------
+    limits : LimitRows
+        The rows after those of the dynamics, which are as many as entries of z_1 … z_N.
+    slots : tuple
+        Slots of A_k and B_k, and a list of those of E_k, G_k and F_k for each of ``limits.parts``.
+    quadratic : QuadraticProgram
     """
 
     def __init__(
@@ -73,31 +82,31 @@ class TrajectoryProgram:
         self._row_bounds = row_bounds
         N, (s, a) = horizon.length, horizon.input_matrix.shape
         scale, level = horizon.cost_scale, horizon.level
-        self._limits = LimitRows(self._horizon)
+        self.limits = LimitRows(self._horizon)
         weights = [horizon.state_weight] * (N - 1) + [horizon.terminal_weight]
         tracking = [scale * units[:, None] * weight * units for weight in weights]
         effort = [scale * level**2 * horizon.input_weight] * N
-        squares = diags_array(self._limits.price)
+        squares = diags_array(self.limits.price)
         self._weights = csc_array(block_diag([csc_array(block) for block in tracking + effort]))
         self._P = csc_array(block_diag([self._weights, squares]))
         self._states = N * s
         self._pattern = self._places()
-        self._slots = self._dynamic_slots(), self._row_slots()
-        self._program = QuadraticProgram(
+        self.slots = self._dynamic_slots(), self._row_slots()
+        self.quadratic = QuadraticProgram(
             self._P, self._pattern, tolerance, max_iterations, equations=True
         )
         low, high = (np.tile(bound, (N, 1)) for bound in bounds)
         nothing = np.zeros((N, 0))
         self._course = replace(horizon.steady_course, low=low, high=high, row_low=nothing,
                                row_high=nothing)  # fmt: skip
-        self._widths = [s, a, len(self._limits.price) // N], [s, *self._limits.widths]
+        self._widths = [s, a, len(self.limits.price) // N], [s, *self.limits.widths]
         self._guess: tuple[FloatArray, FloatArray] | None = None
 
     def _places(self) -> csc_array:
         """Return A with ones where values go, so that no value that is 0 loses its place."""
         from scipy.sparse import csc_array, eye, hstack, identity, kron, vstack
 
-        horizon, limits = self._horizon, self._limits
+        horizon, limits = self._horizon, self.limits
         N, (s, a) = horizon.length, horizon.input_matrix.shape
         dynamics = hstack([
             # Dense blocks added as such would give the identity theirs, full of zeros.
@@ -117,7 +126,7 @@ class TrajectoryProgram:
         keys = columns * pattern.shape[0] + pattern.indices
         return np.asarray(np.searchsorted(keys, column * pattern.shape[0] + row))
 
-    def _dynamic_slots(self) -> tuple[_Slots, _Slots]:
+    def _dynamic_slots(self) -> tuple[Slots, Slots]:
         """Return the slots of A_k and B_k; A_0 meets only what is known."""
         s, a = self._horizon.input_matrix.shape
         every, factor = np.arange(s), -1 / self.units
@@ -126,10 +135,10 @@ class TrajectoryProgram:
             self._filled(np.ones((s, a)), every, factor, 0, late=None),
         )
 
-    def _row_slots(self) -> list[tuple[_Slots, _Slots, _Slots]]:
+    def _row_slots(self) -> list[tuple[Slots, Slots, Slots]]:
         """Return the slots of E_k, G_k and F_k, for each part of the limited rows."""
         rows, slots = self._horizon.rows, []
-        for places, start in self._limits.parts:
+        for places, start in self.limits.parts:
             assert rows is not None  # there are parts
             factor, first = 1 / rows.scale[places], self._states + start
             slots.append((
@@ -141,7 +150,7 @@ class TrajectoryProgram:
 
     def _filled(
         self, pattern: FloatArray, taken: IntArray, factor: FloatArray, start: int, late: int | None
-    ) -> _Slots:
+    ) -> Slots:
         """Return the slots of slopes of the N samples, by z_{k+1−late}, or by u_k for None.
 
         Parameters
@@ -164,7 +173,7 @@ class TrajectoryProgram:
         place = self._found(start + k * len(taken) + i, first + (k - behind) * columns + j)
         source = (k * columns + j) * size + taken[i]
         scaled = np.tile(units[j] * factor[i], len(k))
-        return _Slots(place.ravel(), source.ravel(), scaled)
+        return Slots(place.ravel(), source.ravel(), scaled)
 
     @property
     def hessian(self) -> csc_array:
@@ -183,7 +192,7 @@ class TrajectoryProgram:
     def reset(self) -> None:
         """Forget the last answer, and what the solver adapted to it."""
         self.forget()
-        self._program.reset()
+        self.quadratic.reset()
 
     def linearize(self, motion: Tangents, rows: Tangents | None = None) -> None:
         """Put dynamics and limited rows in.
@@ -196,17 +205,17 @@ class TrajectoryProgram:
             E_k, G_k, F_k and d_k, where rows are limited.
         """
         data, course = self._pattern.data, self._course
-        for slots, slope in zip(self._slots[0], motion.slopes, strict=True):
+        for slots, slope in zip(self.slots[0], motion.slopes, strict=True):
             slots.fill(data, slope)
         if rows is not None:
-            for part in self._slots[1]:
+            for part in self.slots[1]:
                 for slots, slope in zip(part, rows.slopes, strict=True):
                     slots.fill(data, slope)
             low, high = self._row_bounds
             course = replace(course, row_low=low - rows.offset, row_high=high - rows.offset)
             self._rows_first = rows.slopes[0][0].copy()
         self._course = course
-        self._program.update(data)
+        self.quadratic.update(data)
         self._first, self._offset = motion.slopes[0][0].copy(), motion.offset
 
     def vectors(
@@ -239,10 +248,10 @@ class TrajectoryProgram:
             row_low[0] -= known
             row_high[0] -= known
             course = replace(course, row_low=row_low, row_high=row_high)
-        low, high = self._limits.bounds(previous, course)
+        low, high = self.limits.bounds(previous, course)
         equal = motion.ravel()
         return (
-            np.concatenate([-(self._weights @ wanted), self._limits.price]),
+            np.concatenate([-(self._weights @ wanted), self.limits.price]),
             np.concatenate([equal, low]),
             np.concatenate([equal, high]),
         )
@@ -256,7 +265,7 @@ class TrajectoryProgram:
         The deadline is that of :meth:`QuadraticProgram.solve`.
         """
         vectors = self.vectors(state, reference, inputs, previous, drift)
-        answer = self._program.solve(*vectors, start=self._guess, deadline=deadline)
+        answer = self.quadratic.solve(*vectors, start=self._guess, deadline=deadline)
         N, count = self._horizon.length, self._horizon.input_count
         if answer.x is None or answer.y is None:
             self._guess = None

@@ -88,7 +88,7 @@ def _data(controller: Controller, parts: Parts, functions: list[ca.Function]) ->
         f"CASADI_{what.upper()}": max(1, *(getattr(each, f"sz_{what}")() for each in functions))
         for what in ("arg", "res", "iw", "w")
     }
-    change, plausible = controller._change, controller._plausible
+    change, plausible = controller.largest_change, controller.plausible
     constants: dict[str, float | int] = {
         "STATES": 2 * controller.plant.degrees_of_freedom,
         "HOLDS_LAST": int(controller.input == "rest_length"),

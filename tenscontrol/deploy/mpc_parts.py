@@ -10,13 +10,13 @@ evaluation a column: whatever form, limits, winches and reference it has.
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 
 import numpy as np
 
 from tenscontrol.control import MPC
+from tenscontrol.control.mpc_law import MPCLaw
 from tenscontrol.control.problem import Ahead
-from tenscontrol.control.quadratic_program import START_RHO, QuadraticProgram
+from tenscontrol.control.quadratic_program import START_RHO
 from tenscontrol.deploy.over_time import over_time
 from tenscontrol.deploy.parts import Parts, refuse_time_limit
 from tenscontrol.validation import FloatArray
@@ -26,44 +26,30 @@ _AGREEMENT = 1e-9
 
 
 class _Reader:
-    """Reads the maps of a controller, at any time and for any load.
+    """Reads the maps of a law, at any time and for any load."""
 
-    Works on a copy that forgets: the controller goes on as it was.
-    """
-
-    def __init__(self, controller: MPC) -> None:
-        twin = copy(controller)
-        twin._observer = copy(controller._observer)
-        self._twin, self._problem, self._form = twin, controller._problem, controller._form
-        self.states, self.commands = controller.plant.B.shape
-        self.loads = 0 if controller._observer is None else controller.plant.degrees_of_freedom
-        self.unknowns, self.rows = self._form.A.shape[1], self._form.A.shape[0]
-
-    @property
-    def sizes(self) -> tuple[int, int, int, int]:
-        """Of state, what stands, the same within bounds, and load."""
-        return self.states, self.commands, self.commands, self.loads
+    def __init__(self, law: MPCLaw) -> None:
+        self._law = law
+        s, a = law.plant.B.shape
+        self.loads = 0 if law.load is None else law.plant.degrees_of_freedom
+        self.rows, self.unknowns = law.form.A.shape
+        # Of state, what stands, the same within bounds, and load.
+        self.sizes = s, a, a, self.loads
 
     def vectors(self, time: float, given: FloatArray) -> FloatArray:
         """Return q, l and u, end to end, for what is given."""
         z, standing, reachable, load = self._split(given, *self.sizes)
-        ahead = self._ahead(time, load)
-        begun = self._twin._begun(z, standing, ahead)
-        return np.concatenate(
-            self._form.vectors(begun, ahead.reference, reachable - ahead.origin[0], ahead.course)
-        )
+        return np.concatenate(self._law.vectors(self._ahead(time, load), z, standing, reachable))
 
     def inputs(self, time: float, known: FloatArray) -> FloatArray:
         """Return the planned inputs for solution and what is given."""
         x, z, standing, _, load = self._split(known, self.unknowns, *self.sizes)
-        ahead = self._ahead(time, load)
-        begun = self._twin._begun(z, standing, ahead)
-        return np.asarray((ahead.origin + self._form.inputs(x, begun, ahead.course)).ravel())
+        return self._law.inputs(x, self._ahead(time, load), z, standing).ravel()
 
     def coasting(self, time: float, given: FloatArray) -> FloatArray:
         """Return the state a sample later without the input to come, for what is given."""
         z, standing, _, load = self._split(given, *self.sizes)
-        return self._twin._coasting(z, standing, self._ahead(time, load))
+        return self._law.coasting(self._ahead(time, load), z, standing)
 
     def row(self, time: float) -> FloatArray:
         """Return all that depends on time alone."""
@@ -78,9 +64,7 @@ class _Reader:
         return np.concatenate(parts)
 
     def _ahead(self, time: float, load: FloatArray) -> Ahead:
-        if self._twin._observer is not None:
-            self._twin._observer.acceleration = load
-        return self._twin._ahead(time)
+        return self._law.ahead(time, load if self.loads else None)
 
     @staticmethod
     def _split(given: FloatArray, *sizes: int) -> list[FloatArray]:
@@ -95,14 +79,13 @@ def mpc_parts(controller: MPC) -> Parts:
     ValueError
         If it has a time limit, or its reference lasts too long for a table.
     """
-    refuse_time_limit(controller._time_limit)
-    assert controller.step is not None  # MPC has one
-    reader = _Reader(controller)
-    unknowns, rows, loads = reader.unknowns, reader.rows, reader.loads
-    first, table = over_time(
-        controller._path.span, controller.step, controller._problem.length, reader.row
-    )
-    times = first * controller.step, (first + len(table) - 1) * controller.step
+    law = controller.law
+    refuse_time_limit(law.time_limit)
+    reader = _Reader(law)
+    unknowns, rows = reader.unknowns, reader.rows
+    problem, sampled = law.design.problem, law.design.sampled
+    first, table = over_time(law.path.span, law.step, problem.length, reader.row)
+    times = first * law.step, (first + len(table) - 1) * law.step
     given = sum(reader.sizes)
     offset, slope = _read(reader.vectors, given, times)
     # Upper and lower bounds move alike, where they are not infinite.
@@ -112,12 +95,11 @@ def mpc_parts(controller: MPC) -> Parts:
         "vectors": np.vstack([slope[:unknowns], moved]),
         "inputs": _read(reader.inputs, unknowns + given, times)[1],
     }
-    if loads:
-        assert controller._observer is not None  # there are loads
+    if law.load is not None:
         matrices["coasting"] = _read(reader.coasting, given, times)[1]
-        matrices["by_input"] = controller._sampled.by_input
-        matrices["load_gain"] = controller._observer.gain
-    x, y = controller._form.shifted(np.arange(1.0, unknowns + 1), np.arange(1.0, rows + 1))
+        matrices["by_input"] = sampled.by_input
+        matrices["load_gain"] = law.load.gain
+    x, y = law.form.shifted(np.arange(1.0, unknowns + 1), np.arange(1.0, rows + 1))
     arrays = {
         "source_of_x": x.astype(np.int64) - 1,
         "source_of_y": y.astype(np.int64) - 1,
@@ -125,20 +107,13 @@ def mpc_parts(controller: MPC) -> Parts:
     constants: dict[str, int | float] = {
         "UNKNOWNS": unknowns,
         "ROWS": rows,
-        "PLANNED": controller._problem.input_count,
-        "LOADS": loads,
+        "PLANNED": problem.input_count,
+        "LOADS": reader.loads,
         "FIRST_RHO": START_RHO,
     }
+    templates = "program.c", "over_time.c", "mpc.c"
     # Of its own: the solver of the controller may be in the middle of a run.
-    program = QuadraticProgram(
-        controller._form.P,
-        controller._form.A,
-        controller._program.tolerance,
-        controller._program.max_iterations,
-    )
-    return Parts(
-        ("program.c", "over_time.c", "mpc.c"), constants, arrays, matrices, program, (first, table)
-    )
+    return Parts(templates, constants, arrays, matrices, law.program(), (first, table))
 
 
 def _read(

@@ -10,8 +10,9 @@ import numpy as np
 
 from tenscontrol.control import NMPC
 from tenscontrol.control.nmpc import CONVERGED
+from tenscontrol.control.problem import Horizon
 from tenscontrol.control.quadratic_program import START_RHO
-from tenscontrol.control.trajectory_model import Tangents
+from tenscontrol.control.trajectory_model import NEWTON_STEPS, Tangents
 from tenscontrol.control.trajectory_program import TrajectoryProgram
 from tenscontrol.deploy.over_time import over_time
 from tenscontrol.deploy.parts import Parts, refuse_time_limit
@@ -24,30 +25,26 @@ def nmpc_parts(controller: NMPC) -> Parts:
     Raises
     ------
     ValueError
-        If it estimates a load, has a time limit, or its reference lasts too long for a table.
+        If it has a time limit, or its reference lasts too long for a table.
     """
-    if controller._observer is not None:
-        raise ValueError(
-            "controller is an NMPC with load_gain, and the shape at rest under a load is not "
-            "written as C code: leave load_gain out, or take MPC, whose estimate is written"
-        )
-    refuse_time_limit(controller._time_limit)
-    assert controller.step is not None  # NMPC has one
-    problem, model = controller._problem, controller._model
+    law = controller.law
+    refuse_time_limit(law.time_limit)
+    problem, model = law.problem, law.model
     N, (s, a) = problem.length, problem.input_matrix.shape
     p = 0 if problem.rows is None else len(problem.rows.scale)
-    program = _fresh(controller)
+    # Of its own: the program of the controller may be in the middle of a run.
+    program = law.program()
     fixed = program.pattern.data
     still = _flat(N, s, s, a), None if p == 0 else _flat(N, p, s, a, s)
     program.linearize(*still)
     nothing = np.zeros(s), np.zeros((N, s)), np.zeros((N, a))
 
     def row(time: float) -> FloatArray:
-        reference, origin = controller.targets(time)
+        reference, origin = law.targets(time)
         q, _, _ = program.vectors(nothing[0], reference, origin, np.zeros(a))
         return np.concatenate([q, reference.ravel(), origin.ravel()])
 
-    first, table = over_time(controller._path.span, controller.step, N, row)
+    first, table = over_time(law.path.span, law.step, N, row)
     low, high = program.vectors(*nothing, np.zeros(a))[1:]
     slopes = np.zeros((len(low), a))
     # Rows of a change are bounded on both sides, and move alike; no others move.
@@ -55,11 +52,22 @@ def nmpc_parts(controller: NMPC) -> Parts:
     for i, unit in enumerate(np.eye(a)):
         slopes[bounded, i] = program.vectors(*nothing, unit)[1][bounded] - low[bounded]
     source, factor = _places(program, fixed, (N, s, a, p))
-    limit_of_row, limit_scale = _limits(program, N, p)
+    limit_of_row, limit_scale = _limits(program, problem)
     x, y = program.moved(np.arange(1.0, program.pattern.shape[1] + 1), np.arange(1.0, len(low) + 1))
     functions = {"advance": model.sampled, "linearize": model.linearized}
     if model.limited is not None:
         functions["limited"] = model.limited
+    matrices = {"by_previous": slopes, "feedback": -problem.feedback}
+    loads = 0
+    if law.load is not None:
+        loads = len(law.load.gain)
+        functions["accelerate"] = model.acceleration
+        matrices |= {
+            "load_gain": law.load.gain,
+            "load_push": law.load.push,
+            "load_shift": law.load.shift,
+            "load_effort": law.load.effort,
+        } | _gradients(program, problem)
     return Parts(
         templates=("program.c", "over_time.c", "nmpc.c"),
         constants={
@@ -69,8 +77,10 @@ def nmpc_parts(controller: NMPC) -> Parts:
             "HORIZON": N,
             "PLANNED": problem.input_count,
             "LIMITED": p,
+            "LOADS": loads,
+            "NEWTON_STEPS": NEWTON_STEPS,
             "LEVEL": float(problem.level),
-            "ROUNDS": controller._rounds,
+            "ROUNDS": law.rounds,
             "CONVERGED": CONVERGED,
             "FIRST_RHO": START_RHO,
         },
@@ -85,23 +95,10 @@ def nmpc_parts(controller: NMPC) -> Parts:
             "source_of_x": x.astype(np.int64) - 1,
             "source_of_y": y.astype(np.int64) - 1,
         },
-        matrices={"by_previous": slopes, "feedback": -problem.feedback},
-        program=_fresh(controller)._program,
+        matrices=matrices,
+        program=law.program().quadratic,
         table=(first, table),
         functions=functions,
-    )
-
-
-def _fresh(controller: NMPC) -> TrajectoryProgram:
-    """Return a program like that of the controller, which may be in the middle of a run."""
-    used = controller._program
-    return TrajectoryProgram(
-        controller._problem,
-        controller.bounds,
-        used._row_bounds,
-        used.units,
-        used._program.tolerance,
-        used._program.max_iterations,
     )
 
 
@@ -120,7 +117,7 @@ def _places(
     N, s, a, p = sizes
     starts = np.cumsum([0, N * s * s, N * s * a, N * p * s, N * p * a])
     source, factor = np.full(len(fixed), -1), fixed.copy()
-    motion, parts = program._slots
+    motion, parts = program.slots
     for begin, slots in [
         *zip(starts[:2], motion, strict=True),
         *((begin, slots) for part in parts for begin, slots in zip(starts[2:], part, strict=True)),
@@ -129,13 +126,24 @@ def _places(
     return source, factor
 
 
-def _limits(program: TrajectoryProgram, N: int, p: int) -> tuple[IntArray, FloatArray]:
+def _gradients(program: TrajectoryProgram, problem: Horizon) -> dict[str, FloatArray]:
+    """Return what references and origins of a sample do to q: that is −P times them, in units."""
+    N, (s, a) = problem.length, problem.input_matrix.shape
+    starts = {"by_reference": 0, "by_last": (N - 1) * s, "by_origin": N * s}
+    found = {}
+    for name, start in starts.items():
+        unit = np.full(a, problem.level) if name == "by_origin" else program.units
+        found[name] = -program.hessian[start:, start:][: len(unit), : len(unit)].toarray() / unit
+    return found
+
+
+def _limits(program: TrajectoryProgram, problem: Horizon) -> tuple[IntArray, FloatArray]:
     """Return which of the N p limited values each row bounds, −1 for none, and its unit."""
-    count = program.pattern.shape[0]
-    limit, unit, rows = np.full(count, -1), np.ones(count), program._horizon.rows
-    for places, start in program._limits.parts:
+    count, N, rows = program.pattern.shape[0], problem.length, problem.rows
+    limit, unit = np.full(count, -1), np.ones(count)
+    for places, start in program.limits.parts:
         assert rows is not None  # there are parts
-        found = program._states + start + np.arange(N * len(places))
-        limit[found] = (p * np.arange(N)[:, None] + places).ravel()
+        found = N * len(program.units) + start + np.arange(N * len(places))
+        limit[found] = (len(rows.scale) * np.arange(N)[:, None] + places).ravel()
         unit[found] = np.tile(rows.scale[places], N)
     return limit, unit

@@ -33,6 +33,7 @@ def main() -> None:
         "MPC, winding, load, N = 4": (scenes.winding(), {"winches": scenes.WINDING, **held}),
         "MPC, load, sparse, N = 6": (scenes.with_load(), {}),
         "NMPC, γ, N = 3, twice": (scenes.nonlinear(), {}),
+        "NMPC, γ, load, N = 3": (scenes.nonlinear_with_load(), {"pull": 2 / 3}),
     }
     print("controller                 difference  Python / C  iterations  code kB  numbers kB")
     for name, (controller, options) in controllers.items():

@@ -12,7 +12,6 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol import demo
-from tenscontrol.control.quadratic_program import QuadraticProgram
 
 LENGTHS = (10, 20, 40, 80)
 LIMIT = 34.0  # N/m, little above the prestress, so that bounds are met
@@ -88,10 +87,7 @@ def run(mpc, measured, rebuilt):
     for moment in measured:
         began = perf_counter()
         if rebuilt:
-            program = mpc._program
-            mpc._program = QuadraticProgram(
-                mpc._form.P, mpc._form.A, program.tolerance, program.max_iterations
-            )
+            mpc._program = mpc.law.program()
         command = mpc.command(*moment)
         times.append(perf_counter() - began)
         if command.status != "ok":

@@ -70,18 +70,21 @@ def recordings():
         "NMPC": nmpc,
     }
     for name, controller in controllers.items():
-        owner = controller._program if name == "NMPC" else controller
-        program, kept = owner._program, Recorder(owner._program)
-        owner._program = kept
+        nonlinear = name == "NMPC"
+        owner, what = (nmpc._program, "quadratic") if nonlinear else (controller, "_program")
+        program = getattr(owner, what)
+        kept = Recorder(program)
+        setattr(owner, what, kept)
         for seed in range(STARTS):
             rng = np.random.default_rng(seed)
             state = np.r_[0.05 * rng.normal(size=9), 0.25 * rng.normal(size=9)]
             closed_loop_cost(nmpc, controller, nmpc.sampled, state, SAMPLES)
-        owner._program = program
-        P, A = (owner.hessian, owner.pattern) if name == "NMPC" else (owner._form.P, owner._form.A)
+        setattr(owner, what, program)
+        form = None if nonlinear else controller.law.form
+        P, A = (owner.hessian, owner.pattern) if nonlinear else (form.P, form.A)
         A.sort_indices()
         data = [(A.data if values is None else values, *rest) for values, *rest in kept.data]
-        yield Recorded(name, P, A, name == "NMPC", name != "condensed MPC", data)
+        yield Recorded(name, P, A, nonlinear, name != "condensed MPC", data)
 
 
 class Recorder:

@@ -73,7 +73,7 @@ def test_solution_satisfies_the_optimality_conditions(plant, form, penalty):
     scale = max(1.0, np.abs(answer.y).max())
     far = 1e9  # for infinity, which times zero is nothing
     low, high = np.clip(l, -far, far), np.clip(u, -far, far)
-    residual = kkt_residual(mpc._form.P, q, mpc._form.A, low, high, answer.x, answer.y)
+    residual = kkt_residual(mpc.law.form.P, q, mpc.law.form.A, low, high, answer.x, answer.y)
     assert residual < 1e-6 * scale
 
 

@@ -221,7 +221,7 @@ def test_out_of_time_is_counted_and_over_when_there_is_time(kind, held, monkeypa
         assert command.status.startswith("out of time: ")
     assert sum(made.statistics.status_count.values()) == 3
     assert made.statistics.iterations.sum() == 0
-    monkeypatch.setattr(made, "_time_limit", 1e3)
+    monkeypatch.setattr(made, "_law", replace(made.law, time_limit=1e3))
     assert made.command(0.1, pushed(held), STILL).status == "ok"
 
 
@@ -307,7 +307,7 @@ def test_a_limit_that_cannot_be_kept_is_infeasible_and_over_with_the_reason():
 def test_nmpc_begins_anew_where_its_plan_has_no_value(monkeypatch):
     """Along a plan the dynamics may have no value; with the next measurement all is well."""
     made, at = controller("nmpc", "rest_length"), plant("rest_length")
-    model = made._model
+    model = made.law.model
     tangents, failing = model.tangents, [False]
 
     def spoilt(states, inputs):

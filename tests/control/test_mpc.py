@@ -38,14 +38,14 @@ def kkt_residual(P, q, A, l, u, x, y):  # noqa: E741
 def test_solution_satisfies_the_optimality_conditions(plant, form, max_change, size):
     mpc = tc.MPC(plant, 20, 0.02, 60.0, form=form, max_change=max_change, tolerance=1e-7, R=1e-3)
     state = plant.measure(pushed(plant, size), STILL)
-    vectors = mpc._form.vectors(state, np.zeros((20, 18)), np.zeros(9))
+    vectors = mpc.law.form.vectors(state, np.zeros((20, 18)), np.zeros(9))
     answer = mpc._program.solve(*vectors)
     assert answer.status is Status.SOLVED
-    P, A = mpc._form.P, mpc._form.A
+    P, A = mpc.law.form.P, mpc.law.form.A
     scale = max(1.0, np.abs(answer.y).max())
     assert kkt_residual(P, vectors[0], A, *vectors[1:], answer.x, answer.y) < 1e-6 * scale
     # The case is worth something only if bounds are met where the push is large.
-    inputs = mpc._form.inputs(answer.x, state) + plant.force_density
+    inputs = mpc.law.form.inputs(answer.x, state) + plant.force_density
     assert inputs.min() > -1e-5
     if size == 0.1 and max_change is None:
         assert (inputs < 1e-4).any()

@@ -79,7 +79,7 @@ def test_program_satisfies_the_optimality_conditions():
     plant = at_rest()
     nmpc = NMPC(plant, 8, SAMPLE, 45.0, max_change=8.0, tolerance=1e-8, max_iterations=20000)
     kept = {}
-    program = nmpc._program._program
+    program = nmpc._program.quadratic
     solve, update = program.solve, program.update
 
     def watched(q, l, u, start=None, **_):  # noqa: E741
@@ -161,12 +161,13 @@ def test_preparation_is_apart_from_feedback_and_setup_happens_once(monkeypatch):
     nmpc.prepare()  # nothing to prepare from
     for k in range(4):
         nodes = plant.to_nodes(disturbed(0.02, k)[:9])
-        calls = nmpc._model.motion.calls
+        motion = nmpc.law.model.motion
+        calls = motion.calls
         first = nmpc.command(SAMPLE * k, nodes, STILL)
-        assert nmpc._model.motion.calls == calls + (k == 0)  # prepared before, but the first time
+        assert motion.calls == calls + (k == 0)  # prepared before, but the first time
         nmpc.prepare()
         nmpc.prepare()
-        assert nmpc._model.motion.calls == calls + 1 + (k == 0)
+        assert motion.calls == calls + 1 + (k == 0)
         assert np.array_equal(first.value, plain.command(SAMPLE * k, nodes, STILL).value)
     assert len(setups) == setups_before
 
@@ -296,7 +297,7 @@ def test_reference_seen_ahead_is_followed_more_closely():
     ahead, blind = (NMPC(plant, 10, SAMPLE, 80.0) for _ in range(2))
     ahead.follow(ramp)
     start = plant.measure(prism.nodes, STILL)
-    path = ahead._path.wanted(SAMPLE * np.arange(40.0))
+    path = ahead.law.path.wanted(SAMPLE * np.arange(40.0))
     errors = []
     for nmpc in (ahead, blind):
         state, off = start, 0.0

@@ -81,13 +81,13 @@ def test_program_satisfies_the_optimality_conditions(plant, penalty):
         plant, 5, SAMPLE, 60.0, max_tension=40.0, outputs=[limit], string_penalty=penalty,
         max_change=None if penalty else 5.0, tolerance=1e-8, max_iterations=50000,
     )  # fmt: skip
-    kept, solve = {}, nmpc._program._program.solve
+    kept, solve = {}, nmpc._program.quadratic.solve
 
     def watched(q, l, u, start=None, deadline=np.inf):  # noqa: E741
         kept["data"], kept["answer"] = (q, l, u), solve(q, l, u, start, deadline)
         return kept["answer"]
 
-    nmpc._program._program.solve = watched
+    nmpc._program.quadratic.solve = watched
     assert nmpc.command(0.0, pushed(plant, 0.01), STILL).status == "ok"
     answer, (q, l, u) = kept["answer"], kept["data"]  # noqa: E741
     far = 1e9  # for infinity, which times zero is nothing

@@ -165,6 +165,15 @@ def nonlinear():
     )  # fmt: skip
 
 
+def nonlinear_with_load():
+    """An unknown load is estimated, along a moving reference and with limited rows."""
+    return tc.NMPC(
+        plant("force_density", demo.TARGET), 3, SAMPLE, 80.0, reference=ramp(), load_gain=0.1,
+        tracked=height_row(), outputs=[tc.OutputLimit(height_row(), low=0.6, penalty=100.0)],
+        max_iterations=100,
+    )  # fmt: skip
+
+
 def closed_loop(pair, pull=0.0, **options):
     """Run a pair on the nonlinear prism, disturbed at the start, for 500 samples.
 

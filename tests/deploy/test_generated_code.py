@@ -147,7 +147,7 @@ def test_two_of_one_code_have_a_memory_each(short_of_iterations):
 
 @pytest.mark.parametrize(
     "make",
-    [scenes.winding, scenes.nonlinear_of_rest_length],
+    [scenes.winding, scenes.nonlinear_of_rest_length, scenes.nonlinear_with_load],
 )
 def test_code_of_every_law_has_no_warnings(make, tmp_path):
     tc.generate_c(make(), tmp_path)

@@ -19,6 +19,42 @@ def test_force_density_along_a_moving_reference(tmp_path):
 
 
 @pytest.fixture(scope="module")
+def loaded(tmp_path_factory):
+    """An estimate of the load, and code that does the same."""
+    return scenes.pair_of(scenes.nonlinear_with_load(), tmp_path_factory.mktemp("loaded"))
+
+
+def test_unknown_load_is_estimated_alike(loaded):
+    run = scenes.closed_loop(loaded, pull=2 / 3)
+    scenes.check(loaded)
+    assert np.linalg.norm(loaded.one.load) > 0.1
+    # Without the estimate 2 N leave the height off by 5 mm.
+    assert np.abs(demo.height_of(run.nodes)[run.time > 9.0] - demo.TARGET).max() < 1.5e-3
+
+
+def test_motions_that_no_load_explains(loaded):
+    """Shaken so that programs are not solved, with actuators that do not hold what is commanded."""
+    plant, rng = loaded.plant, np.random.default_rng(0)
+    loaded.reset()
+    for k in range(60):
+        given = loaded.command(
+            k * scenes.SAMPLE,
+            plant.to_nodes(0.05 * rng.normal(size=9)),
+            plant.to_velocities(np.zeros(9), 0.3 * rng.normal(size=9)),
+        )
+        if k % 7 == 0:
+            loaded.applied(given.value + rng.uniform(0.0, 1.0, size=9))
+    assert loaded.statuses[0] == loaded.statuses[1]
+    assert {
+        "ok",
+        "solved inaccurately: plan continued",
+        "solved inaccurately: equilibrium held",
+        "measurement not finite: plan continued",
+    } <= set(loaded.statuses[1])
+    assert loaded.error < 1e-8
+
+
+@pytest.fixture(scope="module")
 def limited(tmp_path_factory):
     """Winches, limited rows, and code that does the same."""
     return scenes.pair_of(scenes.nonlinear_of_rest_length(), tmp_path_factory.mktemp("limited"))

@@ -40,12 +40,6 @@ def test_limit_of_time(kind, tmp_path):
         tc.generate_c(limited, tmp_path)
 
 
-def test_nonlinear_mpc_that_estimates_a_load(tmp_path):
-    nmpc = tc.NMPC(scenes.plant("force_density"), 2, scenes.SAMPLE, 80.0, load_gain=0.1)
-    with pytest.raises(ValueError, match=r"NMPC with load_gain.* or take MPC"):
-        tc.generate_c(nmpc, tmp_path)
-
-
 @pytest.mark.parametrize("folder", [None, 3, np.zeros(2)])
 def test_folder_that_is_no_path(folder):
     with pytest.raises(TypeError, match=r"folder is .*expected a path"):

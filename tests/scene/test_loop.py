@@ -9,6 +9,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.accuracy.case import as_case
 from tenscontrol.cli import main
+from tests.scene.limits import limits
 
 SCENES = Path(__file__).parent.parent.parent / "examples" / "scenes"
 
@@ -41,6 +42,7 @@ def commands_alike(one, other, plant):
 
 
 def test_nmpc_takes_what_mpc_takes(load):
+    text, given = limits(high=0.1)
     text = (
         PLAIN
         + """[controller]
@@ -48,35 +50,12 @@ kind = "nmpc"
 input = "rest_length"
 horizon = 3
 step = 0.02
-min_force_density = {top = 1.0, bottom = 1.0, vertical = 2.0}
-max_tension = 90.0
-string_penalty = 50.0
-load_gain = 0.5
 time_limit = 60.0
-[[controller.tracked]]
-node = 0
-relative_to = 3
-axis = "z"
-[[controller.outputs]]
-node = 1
-axis = "x"
-high = 0.1
 """
+        + text
     )
     scene = load(text)
-    row, limit = np.zeros((2, 6, 3))
-    row[[0, 3], 2] = 1, -1
-    limit[1, 0] = 1
-    plant = scene.controller.plant
-    given = {
-        "min_force_density": [1.0] * 6 + [2.0] * 3,
-        "max_tension": 90.0,
-        "string_penalty": 50.0,
-        "load_gain": 0.5,
-        "tracked": row.reshape(1, 18),
-        "time_limit": 60.0,
-        "outputs": [tc.OutputLimit(limit.reshape(1, 18), high=0.1)],
-    }
+    plant, given = scene.controller.plant, given | {"time_limit": 60.0}
     first = commands_alike(scene.controller, tc.NMPC(plant, 3, 0.02, **given), plant)
     # The limit of the output is felt.
     other = tc.NMPC(plant, 3, 0.02, **given | {"outputs": ()})
@@ -90,7 +69,7 @@ high = 0.1
 
 def test_mpc_has_a_time_limit(load):
     mpc = "[controller]\nkind = 'mpc'\nhorizon = 5\nstep = 0.02\nmax_force_density = 60.0\n"
-    assert load(PLAIN + mpc).controller._time_limit == np.inf
+    assert load(PLAIN + mpc).controller.law.time_limit == np.inf
     controller = load(PLAIN + mpc + "time_limit = 1e-9\n").controller
     pushed = controller.plant.to_nodes(np.full(9, 0.01))
     assert controller.command(0.0, pushed, np.zeros((3, 6))).status.startswith("out of time")

@@ -10,6 +10,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.scene import SceneError
 from tenscontrol.scene.lines import key_lines
+from tests.scene.limits import limits
 
 SCENES = Path(__file__).parent.parent.parent / "examples" / "scenes"
 
@@ -350,7 +351,7 @@ def twist(nodes):
 def reference_of(scene):
     """The reference that a scene gave its controller, node by node."""
     controller = scene.controller
-    path = controller._path._reference
+    path = controller.law.path._reference
     q = path._coordinates
     nodes = np.stack([controller.plant.to_nodes(each) for each in q], axis=-1)
     return tc.Reference(path._time, nodes)
@@ -406,42 +407,16 @@ positions = {turned}
 
 
 def test_predictive_controllers_of_rest_lengths(load):
-    scene = load(
-        PRISM
-        + MPC
-        + """input = "rest_length"
-min_force_density = {top = 1.0, bottom = 1.0, vertical = 2.0}
-max_tension = 90.0
-max_change = 0.01
-string_penalty = 50.0
-load_gain = 0.5
-[[controller.tracked]]
-node = 0
-relative_to = 3
-axis = "z"
-[[controller.outputs]]
-node = 1
-axis = "x"
-high = 3.0
-[winches]
-rate = 0.3
-longest = 2.0
-"""
-    )
+    text, given = limits(high=3.0)
+    winches = "[winches]\nrate = 0.3\nlongest = 2.0\n"
+    scene = load(PRISM + MPC + 'input = "rest_length"\nmax_change = 0.01\n' + text + winches)
     plant, controller = scene.controller.plant, scene.controller
     assert isinstance(controller, tc.MPC)
     assert plant.input == "rest_length"
     assert controller.bounds[1] == pytest.approx(2.0)
-    row = np.zeros((6, 3))
-    row[[0, 3], 2] = 1, -1
-    limit = np.zeros((6, 3))
-    limit[1, 0] = 1
     same = tc.MPC(
-        plant, 5, 0.02, min_force_density=[1.0] * 6 + [2.0] * 3, max_tension=90.0, max_change=0.01,
-        string_penalty=50.0, load_gain=0.5, tracked=row.reshape(1, 18),
-        outputs=[tc.OutputLimit(limit.reshape(1, 18), high=3.0)],
-        winches=tc.Winches(rate=0.3, longest=2.0),
-    )  # fmt: skip
+        plant, 5, 0.02, max_change=0.01, winches=tc.Winches(rate=0.3, longest=2.0), **given
+    )
     pushed = plant.to_nodes(0.01 * np.arange(9))
     commands = [each.command(0.0, pushed, np.zeros((3, 6))).value for each in (controller, same)]
     np.testing.assert_array_equal(*commands)

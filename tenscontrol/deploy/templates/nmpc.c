@@ -19,6 +19,10 @@ static struct {
 #if LIMITED > 0
     double limited[HORIZON * LIMITED]; /* d_k */
 #endif
+#if LOADS > 0
+    double load[LOADS], drift[STATES], seen[STATES];
+    int has_seen;
+#endif
     double row[ROW_LENGTH];
 } memory;
 
@@ -189,6 +193,10 @@ static void fill_program(const double *state, const double *row)
     }
     for (i = 0; i < HORIZON * STATES; i++)
         motion[i] = -memory.offset[i];
+#if LOADS > 0
+    for (i = 0; i < HORIZON * STATES; i++)
+        motion[i] -= memory.drift[i % STATES];
+#endif
     subtract(memory.slopes, state, STATES, motion, STATES);
     for (i = 0; i < HORIZON * STATES; i++)
         program.l[i] = program.u[i] = -motion[i] / unit[i % STATES];
@@ -215,7 +223,7 @@ static double take_plan(const double *state)
 }
 
 /* Follow the plan for another sample; after its end hold what is safe. */
-static int fall_back(int reason, double *wish)
+static int go_on(int reason, double *wish)
 {
     memory.followed++;
     if (memory.followed >= HORIZON)
@@ -232,10 +240,76 @@ static int fall_back(int reason, double *wish)
     return reason;
 }
 
+static int fall_back(int reason, double *wish)
+{
+#if LOADS > 0
+    memory.has_seen = 0;
+#endif
+    return go_on(reason, wish);
+}
+
+#if LOADS > 0
+/* Lay what the state did beyond the prediction to the load. */
+static void correct_load(const double *state)
+{
+    double surprise[STATES];
+    int i;
+    if (memory.has_seen && has_standing) {
+        advance(memory.seen, standing, surprise);
+        for (i = 0; i < STATES; i++)
+            surprise[i] = state[i] - (memory.drift[i] + surprise[i]);
+        if (all_finite(surprise, STATES))
+            add_product(&load_gain, surprise, memory.load);
+    }
+    copy(memory.seen, state, STATES);
+    memory.has_seen = 1;
+    memset(memory.drift, 0, sizeof memory.drift);
+    add_product(&load_push, memory.load, memory.drift);
+}
+
+/* Move what a row asks for to where the plant rests under the load, by Newton's method. */
+static void rest_under_load(double *row)
+{
+    int i, k, step;
+    for (k = 0; k < HORIZON; k++) {
+        double state[STATES] = {0}, shift[STATES] = {0}, effort[CONTROLLER_COMMANDS] = {0};
+        double left[LOADS], input[CONTROLLER_COMMANDS];
+        double *reference = row + ROW_REFERENCE + k * STATES;
+        double *origin = row + ROW_ORIGIN + k * CONTROLLER_COMMANDS;
+        const double *given[CASADI_ARG] = {0};
+        double *found[CASADI_RES] = {0};
+        for (step = 0; step < NEWTON_STEPS; step++) {
+            for (i = 0; i < LOADS; i++)
+                state[i] = reference[i] + shift[i];
+            for (i = 0; i < CONTROLLER_COMMANDS; i++)
+                input[i] = origin[i] + effort[i];
+            given[0] = state;
+            given[1] = input;
+            found[0] = left;
+            controller_accelerate(given, found, casadi_integers, casadi_numbers, 0);
+            for (i = 0; i < LOADS; i++)
+                left[i] += memory.load[i];
+            add_product(&load_shift, left, shift);
+            add_product(&load_effort, left, effort);
+        }
+        add_product(k + 1 < HORIZON ? &by_reference : &by_last, shift, row + k * STATES);
+        add_product(&by_origin, effort, row + HORIZON * STATES + k * CONTROLLER_COMMANDS);
+        for (i = 0; i < LOADS; i++)
+            reference[i] += shift[i];
+        for (i = 0; i < CONTROLLER_COMMANDS; i++)
+            origin[i] += effort[i];
+    }
+}
+#endif
+
 static int decide(double time, const double *state, double *wish)
 {
     const double *row = row_at(time, memory.row);
     int total = 0, round;
+#if LOADS > 0
+    correct_load(state);
+    rest_under_load(memory.row);
+#endif
     if (!has_standing)
         stand(row + ROW_ORIGIN);
     if (!memory.has_plan)
@@ -259,7 +333,7 @@ static int decide(double time, const double *state, double *wish)
         iterations = total;
         memory.prepared = 0;
         if (reason != CONTROLLER_OK)
-            return fall_back(reason, wish);
+            return go_on(reason, wish);
         memory.followed = 0;
         if (take_plan(state) < CONVERGED)
             break;
