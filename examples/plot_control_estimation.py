@@ -78,7 +78,7 @@ left = {name: off[-50:].max() for name, off in curves.items()}
 for name, off in left.items():
     print(f"{name:24s} farthest node in the last second {1e3 * off:6.2f} mm")
 
-drawn = tc.plot.history(runs["motion seen"].time[::20], curves, "farthest node, m")
+drawn = tc.plot.history(runs["motion seen"].time[::20], curves, "largest node error, m")
 drawn.ax.set_yscale("log")
 
 # %%

@@ -68,17 +68,18 @@ for column, (held, (plant, law)) in enumerate(designs.items()):
 drawn = tc.plot.history(
     runs["force_density"].time,
     {names[held]: values for held, values in off.items()},
-    "farthest node, m",
+    "largest node error, m",
     ax=figure.add_subplot(grid[1, :]),
 )
 drawn.ax.set_yscale("log")
-tc.plot.history(
+drawn = tc.plot.history(
     runs["force_density"].time,
     {names[held]: run.force_density[6] for held, run in runs.items()},
     "γ of a vertical string, N/m",
     ax=figure.add_subplot(grid[2, :]),
     references={"at rest": float(rest.force_density[6])},
 )
+drawn.ax.set_xlim(0.0, 1.0)  # what follows is at rest
 
 if __name__ == "__main__":
     plt.show()

@@ -120,7 +120,8 @@ print(f"smallest γ of a string {run.force_density.min() / 2:.2f} N/m, largest t
 print(f"fastest winch {rates.max():.4f} m/s; one at its limit in {100 * at_rate:.0f} % of samples")
 
 # %%
-# Shapes, height and twist against their reference, winches and force densities.
+# Shapes, height and twist against their reference, winches (positive where they pay out) and force
+# densities.
 
 figure = plt.figure(figsize=(7.5, 10.0), layout="constrained")
 grid = figure.add_gridspec(5, 3, height_ratios=(1.6, 1.0, 1.0, 1.0, 1.0))
@@ -130,17 +131,16 @@ for column, k in enumerate((0, at_goal // 2, at_goal)):
     ax.set_axis_off()
     ax.set_title(f"{run.time[k]:.2f} s")
 for row, (what, label) in enumerate(((height, "height, m"), (twist, "twist, °")), start=1):
-    ax = figure.add_subplot(grid[row, :])
-    tc.plot.history(run.time, {"plant": what(run.nodes)}, label, ax=ax)
-    ax.plot(reference.time, what(reference.nodes), "k--", label="reference")
-    ax.legend()
+    wanted = np.interp(run.time, reference.time, what(reference.nodes))
+    curves = {"plant": what(run.nodes), "reference": wanted}
+    tc.plot.history(run.time, curves, label, ax=figure.add_subplot(grid[row, :]))
 groups = {name: prism.strings_in(name) for name in ("top", "vertical", "diagonal")}
 tc.plot.history(
     run.control.time,
     {name: run.control.winch_rate[strings] for name, strings in groups.items()},
-    "winding, m/s",
+    "winch, m/s",
     ax=figure.add_subplot(grid[3, :]),
-    references={"limit": RATE, "limit down": -RATE},
+    references={"limit out": RATE, "limit in": -RATE},
 )
 first = np.flatnonzero(np.diff(massive.string_parent, prepend=-1))  # first segment of each string
 tc.plot.history(

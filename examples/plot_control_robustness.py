@@ -60,7 +60,8 @@ if __name__ != "__mp_main__":
         print(f"{name}: {reports[name].summary()}\n")
 
 # %%
-# Left: the runs over the two numbers that go with the error most. Right: the part
+# Left: the runs over the two numbers that go with the error most. Those of ``start`` are
+# coordinates of the plant, in m √kg; stiffness, mass and noise are factors. Right: the part
 # of the runs that ends up within a distance. The interval says how well so many runs
 # tell the rate.
 

@@ -92,21 +92,13 @@ for (hold, name), off in errors.items():
 # lengths are held, strings stretch between samples and brake all motion; a law
 # without look ahead falls behind.
 
-figure, panels = plt.subplots(2, 1, figsize=(7, 6), sharex=True, sharey=True, layout="constrained")
-styles = {
-    "shape control": ("-", "#0072B2"),
-    "MPC": ("--", "#D55E00"),
-    "NMPC": (":", "#009E73"),
-}
+figure, panels = plt.subplots(2, 1, figsize=(7, 6), sharey=True, layout="constrained")
 for panel, hold in zip(panels, ("force_density", "rest_length"), strict=True):
-    for name, (dashes, color) in styles.items():
-        off = 1e3 * errors[hold, name]
-        panel.semilogy(runs[hold, name].time, off, dashes, color=color, label=name)
-    panel.set_title(f"held between samples: {hold.replace('_', ' ')}", loc="left")
-    panel.set_ylabel("largest node error, mm")
+    off = {name: 1e3 * errors[hold, name] for name in controllers}
+    tc.plot.history(runs[hold, "MPC"].time, off, "largest node error, mm", ax=panel)
+    panel.set_title(f"held between samples: {hold.replace('_', ' ')}", loc="left", pad=24)
+    panel.set_yscale("log")
     panel.set_ylim(1e-3, 30)
-panels[0].legend(frameon=False, ncols=3, loc="upper right")
-panels[1].set_xlabel("time, s")
 
 # %%
 # What shape control left of its law, on winches.

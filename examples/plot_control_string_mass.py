@@ -94,7 +94,7 @@ print("every combination is brought to rest" if stable else "some are not brough
 # %%
 # On the way: the controller hardly notices 20 % of string mass.
 
-drawn = tc.plot.history(run.time, curves, "farthest node, m")
+drawn = tc.plot.history(run.time, curves, "largest node error, m")
 drawn.ax.set_yscale("log")
 
 # %%

@@ -8,6 +8,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from tenscontrol.dynamics.compiler import compiler
+
 DOCS = Path(__file__).parent.parent / "docs"
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
 
@@ -23,13 +25,19 @@ def test_first_session_runs_and_brings_the_prism_to_rest():
     assert abs(end).max() < 1e-3
 
 
-def test_the_way_from_a_shape_to_winch_commands_runs(capsys):
-    page = (DOCS / "control.rst").read_text(encoding="utf-8")
-    blocks = re.findall(r".. code-block:: python\n\n((?:   .*\n|\n)+)", page)
-    assert len(blocks) == 5
+def ran(page, count):
+    """Run the code of a page, so many blocks, one after the other; return all names."""
+    text = (DOCS / f"{page}.rst").read_text(encoding="utf-8")
+    blocks = re.findall(r".. code-block:: python\n\n((?:   .*\n|\n)+)", text)
+    assert len(blocks) == count
     names: dict = {}
     exec(textwrap.dedent("".join(blocks)), names)
     plt.close("all")
+    return names
+
+
+def test_the_way_from_a_shape_to_winch_commands_runs(capsys):
+    names = ran("control", 5)
     assert "winch 6 stuck from 0.3 s to 0.5 s" in capsys.readouterr().out
     run = names["run"]
     assert np.abs(run.control.winch_rate).max() < 0.15 + 1e-9
@@ -37,6 +45,26 @@ def test_the_way_from_a_shape_to_winch_commands_runs(capsys):
     heights = run.nodes[2, :3].mean(axis=0) - run.nodes[2, 3:].mean(axis=0)
     assert heights[0] == pytest.approx(1.0)
     assert heights[-1] == pytest.approx(0.85, abs=5e-3)
+
+
+def test_the_page_on_estimation_runs():
+    names = ran("estimation", 2)
+    off = names["run"].nodes[:, :, -1] - names["prism"].nodes
+    assert np.abs(off).max() < 5e-3  # from 15 mm
+
+
+def test_the_page_on_faults_runs(capsys):
+    statuses = ran("faults", 1)["run"].control.status_count
+    assert "string 6 cut from 0.9 s" in capsys.readouterr().out
+    assert statuses["measurement not finite: last plan continued"] == 5
+    assert sum(statuses.values()) == 60
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+def test_the_page_on_deployment_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert ran("deployment", 2)["run"].control.status_count == {"ok": 150}
+    assert (tmp_path / "prism_mpc" / "controller.h").exists()
 
 
 def test_commands_of_the_table_are_there():

@@ -167,12 +167,16 @@ def _spread(ax: Axes, values: FloatArray, limit: FloatArray | None) -> tuple[Lin
         values, share, drawstyle="steps-post", color=PALETTE[0], linewidth=CURVE_WIDTH
     )
     ax.set_ylim(0.0, 1.03)
+    if ax.get_xscale() == "linear":
+        ax.locator_params(axis="x", nbins=5)  # more small numbers would touch
     if limit is None:
         return curve, None
     line = ax.axvline(
         float(limit), color=REFERENCE_COLOR, linewidth=REFERENCE_WIDTH, linestyle=DOTTED
     )
-    ax.annotate("limit", (float(limit), 0.03), xytext=(3, 0), textcoords="offset points",
+    beyond = bool(limit > values[-1])  # then there is room inside on the left alone
+    ax.annotate("limit", (float(limit), 0.03), xytext=(-3 if beyond else 3, 0),
+                textcoords="offset points", horizontalalignment="right" if beyond else "left",
                 fontsize="small", color=REFERENCE_COLOR)  # fmt: skip
     return curve, line
 

@@ -42,9 +42,9 @@ class Record:
         return self.run, self.parameters, self.success, self.figures, self.error
 
 
-def read_record(line: str) -> Record:
-    """Return the record of a line, or raise ValueError or TypeError."""
-    record = Record(**json.loads(line))
+def read_record(found: dict[str, Any]) -> Record:
+    """Return the record of what a line holds, or raise ValueError or TypeError."""
+    record = Record(**found)
     if not isinstance(record.run, int):
         raise TypeError(f"run is {record.run!r}, expected a whole number")
     return record

@@ -72,6 +72,7 @@ class SweepReport:
         Returns
         -------
         SweepReport
+            Of all runs in the file; ``count`` is the largest that was asked for.
 
         Raises
         ------
@@ -294,6 +295,6 @@ class SweepReport:
 
 
 def collected(header: store.Header, records: dict[int, Record]) -> SweepReport:
-    """Return the report of records by run, in their order."""
-    ordered = tuple(records[run] for run in sorted(records))
+    """Return the report of the first runs, as many as the header says, in their order."""
+    ordered = tuple(records[run] for run in sorted(records) if run < header.count)
     return SweepReport(header.case, header.seed, header.count, ordered)

@@ -1,4 +1,8 @@
-"""The file of a sweep: a header and a line of JSON for each run that is done."""
+"""The file of a sweep: a header and a line of JSON for each run that is done.
+
+A sweep that is made longer adds a line with its new number of runs, ``{"count": 400}``. Lines are
+only ever added, so that no power cut costs more than the last one.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ import json
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -17,7 +21,7 @@ from tenscontrol.robustness.record import Record, read_record
 
 @dataclass(frozen=True)
 class Header:
-    """What a sweep is: the same header, the same numbers."""
+    """What a sweep is: the same header, the same numbers. ``count`` is how many runs of them."""
 
     tenscontrol: str
     case: str
@@ -35,6 +39,8 @@ def make_header(case: str, seed: int, count: int, parameters: Mapping[str, Distr
 def read(file: Path) -> tuple[Header, list[Record], int]:
     """Return header and records of a file, and how many of its bytes are whole lines.
 
+    The count of the header is the largest that was asked for.
+
     Warns
     -----
     RuntimeWarning
@@ -51,7 +57,11 @@ def read(file: Path) -> tuple[Header, list[Record], int]:
     records: dict[int, Record] = {}
     for number, line in enumerate(lines, start=2):
         try:
-            record = read_record(line)
+            found = json.loads(line)
+            if isinstance(found, dict) and found.keys() == {"count"}:
+                header = _longer(header, found["count"])
+                continue
+            record = read_record(found)
         except (ValueError, TypeError) as error:
             raise ValueError(f"{file}, line {number} is not a run: {error}") from None
         if record.run in records or not 0 <= record.run < header.count:
@@ -62,42 +72,54 @@ def read(file: Path) -> tuple[Header, list[Record], int]:
         records[record.run] = record
     if torn:
         warnings.warn(
-            f"{file} ends in a torn line, which is dropped: that run is not done",
+            f"{file} ends in a torn line, which is dropped as if it had not been written",
             RuntimeWarning,
             stacklevel=3,
         )
     return header, [records[run] for run in sorted(records)], len(whole) + 1
 
 
-def resume(file: Path, header: Header) -> list[Record]:
-    """Return the records of an earlier, equal sweep, and leave the file ready for more.
+def resume(file: Path, header: Header) -> tuple[int, list[Record]]:
+    """Return count and records of an earlier, equal sweep, and leave the file ready for more.
 
-    A file that is not there is begun.
+    A file that is not there is begun. The sweep of the file may be longer, or shorter.
     """
     if not file.exists():
         file.write_text(json.dumps(asdict(header), allow_nan=False) + "\n", "utf-8", newline="\n")
-        return []
+        return header.count, []
     found, records, size = read(file)
     _refuse_another(file, found, header)
     with file.open("r+b") as stream:
         stream.truncate(size)
-    return records
+    return found.count, records
 
 
 @contextmanager
-def appending(file: Path | None) -> Iterator[Callable[[Record], None]]:
-    """Yield a function that writes a record down at once, or nowhere."""
+def appending(file: Path | None) -> Iterator[Callable[[str], None]]:
+    """Yield a function that writes a line down at once, or nowhere."""
     if file is None:
-        yield lambda record: None
+        yield lambda line: None
         return
     stream: IO[str]
     with file.open("a", encoding="utf-8", newline="\n") as stream:
 
-        def keep(record: Record) -> None:
-            stream.write(record.line() + "\n")
+        def write(line: str) -> None:
+            stream.write(line + "\n")
             stream.flush()
 
-        yield keep
+        yield write
+
+
+def longer(count: int) -> str:
+    """Return the line that makes a sweep longer, to so many runs."""
+    return json.dumps({"count": count})
+
+
+def _longer(header: Header, count: object) -> Header:
+    """Return the header of the sweep with more runs."""
+    if not isinstance(count, int) or count <= header.count:
+        raise ValueError(f"count is {count!r}, expected a whole number above {header.count}")
+    return replace(header, count=count)
 
 
 def _refuse_another(file: Path, found: Header, wanted: Header) -> None:
@@ -111,9 +133,9 @@ def _refuse_another(file: Path, found: Header, wanted: Header) -> None:
 
 
 def _pairs(here: dict[str, Any], there: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Yield what is to be equal, parameter by parameter."""
+    """Yield what is to be equal, parameter by parameter: all but the number of runs."""
     for name in here:
-        if name != "parameters":
+        if name not in ("count", "parameters"):
             yield name, here[name], there[name]
     for key in sorted({*here["parameters"], *there["parameters"]}):
         yield f"parameter {key!r}", here["parameters"].get(key), there["parameters"].get(key)

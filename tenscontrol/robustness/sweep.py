@@ -67,7 +67,9 @@ def sweep(
     file : path, optional
         Where each run is written down as soon as it is done. If the file is
         there, the sweep goes on from it: one of its runs is done again, and must
-        give the same numbers; the others are not.
+        give the same numbers; the others are not. ``count`` may differ from that
+        of the file: a larger one adds runs to it, with a smaller one the first
+        ``count`` runs are reported, and the file keeps all.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 
@@ -129,12 +131,9 @@ def sweep(
         in_flight = whole_number("in_flight", in_flight, least=1)
     header = store.make_header(_name(case), seed, count, distributions)
     path = _checked_path(file)
-    known = [] if path is None else store.resume(path, header)
+    known_count, known = (count, []) if path is None else store.resume(path, header)
     records = {record.run: record for record in known}
-    # One run of the file is done again: it tells whether the case is still the same.
-    repeated = known[:1]
-    runs = [record.run for record in repeated]
-    runs += [run for run in range(count) if run not in records]
+    beyond = sum(run >= count for run in records)  # the file may be that of a longer sweep
 
     try:
         with (
@@ -148,19 +147,24 @@ def sweep(
                     _refuse_other_numbers(record, records[record.run])
                     return
                 _refuse_other_figures(record, records)
-                write(record)
+                write(record.line())
                 records[record.run] = record
-                report(len(records))
+                report(len(records) - beyond)
 
             def start(run: int) -> tuple[Any, ...]:
                 return run_one, pickled, distributions, seed, run
 
-            spread(pool, start, runs, keep)
+            # One run of the file is done again: it tells whether the case is still the same,
+            # before anything is added to the file.
+            spread(pool, start, [record.run for record in known[:1]], keep)
+            if count > known_count:
+                write(store.longer(count))
+            spread(pool, start, [run for run in range(count) if run not in records], keep)
     except SweepError as error:
         raise SweepError(str(error), collected(header, records)) from error.__cause__
     except KeyboardInterrupt:
         warnings.warn(
-            f"the sweep was interrupted with {len(records)} of {count} runs done",
+            f"the sweep was interrupted with {len(records) - beyond} of {count} runs done",
             RuntimeWarning,
             stacklevel=2,
         )

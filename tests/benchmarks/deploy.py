@@ -2,13 +2,16 @@
 
 Run: ``python -m tests.benchmarks.deploy``. Needs a C compiler. Each controller runs the nonlinear
 prism for 500 samples, eight of them spoilt. Times are medians of one command, taken in turns and
-called from Python both: that call is part of the time of the C code.
+called from Python both: that call is part of the time of the C code. ``--controllers 2`` stops
+after the second.
 """
 
 from __future__ import annotations
 
 import subprocess
 import tempfile
+from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 from time import thread_time
 
@@ -16,31 +19,33 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.dynamics.compiler import compiler
+from tests.benchmarks.command_line import options
 from tests.deploy import scenes
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__doc__, arguments, samples=scenes.SAMPLES, controllers=7)
     found = compiler()
     if found is None:
         print("there is no C compiler")
         return
     plant = scenes.plant("force_density")
-    held = {"rest_length": scenes.plant("rest_length").rest_length, "hold": "rest_length"}
+    wound = {"rest_length": scenes.plant("rest_length").rest_length, "hold": "rest_length"}
     controllers = {
         "LQR": (tc.lqr(plant, *tc.energy_weights(plant), scenes.SAMPLE, 80.0), {}),
         "MPC, γ, N = 10": (scenes.of_force_density(), {}),
-        "MPC, rest length, N = 4": (scenes.of_rest_length(), {"winches": scenes.WINCHES, **held}),
-        "MPC, winding, load, N = 4": (scenes.winding(), {"winches": scenes.WINDING, **held}),
+        "MPC, rest length, N = 4": (scenes.of_rest_length(), {"winches": scenes.WINCHES, **wound}),
+        "MPC, winding, load, N = 4": (scenes.winding(), {"winches": scenes.WINDING, **wound}),
         "MPC, load, sparse, N = 6": (scenes.with_load(), {}),
         "NMPC, γ, N = 3, twice": (scenes.nonlinear(), {}),
         "NMPC, γ, load, N = 3": (scenes.nonlinear_with_load(), {"pull": 2 / 3}),
     }
     print("controller                 difference  Python / C  iterations  code kB  numbers kB")
-    for name, (controller, options) in controllers.items():
+    for name, (controller, held) in islice(controllers.items(), given.controllers):
         with tempfile.TemporaryDirectory() as folder:
             made = tc.generate_c(controller, folder)
             pair = scenes.Pair(controller, made.compile())
-            scenes.closed_loop(pair, **options)
+            scenes.closed_loop(pair, samples=given.samples, **held)
             one, other = pair.statuses
             assert one == other  # what the table is about
             times = taken(pair)

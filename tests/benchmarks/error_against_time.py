@@ -1,17 +1,21 @@
 """Error against run time on the paper's example 1, beside MuJoCo, SciPy and CVODES.
 
-``python -m tests.benchmarks.error_against_time [--plain] [--massive]``: a prism released
+``python -m tests.benchmarks.error_against_time [--plain] [--massive] [--all]``: a prism released
 with slack strings, 5 s, massless or with four massive segments a string. The tables are the run
 time of a peer over that of our fastest method, at errors that both reach. With ``--plain``
-nothing is compiled. Needs the extra ``bench``.
+nothing is compiled, with ``--all`` every run is told, with ``--settings 3`` each method has its
+three coarsest settings. Needs the extra ``bench``.
 """
 
-import argparse
+from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.accuracy.peers import CasADiCVODES, MuJoCo, SciPy
+from tests.benchmarks.command_line import options
 
 STEPS = (0.05, 0.04, 0.025, 0.02, 0.0125, 0.01, 0.005, 0.0025, 0.001, 5e-4, 2.5e-4)
 SETTINGS = {
@@ -23,7 +27,7 @@ SETTINGS = {
 }
 
 
-def example(segments: int) -> tc.Case:
+def example(segments: int, duration: float) -> tc.Case:
     """The paper's example 1: γ = 17.3205 N/m, but 9 N/m in the vertical strings."""
     prism = tc.prism()
     gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
@@ -31,40 +35,43 @@ def example(segments: int) -> tc.Case:
     model = tc.Model(prism, strings=tc.LinearStrings(stiffness))
     lengths = tc.to_rest_length(model, prism.nodes, gamma).rest_length
     if segments == 1:
-        return tc.Case(model, 5.0, held="rest_length", value=lengths, name="massless strings")
+        return tc.Case(model, duration, held="rest_length", value=lengths, name="massless strings")
     # The paper's node mass: a string of 0.04 kg on a bar of 1 kg.
     cut = tc.subdivide(prism, segments=segments, node_mass=0.04 / segments)
     massive = tc.Model(cut, strings=tc.LinearStrings(stiffness * segments))
     value = tc.spread_rest_length(cut, lengths)
-    return tc.Case(massive, 5.0, held="rest_length", value=value, name=f"{segments} segments")
+    return tc.Case(massive, duration, held="rest_length", value=value, name=f"{segments} segments")
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--plain", action="store_true", help="compile nothing")
-    options.add_argument("--massive", action="store_true", help="four massive segments a string")
-    options.add_argument("--all", action="store_true", help="print every run")
-    given = options.parse_args()
-    case = example(4 if given.massive else 1)
+    given = options(
+        __doc__, arguments, plain=False, massive=False, all=False, duration=5.0,
+        settings=len(STEPS), repeats=60,  # most runs take milliseconds
+    )  # fmt: skip
+    case = example(4 if given.massive else 1, given.duration)
     scale = 0.25 if given.massive else 1.0
     settings = {
-        name: tuple(x if name == "dop853" else scale * x for x in values)
+        name: tuple(x if name == "dop853" else scale * x for x in values[: given.settings])
         for name, values in SETTINGS.items()
     }
     mujoco = tuple(scale * x for x in (2e-2, 1e-2, 5e-3, 2.5e-3, 1e-3, 5e-4, 2.5e-4, 1e-4))
+    tolerances = tuple(10.0**-k for k in range(3, 13))
     peers = [
-        *(MuJoCo(kind, settings=mujoco) for kind in ("rk4", "euler", "implicitfast")),
-        SciPy("DOP853", settings=tuple(10.0**-k for k in range(3, 13))),
-        CasADiCVODES(settings=tuple(10.0**-k for k in range(3, 12))),
+        *(
+            MuJoCo(kind, settings=mujoco[: given.settings])
+            for kind in ("rk4", "euler", "implicitfast")
+        ),
+        SciPy("DOP853", settings=tolerances[: given.settings]),
+        CasADiCVODES(settings=tolerances[:-1][: given.settings]),
     ]
     found = tc.work_precision(
         case,
         list(settings),
         settings,
         peers,
-        repeats=60,  # most runs take milliseconds
-        outputs=50,
+        repeats=given.repeats,
+        outputs=max(1, round(10 * given.duration)),
         machine_code=not given.plain,
         progress=True,
     )

@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from statistics import median
+
+from tests.benchmarks.command_line import options
 
 PROGRAM = """
 import numpy, time, sys
@@ -23,9 +26,10 @@ CASES = {
 }
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
+    repeats = options(__doc__, arguments, repeats=7).repeats
     for label, then in CASES.items():
-        times = [measured(PROGRAM.format(then=then)) for _ in range(7)]
+        times = [measured(PROGRAM.format(then=then)) for _ in range(repeats)]
         print(f"{label:32s} {median(times):7.4f} s beyond numpy (median of {len(times)})")
 
 

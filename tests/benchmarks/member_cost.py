@@ -12,8 +12,10 @@ import ctypes
 import os
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
+from unittest.mock import patch
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from tenscontrol.dynamics.compiled import compiled_library
 from tenscontrol.dynamics.compiler import compiler
 from tenscontrol.dynamics.driver import driver_source
 from tenscontrol.dynamics.forms import LARGEST_FLAT
+from tests.benchmarks.command_line import options
 
 BARS = (3, 30, 300, 3_000, 30_000)
 TURNS = 25
@@ -42,9 +45,12 @@ class Scene(ctypes.Structure):
     )
 
 
-def main() -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["XDG_CACHE_HOME"] = folder  # so that all is compiled, and timed
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__doc__, arguments, bars=BARS, turns=TURNS, members=MEMBERS)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        patch.dict(os.environ, XDG_CACHE_HOME=folder),  # so that all is compiled, and timed
+    ):
         yardstick = build_yardstick(Path(folder))
         for held in ("force_density", "rest_length"):
             print(f"\n{held.replace('_', ' ')} held: ns per member and evaluation, (ratio), build")
@@ -52,14 +58,16 @@ def main() -> None:
                 f"{'bars':>7s} {'members':>8s} {'yardstick':>10s} {'with compiler':>24s} "
                 f"{'without':>24s}  form without"
             )
-            rows = [cost(yardstick, bars, held) for bars in BARS]
+            rows = [cost(yardstick, bars, held, given.turns, given.members) for bars in given.bars]
             for name, column in zip(
                 ("yardstick", "with compiler", "without"), zip(*rows, strict=True), strict=True
             ):
                 print(f"largest over smallest, {name}: {max(column) / min(column):.1f}")
 
 
-def cost(yardstick: ctypes.CDLL, bars: int, held: str) -> tuple[float, ...]:
+def cost(
+    yardstick: ctypes.CDLL, bars: int, held: str, turns: int, evaluated: int
+) -> tuple[float, ...]:
     """Print one line of the table, and return its ns per member."""
     tower = tc.prism_tower(bars // 3)
     members = len(tower.bars) + len(tower.strings)
@@ -73,7 +81,7 @@ def cost(yardstick: ctypes.CDLL, bars: int, held: str) -> tuple[float, ...]:
         law = model.strings
         u, taut = law.rest_length(tower.string_length(), gamma), np.ones(len(gamma))
 
-    repeats = max(3, MEMBERS // members)
+    repeats = max(3, evaluated // members)
     by_hand, expected = time_by_hand(yardstick, tower, law, (x, u, taut), repeats)
     began = perf_counter()
     library = compiled_library(driver_source(tower, law, np.zeros_like(tower.nodes)))
@@ -87,7 +95,7 @@ def cost(yardstick: ctypes.CDLL, bars: int, held: str) -> tuple[float, ...]:
     graph, found = time_graph(slope, (x, u, taut), repeats)
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
-    times = np.array([[run() for run in (by_hand, compiled, graph)] for _ in range(TURNS)])
+    times = np.array([[run() for run in (by_hand, compiled, graph)] for _ in range(turns)])
     figures = 1e9 * times.min(axis=0) / members
     ratios = figures / figures[0]
     ours = [f"{figures[i]:7.1f} ({ratios[i]:4.1f}) {built[i - 1]:6.2f} s" for i in (1, 2)]

@@ -5,17 +5,18 @@ Run: ``python -m tests.benchmarks.model_cost``. The counts do not depend on the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from time import perf_counter
 
 import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.dynamics import Evaluator
+from tests.benchmarks.command_line import options
 
-CALLS = 20_000
 
-
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
+    calls = options(__doc__, arguments, calls=20_000).calls
     prism = tc.prism()
     plain, damped = tc.LinearStrings(100.0), tc.LinearStrings(100.0, damping=1.0)
     scenes = {
@@ -32,8 +33,8 @@ def main() -> None:
     function = scenes["γ held"]
     state, gamma = np.random.default_rng(0).normal(size=36), np.ones(9)
     evaluator = Evaluator(function)
-    fast = seconds(lambda: evaluator(state, gamma))
-    slow = seconds(lambda: function(state, gamma))
+    fast = seconds(lambda: evaluator(state, gamma), calls)
+    slow = seconds(lambda: function(state, gamma), calls)
     print(
         f"\none call: {1e6 * fast:.2f} µs through the buffer, {slow / fast:.0f} times that without"
     )
@@ -48,11 +49,11 @@ def with_string_node(prism: tc.Structure) -> tc.Structure:
     return tc.Structure(nodes, prism.bars, strings, prism.bar_mass, string_node_mass=0.01)
 
 
-def seconds(call) -> float:
+def seconds(call, calls: int) -> float:
     began = perf_counter()
-    for _ in range(CALLS):
+    for _ in range(calls):
         call()
-    return (perf_counter() - began) / CALLS
+    return (perf_counter() - began) / calls
 
 
 if __name__ == "__main__":

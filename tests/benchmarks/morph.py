@@ -1,8 +1,8 @@
 """A prism lowered from 1.0 m to 0.7 m, twisted by 20 degrees, and brought back, by winches.
 
 Run: ``python -m tests.benchmarks.morph``, with ``--jumps`` for winches that jump at the start of a
-sample, ``--plants 1`` for fewer plants, or with stiffnesses in N/m. Some minutes: the integrator
-follows strings of up to 25,000 rad/s.
+sample, ``--plants 1`` for fewer plants, ``--rate 0.4`` for faster winches, or with stiffnesses in
+N/m. Some minutes: the integrator follows strings of up to 25,000 rad/s.
 
 Twelve strings, rest lengths held, 0.02 s samples. MPC is designed on strings without mass, at
 eight shapes of the way. The plant has strings of 5 % of the mass of the bars, each in two segments,
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ import tenscontrol as tc
 TOP, BOTTOM = [0, 1, 2], [3, 4, 5]
 SHAPES = ((1.0, -35.0), (0.7, -55.0))  # m and degrees, start and goal
 LEVEL, LEAST, LARGEST_TENSION = 17.32, 2.0, 45.0  # N/m, N/m, N
-RANGE = (0.4, 1.3)  # m
+RANGE, RATE = (0.4, 1.3), 0.1  # m, m/s
 SAMPLE, HORIZON, PLANTS = 0.02, 10, 8
 SEGMENTS, MASS_SHARE = 2, 0.05
 REST = 1.0  # s, at the goal and at the end
@@ -48,7 +49,7 @@ class Morphed:
     statuses: dict
 
 
-def morph(stiffness, pieces, rate=0.1, plants=PLANTS):
+def morph(stiffness, pieces, rate=RATE, plants=PLANTS):
     """Return what becomes of the prism on its way there and back."""
     damping = 0.02 * np.sqrt(stiffness)
     prism = tc.prism(diagonals=True)
@@ -161,18 +162,19 @@ def farthest(nodes, goal):
     return float(np.linalg.norm(turn @ here - there, axis=0).max())
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("stiffness", nargs="*", type=float, default=list(PIECES))
     parser.add_argument("--jumps", action="store_true")
     parser.add_argument("--plants", type=int, default=PLANTS)
-    arguments = parser.parse_args()
+    parser.add_argument("--rate", type=float, default=RATE)
+    given = parser.parse_args(arguments)
     print("k, N/m  pieces  height, mm  twist, deg  node, mm  γ, N/m  tension, N  "
           "rate, m/s  samples at it  statuses")  # fmt: skip
-    for stiffness in arguments.stiffness:
-        pieces = 1 if arguments.jumps else PIECES[stiffness]
+    for stiffness in given.stiffness:
+        pieces = 1 if given.jumps else PIECES[stiffness]
         try:
-            made = morph(stiffness, pieces, plants=arguments.plants)
+            made = morph(stiffness, pieces, rate=given.rate, plants=given.plants)
         except tc.SimulationError as error:
             print(f"{stiffness:6.0e}  {pieces:6d}  {error}", flush=True)
             continue

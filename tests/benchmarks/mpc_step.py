@@ -6,19 +6,25 @@ prism is moved to a new height (no bound active) and recovers from a push (bound
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from time import perf_counter
 
 import numpy as np
 
 import tenscontrol as tc
 from tenscontrol import demo
+from tests.benchmarks.command_line import options
 
 LENGTHS = (10, 20, 40, 80)
 LIMIT = 34.0  # N/m, little above the prestress, so that bounds are met
 
 
-def main() -> None:
-    scenes = {"ramp": scene(push=0.01, target=0.85), "push": scene(push=0.1, target=1.0)}
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__doc__, arguments, duration=4.0, lengths=LENGTHS)
+    scenes = {
+        "ramp": scene(push=0.01, target=0.85, duration=given.duration),
+        "push": scene(push=0.1, target=1.0, duration=given.duration),
+    }
     print("MPC on the prism, 18 states, 9 inputs, 0.02 s samples; median of a whole command")
     for name, (plant, reference, measured) in scenes.items():
         print(f"\n{name}: horizon 20, {len(measured)} samples")
@@ -42,7 +48,7 @@ def main() -> None:
     print("\ncondensed against sparse, both updated, push")
     print("  horizon  inputs  condensed / sparse")
     plant, reference, measured = scenes["push"]
-    for length in LENGTHS:
+    for length in given.lengths:
         medians = [
             np.median(run(controller(plant, reference, form, length), measured, rebuilt=False))
             for form in ("condensed", "sparse")
@@ -50,7 +56,7 @@ def main() -> None:
         print(f"  {length:7d}  {9 * length:6d}  {medians[0] / medians[1]:8.2f}")
 
 
-def scene(push, target):
+def scene(push, target, duration):
     """Return a plant, a reference, and the motion of a closed loop at its samples."""
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(demo.STIFFNESS))
@@ -60,7 +66,7 @@ def scene(push, target):
     reference = demo.ramp(prism, 1.0, target, 2.0)
     nodes = start.to_nodes(push * np.random.default_rng(0).normal(size=9))
     mpc = controller(plant, reference, "condensed", 20)
-    loop = tc.simulate(model, 4.0, nodes, controller=mpc, step=2e-3)
+    loop = tc.simulate(model, duration, nodes, controller=mpc, step=2e-3)
     at = np.searchsorted(loop.time, loop.control.time - 1e-9)
     return (
         plant,

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import importlib.util
 import warnings
+from collections.abc import Sequence
 from time import perf_counter, process_time
 
 import casadi as ca
@@ -23,22 +24,25 @@ import tenscontrol as tc
 from tenscontrol import demo
 from tenscontrol.control import NMPC
 from tenscontrol.control.controller import Controller
+from tests.benchmarks.command_line import options
 from tests.control.nmpc_oracle import IpoptNMPC, closed_loop_cost
 
 LIMIT = 33.0  # N/m, little above the prestress, so that bounds are met
-STARTS, SAMPLES = 5, 25
+STARTS, SAMPLES, HORIZON = 5, 25, 20
 SIZE = 0.05
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__doc__, arguments, starts=STARTS, samples=SAMPLES, horizon=HORIZON)
+    N = given.horizon
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, demo.TOP_FORCE_DENSITY))
-    one = NMPC(plant, 20, demo.SAMPLE, LIMIT, machine_code=True)
+    one = NMPC(plant, N, demo.SAMPLE, LIMIT, machine_code=True)
     loops = {
         "NMPC, machine code": one,
-        "NMPC, no compiler": NMPC(plant, 20, demo.SAMPLE, LIMIT),
-        "NMPC, converged": NMPC(plant, 20, demo.SAMPLE, LIMIT, iterations=20, machine_code=True),
-        "MPC, linear": tc.MPC(plant, 20, demo.SAMPLE, LIMIT),
+        "NMPC, no compiler": NMPC(plant, N, demo.SAMPLE, LIMIT),
+        "NMPC, converged": NMPC(plant, N, demo.SAMPLE, LIMIT, iterations=20, machine_code=True),
+        "MPC, linear": tc.MPC(plant, N, demo.SAMPLE, LIMIT),
         "IPOPT (nlpsol)": IpoptNMPC(one, tolerance=1e-6),
     }
     peer = "do-mpc (IPOPT)"
@@ -52,12 +56,12 @@ def main() -> None:
     costs: dict[str, list[float]] = {name: [] for name in loops}
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in loops}
     feedback, bounded = [], 0
-    for seed in range(STARTS):
+    for seed in range(given.starts):
         rng = np.random.default_rng(seed)
         state = np.r_[SIZE * rng.normal(size=9), 5 * SIZE * rng.normal(size=9)]
         for name, controller in loops.items():
             timed = Timed(controller)
-            cost, _ = closed_loop_cost(one, timed, one.sampled, state, SAMPLES)
+            cost, _ = closed_loop_cost(one, timed, one.sampled, state, given.samples)
             costs[name].append(cost)
             times[name] += timed.times
             if controller is one:
@@ -65,7 +69,10 @@ def main() -> None:
                 bounded += timed.bounded
     best = np.array(costs["IPOPT (nlpsol)"])
     reference = np.median(times[peer], axis=0)
-    print(f"{STARTS} starts, {SAMPLES} samples each; a bound active in {bounded} commands of NMPC")
+    print(
+        f"{given.starts} starts, {given.samples} samples each; "
+        f"a bound active in {bounded} commands of NMPC"
+    )
     print(f"derivatives of NMPC, machine code: {one.back_end}")
     print(
         "                    closed-loop cost / IPOPT    time of a step: do-mpc / this      p99 /"

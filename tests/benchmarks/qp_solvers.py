@@ -18,6 +18,7 @@ warns without end.
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Sequence
 from dataclasses import dataclass
 from time import process_time
 
@@ -29,6 +30,7 @@ import tenscontrol as tc
 from tenscontrol import demo
 from tenscontrol.control import NMPC
 from tenscontrol.control.quadratic_program import QuadraticProgram
+from tests.benchmarks.command_line import options
 from tests.control.nmpc_oracle import closed_loop_cost
 from tests.control.test_mpc import kkt_residual
 
@@ -47,6 +49,7 @@ class Recorded:
     name: str
     P: csc_array
     A: csc_array
+    horizon: int
     changing: bool  # whether the values of A change
     stages: bool  # whether it is a trajectory: z_1 … z_N, u_0 … u_{N−1}
     data: list[tuple[np.ndarray, ...]]  # values of A, q, l, u, and the guess to start from
@@ -55,18 +58,21 @@ class Recorded:
         return csc_array((values, self.A.indices, self.A.indptr), shape=self.A.shape)
 
 
-def main() -> None:
-    for recorded in recordings():
-        report(recorded)
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(
+        __doc__, arguments, starts=STARTS, samples=SAMPLES, horizon=HORIZON, slowest=SLOWEST
+    )
+    for recorded in recordings(given.starts, given.samples, given.horizon):
+        report(recorded, given.slowest)
 
 
-def recordings():
+def recordings(starts, samples, horizon):
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, demo.TOP_FORCE_DENSITY))
-    nmpc = NMPC(plant, HORIZON, demo.SAMPLE, LIMIT)
+    nmpc = NMPC(plant, horizon, demo.SAMPLE, LIMIT)
     controllers = {
-        "condensed MPC": tc.MPC(plant, HORIZON, demo.SAMPLE, LIMIT, form="condensed"),
-        "sparse MPC": tc.MPC(plant, HORIZON, demo.SAMPLE, LIMIT, form="sparse"),
+        "condensed MPC": tc.MPC(plant, horizon, demo.SAMPLE, LIMIT, form="condensed"),
+        "sparse MPC": tc.MPC(plant, horizon, demo.SAMPLE, LIMIT, form="sparse"),
         "NMPC": nmpc,
     }
     for name, controller in controllers.items():
@@ -75,16 +81,16 @@ def recordings():
         program = getattr(owner, what)
         kept = Recorder(program)
         setattr(owner, what, kept)
-        for seed in range(STARTS):
+        for seed in range(starts):
             rng = np.random.default_rng(seed)
             state = np.r_[0.05 * rng.normal(size=9), 0.25 * rng.normal(size=9)]
-            closed_loop_cost(nmpc, controller, nmpc.sampled, state, SAMPLES)
+            closed_loop_cost(nmpc, controller, nmpc.sampled, state, samples)
         setattr(owner, what, program)
         form = None if nonlinear else controller.law.form
         P, A = (owner.hessian, owner.pattern) if nonlinear else (form.P, form.A)
         A.sort_indices()
         data = [(A.data if values is None else values, *rest) for values, *rest in kept.data]
-        yield Recorded(name, P, A, nonlinear, name != "condensed MPC", data)
+        yield Recorded(name, P, A, horizon, nonlinear, name != "condensed MPC", data)
 
 
 class Recorder:
@@ -105,7 +111,7 @@ class Recorder:
         return getattr(self._program, name)
 
 
-def report(recorded) -> None:
+def report(recorded, slowest) -> None:
     solvers = {
         "ours (OSQP, in place)": Ours,
         "OSQP, set up anew": Cold,
@@ -122,7 +128,7 @@ def report(recorded) -> None:
     for name, make in solvers.items():
         answer = run(recorded, make, most)
         if not found:
-            most = SLOWEST * np.median(answer["time"])
+            most = slowest * np.median(answer["time"])
         if isinstance(answer, str):
             notes[name] = answer
         else:
@@ -161,7 +167,7 @@ def run(recorded, make, most):
             return f"failed after {len(iterations)} programs: {answer}"
         x, y, work = answer
         if times[-1] > most:
-            return f"stopped: a program took more than {SLOWEST} times ours"
+            return f"stopped: a program took more than {1e3 * most:.0f} ms"
         iterations.append(work)
         far = [np.clip(bound, -1e9, 1e9) for bound in vectors[1:]]
         residuals.append(kkt_residual(recorded.P, vectors[0], recorded.matrix(values), *far, x, y))
@@ -220,10 +226,10 @@ class Split:
     def __init__(self, recorded):
         self.recorded, (rows, size) = recorded, recorded.A.shape
         s, a = 18, 9
-        self.rows = HORIZON * s if recorded.stages else rows
+        self.rows = recorded.horizon * s if recorded.stages else rows
         self.order = np.arange(size)
         if recorded.stages:
-            states, inputs = np.split(self.order, [HORIZON * s])
+            states, inputs = np.split(self.order, [recorded.horizon * s])
             self.order = np.hstack([inputs.reshape(-1, a), states.reshape(-1, s)]).ravel()
         self.bounded = self.order >= self.rows if recorded.stages else np.zeros(size, bool)
         self.P = csc_matrix(recorded.P.tocsc()[self.order][:, self.order])
@@ -268,8 +274,8 @@ def plugin(name):
         if name == "hpipm":
             if not recorded.stages:
                 return "takes trajectories only"
-            extra = {"N": HORIZON, "nx": [0] + [18] * HORIZON, "nu": [9] * HORIZON + [0],
-                     "ng": [0] * (HORIZON + 1)}  # fmt: skip
+            N = recorded.horizon
+            extra = {"N": N, "nx": [0] + [18] * N, "nu": [9] * N + [0], "ng": [0] * (N + 1)}
         return Plugin(name, recorded, {**options, **extra, "error_on_fail": False})
 
     return make

@@ -8,12 +8,15 @@ equal to the last bit, and the time of two processes over that of one. Set
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from time import perf_counter
 
 import tenscontrol as tc
+from tests.benchmarks.command_line import options
 
-COUNT, SEED = 200, 0
+COUNT, SEED, DURATION = 200, 0, 2.4
 PARAMETERS = {
     "stiffness": tc.Uniform(0.7, 1.3, size=9),
     "bar_mass": tc.Uniform(0.8, 1.2, size=3),
@@ -23,16 +26,19 @@ PARAMETERS = {
 }
 
 
-def main() -> None:
-    case = closed_loop(load=True)
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__doc__, arguments, count=COUNT, duration=DURATION)
+    case = closed_loop(load=True, duration=given.duration)
     reports, times = {}, {}
     for name, processes in (("1 process", 1), ("2 processes", 2)):
-        with ProcessPoolExecutor(processes) as executor:
+        # Processes are started anew: a fork of a process that has threads can lock up.
+        with ProcessPoolExecutor(processes, get_context("spawn")) as executor:
             list(executor.map(warm_up, range(processes)))
-            reports[name], times[name] = timed(case, executor)
+            reports[name], times[name] = timed(case, executor, given.count)
             if processes == 2:
-                without, _ = timed(closed_loop(load=False), executor)
-    reports["Dask, 2 workers"], _ = on_dask(case)
+                unaware = closed_loop(load=False, duration=given.duration)
+                without, _ = timed(unaware, executor, given.count)
+    reports["Dask, 2 workers"], _ = on_dask(case, given.count)
     first = reports["1 process"]
     print(f"The filter estimates a load. {first.summary()}\n")
     print(f"It does not. {without.summary()}\n")
@@ -43,7 +49,7 @@ def main() -> None:
     print(f"time of 2 processes / 1 process: {times['2 processes'] / times['1 process']:.2f}")
 
 
-def closed_loop(load: bool) -> tc.ClosedLoopCase:
+def closed_loop(load: bool, duration: float = DURATION) -> tc.ClosedLoopCase:
     """Return the prism under an MPC of rest lengths that is told an estimate."""
     prism, strings = tc.prism(), tc.LinearStrings(100.0, damping=0.5)
     rest = tc.prestress(prism, force_density=17.320508)
@@ -52,24 +58,24 @@ def closed_loop(load: bool) -> tc.ClosedLoopCase:
     estimator = tc.kalman(plant, sensors, step=0.04, process_noise=0.2, load=load)
     mpc = tc.MPC(plant, horizon=8, step=0.04, max_force_density=65.0, load_gain=0.1)
     return tc.ClosedLoopCase(
-        prism, strings, mpc, 2.4, 1e-2, tolerance=0.02, estimator=estimator
-    )  # fmt: skip
+        prism, strings, mpc, duration, 1e-2, tolerance=0.02, estimator=estimator
+    )
 
 
-def timed(case, executor):
+def timed(case, executor, count):
     began = perf_counter()
-    report = tc.sweep(case, PARAMETERS, COUNT, seed=SEED, executor=executor, in_flight=8)
+    report = tc.sweep(case, PARAMETERS, count, seed=SEED, executor=executor, in_flight=8)
     return report, perf_counter() - began
 
 
-def on_dask(case):
+def on_dask(case, count):
     from distributed import Client, LocalCluster
 
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
         Client(cluster) as client,
     ):
-        return timed(case, client.get_executor())
+        return timed(case, client.get_executor(), count)
 
 
 def warm_up(_: int) -> None:

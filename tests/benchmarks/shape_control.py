@@ -12,17 +12,20 @@ held between samples.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from time import perf_counter
 
 import numpy as np
 
 import tenscontrol as tc
+from tests.benchmarks.command_line import options
 
 STEP, DURATION = 0.02, 4.0
 HEIGHT, TOP = 0.85, 17.320508
 MOVES = (2.0, 80.0), (0.3, 30.2)  # s, and the largest γ, N/m; the prestress has 30
 STIFFNESS = 100.0  # N/m
 FREQUENCIES = 0.6, 1.2, 2.4  # Hz
+SHARES = 0.01, 0.02, 0.04, 0.08, 0.12, 0.15
 
 
 def shape(height):
@@ -67,7 +70,7 @@ def controllers(plant, path, limit):
     return found
 
 
-def play(hold, move, limit):
+def play(hold, move, limit, duration):
     """Figures of every controller: a row of numbers by name."""
     before, plant = plants()
     path, model = reference(move), plant.model
@@ -80,11 +83,11 @@ def play(hold, move, limit):
     for name, controller in controllers(plant, path, limit).items():
         began = perf_counter()
         run = tc.simulate(
-            model, DURATION, nodes=start, controller=controller, hold=hold, step=1e-3,
+            model, duration, nodes=start, controller=controller, hold=hold, step=1e-3,
             output_step=STEP, **actuators,
         )  # fmt: skip
         gamma = run.control.command
-        off, moving = errors(plant, path, run), run.time >= move / 4
+        off, moving = errors(plant, path, run), run.time >= min(move, duration) / 4
         height = run.nodes[2, :3].mean(axis=0) - run.nodes[2, 3:].mean(axis=0)
         rows[name] = (
             1e3 * abs(height[-1] - HEIGHT),
@@ -129,11 +132,17 @@ def settling(stiffness, share):
     return np.log(size[1] / size[0]) / np.log(0.01)
 
 
-def main():
-    warnings.simplefilter("ignore")  # stiff strings undo a law in γ: that is what is measured
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__doc__, arguments, duration=DURATION, shares=SHARES)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # stiff strings undo a law in γ: that is what is measured
+        tables(given.duration, given.shares)
+
+
+def tables(duration, shares):
     for hold in ("force_density", "rest_length"):
         for move, limit in MOVES:
-            rows = play(hold, move, limit)
+            rows = play(hold, move, limit, duration)
             print(f"{move:g} s, {hold} held, γ at most {limit:g} N/m; errors in mm")
             print(
                 f"{'':24s}{'height':>8s}{'end':>8s}{'moving':>8s}{'rms':>8s}{'effort':>9s}"
@@ -146,14 +155,12 @@ def main():
                     f"{row[5]:9.1f}{row[6]:6.0f} %{row[7]:8d}{row[8] / base:7.1f}"
                 )
     print(
-        "\nrate of decay / design   " + "".join(f"{s:>9.2f}" for s in SHARES) + "  frequency·step"
+        "\nrate of decay / design   " + "".join(f"{s:>9.2f}" for s in shares) + "  frequency·step"
     )
     for stiffness in (None, 1e2, 1e3, 1e4):
         held = "γ held" if stiffness is None else f"rest length held, {stiffness:g} N/m"
-        print(f"{held:25s}" + "".join(f"{settling(stiffness, s):9.2f}" for s in SHARES))
+        print(f"{held:25s}" + "".join(f"{settling(stiffness, s):9.2f}" for s in shares))
 
-
-SHARES = 0.01, 0.02, 0.04, 0.08, 0.12, 0.15
 
 if __name__ == "__main__":
     main()

@@ -8,7 +8,7 @@ integration alone, for all; ratios are to the first row, from one run.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from time import perf_counter
 
 import numpy as np
@@ -17,34 +17,37 @@ from scipy.integrate import solve_ivp
 import tenscontrol as tc
 from tenscontrol.dynamics import Evaluator, pack_state
 from tenscontrol.integrate import RK4
+from tests.benchmarks.command_line import options
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 from tests.oracle import HeldRestLength, RigidBars
 
-DURATION, OUTPUTS, STIFFNESS, REPEATS = 5.0, 5000, 100.0, 5
+DURATION, REPEATS, STEP, STIFFNESS = 5.0, 5, 1e-3, 100.0
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__doc__, arguments, duration=DURATION, repeats=REPEATS)
+    duration, outputs = given.duration, round(given.duration / STEP)
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(STIFFNESS))
     l0 = rest_lengths(prism, paper_force_density(9.0), STIFFNESS)
     state = pack_state(prism, prism.nodes, np.zeros((3, 6)))
-    times = DURATION * np.arange(1, OUTPUTS + 1) / OUTPUTS
+    times = STEP * np.arange(1, outputs + 1)
     law = HeldRestLength(l0, STIFFNESS)
     truth, switches = RigidBars(prism, law).integrate(
         prism.nodes, np.zeros((3, 6)), np.concatenate([[0.0], times])
     )
     truth = truth[:, 0, 1:]
 
-    integrator = RK4(model.equation("rest_length"), DURATION / OUTPUTS)
+    integrator = RK4(model.equation("rest_length"), STEP)
     evaluator = Evaluator(model.rest_length_dynamics)
 
     def ours() -> np.ndarray:
-        return integrator.advance(state, l0, DURATION, OUTPUTS).states[:3]
+        return integrator.advance(state, l0, duration, outputs).states[:3]
 
     def scipy_run(tolerance: float) -> Callable[[], np.ndarray]:
         def run() -> np.ndarray:
             return solve_ivp(
-                lambda t, x: evaluator(x, l0)[0].copy(), (0.0, DURATION), state,
+                lambda t, x: evaluator(x, l0)[0].copy(), (0.0, times[-1]), state,
                 method="DOP853", t_eval=times, rtol=tolerance, atol=tolerance,
             ).y[:3]  # fmt: skip
 
@@ -52,29 +55,31 @@ def main() -> None:
 
     runs = {"tenscontrol rk4, step 1e-3": ours}
     runs |= {f"SciPy DOP853, {t:g}": scipy_run(t) for t in (1e-4, 1e-6, 1e-8)}
-    runs |= mujoco_runs(prism, l0)
-    print(f"prism, γ_v = 9 N/m, k = {STIFFNESS:g} N/m, {DURATION:g} s, {len(switches)} switches")
+    runs |= mujoco_runs(prism, l0, outputs)
+    print(f"prism, γ_v = 9 N/m, k = {STIFFNESS:g} N/m, {duration:g} s, {len(switches)} switches")
     print("method                        error m     time s  time / first")
     first = None
     for label, run in runs.items():
-        seconds, path = timed(run)
+        seconds, path = timed(run, given.repeats)
         first = first or seconds
         error = np.linalg.norm(path - truth, axis=0).max()
         print(f"{label:28s} {error:8.1e} {seconds:10.4f} {seconds / first:9.1f}")
 
 
-def timed(run: Callable[[], np.ndarray]) -> tuple[float, np.ndarray]:
+def timed(run: Callable[[], np.ndarray], repeats: int) -> tuple[float, np.ndarray]:
     """Return the median time of some repeats, s, and the path of node 0."""
     path = run()
     times = []
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         began = perf_counter()
         run()
         times.append(perf_counter() - began)
     return float(np.median(times)), path
 
 
-def mujoco_runs(prism: tc.Structure, l0: np.ndarray) -> dict[str, Callable[[], np.ndarray]]:
+def mujoco_runs(
+    prism: tc.Structure, l0: np.ndarray, outputs: int
+) -> dict[str, Callable[[], np.ndarray]]:
     """Return runs of MuJoCo with spatial tendons as strings; none if it is not installed."""
     try:
         import mujoco
@@ -90,8 +95,8 @@ def mujoco_runs(prism: tc.Structure, l0: np.ndarray) -> dict[str, Callable[[], n
             model.opt.integrator = method
             mujoco.mj_resetData(model, data)
             mujoco.mj_forward(model, data)
-            path = np.empty((3, OUTPUTS))
-            for k in range(OUTPUTS):
+            path = np.empty((3, outputs))
+            for k in range(outputs):
                 mujoco.mj_step(model, data)
                 # A step leaves the sites where its last stage had them.
                 mujoco.mj_kinematics(model, data)
@@ -128,7 +133,7 @@ def prism_xml(prism: tc.Structure, l0: np.ndarray) -> str:
     ]
     return (
         f'<mujoco><compiler balanceinertia="true"/>'
-        f'<option timestep="{DURATION / OUTPUTS}" gravity="0 0 0"/>'
+        f'<option timestep="{STEP}" gravity="0 0 0"/>'
         f"<worldbody>{''.join(bodies)}</worldbody>"
         f"<tendon>{''.join(tendons)}</tendon></mujoco>"
     )

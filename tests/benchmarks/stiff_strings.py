@@ -1,12 +1,14 @@
 """Slow motion under stiff strings: evaluations that the implicit method needs, and an explicit one.
 
-``python -m tests.benchmarks.stiff_strings [--duration 5]``: the prism with strings of 1e8 N/m in
-four segments with nodes of 0.01 g, tumbling and twisting slowly. The explicit method is RATTLE at
-nine tenths of its largest stable step; its motion is also the reference. Compiled, it takes some
-minutes for 5 s of motion.
+``python -m tests.benchmarks.stiff_strings [--duration 5] [--segments 4]``: the prism with strings
+of 1e8 N/m in four segments with nodes of 0.01 g, tumbling and twisting slowly. The explicit method
+is RATTLE at nine tenths of its largest stable step; its motion is also the reference. Compiled, it
+takes some minutes for 5 s of motion.
 """
 
-import argparse
+from __future__ import annotations
+
+from collections.abc import Sequence
 from time import perf_counter
 
 import numpy as np
@@ -15,24 +17,25 @@ import tenscontrol as tc
 from tenscontrol.dynamics import pack_state
 from tenscontrol.integrate import METHODS
 from tenscontrol.integrate.scales import largest_frequency
+from tests.benchmarks.command_line import options
 
 STIFFNESS, NODE_MASS, SEGMENTS = 1e8, 1e-5, 4
-OUTPUTS = 500
+OUTPUTS = 100  # a second
 
 
-def scene():
+def scene(segments):
     """The cut prism at rest under γ = 17.3205 N/m, turning at 0.2 to 1 rad/s and twisting."""
     prism = tc.prism()
     rest = tc.prestress(prism, force_density=17.3205)
     model = tc.Model(prism, strings=tc.LinearStrings(STIFFNESS))
     lengths = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
-    cut = tc.subdivide(prism, segments=SEGMENTS, node_mass=NODE_MASS)
+    cut = tc.subdivide(prism, segments=segments, node_mass=NODE_MASS)
     spin = np.cross([0.2, 0.3, 1.0], cut.nodes.T).T
     # The mechanism of the prism: top and bottom turn against each other and part.
     level = cut.nodes[2] - cut.nodes[2].mean()
     twist = 0.2 * level * np.cross([0.0, 0.0, 1.0], cut.nodes.T).T
     velocities = _without_stretch(cut, spin + twist)
-    massive = tc.Model(cut, strings=tc.LinearStrings(STIFFNESS * SEGMENTS))
+    massive = tc.Model(cut, strings=tc.LinearStrings(STIFFNESS * segments))
     return massive, tc.spread_rest_length(cut, lengths), velocities
 
 
@@ -48,12 +51,11 @@ def _without_stretch(structure, velocities):
     return flat.reshape(velocities.shape, order="F")
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--duration", type=float, default=5.0, help="s")
-    duration = options.parse_args().duration
-    model, lengths, velocities = scene()
+    given = options(__doc__, arguments, duration=5.0, segments=SEGMENTS)
+    duration = given.duration
+    model, lengths, velocities = scene(given.segments)
     structure = model.structure
     equation = model.equation("rest_length")
     state = pack_state(structure, structure.nodes, velocities)
@@ -64,10 +66,10 @@ def main() -> None:
     runs = [("rattle", "step", step)]
     runs += [("energy_momentum", "step", h) for h in (1e-3, 5e-4, 2.5e-4)]
     for name, setting, value in runs:
-        options = {"machine_code": True} if METHODS[name].compiles else {}
-        integrator = METHODS[name].integrator(equation, value, setting, **options)
+        compiled = {"machine_code": True} if METHODS[name].compiles else {}
+        integrator = METHODS[name].integrator(equation, value, setting, **compiled)
         began = perf_counter()
-        span = integrator.advance(state, lengths, duration, OUTPUTS)
+        span = integrator.advance(state, lengths, duration, max(1, round(OUTPUTS * duration)))
         taken = perf_counter() - began
         nodes = span.states[: len(state) // 2]
         reference = nodes if reference is None else reference

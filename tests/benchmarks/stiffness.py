@@ -8,20 +8,23 @@ minutes: the integrator follows vibrations of 3500 rad/s at the end.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 
 import tenscontrol as tc
 from tenscontrol import demo
 from tenscontrol.control import held_loop
+from tests.benchmarks.command_line import options
 
 STIFFNESS = (1e2, 3e2, 1e3, 3e3, 1e4, 1e5, 1e6)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__doc__, arguments, stiffness=STIFFNESS)
     print("                    MPC in γ                        MPC in rest lengths")
     print("k, N/m     settling/design  largest error     largest error  median OSQP iterations")
-    for stiffness in STIFFNESS:
+    for stiffness in given.stiffness:
         rows = [final_error(stiffness, held) for held in ("force_density", "rest_length")]
         (ratio, by_gamma, _), (_, by_length, work) = rows
         print(

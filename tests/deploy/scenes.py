@@ -174,8 +174,8 @@ def nonlinear_with_load():
     )  # fmt: skip
 
 
-def closed_loop(pair, pull=0.0, **options):
-    """Run a pair on the nonlinear prism, disturbed at the start, for 500 samples.
+def closed_loop(pair, pull=0.0, samples=SAMPLES, **options):
+    """Run a pair on the nonlinear prism, disturbed at the start.
 
     Its ends are pulled apart, N at each, or not.
     """
@@ -183,7 +183,7 @@ def closed_loop(pair, pull=0.0, **options):
     force[2, :3], force[2, 3:] = pull, -pull
     loaded = tc.Model(model().structure, strings=model().strings, external_force=force)
     start = plant("force_density").to_nodes(np.r_[0.02, np.zeros(8)])
-    return tc.simulate(loaded, SAMPLES * SAMPLE, start, controller=pair, step=SAMPLE, **options)
+    return tc.simulate(loaded, samples * SAMPLE, start, controller=pair, step=SAMPLE, **options)
 
 
 def pair_of(controller, folder):

@@ -4,6 +4,7 @@ import json
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -233,7 +234,6 @@ class TestFile:
         ("change", "message"),
         [
             ({"seed": 8}, "seed is 7 there and 8 here"),
-            ({"count": 25}, "count is 24 there and 25 here"),
             ({"case": cases.Remembering()}, "case is 'noisy' there and 'Remembering' here"),
             ({"parameters": PARAMETERS | {"mass": tc.Uniform(0.7, 1.2, size=3)}},
              "parameter 'mass' is .*'low': 0.8.* there and .*'low': 0.7.* here"),
@@ -253,6 +253,9 @@ class TestFile:
             ("notes\n", "is no file of a sweep: its first line is not a header"),
             ("HEAD\n{}\n", "line 2 is not a run"),
             ("HEAD\nFIRST\nFIRST\n", "line 3 is run 0, expected each of 0 to 23 once"),
+            ("HEAD\n[]\n", "line 2 is not a run"),
+            ('HEAD\n{"count": 24}\n', "line 2 is not a run: count is 24, expected .* above 24"),
+            ('HEAD\n{"count": true}\n', "line 2 is not a run: count is True, expected"),
         ],
     )
     def test_what_is_no_sweep_is_refused(self, file, content, message):
@@ -261,3 +264,102 @@ class TestFile:
         for use in (tc.SweepReport.load, lambda path: inline(file=path)):
             with pytest.raises(ValueError, match=message):
                 use(file)
+
+
+class TestAnotherNumberOfRuns:
+    """A longer sweep is the same sweep with more runs, a shorter one the same with fewer."""
+
+    LESS = 10
+
+    @pytest.fixture
+    def file(self, tmp_path):
+        path = tmp_path / "runs.jsonl"
+        inline(count=self.LESS, file=path)
+        return path
+
+    def test_more_runs_are_added(self, file, report):
+        found, runs = inline(file=file)
+        assert runs == [0, *range(self.LESS, COUNT)]
+        assert lines(found) == lines(report)
+        for same in (found, tc.SweepReport.load(file), inline(file=file)[0]):
+            assert same == report
+            assert same.summary() == report.summary()
+
+    def test_it_can_be_made_longer_again_on_other_workers(self, file, report):
+        inline(count=self.LESS + 3, file=file)
+        with ThreadPoolExecutor(2) as executor:
+            found = tc.sweep(
+                cases.noisy, PARAMETERS, COUNT, seed=SEED, file=file, executor=executor
+            )
+        assert lines(found) == lines(report)
+        assert tc.SweepReport.load(file) == report
+
+    def test_fewer_runs_are_the_first_ones_and_the_file_keeps_all(self, file, report):
+        inline(file=file)
+        before = file.read_bytes()
+        found, runs = inline(count=self.LESS, file=file)
+        assert runs == [0]
+        assert found == inline(count=self.LESS)[0]
+        assert found.is_complete
+        assert file.read_bytes() == before
+
+    def test_fewer_runs_of_an_unfinished_sweep(self, file, report):
+        """Of a sweep of 24 the runs 9 and 20 are done; then 10 are asked for, then all."""
+        inline(file=file)
+        head, *rest = file.read_text("utf-8").splitlines(keepends=True)
+        kept = [line for line in rest if json.loads(line).get("run", 20) in (9, 20)]
+        file.write_text(head + "".join(kept), "utf-8")
+        found, runs = inline(count=self.LESS, file=file)
+        assert runs == [9, *range(9)]
+        assert found == inline(count=self.LESS)[0]
+        part = tc.SweepReport.load(file)
+        assert (part.count, part.runs.tolist()) == (COUNT, [*range(10), 20])
+        assert inline(file=file)[0] == report
+
+    def test_interrupted_runs_are_counted_without_those_beyond(self, file):
+        inline(file=file)
+        head, *rest = file.read_text("utf-8").splitlines(keepends=True)
+        file.write_text(head + "".join(rest[3:]), "utf-8")
+        with pytest.warns(RuntimeWarning, match="interrupted with 8 of 10 runs done"):
+            part = tc.sweep(
+                cases.noisy, PARAMETERS, self.LESS, seed=SEED, file=file,
+                executor=Inline(interrupt_after=2), in_flight=1,
+            )  # fmt: skip
+        assert part.runs.tolist() == [0, *range(3, self.LESS)]
+
+    @pytest.mark.parametrize("left", ["line of the count", "line of a run"])
+    def test_a_torn_line_of_a_longer_sweep(self, file, report, left):
+        short = len(file.read_bytes())
+        inline(file=file)
+        keep = short + 8 if left == "line of the count" else len(file.read_bytes()) - 30
+        file.write_bytes(file.read_bytes()[:keep])
+        with pytest.warns(RuntimeWarning, match="torn line, which is dropped"):
+            part = tc.SweepReport.load(file)
+        torn_count = left == "line of the count"
+        assert (part.count, len(part)) == ((self.LESS,) * 2 if torn_count else (COUNT, COUNT - 1))
+        with pytest.warns(RuntimeWarning, match="torn line, which is dropped"):
+            found, _ = inline(file=file)
+        assert lines(found) == lines(report)
+        assert tc.SweepReport.load(file) == report
+
+    def test_a_case_that_has_changed_adds_nothing(self, file):
+        head, first, *rest = file.read_text("utf-8").splitlines(keepends=True)
+        record = json.loads(first)
+        record["success"] = not record["success"]
+        file.write_text(head + json.dumps(record) + "\n" + "".join(rest), "utf-8")
+        before = file.read_bytes()
+        with ThreadPoolExecutor(2) as executor, pytest.raises(tc.SweepError, match="run 0 of the"):
+            tc.sweep(cases.noisy, PARAMETERS, COUNT, seed=SEED, file=file, executor=executor)
+        assert file.read_bytes() == before
+
+    def test_the_figure_of_a_sweep_made_longer_is_that_of_one_at_once(self, file, report):
+        drawn = [tc.plot.sweep(each, "value") for each in (inline(file=file)[0], report)]
+        (one, other) = (each.curve.get_xydata() for each in drawn)
+        assert np.array_equal(one, other)
+        assert one.shape == (report.completed.sum(), 2)
+        (one, other) = (
+            {name: line.get_xydata().tolist() for name, line in each.markers.items()}
+            for each in drawn
+        )
+        assert one == other
+        plt.close("all")

@@ -1,0 +1,221 @@
+"""Every benchmark runs, cut short, and figures of its table are what they must be."""
+
+import re
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from shutil import which
+
+import pytest
+
+from tenscontrol.dynamics.compiler import VARIABLE, compiler
+
+BENCHMARKS = Path(__file__).parent / "benchmarks"
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+
+def needs(package, extra):
+    return pytest.mark.skipif(
+        find_spec(package) is None, reason=f"{package} is not installed (extra {extra})"
+    )
+
+
+def test_every_benchmark_is_tested():
+    there = {path.stem for path in BENCHMARKS.glob("*.py")} - {"__init__", "command_line"}
+    assert there == {name.removeprefix("test_") for name in globals() if name[:5] == "test_"} - {
+        "every_benchmark_is_tested"
+    }
+
+
+@pytest.fixture
+def printed(capfd):
+    """Runs a benchmark with a command line, and returns what it prints."""
+
+    def run(name, arguments=""):
+        import_module(f"tests.benchmarks.{name}").main(arguments.split())
+        return capfd.readouterr().out
+
+    return run
+
+
+@pytest.fixture
+def nothing_compiled(monkeypatch):
+    """For what takes longer to compile than to run: the numbers are the same."""
+    monkeypatch.setenv(VARIABLE, "none")
+
+
+def row(text, label, which=0):
+    """Return the numbers of a line that begins so, of several the one with this index."""
+    lines = [line for line in text.splitlines() if line.startswith(label)]
+    return [
+        float(x) for x in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]\d+)?", lines[which][len(label) :])
+    ]
+
+
+def test_import_time(printed):
+    text = printed("import_time", "--repeats 1")
+    labels = re.findall(r"^(.*?)  +\S+ s beyond numpy \(median of 1\)$", text, re.M)
+    assert labels == [
+        "import tenscontrol", "  and a prism's model", "  and python-control, for scale",
+    ]  # fmt: skip
+
+
+def test_model_cost(printed):
+    text = printed("model_cost", "--calls 10")
+    assert row(text, "γ held  ") == [316, 2]
+    assert row(text, "γ held, load as an input")[1] == 3
+    assert row(text, "rest length held, damped")[0] > row(text, "rest length held  ")[0]
+    assert "µs through the buffer" in text
+
+
+@needs_compiler
+def test_member_cost(printed, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    text = printed("member_cost", "--bars 3 30 --turns 1 --members 1000")
+    for held in (0, 1):
+        assert row(text, "      3       12 ", held)
+        assert row(text, "     30      228 ", held)
+    # It asserts itself that all give the same numbers.
+    forms = [line.split()[-1] for line in text.splitlines() if " s " in line]
+    assert forms == ["flat", "mapped"] * 2
+    assert list(tmp_path.iterdir()) == []  # the folder of compiled functions is its own
+
+
+def test_simulation(printed):
+    text = printed("simulation", "--duration 0.3 --repeats 1")
+    assert "0.3 s, 4 switches" in text
+    assert row(text, "tenscontrol rk4, step 1e-3")[0] < 1e-8
+    errors = [row(text, f"SciPy DOP853, {t:g}")[0] for t in (1e-4, 1e-6, 1e-8)]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 1e-7
+    if find_spec("mujoco") is None:
+        assert "MuJoCo is not installed" in text
+    else:
+        assert row(text, "MuJoCo RK4, step 1e-3")[0] < 1e-5
+
+
+def test_stiff_strings(printed, nothing_compiled):
+    text = printed("stiff_strings", "--duration 0.01 --segments 2")
+    assert "0.01 s, nodes move up to 0.01 m" in text
+    evaluations = row(text, "          rattle")[2]
+    assert evaluations > 30_000
+    for k, step in enumerate((1e-3, 5e-4, 2.5e-4)):
+        found = row(text, " energy_momentum", k)
+        assert found[0] == step
+        assert found[1] < 1e-5
+        assert found[2] < 0.01 * evaluations
+
+
+def test_mpc_step(printed):
+    text = printed("mpc_step", "--duration 0.1 --lengths 5")
+    ramp, push = map(int, re.findall(r"samples with a bound active: (\d+)", text))
+    assert ramp == 0
+    assert 2 < push <= 5
+    assert len(re.findall(r"^  (?:condensed|sparse), (?:updated|built anew) ", text, re.M)) == 8
+    assert row(text, "        5 ")[0] == 45
+
+
+def test_stiffness(printed):
+    text = printed("stiffness", "--stiffness 100")
+    ratio, by_gamma, by_length, _ = row(text, "  1e+02")
+    assert 0.5 < ratio < 1.0
+    assert max(by_gamma, by_length) < 0.1  # mm
+
+
+def test_qp_solvers(printed):
+    text = printed("qp_solvers", "--starts 1 --samples 3 --horizon 3 --slowest 1000000")
+    sizes = re.findall(r"^(.*): (\d+) programs, (\d+) unknowns, (\d+) rows, (\d+) e", text, re.M)
+    assert sizes == [
+        ("condensed MPC", "3", "27", "27", "378"),
+        ("sparse MPC", "3", "81", "81", "1215"),
+        ("NMPC", "3", "81", "81", "1215"),
+    ]
+    assert row(text, "CasADi hpipm") == []  # "takes trajectories only", or not in the wheel
+    for k in range(3):
+        assert row(text, "bounds active in a program: ", k)[0] >= 3
+        for name in ("ours (OSQP, in place)", "OSQP, set up anew"):
+            conditions, objective = row(text, name, k)[-2:]
+            assert conditions < 1e-2
+            assert objective < 2e-3
+        piqp = row(text, "PIQP, sparse", k)
+        assert piqp == [] if find_spec("piqp") is None else piqp[-2] < 1e-4
+
+
+@needs("do_mpc", "bench")
+@pytest.mark.filterwarnings("ignore:rterm was not set:UserWarning")
+@pytest.mark.filterwarnings(r"ignore:\s*casadi. a numpy function was called:FutureWarning")
+def test_nmpc_step(printed, nothing_compiled):
+    text = printed("nmpc_step", "--starts 1 --samples 3 --horizon 3")
+    assert "1 starts, 3 samples each; a bound active in 3 commands of NMPC" in text
+    assert "derivatives of NMPC, machine code: virtual machine" in text  # nothing is compiled
+    cost = {name: row(text, name)[0] for name in (
+        "NMPC, machine code", "NMPC, no compiler", "NMPC, converged", "MPC, linear",
+        "IPOPT (nlpsol)", "do-mpc (IPOPT)",
+    )}  # fmt: skip
+    assert cost["IPOPT (nlpsol)"] == 1.0
+    assert cost["do-mpc (IPOPT)"] == pytest.approx(1.0, abs=1e-5)
+    assert cost["NMPC, converged"] == pytest.approx(1.0, abs=1e-4)
+    assert cost["NMPC, machine code"] == cost["NMPC, no compiler"]
+    assert cost["NMPC, machine code"] == pytest.approx(1.0, abs=1e-3)
+    assert abs(cost["MPC, linear"] - 1.0) > 1e-2
+
+
+@needs_compiler
+@pytest.mark.skipif(which("size") is None, reason="there is no program size")
+def test_deploy(printed):
+    text = printed("deploy", "--samples 60 --controllers 1")
+    difference, _, iterations, code, numbers = row(text, "LQR")
+    assert difference < 1e-10
+    assert iterations == 0
+    assert min(code, numbers) > 1
+
+
+@needs("distributed", "distributed")
+def test_robustness(printed):
+    text = printed("robustness", "--count 2 --duration 0.2")
+    assert text.count("2 of 2 runs done") == 2
+    assert text.count("equal to 1 process to the last bit: yes") == 2
+
+
+def test_shape_control(printed):
+    text = printed("shape_control", "--duration 0.1 --shares 0.15")
+    for table in range(4):
+        for name in ("MPC  ", "NMPC  "):
+            assert row(text, name, table)[7] == 0  # commands whose status is not ok
+    for table in (0, 2):  # in the others a bound is in the way
+        rms = [row(text, f"shape control, {hertz} Hz", table)[3] for hertz in (0.6, 1.2, 2.4)]
+        assert rms == sorted(rms, reverse=True)
+    decay = [row(text, name)[0] for name in (
+        "γ held", "rest length held, 100 N/m", "rest length held, 1000 N/m",
+        "rest length held, 10000 N/m",
+    )]  # fmt: skip
+    assert decay == sorted(decay, reverse=True)
+    assert decay[0] > 1.0
+    assert decay[-1] < 0.1
+
+
+@needs("mujoco", "bench")
+def test_error_against_time(printed):
+    text = printed("error_against_time", "--plain --all --duration 0.5 --settings 3 --repeats 3")
+    assert "every one of 6 switches located" in text
+    for name, most in (
+        ("rk4", 1e-3), ("rattle", 1e-2), ("rattle4", 1e-3), ("rattle6", 1e-7), ("dop853", 1e-4),
+        ("mujoco rk4", 1e-4), ("mujoco euler", 1e-2), ("mujoco implicitfast", 1e-2),
+        ("scipy dop853", 1e-4), ("casadi cvodes", 1e-3),
+    ):  # fmt: skip
+        first, _, last = (row(text, f"{name} ", k)[1] for k in range(3))
+        assert last < min(first, most)
+    assert re.findall(r"^1e-0[389]  +(\S+)", text, re.M)[1:] == ["rattle6", "–"]
+
+
+def test_morph(printed, nothing_compiled):
+    text = printed("morph", "1000 --plants 1 --rate 1")
+    stiffness, pieces, height, twist, node, gamma, tension, rate, *_ = row(text, " ")
+    assert (stiffness, pieces, rate) == (1000, 20, 1.0)
+    assert max(height, node) < 1.0  # mm; one plant is not enough at this rate
+    assert twist < 0.5  # degrees
+    assert gamma > 2.0
+    assert tension < 45.0
+    assert "{'ok': 135}" in text
+    assert "out of range" not in text
