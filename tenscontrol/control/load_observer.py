@@ -71,7 +71,8 @@ def load_model(plant: LinearPlant, push: FloatArray, gain: float, tracked: Float
     weight += _THRIFT * np.eye(r + count)
     balance = np.hstack([stiffness / reach, acting * unit / reach])
     system = np.block([[weight, balance.T], [balance, np.zeros((r, r))]])
-    answer = np.linalg.lstsq(system, np.vstack([np.zeros((r + count, r)), np.eye(r)]))[0]
+    unit_loads = np.vstack([np.zeros((r + count, r)), np.eye(r)])
+    answer = np.linalg.lstsq(system, unit_loads, rcond=None)[0]
     return LoadModel(
         push=push,
         gain=frozen(gain * np.linalg.pinv(push)),

@@ -135,8 +135,8 @@ class ShapePath:
         >>> low = tc.Height(0.85, top=[0, 1, 2], bottom=[3, 4, 5])
         >>> goal = tc.shape_target(model, low, force_density=17.3205)
         >>> path = tc.shape_path(model, start, goal, duration=2.0)
-        >>> [plant.nodes[2, 0].round(3) for plant in path.plants(3, input="rest_length")]
-        [np.float64(1.0), np.float64(0.964), np.float64(0.925)]
+        >>> [round(float(plant.nodes[2, 0]), 3) for plant in path.plants(3, input="rest_length")]
+        [1.0, 0.964, 0.925]
         """
         return plants_along(self.model, self.nodes, self.force_density, count, input)
 

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 
 # More of it than a pipe holds is on its way to the workers when they are ended.
 SCRIPT = """
-import os, sys, time
+import os, signal, sys, time
 import tenscontrol as tc
 
 def say(text):
@@ -37,6 +37,8 @@ if __name__ == "__mp_main__" and sys.argv[1] == "starting":
     time.sleep(600)
 
 if __name__ == "__main__":
+    # A shell lets what it starts in the background ignore Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     report = tc.sweep(Case(), {"x": tc.OneOf([0.0, 1.0])}, 60, seed=0, processes=2)
     say(f"{len(report)} runs reported")
 """
