@@ -8,6 +8,7 @@ import numpy as np
 
 from tenscontrol.analysis import LinearPlant
 from tenscontrol.control.path import checked_tracked
+from tenscontrol.control.solved import solved
 from tenscontrol.validation import FloatArray, frozen, positive_number
 
 # Weight of the departure of inputs in the choice of where to rest, against that of what is
@@ -29,12 +30,22 @@ class LoadModel:
         Change of q at which the plant rests under unit accelerations.
     effort : ndarray, shape (α, r)
         Change of v that holds it there.
+    share : float
+        g.
+    weight : ndarray, shape (r + α, r + α)
+        Of departures of q and v, in units of each.
+    reach, unit : float
+        Units of q̈ by q, and of v.
     """
 
     push: FloatArray
     gain: FloatArray
     shift: FloatArray
     effort: FloatArray
+    share: float
+    weight: FloatArray
+    reach: float
+    unit: float
 
     def rest(self, accelerations: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return changes of q and v, shapes (K, r) and (K, α), at which the plant rests.
@@ -45,6 +56,27 @@ class LoadModel:
             All that have to be balanced.
         """
         return accelerations @ self.shift.T, accelerations @ self.effort.T
+
+    def rest_of(
+        self, accelerations: FloatArray, stiffness: FloatArray, acting: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the same as :meth:`rest`, for K plants with derivatives of q̈ of their own.
+
+        Parameters
+        ----------
+        accelerations : ndarray, shape (K, r)
+        stiffness, acting : ndarray, shapes (K, r, r) and (K, r, α)
+            By q and by v.
+        """
+        (K, r), whole = accelerations.shape, len(self.weight)
+        balance = np.concatenate([stiffness / self.reach, acting * self.unit / self.reach], axis=2)
+        system = np.zeros((K, whole + r, whole + r))
+        system[:, :whole, :whole] = self.weight
+        system[:, whole:, :whole], system[:, :whole, whole:] = balance, balance.swapaxes(1, 2)
+        sides = np.zeros((K, whole + r, 1))
+        sides[:, whole:, 0] = -accelerations / self.reach
+        answer = solved(system, sides)[:, :, 0]
+        return answer[:, :r], self.unit * answer[:, r:whole]
 
 
 def load_model(plant: LinearPlant, push: FloatArray, gain: float, tracked: FloatArray) -> LoadModel:
@@ -78,6 +110,10 @@ def load_model(plant: LinearPlant, push: FloatArray, gain: float, tracked: Float
         gain=frozen(gain * np.linalg.pinv(push)),
         shift=frozen(-answer[:r] / reach),
         effort=frozen(-unit * answer[r : r + count] / reach),
+        share=gain,
+        weight=frozen(weight),
+        reach=reach,
+        unit=unit,
     )
 
 
@@ -114,7 +150,9 @@ class LoadObserver:
         """What the load does to the state in a sample, shape (s,)."""
         return np.asarray(self.model.push @ self.acceleration)
 
-    def correct(self, state: FloatArray, pushed: FloatArray) -> None:
+    def correct(
+        self, state: FloatArray, pushed: FloatArray, push: FloatArray | None = None
+    ) -> None:
         """Compare a measured state with what was expected.
 
         Parameters
@@ -123,12 +161,17 @@ class LoadObserver:
         pushed : ndarray, shape (s,)
             What the input that was held since the last sample did to the state. Where it is
             not finite, nothing is learned.
+        push : ndarray, shape (s, r), optional
+            Ψ of that sample. Where strings are stiff, that of another shape says nothing.
         """
         if self._coasting is not None:
             off = state - (self._coasting + pushed)
             # The nonlinear dynamics have no value where a bar turns beyond the coordinates.
             if np.isfinite(off).all():
-                self.acceleration = self.acceleration + self.model.gain @ off
+                gain = self.model.gain
+                if push is not None:
+                    gain = np.asarray(self.model.share * np.linalg.pinv(push), dtype=float)
+                self.acceleration = self.acceleration + gain @ off
 
     def expect(self, state: FloatArray | None) -> None:
         """Note the state at the next sample, the load but no input included; None if unknown."""

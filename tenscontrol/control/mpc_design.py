@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -75,6 +75,22 @@ class Design:
     sampled: Sampled
     low: FloatArray
     high: FloatArray
+
+    @property
+    def unwound(self) -> Horizon:
+        """The problem with the state of the plant alone, as the nonlinear program has it.
+
+        Where winches wind, the input before is no part of the state then, but what weighs or
+        feeds back ``[z; v_before]`` stays.
+        """
+        s, problem = len(self.sampled.transition), self.problem
+        return replace(
+            problem,
+            transition=self.sampled.transition,
+            input_matrix=self.sampled.by_input,
+            drift=self.sampled.drift,
+            state_weight=problem.state_weight[:s, :s],
+        )
 
 
 def design(

@@ -15,7 +15,6 @@ from tenscontrol.analysis import LinearPlant
 from tenscontrol.control.constraints import OutputLimit
 from tenscontrol.control.controller import OK, Controller
 from tenscontrol.control.load_observer import LoadObserver, load_observer
-from tenscontrol.control.lqr import state_units
 from tenscontrol.control.mpc_design import Wishes, checked_time_limit, default_penalty, design
 from tenscontrol.control.nmpc_law import NMPCLaw
 from tenscontrol.control.nmpc_statistics import NMPCStatistics, statistics
@@ -70,7 +69,7 @@ class NMPC(Controller):
     max_change : float or array_like, shape (α,), optional
         Largest change of the input from sample to sample, N/m or m.
     winches : Winches, optional
-        Speed and range that bound rest lengths; of those that jump at the start of a sample.
+        Speed and range that bound rest lengths. Strings of those that wind are limited at the ends.
     reference : Reference or array_like, shape (3, n), optional
         Shapes to follow, seen ahead. The operating point if not given.
     iterations : int
@@ -96,12 +95,15 @@ class NMPC(Controller):
     Raises
     ------
     TypeError, ValueError
-        If an argument does not fit, the plant has a pole that no string reaches, or strings are
-        so stiff that a sample takes more than 1000 steps to predict.
+        If an argument does not fit, or the plant has a pole that no string reaches.
 
     Notes
     -----
     Diehl, Bock & Schlöder (2005), doi:10.1137/S0363012902400713.
+
+    A sample is predicted by RK4; where winches wind, or held strings are so stiff that it takes
+    more than 4 steps, by one implicit step. Strings that would be slack push in it, as in linear
+    MPC, and a load is not estimated then; ``min_force_density`` keeps plans clear of that.
 
     Examples
     --------
@@ -143,11 +145,6 @@ class NMPC(Controller):
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         if winches is not None:
             instance("winches", winches, Winches, "make them by Winches(rate=...)")
-        if winches is not None and winches.pieces > 1:
-            raise ValueError(
-                f"winches.pieces is {winches.pieces}, expected 1: NMPC predicts winches that jump "
-                "at the start of a sample; MPC predicts those that wind"
-            )
         step = positive_number("step", step, "s")
         # All before the model is built, which may be compiled.
         rounds = whole_number("iterations", iterations, least=1)
@@ -162,6 +159,7 @@ class NMPC(Controller):
         super().__init__(plant, step, made.low, made.high, made.problem.change)
         model = TrajectoryModel(
             plant, step, made.problem.length, made.constraints,
+            1 if winches is None else winches.pieces,
             truth("machine_code", machine_code, "whether to compile the derivatives"),
         )  # fmt: skip
         push = acceleration_response(plant, step)
@@ -170,10 +168,10 @@ class NMPC(Controller):
         self._law = NMPCLaw(
             step=step,
             model=model,
-            problem=replace(made.problem, rows=model.with_places(made.problem.rows)),
+            problem=replace(made.unwound, rows=model.with_places(made.problem.rows)),
             bounds=self.bounds,
             row_bounds=made.constraints.limits,
-            units=state_units(plant)[0],
+            units=model.units(made.problem.level),
             load=None if observer is None else observer.model,
             rounds=rounds,
             tolerance=tolerance,
@@ -197,8 +195,8 @@ class NMPC(Controller):
 
     @property
     def sampled(self) -> ca.Function:
-        """The prediction model ``(z, u) -> z`` a sample later."""
-        return self._law.model.sampled
+        """The prediction model ``(z, u) -> z⁺``; ``(z, u_before, u) -> z⁺`` where winches wind."""
+        return self._law.model.motion.sampled
 
     @property
     def back_end(self) -> str:
@@ -207,7 +205,7 @@ class NMPC(Controller):
 
     @property
     def weights(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Q, R and the terminal P."""
+        """Q, R and the terminal P, which is of ``[z; u_before]`` where winches wind."""
         problem = self._law.problem
         return problem.state_weight, problem.input_weight, problem.terminal_weight
 
@@ -243,7 +241,7 @@ class NMPC(Controller):
         self._law = replace(self._law, path=self._law.path.following(reference))
 
     def targets(self, time: float) -> tuple[FloatArray, FloatArray]:
-        """Return what the cost measures from: r_1 … r_N, shape (N, s), and s_0 … , shape (N, α).
+        """Return what the cost measures from: r_1 … r_N, shape (N, s), and s_0 …, shape (N, α).
 
         Parameters
         ----------
@@ -261,7 +259,7 @@ class NMPC(Controller):
         self._plan.reset()
         self._program.reset()
         self._followed = 0
-        self._seen: FloatArray | None = None
+        self._seen: tuple[FloatArray, FloatArray] | None = None
         self._statuses: list[str] = []
         self._records: list[tuple[float, ...]] = []
         self._preparing = 0.0
@@ -288,20 +286,22 @@ class NMPC(Controller):
 
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
         deadline = self._called + self._law.time_limit
-        drift = None if self._observer is None else self._corrected(self._observer, state)
+        load = None if self._observer is None else self._corrected(self._observer, state)
         reference, origin = self.targets(time)
         if self._standing is None:
-            self._standing = frozen(origin[0])
+            self._standing = frozen(self._law.start(time, origin))
+        standing = self._standing
+        self._seen = state, standing
         if self._plan.inputs is None:
-            self._plan.begin(state, reference, origin)
+            self._plan.begin(state, standing, reference, origin)
         self.prepare()
         if not self._plan.prepared:  # the plan led where the dynamics have no value
-            self._plan.begin(state, reference, origin)
+            self._plan.begin(state, standing, reference, origin)
         preparing, began = self._preparing, perf_counter()
         work = 0
         for rounds in range(1, self._law.rounds + 1):
             answer, change = self._plan.improve(
-                state, reference, origin, self._reachable, drift, deadline
+                state, reference, origin, self._reachable, standing, load, deadline
             )
             work += answer.iterations
             if answer.x is None:
@@ -317,15 +317,15 @@ class NMPC(Controller):
         return self._plan.inputs[0], OK
 
     def _corrected(self, observer: LoadObserver, state: FloatArray) -> FloatArray:
-        """Compare with the sample before, and return what the load does to the state in a sample.
+        """Compare with the sample before, and return accelerations by the load.
 
         What the input did since then is found now, from what the actuators really held.
         """
         if self._seen is not None and self._standing is not None:
-            observer.correct(state, self._law.model.advance(self._seen, self._standing))
-        self._seen = state
-        observer.expect(observer.drift)
-        return observer.drift
+            motion, load = self._law.model.motion, observer.acceleration
+            observer.correct(state, *motion.expected(*self._seen, self._standing, load))
+        observer.expect(np.zeros_like(state))  # all that comes is in the next prediction
+        return observer.acceleration
 
     def _record(
         self, rounds: int, work: int, change: float, preparing: float, began: float

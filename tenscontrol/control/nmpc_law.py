@@ -64,6 +64,7 @@ class NMPCLaw:
             self.units,
             self.tolerance,
             self.max_iterations,
+            even=not self.model.implicit,
         )
 
     def targets(self, time: float) -> tuple[FloatArray, FloatArray]:
@@ -75,4 +76,17 @@ class NMPCLaw:
             Of the sample that starts now, s.
         """
         times = time + self.step * np.arange(self.problem.length + 1.0)
-        return self.path.wanted(times[1:]), self.path.at(times[:-1]).input
+        return self.path.aims(times, self.model.motion.winds)
+
+    def start(self, time: float, origin: FloatArray) -> FloatArray:
+        """Return what stands before the first command, where nothing else is known, shape (α,).
+
+        Parameters
+        ----------
+        time : float
+            Of the sample that starts now, s.
+        origin : ndarray, shape (N, α)
+            s_0 … s_{N−1}; winches that wind reach s_0 at its end only.
+        """
+        winds = self.model.motion.winds
+        return np.asarray(self.path.at(np.array([time])).input[0] if winds else origin[0])

@@ -112,6 +112,25 @@ class Path:
         """Return ``[q; q̇]`` of the reference, shape (K, s)."""
         return self._reference.at(times)
 
+    def aims(self, times: FloatArray, winds: bool) -> tuple[FloatArray, FloatArray]:
+        """Return what N samples aim at: ``[q; q̇]`` at their ends, shape (N, s), and inputs (N, α).
+
+        Inputs are those of the starts of samples. Winches that wind reach them at the ends, and
+        speeds are means over two samples then: between its shapes a reference is straight, and
+        stiff strings would have to follow its jumps of speed.
+
+        Parameters
+        ----------
+        times : ndarray, shape (N + 1,)
+            Of the starts of the samples, and the end of the last, s.
+        winds : bool
+        """
+        if not winds:
+            return self.wanted(times[1:]), self.at(times[:-1]).input
+        step = times[1] - times[0]
+        q = self.wanted(np.append(times, times[-1] + step))[:, : self._plant.degrees_of_freedom]
+        return np.hstack([q[1:-1], (q[2:] - q[:-2]) / (2 * step)]), self.at(times[1:]).input
+
     def at(self, times: FloatArray) -> Stretch:
         """Return the stretch of the path at these times, shape (K,), s."""
         plant, count = self._plant, len(times)

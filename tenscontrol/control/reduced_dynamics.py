@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.analysis import LinearPlant
-from tenscontrol.control.strings import spreading
+from tenscontrol.control.strings import spreading, string_forces
 from tenscontrol.validation import FloatArray
 
 # Radians of the fastest vibration in a step of RK4: its error is then about 1e-4 of it.
@@ -19,7 +19,7 @@ _RADIANS = 0.35
 _MOST_SUBSTEPS = 1000
 
 
-def reduced_acceleration(plant: LinearPlant) -> ca.Function:
+def reduced_acceleration(plant: LinearPlant, taut: bool = False) -> ca.Function:
     """Return ``(z, u) -> q̈``, exact while nothing moves as one body.
 
     Bars keep their lengths in every shape of q, so that no state stands for them. Since q is
@@ -29,9 +29,12 @@ def reduced_acceleration(plant: LinearPlant) -> ca.Function:
     ----------
     plant : LinearPlant
         In internal or minimal coordinates; its operating point is the reference shape.
+    taut : bool
+        Whether strings of held rest lengths push where they would be slack, as in the linear
+        plant: smooth, so that Newton's method converges however stiff they are.
     """
     z, u = (ca.SX.sym(name, size) for name, size in zip("zu", plant.B.shape, strict=True))
-    moved = _motion(plant, z, u)[2]
+    moved = _motion(plant, z, u, taut)[2]
     rows = plant.model.structure.free_rows
     project = plant.coordinates.project(np.eye(plant.nodes.size))[:, rows]
     project = np.where(np.abs(project) > 1e-14 * np.abs(project).max(), project, 0.0)
@@ -65,7 +68,7 @@ def tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
     return ca.Function("tracked", [z], ca.cse([ca.densify(each) for each in outputs]))
 
 
-def _motion(plant: LinearPlant, z: Any, u: Any) -> tuple[Any, Any, Any]:
+def _motion(plant: LinearPlant, z: Any, u: Any, taut: bool = False) -> tuple[Any, Any, Any]:
     """Return all nodes and velocities, and the accelerations of the free nodes, node by node."""
     model, structure = plant.model, plant.model.structure
     N, V = reduced_motion(plant, z)
@@ -74,7 +77,10 @@ def _motion(plant: LinearPlant, z: Any, u: Any) -> tuple[Any, Any, Any]:
     loads = []
     if model.has_external_force:
         loads.append(ca.DM((plant.external_force - model.constant_force)[:, free]))
-    slope = model.state_equation(plant.input)(x, spreading(plant, u), *loads)
+    held, equation = spreading(plant, u), model.state_equation(plant.input)
+    if taut and plant.input == "rest_length":
+        held, equation = string_forces(plant, plant.input, N, V, held)[0], model.dynamics
+    slope = equation(x, held, *loads)
     return N, V, slope[slope.shape[0] // 2 :]
 
 
@@ -96,8 +102,19 @@ def sampled_dynamics(plant: LinearPlant, step: float) -> tuple[ca.Function, ca.F
         ``(z, u) -> z⁺``.
     linearized : casadi.Function
         ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
+
+    Raises
+    ------
+    ValueError
+        If there are more steps than can be meant.
     """
     count = substeps(plant, step)
+    if count > _MOST_SUBSTEPS:
+        raise ValueError(
+            f"plant vibrates with up to {_fastest(plant):.3g} rad/s: a sample of {step:g} s takes "
+            f"{count} steps of RK4 to predict, expected at most {_MOST_SUBSTEPS}; give a shorter "
+            "step, or take what predicts by the linear plant"
+        )
     s, a = plant.B.shape
     motion, linearized = _rk4(plant, step / count)
     if count > 1:
@@ -120,28 +137,19 @@ def substeps(plant: LinearPlant, step: float) -> int:
     plant : LinearPlant
     step : float
         Sample time, s.
-
-    Raises
-    ------
-    ValueError
-        If there are more than can be meant.
     """
-    fastest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0))
-    count = max(1, ceil(step * fastest / _RADIANS))
-    if count > _MOST_SUBSTEPS:
-        raise ValueError(
-            f"plant vibrates with up to {fastest:.3g} rad/s: a sample of {step:g} s takes {count} "
-            f"steps of RK4 to predict, expected at most {_MOST_SUBSTEPS}; give a shorter step, or "
-            "take MPC, which predicts stiff strings exactly"
-        )
-    return count
+    return max(1, ceil(step * _fastest(plant) / _RADIANS))
+
+
+def _fastest(plant: LinearPlant) -> float:
+    return float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0))
 
 
 def _rk4(plant: LinearPlant, h: float) -> tuple[ca.Function, ca.Function]:
     """Return a step of the classic Runge-Kutta method, and the same with its derivatives."""
     r, (s, a) = plant.degrees_of_freedom, plant.B.shape
     acceleration = reduced_acceleration(plant)
-    derivatives = _derivatives(acceleration)
+    derivatives = acceleration_slopes(acceleration)
     z, u = ca.MX.sym("z", s), ca.MX.sym("u", a)
     stages = list(zip((1.0, 2.0, 2.0, 1.0), (0.0, 0.5 * h, 0.5 * h, h), strict=True))
     slope, end = ca.DM.zeros(s), z
@@ -189,8 +197,8 @@ def _chained(linearized: ca.Function) -> ca.Function:
     return ca.Function("chained", [carried, u], [ca.densify(ca.horzcat(end, inner))])
 
 
-def _derivatives(acceleration: ca.Function) -> ca.Function:
-    """Return ``(z, u) -> (q̈, ∂q̈/∂q, ∂q̈/∂q̇, ∂q̈/∂u)``, dense."""
+def acceleration_slopes(acceleration: ca.Function) -> ca.Function:
+    """Return ``(z, u) -> (q̈, ∂q̈/∂q, ∂q̈/∂q̇, ∂q̈/∂u)``, dense, from ``(z, u) -> q̈``."""
     z, u = (ca.SX.sym(acceleration.name_in(i), acceleration.size1_in(i)) for i in range(2))
     qdd = acceleration(z, u)
     r = qdd.shape[0]

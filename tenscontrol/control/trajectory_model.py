@@ -2,44 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.analysis import LinearPlant
 from tenscontrol.control.constraints import Constraints
+from tenscontrol.control.implicit_motion import ImplicitMotion
 from tenscontrol.control.load_observer import LoadObserver
+from tenscontrol.control.lqr import state_units
+from tenscontrol.control.motion import ExplicitMotion, Motion, evaluator
 from tenscontrol.control.problem import Rows
 from tenscontrol.control.reduced_dynamics import (
+    acceleration_slopes,
     reduced_acceleration,
     reduced_motion,
-    sampled_dynamics,
+    substeps,
 )
 from tenscontrol.control.strings import spreading, string_forces
+from tenscontrol.control.tangents import Tangents, evaluated
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.dynamics.compiled import compiled
 from tenscontrol.validation import FloatArray
 
 # At a shape that changes its stiffness by a tenth these leave 1e-5 of what was off.
 NEWTON_STEPS = 5
 
+# With derivatives of their own the shapes of stiff strings take fewer.
+_OWN_STEPS = 2
 
-@dataclass(frozen=True, eq=False)
-class Tangents:
-    """First-order functions along a trajectory: ``value ≈ offset + Σ slope · argument``.
-
-    Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j.
-
-    Attributes
-    ----------
-    offset : ndarray, shape (N, m)
-    slopes : tuple of ndarray, shape (N, columns, m) each
-        By z_k, u_k and, for limited rows, z_{k+1}. Views of memory that the next call overwrites.
-    """
-
-    offset: FloatArray
-    slopes: tuple[FloatArray, ...]
+# Where rest lengths are held, and a sample takes more steps of RK4 than this, one implicit step
+# takes their place, at less than half the cost. Where strings are soft, RK4 knows slack ones too.
+_MOST_EXPLICIT = 4
 
 
 class TrajectoryModel:
@@ -54,15 +48,19 @@ class TrajectoryModel:
         N.
     constraints : Constraints
         What is limited beside the inputs.
+    pieces : int
+        Equal parts in which winches move through a sample.
     machine_code : bool
         Whether to compile the derivatives where there is a C compiler.
 
     Attributes
     ----------
-    sampled : casadi.Function
-        ``(z, u) -> z⁺``.
-    linearized : casadi.Function
-        ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
+    implicit : bool
+        Whether steps are implicit: where winches wind or strings are stiff.
+    motion : Motion
+        Of a sample.
+    back_end : str
+        What evaluates the derivatives.
     acceleration : casadi.Function
         ``(z, u) -> q̈``.
     limited : casadi.Function or None
@@ -75,21 +73,40 @@ class TrajectoryModel:
         step: float,
         length: int,
         constraints: Constraints,
+        pieces: int,
         machine_code: bool,
     ) -> None:
-        self.sampled, self.linearized = sampled_dynamics(plant, step)
-        self._advance = Evaluator(self.sampled)
-        self._length = length
-        self.back_end = "virtual machine"
-        self.motion = self._evaluator(self.linearized, machine_code)
-        self.acceleration = reduced_acceleration(plant)
-        self._acceleration = Evaluator(self.acceleration.map(length))
-        rows = limited_rows(plant, constraints)
+        stiff = plant.input == "rest_length" and substeps(plant, step) > _MOST_EXPLICIT
+        self.implicit = stiff or pieces > 1
+        self.motion: Motion
+        if self.implicit:
+            self.motion = ImplicitMotion(plant, step, length, pieces, machine_code)
+        else:
+            self.motion = ExplicitMotion(plant, step, length, machine_code)
+        self.back_end = self.motion.back_end
+        self._plant, self._step = plant, step
+        self.acceleration = reduced_acceleration(plant, taut=self.implicit)
+        known = acceleration_slopes(self.acceleration) if self.implicit else self.acceleration
+        self._acceleration = Evaluator(known.map(length))
+        rows = limited_rows(plant, constraints, at_end=self.motion.winds)
         self.limited = None if rows is None else _dense(rows)
-        self._rows = None if rows is None else self._evaluator(self.limited, machine_code)
+        if self.limited is not None:
+            self._rows, _ = evaluator(self.limited.map(length), machine_code)
         self._patterns = () if rows is None else tuple(
             np.array(ca.DM(rows.sparsity_out(i), 1.0)) for i in (1, 2, 3)
         )  # fmt: skip
+
+    def units(self, level: float) -> FloatArray:
+        """Return units of the state in a program, shape (s,), with ``level`` that of an input.
+
+        Implicit steps do not resolve fast vibrations. Where strings are stiff, one unit is then
+        what a level holds, and the speed that moves it in a sample.
+        """
+        units, size = state_units(self._plant)
+        if not self.implicit:
+            return units
+        held = units[: len(units) // 2] * level / size
+        return np.asarray(np.minimum(units, np.concatenate([held, held / self._step])))
 
     def with_places(self, rows: Rows | None) -> Rows | None:
         """Return limited rows with ones where a derivative can be other than zero."""
@@ -98,74 +115,74 @@ class TrajectoryModel:
         before, inputs, after = self._patterns
         return replace(rows, before=before, inputs=inputs, after=after)
 
-    def _evaluator(self, function: ca.Function, machine_code: bool) -> Evaluator:
-        mapped = function.map(self._length)
-        code = compiled(mapped) if machine_code else None
-        if code is None:
-            return Evaluator(mapped)
-        self.back_end = "machine code"
-        return Evaluator(code.function)
-
-    def advance(self, state: FloatArray, held: FloatArray) -> FloatArray:
-        """Return the state a sample later, shape (s,)."""
-        return self._advance(state, held)[0].copy()
-
     def at_rest(
         self, reference: FloatArray, held: FloatArray, observer: LoadObserver
     ) -> tuple[FloatArray, FloatArray]:
         """Return references (N, s) and inputs (N, α) moved to rest under the estimated load.
 
         Newton's method on the accelerations of the nonlinear plant, with the derivatives of
-        the linear one.
+        the linear one, or where strings are stiff with their own.
         """
         r = reference.shape[1] // 2
         reference, held, still = reference.copy(), held.copy(), np.zeros_like(reference[:, :r])
-        for _ in range(NEWTON_STEPS):
+        for _ in range(_OWN_STEPS if self.implicit else NEWTON_STEPS):
             states = np.hstack([reference[:, :r], still])
             columns = (x.T if len(x) > 1 else x[0] for x in (states, held))
-            left = self._acceleration(*columns)[0].reshape(r, -1, order="F").T
-            shift, effort = observer.model.rest(left + observer.acceleration)
+            values, *slopes = self._acceleration(*columns)
+            left = values.reshape(r, -1, order="F").T + observer.acceleration
+            if self.implicit:
+                by_q, _, by_u = (
+                    slope.ravel(order="K").reshape(len(left), -1, r).swapaxes(1, 2)
+                    for slope in slopes
+                )
+                shift, effort = observer.model.rest_of(left, by_q, by_u)
+            else:
+                shift, effort = observer.model.rest(left)
             reference[:, :r] += shift
             held += effort
         return reference, held
 
-    def tangents(self, states: FloatArray, inputs: FloatArray) -> tuple[Tangents, Tangents | None]:
+    def tangents(
+        self, states: FloatArray, acting: FloatArray, stages: FloatArray
+    ) -> tuple[Tangents, Tangents | None]:
         """Return the motion and the limited rows, linearized; None where no row is limited.
 
         Parameters
         ----------
         states : ndarray, shape (N + 1, s)
-        inputs : ndarray, shape (N, α)
+        acting : ndarray, shape (N + 1, α)
+            u_{−1} … u_{N−1}.
+        stages : ndarray, shape (N, stages, r)
+            Those of :class:`Motion`.
         """
         here, later = np.ascontiguousarray(states[:-1]), np.ascontiguousarray(states[1:])
-        motion = self._tangents(self.motion, here, inputs)
-        rows = None if self._rows is None else self._tangents(self._rows, here, inputs, later)
+        motion = self.motion.tangents(here, acting, stages)
+        rows = None if self.limited is None else evaluated(self._rows, here, acting[1:], later)
         return motion, rows
 
-    def _tangents(self, evaluator: Evaluator, *arguments: FloatArray) -> Tangents:
-        N = self._length
-        # One sample is a vector to an evaluator, several are columns.
-        values, *slopes = evaluator(*(x.T if N > 1 else x[0] for x in arguments))
-        offset = values.reshape(-1, N, order="F").T.copy()
-        blocks = []
-        for slope, argument in zip(slopes, arguments, strict=True):
-            by_columns = slope.ravel(order="K").reshape(N, argument.shape[1], -1)
-            offset -= (argument[:, None, :] @ by_columns)[:, 0]
-            blocks.append(by_columns)
-        return Tangents(offset, tuple(blocks))
 
-
-def limited_rows(plant: LinearPlant, constraints: Constraints) -> ca.Function | None:
+def limited_rows(
+    plant: LinearPlant, constraints: Constraints, at_end: bool = False
+) -> ca.Function | None:
     """Return ``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of the rows that are limited.
 
     Force densities are those of strings that pull, and negative beyond, so that a slack string
     still says which way it gets taut. None where no row is limited.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    constraints : Constraints
+    at_end : bool
+        Whether strings are limited at the end of a sample, where winches that wind have brought
+        them to u, and not at its start.
     """
     if not constraints.blocks:
         return None
     s, a = plant.B.shape
     z, u, later = ca.SX.sym("z", s), ca.SX.sym("u", a), ca.SX.sym("later", s)
-    forces = string_forces(plant, plant.input, *reduced_motion(plant, z), spreading(plant, u))
+    at = reduced_motion(plant, later if at_end else z)
+    forces = string_forces(plant, plant.input, *at, spreading(plant, u))
     kinds = {"force_density": forces[0], "tension": forces[1]}
     shape = ca.vec(reduced_motion(plant, later)[0])
     y = ca.vertcat(*(

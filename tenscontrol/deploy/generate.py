@@ -126,8 +126,8 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
         If the controller is of another kind, which cannot be written as C code, or ``folder``
         is no path.
     ValueError
-        If an argument does not fit, the controller has a ``time_limit``, or the reference
-        lasts too long for a table.
+        If an argument does not fit, the controller has a ``time_limit``, an NMPC predicts stiff
+        strings or winches that wind, or the reference lasts too long for a table.
     FileExistsError
         If there is something in the folder.
 

@@ -9,10 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.control import NMPC
+from tenscontrol.control.motion import ExplicitMotion
 from tenscontrol.control.nmpc import CONVERGED
 from tenscontrol.control.problem import Horizon
 from tenscontrol.control.quadratic_program import START_RHO
-from tenscontrol.control.trajectory_model import NEWTON_STEPS, Tangents
+from tenscontrol.control.tangents import Tangents
+from tenscontrol.control.trajectory_model import NEWTON_STEPS
 from tenscontrol.control.trajectory_program import TrajectoryProgram
 from tenscontrol.deploy.over_time import over_time
 from tenscontrol.deploy.parts import Parts, refuse_time_limit
@@ -25,11 +27,18 @@ def nmpc_parts(controller: NMPC) -> Parts:
     Raises
     ------
     ValueError
-        If it has a time limit, or its reference lasts too long for a table.
+        If it predicts by implicit steps, has a time limit, or its reference lasts too long for a
+        table.
     """
     law = controller.law
     refuse_time_limit(law.time_limit)
     problem, model = law.problem, law.model
+    if not isinstance(model.motion, ExplicitMotion):
+        raise ValueError(
+            "controller is an NMPC that predicts stiff strings or winches that wind, by implicit "
+            "steps, which are not written as C code: give a shorter step and winches that jump, "
+            "or take MPC, whose prediction is linear"
+        )
     N, (s, a) = problem.length, problem.input_matrix.shape
     p = 0 if problem.rows is None else len(problem.rows.scale)
     # Of its own: the program of the controller may be in the middle of a run.
@@ -54,7 +63,7 @@ def nmpc_parts(controller: NMPC) -> Parts:
     source, factor = _places(program, fixed, (N, s, a, p))
     limit_of_row, limit_scale = _limits(program, problem)
     x, y = program.moved(np.arange(1.0, program.pattern.shape[1] + 1), np.arange(1.0, len(low) + 1))
-    functions = {"advance": model.sampled, "linearize": model.linearized}
+    functions = {"advance": model.motion.sampled, "linearize": model.motion.linearized}
     if model.limited is not None:
         functions["limited"] = model.limited
     matrices = {"by_previous": slopes, "feedback": -problem.feedback}
@@ -117,7 +126,7 @@ def _places(
     N, s, a, p = sizes
     starts = np.cumsum([0, N * s * s, N * s * a, N * p * s, N * p * a])
     source, factor = np.full(len(fixed), -1), fixed.copy()
-    motion, parts = program.slots
+    motion, parts = program.places.motion, program.places.rows
     for begin, slots in [
         *zip(starts[:2], motion, strict=True),
         *((begin, slots) for part in parts for begin, slots in zip(starts[2:], part, strict=True)),

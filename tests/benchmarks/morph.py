@@ -1,13 +1,15 @@
 """A prism lowered from 1.0 m to 0.7 m, twisted by 20 degrees, and brought back, by winches.
 
 Run: ``python -m tests.benchmarks.morph``, with ``--jumps`` for winches that jump at the start of a
-sample, ``--plants 1`` for fewer plants, ``--rate 0.4`` for faster winches, or with stiffnesses in
-N/m. Some minutes: the integrator follows strings of up to 25,000 rad/s.
+sample, ``--plants 1`` for fewer plants, ``--rate 0.4`` for faster winches, ``--nmpc`` for one
+nonlinear MPC in place of MPCs in turn (with its times: compiled, or not with ``--interpreted``),
+or with stiffnesses in N/m. Some minutes: the integrator follows strings of up to 25,000 rad/s.
 
 Twelve strings, rest lengths held, 0.02 s samples. MPC is designed on strings without mass, at
-eight shapes of the way. The plant has strings of 5 % of the mass of the bars, each in two segments,
-with a damping of c = 0.02 √k: about 2 % of critical for the bars on their strings, as rope and
-wire have. The error is the largest of the last 0.5 s of rest at the goal and at the start.
+eight shapes of the way, nonlinear MPC half way. The plant has strings of 5 % of the mass of the
+bars, each in two segments, with a damping of c = 0.02 √k: about 2 % of critical for the bars on
+their strings, as rope and wire have. The error is the largest of the last 0.5 s of rest at the goal
+and at the start.
 """
 
 from __future__ import annotations
@@ -47,9 +49,10 @@ class Morphed:
     at_rate: float
     in_range: bool
     statuses: dict
+    controller: tc.Controller
 
 
-def morph(stiffness, pieces, rate=RATE, plants=PLANTS):
+def morph(stiffness, pieces, rate=RATE, plants=PLANTS, nonlinear=False, machine_code=True):
     """Return what becomes of the prism on its way there and back."""
     damping = 0.02 * np.sqrt(stiffness)
     prism = tc.prism(diagonals=True)
@@ -68,20 +71,20 @@ def morph(stiffness, pieces, rate=RATE, plants=PLANTS):
     path = tc.shape_path(model, start, goal, winches=winches, step=SAMPLE, min_force_density=LEAST)
     there = path.reference()
     reference = there.then(there.reversed(), pause=REST)
-    controller = tc.Schedule(
-        [
-            tc.MPC(
-                plant,
-                HORIZON,
-                SAMPLE,
-                reference=reference,
-                winches=winches,
-                min_force_density=LEAST,
-                max_tension=LARGEST_TENSION,
-            )
+    limits = {
+        "reference": reference,
+        "winches": winches,
+        "min_force_density": LEAST,
+        "max_tension": LARGEST_TENSION,
+    }
+    if nonlinear:
+        (half,) = path.plants(1, "rest_length")
+        controller = tc.NMPC(half, HORIZON, SAMPLE, machine_code=machine_code, **limits)
+    else:
+        controller = tc.Schedule([
+            tc.MPC(plant, HORIZON, SAMPLE, **limits)
             for plant in path.plants(plants, "rest_length")
-        ]
-    )
+        ])  # fmt: skip
     mass = MASS_SHARE * prism.bar_mass.sum() / len(prism.strings)
     massive = tc.subdivide(start.prestress.structure, SEGMENTS, string_mass=mass)
     segments = tc.segment_counts(massive)
@@ -102,10 +105,10 @@ def morph(stiffness, pieces, rate=RATE, plants=PLANTS):
             output_step=SAMPLE,
             machine_code=True,
         )
-    return _read(run, (start, goal), path.time[-1], rate)
+    return _read(run, (start, goal), path.time[-1], rate, controller)
 
 
-def _read(run, shapes, there, rate):
+def _read(run, shapes, there, rate, controller):
     start, goal = shapes
     rests = (
         (goal, (run.time > there + 0.5 * REST) & (run.time <= there + REST)),
@@ -136,6 +139,7 @@ def _read(run, shapes, there, rate):
         at_rate=float((rates.max(axis=0) > 0.99 * rate).mean()),
         in_range=bool((applied >= RANGE[0]).all() and (applied <= RANGE[1]).all()),
         statuses=run.control.status_count,
+        controller=controller,
     )
 
 
@@ -168,13 +172,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--jumps", action="store_true")
     parser.add_argument("--plants", type=int, default=PLANTS)
     parser.add_argument("--rate", type=float, default=RATE)
+    parser.add_argument("--nmpc", action="store_true")
+    parser.add_argument("--interpreted", action="store_true")
     given = parser.parse_args(arguments)
     print("k, N/m  pieces  height, mm  twist, deg  node, mm  γ, N/m  tension, N  "
           "rate, m/s  samples at it  statuses")  # fmt: skip
     for stiffness in given.stiffness:
         pieces = 1 if given.jumps else PIECES[stiffness]
         try:
-            made = morph(stiffness, pieces, rate=given.rate, plants=given.plants)
+            made = morph(
+                stiffness, pieces, rate=given.rate, plants=given.plants, nonlinear=given.nmpc,
+                machine_code=not given.interpreted,
+            )  # fmt: skip
         except tc.SimulationError as error:
             print(f"{stiffness:6.0e}  {pieces:6d}  {error}", flush=True)
             continue
@@ -186,6 +195,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"{'' if made.in_range else '  out of range'}",
             flush=True,
         )
+        if given.nmpc:
+            work = made.controller.statistics
+            step = (work.preparation_time + work.feedback_time)[1:] / SAMPLE
+            print(
+                f"        step / sample time: median {np.median(step):.2f}, 99th percentile "
+                f"{np.percentile(step, 99):.2f}; OSQP iterations: median "
+                f"{np.median(work.iterations):.0f}, most {work.iterations.max()}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -9,10 +9,12 @@ from tenscontrol.control.controller import Controller
 class IpoptNMPC(Controller):
     """Multiple shooting with the prediction model, weights and bounds of an ``NMPC``.
 
-    Started from its last solution, moved on by a sample.
+    Started from its last solution, moved on by a sample. Where winches wind, the input before
+    matters to the motion, and is weighed at the end. Second derivatives are exact, or those of
+    BFGS: the former take long to write where steps are implicit.
     """
 
-    def __init__(self, nmpc, tolerance=1e-8):
+    def __init__(self, nmpc, tolerance=1e-8, hessian="exact"):
         super().__init__(nmpc.plant, nmpc.step, *nmpc.bounds)
         self._nmpc, N = nmpc, nmpc.horizon
         s, a = nmpc.plant.B.shape
@@ -22,22 +24,27 @@ class IpoptNMPC(Controller):
         self._level = nmpc.plant.equilibrium_input.max()
         Z, U = ca.MX.sym("Z", s, N), ca.MX.sym("U", a, N)
         start, r, held = ca.MX.sym("start", s), ca.MX.sym("r", s, N), ca.MX.sym("held", a, N)
+        standing = ca.MX.sym("standing", a)
         z, u = ca.mtimes(ca.diag(self._unit), Z), self._level * U
+        winds = nmpc.sampled.n_in() == 3
+        acting = [ca.horzcat(standing, u[:, :-1]), u] if winds else [u]
         before = ca.horzcat(start, z[:, :-1])
-        gaps = (z - nmpc.sampled.map(N)(before, u)) / self._unit
+        gaps = (z - nmpc.sampled.map(N)(before, *acting)) / self._unit
         off, effort = z - r, u - held
         cost = ca.sum2(ca.sum1(effort * ca.mtimes(R, effort)))
         cost += ca.sum2(ca.sum1(off[:, :-1] * ca.mtimes(Q, off[:, :-1])))
-        cost += ca.mtimes([off[:, -1].T, P, off[:, -1]])
+        last = ca.vertcat(off[:, -1], effort[:, -1]) if winds else off[:, -1]
+        cost += ca.mtimes([last.T, P, last])
         problem = {
             "x": ca.vertcat(ca.vec(Z), ca.vec(U)),
             "f": cost,
             "g": ca.vec(gaps),
-            "p": ca.vertcat(start, ca.vec(r), ca.vec(held)),
+            "p": ca.vertcat(start, standing, ca.vec(r), ca.vec(held)),
         }
         quiet = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes"}
         self._solver = ca.nlpsol("nmpc", "ipopt", problem, {
             **quiet, "ipopt.tol": tolerance, "ipopt.warm_start_init_point": "yes",
+            "ipopt.hessian_approximation": hessian, "ipopt.max_iter": 3000,
         })  # fmt: skip
         low, high = (np.tile(bound / self._level, N) for bound in self.bounds)
         free = np.full(s * N, np.inf)
@@ -53,7 +60,8 @@ class IpoptNMPC(Controller):
         if self._x is None:
             first = np.tile(state / self._unit, self._N)
             self._x = np.r_[first, (held / self._level).ravel()]
-        parameters = np.r_[state, reference.ravel(), held.ravel()]
+        standing = held[0] if self._standing is None else self._standing
+        parameters = np.r_[state, standing, reference.ravel(), held.ravel()]
         answer = self._solver(x0=self._x, p=parameters, **self._bounds)
         assert self._solver.stats()["success"], self._solver.stats()["return_status"]
         x = np.array(answer["x"]).ravel()

@@ -310,8 +310,8 @@ def test_nmpc_begins_anew_where_its_plan_has_no_value(monkeypatch):
     model = made.law.model
     tangents, failing = model.tangents, [False]
 
-    def spoilt(states, inputs):
-        motion, rows = tangents(states, inputs)
+    def spoilt(*plan):
+        motion, rows = tangents(*plan)
         return (replace(motion, offset=np.nan * motion.offset) if failing[0] else motion), rows
 
     monkeypatch.setattr(model, "tangents", spoilt)

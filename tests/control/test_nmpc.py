@@ -284,9 +284,9 @@ def test_steps_of_the_prediction_follow_the_fastest_vibration(stiffness, steps):
     assert np.linalg.norm(scale * z) < 2 * size
 
 
-def test_strings_too_stiff_to_predict_are_refused():
-    with pytest.raises(ValueError, match="steps of RK4"):
-        NMPC(at_rest("rest_length", 1e8), 4, SAMPLE)
+def test_vibrations_too_fast_for_explicit_steps_are_refused():
+    with pytest.raises(ValueError, match=r"rad/s: a sample of 0.02 s takes \d+ steps of RK4"):
+        sampled_dynamics(at_rest("rest_length", 1e8), SAMPLE)
 
 
 def test_reference_seen_ahead_is_followed_more_closely():

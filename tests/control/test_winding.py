@@ -155,11 +155,6 @@ def test_a_height_is_reached_by_winding_where_jumps_slacken_strings(stiffness):
         assert slackest[1] == 0.0
 
 
-def test_nonlinear_mpc_refuses_winches_that_wind():
-    with pytest.raises(ValueError, match=r"winches\.pieces is 5, expected 1"):
-        tc.NMPC(plant_of(), 3, SAMPLE, winches=tc.Winches(rate=0.1, pieces=5))
-
-
 @pytest.mark.parametrize("form", ["condensed", "sparse"])
 def test_both_forms_give_the_same_inputs(form):
     plant = plant_of()

@@ -40,6 +40,16 @@ def test_limit_of_time(kind, tmp_path):
         tc.generate_c(limited, tmp_path)
 
 
+@pytest.mark.parametrize(("stiffness", "pieces"), [(1e4, 1), (1e2, 5)])
+def test_nonlinear_mpc_with_implicit_steps(stiffness, pieces, tmp_path):
+    model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness))
+    plant = tc.linearize(model, tc.prestress(tc.prism(), 17.32), input="rest_length")
+    nmpc = tc.NMPC(plant, 2, scenes.SAMPLE, winches=tc.Winches(rate=0.1, pieces=pieces))
+    with pytest.raises(ValueError, match=r"NMPC that predicts stiff strings .* or take MPC"):
+        tc.generate_c(nmpc, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("folder", [None, 3, np.zeros(2)])
 def test_folder_that_is_no_path(folder):
     with pytest.raises(TypeError, match=r"folder is .*expected a path"):

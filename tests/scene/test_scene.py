@@ -423,17 +423,19 @@ def test_predictive_controllers_of_rest_lengths(load):
     assert np.abs(commands[0] - plant.rest_length).max() <= 0.3 * 0.02 + 1e-12
 
 
-@pytest.mark.parametrize("held", ["force_density", "rest_length"])
-def test_nmpc_of_a_scene(load, held):
+@pytest.mark.parametrize(("held", "pieces"), [
+    ("force_density", 1), ("rest_length", 1), ("rest_length", 4),
+])  # fmt: skip
+def test_nmpc_of_a_scene(load, held, pieces):
     limit = "max_force_density = 60.0\n" if held == "force_density" else ""
-    winches = "[winches]\nrate = 0.3\n"
+    winches = f"[winches]\nrate = 0.3\npieces = {pieces}\n"
     scene = load(
         PRISM
         + f"[controller]\nkind = 'nmpc'\ninput = '{held}'\nhorizon = 3\nstep = 0.02\n"
         + f"iterations = 2\n{limit}{winches}"
     )
     plant = scene.controller.plant
-    given = {"winches": tc.Winches(rate=0.3)} if held == "rest_length" else {}
+    given = {"winches": tc.Winches(rate=0.3, pieces=pieces)} if held == "rest_length" else {}
     largest = 60.0 if held == "force_density" else None
     same = tc.NMPC(plant, 3, 0.02, largest, iterations=2, **given)
     pushed = plant.to_nodes(0.01 * np.arange(9))

@@ -1,0 +1,183 @@
+"""One implicit step a sample: its order, its stiff limit, and its derivatives."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import tenscontrol as tc
+from tenscontrol import demo
+from tenscontrol.control.implicit_motion import ImplicitMotion
+from tenscontrol.control.path import Path, acceleration_response, checked_reference
+from tenscontrol.control.reduced_dynamics import reduced_acceleration, sampled_dynamics
+from tenscontrol.dynamics import Evaluator
+
+SAMPLE = 0.02
+
+
+def plant_of(stiffness, damping=0.02):
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(stiffness, damping=damping * stiffness**0.5))
+    rest = tc.prestress(prism, force_density=demo.TOP_FORCE_DENSITY)
+    return tc.linearize(model, rest, input="rest_length")
+
+
+def moved(plant, stiffness):
+    """A state and two inputs, off by a share of what stretches the strings."""
+    rng = np.random.default_rng(0)
+    z = np.r_[0.3 / stiffness * rng.normal(size=9), 0.01 * rng.normal(size=9)]
+    return z, plant.rest_length + rng.normal(size=(2, 9)) / stiffness
+
+
+def test_the_order_is_five():
+    """Over a time of 0.12 s, against SciPy's method of order 8 on the same accelerations."""
+    plant = plant_of(100.0)
+    slope = Evaluator(reduced_acceleration(plant))
+    rng = np.random.default_rng(0)
+    z, held = np.r_[0.01 * rng.normal(size=9), 0.1 * rng.normal(size=9)], plant.rest_length
+    exact = solve_ivp(
+        lambda _, x: np.r_[x[9:], slope(x, held)[0]], (0.0, 0.12), z, "DOP853", rtol=1e-13,
+        atol=1e-15,
+    ).y[:, -1]  # fmt: skip
+    errors, counts = [], np.array([4, 6, 8, 12])
+    for count in counts:
+        motion, end = ImplicitMotion(plant, 0.12 / count, 1, 1, False), z
+        for _ in range(count):
+            end, _ = motion.advance(end, held, held)
+        errors.append(np.abs(end - exact).max())
+    orders = -np.diff(np.log(errors)) / np.diff(np.log(counts))
+    np.testing.assert_allclose(orders, 5.0, atol=0.3)
+
+
+def test_a_step_is_the_motion_of_the_model():
+    """All 36 states of the prism, no string slack; vibrations of 0.7 rad a sample."""
+    plant = plant_of(100.0)
+    z = np.r_[0.01 * np.random.default_rng(0).normal(size=9), np.zeros(9)]
+    run = tc.simulate(
+        plant.model, SAMPLE, plant.to_nodes(z[:9]), step=1e-4, rest_length=plant.rest_length
+    )
+    found = plant.measure(run.nodes[:, :, -1], run.velocities[:, :, -1])
+    end, _ = ImplicitMotion(plant, SAMPLE, 1, 1, False).advance(z, *[plant.rest_length] * 2)
+    assert np.abs(end - found).max() < 1e-4 * np.abs(found).max()
+
+
+@pytest.mark.parametrize("stiffness", [1e4, 1e6])
+def test_stiff_strings_follow_their_winches_as_at_rest(stiffness):
+    """Wound along equilibria, the prism goes through them, a thousandth of the way off."""
+    prism, plant = tc.prism(), plant_of(stiffness)
+    reference = checked_reference(plant, demo.ramp(prism, 1.0, 0.97, 3.0))
+    push = acceleration_response(plant, SAMPLE)
+    path = Path(plant, reference, SAMPLE, push, plant.discretize(SAMPLE)[2])
+    wound = path.at(SAMPLE * np.arange(151.0))
+    motion, z = ImplicitMotion(plant, SAMPLE, 1, 500, False), np.zeros(18)
+    way = np.abs(wound.rest[-1]).max()
+    assert way > 0.01
+    for k in range(150):
+        z, _ = motion.advance(z, wound.input[k], wound.input[k + 1])
+        assert np.abs(z[:9] - wound.rest[k + 1, :9]).max() < 1e-3 * way
+
+
+def test_winding_is_that_of_the_parts():
+    """Strings of 1e6 N/m, against RK4 in each of 20 parts, where vibrations last."""
+    plant, pieces = plant_of(1e6), 20
+    fine = Evaluator(sampled_dynamics(plant, SAMPLE / pieces)[0])
+    motion = ImplicitMotion(plant, SAMPLE, 1, pieces, False)
+    way = 1e-5 * np.random.default_rng(2).normal(size=9)
+    z = exact = np.zeros(18)
+    held, off = plant.rest_length, []
+    for k in range(25):
+        before, held = held, held + way * (k < 10)
+        z, _ = motion.advance(z, before, held)
+        for piece in range(1, pieces + 1):
+            exact = fine(exact, before + piece / pieces * (held - before))[0].copy()
+        off.append(np.abs(z - exact)[:9].max() / np.abs(exact[:9]).max())
+    assert max(off[1:10]) < 0.02  # while winches wind
+    assert max(off[20:]) < 1e-4  # vibrations have died out
+
+
+@pytest.mark.parametrize("pieces", [1, 8])
+@pytest.mark.parametrize("stiffness", [1e2, 1e6])
+def test_slopes_are_those_of_the_solved_step(stiffness, pieces):
+    """By differences of fourth order of single steps, which CasADi's Newton method solves alike."""
+    plant = plant_of(stiffness)
+    motion = ImplicitMotion(plant, SAMPLE, 1, pieces, False)
+    z, acting = moved(plant, stiffness)
+    end, stages = motion.advance(z, *acting)
+    given = (z, *acting) if pieces > 1 else (z, acting[1])
+    np.testing.assert_allclose(motion.sampled(*given).full().ravel(), end, atol=1e-12)
+    tangents = motion.tangents(z[None], acting, stages[None])
+    slopes = [slope[0] for slope in (*tangents.slopes, motion.pushed(np.eye(9)))]
+    known = [z, acting[1], acting[0]][: len(slopes) - 1]
+    value = tangents.offset[0] + sum(x @ slope for x, slope in zip(known, slopes, strict=False))
+    np.testing.assert_allclose(value, end, rtol=1e-10, atol=1e-12)
+
+    def ends(moves):
+        shift = [np.zeros(18), *np.zeros((3, 9))]
+        for place, move in moves.items():
+            shift[place] = move
+        load = shift[3 if pieces > 1 else 2]
+        before = acting[0] + (shift[2] if pieces > 1 else 0.0)
+        return motion.expected(z + shift[0], before, acting[1] + shift[1], load)[0]
+
+    rng = np.random.default_rng(1)
+    sizes = [np.r_[np.full(9, 0.03 / stiffness), np.full(9, 1e-3)], 0.03 / stiffness]
+    sizes += [0.03 / stiffness, 1.0] if pieces > 1 else [1.0]
+    for place, (slope, size) in enumerate(zip(slopes, sizes, strict=True)):
+        step = size * rng.normal(size=len(slope))
+        far, near = ((ends({place: m * step}) - ends({place: -m * step})) / m for m in (2, 1))
+        expected = 2 * step @ slope
+        assert np.abs((4 * near - far) / 3 - expected).max() < 1e-6 * np.abs(expected).max()
+    np.testing.assert_allclose(
+        motion.expected(z, *acting, np.zeros(9))[1], slopes[-1].T, rtol=1e-9, atol=1e-15
+    )
+
+
+@pytest.mark.parametrize("pieces", [1, 8])
+def test_stages_of_a_plan_converge_to_the_solved_step(pieces):
+    """Newton's method: one step after the other, each a linearization."""
+    plant = plant_of(1e6)
+    motion = ImplicitMotion(plant, SAMPLE, 2, pieces, False)
+    z, acting = moved(plant, 1e6)
+    acting = np.vstack([acting, acting[:1]])
+    states, stages = np.array([z, 0.5 * z]), np.zeros((2, 3, 9))
+    off = []
+    for _ in range(6):
+        tangents = motion.tangents(states, acting, stages)
+        known = [states, acting[1:], acting[:-1]][: len(tangents.slopes)]
+        ends = tangents.offset + sum(
+            np.einsum("kj,kji->ki", x, slope)
+            for x, slope in zip(known, tangents.slopes, strict=True)
+        )
+        stages = motion.corrected(stages, 0 * states, 0 * acting)
+        exact = [motion.advance(states[k], acting[k], acting[k + 1]) for k in range(2)]
+        off.append(max(np.abs(ends[k] - exact[k][0]).max() for k in range(2)))
+    assert off[0] > 1e-6
+    assert off[-1] < 1e-12
+    for k in range(2):
+        np.testing.assert_allclose(stages[k], exact[k][1], rtol=1e-8, atol=1e-6)
+
+
+def test_correction_is_the_first_order_of_what_moved():
+    plant = plant_of(1e4)
+    motion = ImplicitMotion(plant, SAMPLE, 1, 8, False)
+    z, acting = moved(plant, 1e4)
+    _, stages = motion.advance(z, *acting)
+    rng, off = np.random.default_rng(3), []
+    dz, du, load = 1e-6 * rng.normal(size=18), 1e-6 * rng.normal(size=(2, 9)), rng.normal(size=9)
+    for size in (1.0, 0.5):
+        motion.tangents(z[None], acting, stages[None])
+        found = motion.corrected(stages[None], size * dz[None], size * du, size * 1e-2 * load)
+        _, exact, _ = motion._single(z + size * dz, *(acting + size * du), size * 1e-2 * load)
+        off.append(np.abs(found[0] - exact).max() / np.abs(exact - stages).max())
+    assert off[0] < 1e-2
+    assert off[1] == pytest.approx(0.5 * off[0], rel=0.1)
+
+
+def test_a_step_that_is_not_solved_is_no_number():
+    """Bars beyond the coordinates have no motion."""
+    plant = plant_of(1e4)
+    motion = ImplicitMotion(plant, SAMPLE, 1, 8, False)
+    end, stages = motion.advance(np.full(18, 3.0), plant.rest_length, plant.rest_length)
+    assert np.isnan(end).any()
+    assert np.isnan(stages).any()
+    by_casadi = motion.sampled(np.full(18, 3.0), plant.rest_length, plant.rest_length)
+    assert np.isnan(by_casadi.full()).all()

@@ -1,0 +1,201 @@
+"""NMPC of stiff strings and of winches that wind: its programs, and closed loops."""
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol import demo
+from tenscontrol.control import trajectory_model
+from tests.control.nmpc_oracle import IpoptNMPC, closed_loop_cost
+from tests.control.test_constraints import height_row
+from tests.control.test_mpc import kkt_residual
+
+SAMPLE = 0.02
+STILL = np.zeros((3, 6))
+EXACT = {"tolerance": 1e-6, "max_iterations": 50_000, "iterations": 6}
+
+
+def plant_of(stiffness, height=1.0):
+    prism = demo.prism_of_height(tc.prism(), height)
+    law = tc.LinearStrings(stiffness, damping=0.02 * stiffness**0.5)
+    rest = tc.prestress(prism, force_density=demo.TOP_FORCE_DENSITY)
+    return tc.linearize(tc.Model(prism, strings=law), rest, input="rest_length")
+
+
+def nodes_of(plant, state):
+    return plant.to_nodes(state[:9]), plant.to_velocities(state[:9], state[9:])
+
+
+def implicit(nmpc):
+    return nmpc.law.model.implicit
+
+
+@pytest.mark.parametrize(("stiffness", "pieces", "expected"), [
+    (1e2, 1, False), (1e2, 20, True), (1e3, 1, True), (1e6, 1, True), (1e8, 20, True),
+])  # fmt: skip
+def test_steps_are_implicit_where_strings_are_stiff_or_winches_wind(stiffness, pieces, expected):
+    winches = tc.Winches(rate=0.1, pieces=pieces)
+    nmpc = tc.NMPC(plant_of(stiffness), 2, SAMPLE, winches=winches)
+    assert implicit(nmpc) == expected
+    assert nmpc.sampled.n_in() == (3 if pieces > 1 else 2)
+
+
+def test_converged_plan_is_the_optimum_that_ipopt_finds():
+    """Winches wind, stand elsewhere than planned, and the tail of the cost knows them."""
+    stiffness = 1e5
+    plant = plant_of(stiffness)
+    winches = tc.Winches(shortest=0.5, longest=1.2, pieces=10)
+    nmpc = tc.NMPC(plant, 2, SAMPLE, winches=winches, **EXACT)
+    # Limits of γ are soft, and IPOPT's problem has none: none may matter.
+    rng, size = np.random.default_rng(0), 1 / stiffness
+    oracle = IpoptNMPC(nmpc, tolerance=1e-6, hessian="limited-memory")
+    nodes = nodes_of(plant, np.r_[size * rng.normal(size=9), 0.02 * rng.normal(size=9)])
+    stands = plant.rest_length + size * rng.normal(size=9)
+    for each in (nmpc, oracle):
+        each.applied(stands)
+        assert each.command(0.0, *nodes).status == "ok"
+    moved = np.abs(nmpc.plan.T - plant.rest_length).max()
+    assert np.abs(nmpc.plan.T - oracle.inputs).max() < 0.01 * moved
+
+
+def test_program_satisfies_the_optimality_conditions():
+    """With all kinds of rows; measured from the plan, about which it was linearized."""
+    plant = plant_of(1e5)
+    limit = tc.OutputLimit(height_row(), low=0.9999, high=1.0001, penalty=1e4)
+    nmpc = tc.NMPC(
+        plant, 4, SAMPLE, winches=tc.Winches(rate=2e-4, pieces=50), min_force_density=10.0,
+        max_tension=33.0, outputs=[limit], tolerance=1e-6, max_iterations=50_000,
+    )  # fmt: skip
+    kept, solve = {}, nmpc._program.quadratic.solve
+
+    def watched(q, l, u, start=None, deadline=np.inf):  # noqa: E741
+        kept["data"], kept["answer"] = (q, l, u), solve(q, l, u, start, deadline)
+        return kept["answer"]
+
+    nmpc._program.quadratic.solve = watched
+    stands = plant.rest_length - 2e-5
+    nmpc.applied(stands)
+    assert nmpc.command(0.0, plant.nodes, STILL).status == "ok"
+    answer, (q, l, u) = kept["answer"], kept["data"]  # noqa: E741
+    bounds = np.clip(l, -1e9, 1e9), np.clip(u, -1e9, 1e9)
+    found = kkt_residual(
+        nmpc._program.hessian, q, nmpc._program.pattern, *bounds, answer.x, answer.y
+    )
+    assert found < 1e-5 * max(1.0, np.abs(answer.y).max())
+    moves = np.abs(np.diff(np.vstack([stands, nmpc.plan.T]), axis=0))
+    assert moves.max() == pytest.approx(2e-4 * SAMPLE, rel=1e-3)
+
+
+def test_limits_hold_at_the_ends_of_samples():
+    """γ of the plan by the law of the strings, on shapes that single steps lead to."""
+    plant = plant_of(1e4)
+    least = []
+    for low in (0.0, 16.0):
+        nmpc = tc.NMPC(
+            plant, 5, SAMPLE, winches=tc.Winches(rate=0.1, pieces=20), min_force_density=low,
+            **EXACT,
+        )  # fmt: skip
+        state = np.r_[np.zeros(9), 0.1 * np.random.default_rng(1).normal(size=9)]
+        nmpc.applied(plant.rest_length)
+        assert nmpc.command(0.0, *nodes_of(plant, state)).status == "ok"
+        before, found = plant.rest_length, []
+        for held in nmpc.plan.T:
+            state = nmpc.sampled(state, before, held).full().ravel()
+            before = held
+            shape = nodes_of(plant, state)[0]
+            length = plant.model.structure.string_length(shape)
+            found.append(1e4 * (1 - held / length))
+        least.append(np.min(found))
+    assert least[0] < 14.0
+    assert least[1] > 16.0 - 0.1
+
+
+def test_costs_are_those_of_explicit_steps_where_strings_are_soft(monkeypatch):
+    """In a closed loop on the explicit prediction."""
+    plant = plant_of(1e2)
+    state = np.r_[0.01 * np.random.default_rng(0).normal(size=9), np.zeros(9)]
+    explicit = tc.NMPC(plant, 10, SAMPLE)
+    monkeypatch.setattr(trajectory_model, "_MOST_EXPLICIT", 0)
+    other = tc.NMPC(plant, 10, SAMPLE)
+    assert (implicit(explicit), implicit(other)) == (False, True)
+    costs = [
+        closed_loop_cost(explicit, each, explicit.sampled, state, 40)[0]
+        for each in (explicit, other)
+    ]
+    assert costs[1] == pytest.approx(costs[0], rel=1e-3)
+
+
+def smooth_way(first, last, duration):
+    """Prisms of heights that start and end at rest, with the polynomial of least jerk."""
+    s = np.linspace(0.0, 1.0, 51)
+    heights = first + (last - first) * s**3 * (10 - 15 * s + 6 * s**2)
+    shapes = [demo.prism_of_height(tc.prism(), height).nodes for height in heights]
+    return tc.Reference(duration * s, np.stack(shapes, axis=-1))
+
+
+@pytest.mark.parametrize(("stiffness", "pieces", "gain"), [
+    (1e4, 20, 0.5), (1e6, 100, None),
+])  # fmt: skip
+def test_stiff_prism_is_moved_by_winches_that_wind(stiffness, pieces, gain):
+    """From 1.0 m to 0.9 m, on the nonlinear model in fine steps; with a gain, an unknown load."""
+    prism, middle = tc.prism(), plant_of(stiffness, 0.95)
+    pull = np.zeros((3, 6))
+    pull[2, :3], pull[2, 3:] = (0.0, 0.0) if gain is None else (0.2, -0.2)
+    model = tc.Model(prism, strings=middle.model.strings, external_force=pull)
+    winches = tc.Winches(rate=0.3, pieces=pieces)
+    estimate = {} if gain is None else {"load_gain": gain, "tracked": height_row()}
+    nmpc = tc.NMPC(
+        middle, 6, SAMPLE, reference=smooth_way(1.0, 0.9, 0.8), winches=winches,
+        min_force_density=5.0, max_tension=45.0, **estimate,
+    )  # fmt: skip
+    run = tc.simulate(
+        model, 1.6, prism.nodes, controller=nmpc, winches=winches, machine_code=True,
+        rest_length=nmpc.targets(-SAMPLE)[1][0],  # what holds the start
+        step=0.4 / (12 * stiffness) ** 0.5, output_step=SAMPLE,
+    )  # fmt: skip
+    assert run.control.status_count == {"ok": 80}
+    assert np.abs(demo.height_of(run.nodes[:, :, run.time > 1.4]) - 0.9).max() < 1e-4
+    start, end = (run.nodes[:, prism.strings[:, i]] for i in range(2))
+    assert (run.force_density * np.linalg.norm(end - start, axis=0)).max() < 1.05 * 45.0
+    if stiffness < 1e5:
+        assert run.force_density.min() > 5.0
+
+
+def softest(plant):
+    """The direction in which strings resist least, by its largest entry."""
+    stiffness = -plant.A[9:, :9]
+    direction = np.linalg.eigh(0.5 * (stiffness + stiffness.T))[1][:, 0]
+    return direction / np.abs(direction).max()
+
+
+def test_a_stiff_prism_recovers_where_no_string_resists():
+    """A thousand times as far off as strings of 1e6 N/m are stretched; on the prediction itself."""
+    plant = plant_of(1e6)
+    z = np.r_[0.015 * softest(plant), np.zeros(9)]
+    nmpc = tc.NMPC(
+        plant, 6, SAMPLE, winches=tc.Winches(rate=0.3, pieces=100), min_force_density=2.0
+    )
+    # Wound so that the strings are as tense as at rest.
+    stands = plant.model.structure.string_length(nodes_of(plant, z)[0]) * (1 - 17e-6)
+    for k in range(40):
+        nmpc.applied(stands)
+        command = nmpc.command(k * SAMPLE, *nodes_of(plant, z))
+        assert command.status == "ok"
+        z, _ = nmpc.law.model.motion.advance(z, stands, command.value)
+        stands = command.value
+    assert np.abs(z[:9]).max() < 0.05 * 0.015
+
+
+def test_a_plan_begins_along_the_reference_where_the_law_leads_astray(monkeypatch):
+    """Where single steps have no value; six programs lead both beginnings near to one plan."""
+    plant, plans, winches = plant_of(1e6), [], tc.Winches(rate=0.3, pieces=100)
+    z = np.r_[0.002 * softest(plant), np.zeros(9)]
+    for astray in (False, True):
+        nmpc = tc.NMPC(plant, 4, SAMPLE, winches=winches, **EXACT)
+        nmpc.applied(plant.rest_length)
+        if astray:
+            none = np.full(18, np.nan), np.full((3, 9), np.nan)
+            monkeypatch.setattr(nmpc.law.model.motion, "advance", lambda *_, none=none: none)
+        assert nmpc.command(0.0, *nodes_of(plant, z)).status == "ok"
+        plans.append(nmpc.plan.T - plant.rest_length)
+    assert np.abs(plans[1] - plans[0]).max() < 0.2 * np.abs(plans[0]).max()
