@@ -19,6 +19,13 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     return copy
 
 
+def freeze_arrays(record: object) -> None:
+    """Make the arrays of a frozen dataclass read-only, when it is made."""
+    for name, value in vars(record).items():
+        if isinstance(value, np.ndarray):
+            object.__setattr__(record, name, frozen(value))
+
+
 _KIND = {"b": "bool", "c": "complex", "U": "text (str)", "S": "bytes", "M": "datetime"}
 
 

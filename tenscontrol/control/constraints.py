@@ -11,7 +11,7 @@ from tenscontrol.analysis import LinearPlant
 from tenscontrol.control.path import Stretch
 from tenscontrol.control.problem import Rows
 from tenscontrol.control.strings import StringMap
-from tenscontrol.validation import FloatArray, float_array, frozen
+from tenscontrol.validation import FloatArray, float_array, freeze_arrays, frozen
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -117,6 +117,9 @@ class RowBlock:
     offset: FloatArray
     on_nodes: FloatArray
 
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
     def wound(self, inputs: int) -> RowBlock:
         """Return the rows for inputs that move through samples, and so are reached at their ends.
 
@@ -160,8 +163,8 @@ class Constraints:
         """Least and largest values of all rows, shape (p,) each."""
         none = [np.zeros(0)]
         return (
-            np.concatenate(none + [block.low for block in self.blocks]),
-            np.concatenate(none + [block.high for block in self.blocks]),
+            frozen(np.concatenate(none + [block.low for block in self.blocks])),
+            frozen(np.concatenate(none + [block.high for block in self.blocks])),
         )
 
     def bounds(self, stretch: Stretch, length: int) -> tuple[FloatArray, FloatArray]:

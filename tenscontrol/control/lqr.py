@@ -203,7 +203,7 @@ def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:
     r = plant.degrees_of_freedom
     highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
     push = float(np.linalg.norm(plant.B, 2)) or 1.0
-    return np.r_[np.full(r, 1 / highest), np.ones(r)], highest / push
+    return frozen(np.r_[np.full(r, 1 / highest), np.ones(r)]), highest / push
 
 
 def _riccati_residual(

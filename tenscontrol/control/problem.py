@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.validation import FloatArray, IntArray, freeze_arrays
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -50,6 +50,9 @@ class Rows:
     scale: FloatArray
     penalty: FloatArray
     bounded: tuple[bool, bool]
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
     @property
     def soft(self) -> IntArray:
@@ -142,6 +145,9 @@ class Horizon:
     level: float
     feedback: FloatArray
     rows: Rows | None = None
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
     @property
     def cost_scale(self) -> float:

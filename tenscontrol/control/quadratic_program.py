@@ -102,16 +102,22 @@ class QuadraticProgram:
         polish: bool = False,
         equations: bool = False,
     ) -> None:
+        rows, columns = A.shape
+        self.tolerance, self.max_iterations = tolerance, max_iterations
+        # The caller may put other values into his A.
+        self._made_of = P, A.copy(), tolerance, max_iterations, polish, equations
+        self._shapes = {"q": columns, "l": rows, "u": rows}
+        self._nonzeros = A.nnz
+        self._set_up()
+
+    def _set_up(self) -> None:
         import osqp
         from scipy.sparse import csc_matrix, triu
 
         began = perf_counter()
+        P, A, tolerance, max_iterations, polish, equations = self._made_of
         rows, columns = A.shape
-        self.tolerance, self.max_iterations = tolerance, max_iterations
-        self._made_of = P, A, tolerance, max_iterations, polish, equations
-        self._shapes = {"q": columns, "l": rows, "u": rows}
         self._status = {status.value: _STATUS[status.name] for status in osqp.SolverStatus}
-        self._nonzeros = csc_matrix(A).nnz
         self._solver = osqp.OSQP()
         self._solver.setup(
             P=csc_matrix(triu(P)),
@@ -132,6 +138,8 @@ class QuadraticProgram:
             check_termination=5,
             **({"alpha": 1.1, "scaling": 0} if equations else {}),
         )
+        # OSQP scales a new A by what its vectors are then, and rounds P each time.
+        self._scales, self._rescaled = not equations, False
         # OSQP counts as run time of the first solve the setup, of later ones the updates.
         self._fresh = True
         self._counted = perf_counter() - began
@@ -156,11 +164,15 @@ class QuadraticProgram:
             raise ValueError(f"A needs {self._nonzeros} finite values, got shape {A.shape}")
         began = perf_counter()
         self._solver.update(Ax=A)
+        self._rescaled = self._scales
         if not self._fresh:
             self._counted += perf_counter() - began
 
     def reset(self) -> None:
-        """Forget the last solution and the step that was adapted to it."""
+        """Forget the last solution, and the step and scaling that were adapted."""
+        if self._rescaled:
+            self._set_up()
+            return
         self._cold_start()
         self._solver.update_settings(rho=START_RHO)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscontrol.analysis import LinearPlant
 from tenscontrol.control.path import Stretch
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, freeze_arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +34,9 @@ class Sampled:
     by_input: FloatArray
     drift: FloatArray
     winds: bool
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
     @property
     def augmented(self) -> tuple[FloatArray, FloatArray]:

@@ -23,6 +23,7 @@ class Evaluator:
     """
 
     def __init__(self, function: ca.Function) -> None:
+        self._function = function
         self._buffer, self._run = function.buffer()
         self._inputs: list[FloatArray] = []
         self._outputs: list[FloatArray] = []
@@ -33,6 +34,10 @@ class Evaluator:
         for i in range(function.n_out()):
             self._outputs.append(_dense(function.sparsity_out(i)))
             self._buffer.set_res(i, _memory(self._outputs[i]))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the function; the memory is made anew."""
+        return Evaluator, (self._function,)
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Evaluate and return one array per output: a vector, or a matrix in Fortran order."""

@@ -21,9 +21,18 @@ def schedule():
     return tc.Schedule([scenes.with_load(), scenes.with_load()])
 
 
+def nonlinear_winding():
+    """By implicit steps, whose programs OSQP scales."""
+    strings = tc.LinearStrings(1e4, damping=2.0)
+    rest = tc.prestress(tc.prism(), 17.3205)
+    plant = tc.linearize(tc.Model(tc.prism(), strings=strings), rest, input="rest_length")
+    return tc.NMPC(plant, 3, scenes.SAMPLE, winches=tc.Winches(rate=0.1, pieces=10))
+
+
 KINDS = [
     regulator, shape_control, schedule, scenes.of_force_density, scenes.of_rest_length,
     scenes.with_load, scenes.winding, scenes.nonlinear, scenes.nonlinear_of_rest_length,
+    scenes.nonlinear_with_load, nonlinear_winding,
 ]  # fmt: skip
 
 

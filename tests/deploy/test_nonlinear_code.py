@@ -54,6 +54,25 @@ def test_motions_that_no_load_explains(loaded):
     assert loaded.error < 1e-8
 
 
+def test_no_load_is_told_from_a_motion_without_a_value(loaded):
+    """Strings that pull this hard turn bars beyond what the coordinates can say."""
+    plant, still = loaded.plant, np.zeros((3, 6))
+    loaded.reset()
+    pulled, nodes = np.linspace(1e4, 1e6, 9), plant.to_nodes(np.full(9, 0.01))
+    assert np.isnan(
+        loaded.one.law.model.motion.advance(plant.measure(nodes, still), pulled, pulled)[0]
+    ).any()
+    for k in range(6):
+        loaded.command(k * scenes.SAMPLE, nodes, still)
+        if k == 2:
+            before = loaded.one.load
+            loaded.applied(pulled)
+        if k == 3:
+            np.testing.assert_array_equal(loaded.one.load, before)
+    assert loaded.statuses == (["ok"] * 6,) * 2
+    assert loaded.error < 1e-8
+
+
 @pytest.fixture(scope="module")
 def limited(tmp_path_factory):
     """Winches, limited rows, and code that does the same."""

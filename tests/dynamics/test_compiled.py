@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import select
 import shutil
 import stat
 import subprocess
@@ -218,13 +219,19 @@ def script(path, text):
 
 @pytest.fixture
 def counting(tmp_path, monkeypatch):
-    """The compiler, with a record of what it was asked to make. Returns a counter."""
+    """The compiler, with a record of what it was asked to make. Returns a counter.
+
+    It begins when it was asked as often as ``TOGETHER`` says, so that all are at it together.
+    """
     real = compiler().command[0]
     record = tmp_path / "record"
     record.touch()
     path = script(
         tmp_path / "counting",
-        f'[ "$1" = --version ] || echo make >> "{record}"; sleep ${{SLOW:-0}}; exec "{real}" "$@"',
+        f"""[ "$1" = --version ] && exec "{real}" "$@"
+echo make >> "{record}"
+while [ "$(wc -l < "{record}")" -lt "${{TOGETHER:-1}}" ]; do sleep 0.02; done
+exec "{real}" "$@\"""",
     )
     monkeypatch.setenv("TENSCONTROL_COMPILER", str(path))
     return lambda: len(record.read_text().splitlines())
@@ -297,17 +304,22 @@ def test_a_long_complaint_is_cut_short(monkeypatch, tmp_path):
 
 @needs_shell
 def test_a_compiler_is_stopped_with_all_it_started(monkeypatch, tmp_path, cache):
-    late = tmp_path / "late"
-    path = script(
-        tmp_path / "slow", f'[ "$1" = --version ] && exit 0; (sleep 1; touch "{late}") & wait'
-    )
+    # A process that it starts holds the end of a pipe, which is closed when that process ends.
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    path = script(tmp_path / "slow", f'[ "$1" = --version ] && exit 0; sleep 60 > "{pipe}" & wait')
     monkeypatch.setenv("TENSCONTROL_COMPILER", str(path))
+    held = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
     began = time.monotonic()
     with pytest.raises(CompilerError, match=r"stopped after 0\.3 s"):
         compiled(square(), timeout=0.3)
-    assert time.monotonic() - began < 0.9
-    time.sleep(1.2)
-    assert not late.exists()
+    # On a busy machine it may have been stopped before it opened the pipe.
+    os.close(os.open(pipe, os.O_WRONLY))
+    ended, _, _ = select.select([held], [], [], 20.0)
+    assert ended
+    assert os.read(held, 1) == b""
+    os.close(held)
+    assert time.monotonic() - began < 40.0
     assert list(cache.iterdir()) == []
 
 
@@ -415,7 +427,7 @@ def end(process):
 @needs_compiler
 @needs_shell
 def test_processes_may_compile_the_same_at_once(counting, cache, tmp_path, monkeypatch):
-    monkeypatch.setenv("SLOW", "0.5")  # s: long enough that all of them are at it together
+    monkeypatch.setenv("TOGETHER", "3")
     processes = [start(tmp_path) for _ in range(3)]
     for process in processes:
         process.stdout.readline()

@@ -114,9 +114,10 @@ def test_a_motion_that_runs_away_or_is_inaccurate_is_a_failure(prism, strings, r
     assert {failure.error for failure in found.failures} == {"SimulationError"}
 
 
-def test_a_pickled_mpc_commands_what_a_new_one_does(prism, strings, plant):
+@pytest.mark.parametrize("kind", [tc.MPC, tc.NMPC])
+def test_a_pickled_mpc_commands_what_a_new_one_does(prism, strings, plant, kind):
     made = [
-        tc.MPC(plant, horizon=6, step=0.04, max_force_density=65.0, load_gain=0.3) for _ in range(2)
+        kind(plant, horizon=6, step=0.04, max_force_density=65.0, load_gain=0.3) for _ in range(2)
     ]
     case = tc.ClosedLoopCase(prism, strings, made[0], DURATION, STEP, 0.02)
     case({"start": np.full(9, 0.01)}, RNG)  # leaves something in OSQP
