@@ -1036,8 +1036,82 @@ def sweep(case=None, parameters=None, count=2, seed=0, **options):
     return tc.sweep(case, {} if parameters is None else parameters, count, seed=seed, **options)
 
 
+def lowered():
+    """Nodes of a prism of 0.85 m with the same bars."""
+    radius = tc.prism_radius(prism().bar_length[0], 0.85)
+    return tc.prism(radius=radius, height=0.85).nodes
+
+
+def over_stiffness(at=None, stiffness=(1e2, 1e3), **changes):
+    """A report over the stiffness, with some arguments replaced; refused before any run."""
+    at = rest() if at is None else at
+    return tc.stiffness_report(at, stiffness, **({"step": 0.02, "duration": 0.1} | changes))
+
+
 # fmt: off
 ROBUSTNESS = [
+    refused("stiffness of a structure", lambda: over_stiffness(prism()), TypeError,
+            r"at is a Structure, expected Prestress: make one by prestress"),
+    refused("stiffness of segments",
+            lambda: over_stiffness(tc.prestress(tc.subdivide(prism(), 2, 0.01), 17.3205)),
+            ValueError, r"at is of a subdivided structure.*before subdivide"),
+    refused("stiffness none", lambda: over_stiffness(stiffness=[]), ValueError,
+            r"stiffness has shape \(0,\), expected \(K,\) with K at least 1"),
+    refused("stiffness number", lambda: over_stiffness(stiffness=1e3), ValueError,
+            r"stiffness has shape \(\)"),
+    refused("stiffness nan", lambda: over_stiffness(stiffness=[1e2, NAN]), ValueError,
+            r"stiffness\[1\] is nan"),
+    refused("stiffness zero", lambda: over_stiffness(stiffness=[0.0, 1e2]), ValueError,
+            r"stiffness\[0\] is 0, expected a positive stiffness in N/m"),
+    refused("stiffness falling", lambda: over_stiffness(stiffness=[1e3, 1e2]), ValueError,
+            r"stiffness\[1\] is 100 N/m after 1000 N/m, expected ascending"),
+    refused("stiffness step", lambda: over_stiffness(step=0.0), ValueError, r"step is 0\.0"),
+    refused("stiffness push", lambda: over_stiffness(push=NAN), ValueError, r"push is nan"),
+    refused("stiffness duration", lambda: over_stiffness(duration=-1), ValueError,
+            r"duration is -1"),
+    refused("stiffness tolerance", lambda: over_stiffness(tolerance=0), ValueError,
+            r"tolerance is 0"),
+    refused("stiffness damping negative", lambda: over_stiffness(damping=-0.1), ValueError,
+            r"damping is -0\.1 at 100 N/m, expected one number of at least 0"),
+    refused("stiffness damping a string", lambda: over_stiffness(damping=lambda k: [1.0] * 9),
+            ValueError, r"damping is of shape \(9,\) at 100 N/m"),
+    refused("stiffness damping nan", lambda: over_stiffness(damping=lambda k: NAN), ValueError,
+            r"damping is nan"),
+    refused("stiffness damping text", lambda: over_stiffness(damping="some"), TypeError,
+            r"damping .*'some'"),
+    refused("stiffness reference nodes", lambda: over_stiffness(reference=nodes()), TypeError,
+            r"reference is a ndarray, expected Reference: shape_path"),
+    refused("stiffness reference of others",
+            lambda: over_stiffness(reference=tc.Reference([0.0], np.zeros((3, 4, 1)))), ValueError,
+            r"reference\.nodes has shape \(3, 4, 1\), expected \(3, 6\) at each time"),
+    refused("stiffness reference bars",
+            lambda: over_stiffness(reference=tc.Reference([0.0], 2 * nodes()[:, :, None])),
+            ValueError, r"in reference\.nodes\[:, :, 0\], bar 0 has length"),
+    refused("stiffness reference late",
+            lambda: over_stiffness(reference=tc.Reference([0.1], nodes()[:, :, None])), ValueError,
+            r"reference ends at 0\.1 s, expected by 0\.075 s"),
+    refused("stiffness reference elsewhere",
+            lambda: over_stiffness(reference=tc.Reference([0.0], lowered()[:, :, None])),
+            ValueError, r"reference ends with a node 0\.\d+ m off the shape of at"),
+    refused("stiffness integration step", lambda: over_stiffness(integration_step=-1.0),
+            ValueError, r"integration_step is -1\.0"),
+    refused("stiffness weights matrix", lambda: over_stiffness(weights=np.eye(18)), TypeError,
+            r"weights is a ndarray, expected a function weights\(plant\) -> Q, R"),
+    refused("stiffness weights one", lambda: over_stiffness(weights=lambda plant: 1.0), TypeError,
+            r"weights returned a float, expected a pair Q, R"),
+    refused("stiffness weights negative",
+            lambda: over_stiffness(weights=lambda plant: (1.0, -1.0)), ValueError,
+            r"R has the eigenvalue -1"),
+    refused("stiffness horizon", lambda: over_stiffness(horizon=0), ValueError, r"horizon is 0"),
+    refused("stiffness largest γ", lambda: over_stiffness(max_force_density=1.0), ValueError,
+            r"max_force_density\[0\] is 1 N/m"),
+    refused("stiffness winches", lambda: over_stiffness(winches=0.5), TypeError,
+            r"winches is a float, expected Winches"),
+    refused("stiffness winches too long",
+            lambda: over_stiffness(winches=tc.Winches(shortest=5.0)), ValueError,
+            r"range of the winches"),
+    refused("stiffness progress", lambda: over_stiffness(progress="no"), TypeError,
+            r"progress is 'no'"),
     refused("sweep without case", lambda: sweep(case=3), TypeError, r"case is a int, expected a"),
     refused("sweep of a lambda", lambda: sweep(case=lambda parameters, rng: None), TypeError,
             r"case cannot be pickled.*top of a module"),

@@ -118,9 +118,13 @@ def test_mpc_step(printed):
 
 def test_stiffness(printed):
     text = printed("stiffness", "--stiffness 100")
-    ratio, by_gamma, by_length, _ = row(text, "  1e+02")
+    ratio, pushed, moved, rate, *by_length = row(text, "100 ")
     assert 0.5 < ratio < 1.0
-    assert max(by_gamma, by_length) < 0.1  # mm
+    assert 0.05 < rate < 0.2  # 1/s
+    assert moved < 0.1  # mm
+    assert by_length[1] < 0.1
+    assert max(pushed, by_length[0]) < 0.5
+    assert text.count("holds within 1 mm at all that was tried") == 4
 
 
 def test_qp_solvers(printed):

@@ -28,6 +28,7 @@ def test_every_example_is_tested():
         "plot_control_shape.py",
         "plot_control_lqr.py",
         "plot_control_morph.py",
+        "plot_control_stiffness.py",
         "plot_control_string_mass.py",
         "plot_paper_skin.py",
         "plot_paper_string_mass.py",
@@ -126,6 +127,16 @@ def test_control_morph():
     assert found["at_rate"] > 0.25
     applied = found["run"].control.applied
     assert 0.4 < applied.min() < applied.max() < 1.3
+
+
+def test_control_stiffness():
+    report = run("plot_control_stiffness.py")["report"]
+    assert report.limit("MPC", "force_density") == 1e2
+    assert report.limit("MPC", "rest_length") == 1e5
+    off = [run.error for run in report.runs("MPC", "force_density")]
+    assert off == sorted(off)
+    assert off[-1] == pytest.approx(0.1003, abs=5e-4)
+    assert report.rows[1].held.rate_ratio == pytest.approx(0.256, abs=2e-3)
 
 
 def test_control_lqr():

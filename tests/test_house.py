@@ -90,14 +90,8 @@ MAY_IMPORT = {
     "shape": {"control.reference", "actuation", "analysis", "dynamics", "statics", "structure"},
     "scene": {"simulation", "integrate", "control", "actuation", "analysis", "dynamics", "statics"}
     | {"structure", "shape", "estimation"},
-    "robustness": {
-        "simulation",
-        "estimation",
-        "control.controller",
-        "actuation",
-        "dynamics",
-        "structure",
-    }
+    "robustness": {"simulation", "estimation", "control", "actuation", "analysis", "dynamics"}
+    | {"shape", "statics", "structure"}
     | {"accuracy.tables", "_version"},
     "plot": None,  # everything
 }
@@ -724,6 +718,8 @@ def values(tmp_path_factory):
         report = tc.sweep(loop, drawn, 4, seed=0, executor=executor)
     found += [*drawn.values(), tc.OneOf([1, 2]), loop, loop({}, np.random.default_rng(0))]
     found += [report, report.failures[0]]
+    stiff = tc.stiffness_report(rest, [1e2], step=0.01, duration=0.01, horizon=2)
+    found += [stiff, stiff.rows[0], stiff.rows[0].runs[0]]
     return {type(value).__name__: value for value in found}
 
 

@@ -37,7 +37,9 @@ def ran(page, count):
 
 
 def test_the_way_from_a_shape_to_winch_commands_runs(capsys):
-    names = ran("control", 5)
+    names = ran("control", 6)
+    limits = [names["report"].limit("MPC", held) for held in ("force_density", "rest_length")]
+    assert limits == [1e2, 1e4]
     assert "winch 6 stuck from 0.3 s to 0.5 s" in capsys.readouterr().out
     run = names["run"]
     assert np.abs(run.control.winch_rate).max() < 0.15 + 1e-9

@@ -16,7 +16,7 @@ _TAUT = 1e-6
 
 # A loop that settles slower than this fraction of its design no longer follows: see
 # tests/control/test_held_loop.py, where loops on both sides of it are run on the nonlinear prism.
-_SLOWEST = 0.25
+SLOWEST = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class HeldLoop:
     @property
     def holds(self) -> bool:
         """Whether the loop is stable and settles at a quarter of the designed rate or faster."""
-        return self.rate_ratio >= _SLOWEST
+        return self.rate_ratio >= SLOWEST
 
 
 def held_loop(plant: LinearPlant, gain: object, step: float) -> HeldLoop:
@@ -195,7 +195,7 @@ def warn_of_slow_errors(
         As for :func:`held_error_rate`.
     """
     ratio = held_error_rate(plant, matrix, rates, step)
-    if ratio >= _SLOWEST:
+    if ratio >= SLOWEST:
         return
     warnings.warn(
         f"where winches hold rest lengths between samples of {step:g} s, strings this stiff act "

@@ -18,6 +18,7 @@ from tenscontrol.plot.health import health
 from tenscontrol.plot.history import Curves, history
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
 from tenscontrol.plot.poles import PoleMap, poles
+from tenscontrol.plot.stiffness import StiffnessDrawing, stiffness
 from tenscontrol.plot.structure import structure
 from tenscontrol.plot.sweep import SweepDrawing, sweep
 from tenscontrol.plot.trajectory import trajectory
@@ -27,6 +28,7 @@ __all__ = [
     "Drawing",
     "ModeShape",
     "PoleMap",
+    "StiffnessDrawing",
     "SweepDrawing",
     "animate",
     "convergence_order",
@@ -38,6 +40,7 @@ __all__ = [
     "poles",
     "save_figure",
     "stability_map",
+    "stiffness",
     "structure",
     "sweep",
     "trajectory",

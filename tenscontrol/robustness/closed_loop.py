@@ -12,6 +12,7 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import OK, Controller
 from tenscontrol.dynamics import Model, StringLaw
 from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol.robustness.distance import farthest_node
 from tenscontrol.robustness.errors import SweepError
 from tenscontrol.robustness.outcome import Outcome
 from tenscontrol.robustness.varied import varied_sensors, varied_strings
@@ -266,13 +267,7 @@ class ClosedLoopCase:
     def _error(self, run: Trajectory) -> float:
         """Return how far the farthest node is from its place at the end, m."""
         plant = self.controller.plant
-        r, count = plant.degrees_of_freedom, plant.nodes.shape[1]
-        still = np.zeros_like(plant.nodes)
-        target = plant.nodes if self.target is None else self.target
-        # Both are seen by the coordinates, which leave out what they do not know.
-        wanted = plant.to_nodes(plant.measure(target, still)[:r])
-        farthest = 0.0
-        for k in np.flatnonzero(run.time >= (1 - _SETTLED) * run.time[-1]):
-            q = plant.measure(run.nodes[:, :count, k], still)[:r]
-            farthest = max(farthest, np.linalg.norm(plant.to_nodes(q) - wanted, axis=0).max())
-        return float(farthest)
+        late = run.time >= (1 - _SETTLED) * run.time[-1]
+        # Of a subdivision, the nodes of its parent come first.
+        nodes = run.nodes[:, : plant.nodes.shape[1], late]
+        return farthest_node(plant, nodes, plant.nodes if self.target is None else self.target)
