@@ -10,6 +10,7 @@ from tenscontrol.actuation import Winches
 from tenscontrol.analysis import LinearPlant, controllability, lost_poles
 from tenscontrol.control.bounds import input_bounds, largest_change
 from tenscontrol.control.controller import OK, Controller
+from tenscontrol.control.sampled import sampled
 from tenscontrol.control.weights import weight_matrix
 from tenscontrol.dynamics import coordinates
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number
@@ -22,6 +23,9 @@ _RESIDUAL_TOLERANCE = 1e-6
 class LQR(Controller):
     """The state feedback ``u = u₀ − K z``, kept within bounds. Made by :func:`lqr`.
 
+    Winches that wind through a sample start where they stand, which is fed back too:
+    ``u = u₀ − K z − H (u_held − u₀)``.
+
     Where the wish is beyond the bounds, or farther from what the actuators hold
     (:meth:`applied`) than a change may be, the status is ``"saturated"``. Without a
     measurement that the structure can have, γ of the operating point is commanded,
@@ -31,10 +35,14 @@ class LQR(Controller):
     ----------
     gain : ndarray, shape (α, 2r)
         K.
+    held_gain : ndarray, shape (α, α), or None
+        H, where winches wind.
     poles : ndarray of complex, shape (2r,)
-        Closed-loop poles: of the s-plane, 1/s, or with a sample time of the z-plane.
+        Closed-loop poles: of the s-plane, 1/s, or with a sample time of the z-plane. Where
+        winches wind, 2r + α of them.
     cost : ndarray, shape (2r, 2r)
-        Solution P of the Riccati equation: ``zᵀ P z`` is the cost to go.
+        Solution P of the Riccati equation: ``zᵀ P z`` is the cost to go. Where winches wind, of
+        ``[z; u_held − u₀]``.
     riccati_residual : float
         Residual of the Riccati equation relative to its largest term.
     """
@@ -51,7 +59,10 @@ class LQR(Controller):
         change: FloatArray | None,
     ) -> None:
         super().__init__(plant, step, *bounds, change)
-        self.gain = frozen(gain)
+        states = len(plant.A)
+        winds = gain.shape[1] > states
+        self.gain = frozen(gain[:, :states])
+        self.held_gain = frozen(gain[:, states:]) if winds else None
         self.poles = frozen(poles)
         self.cost = frozen(cost)
         self.riccati_residual = riccati_residual
@@ -62,6 +73,8 @@ class LQR(Controller):
 
     def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
         wish = self.plant.equilibrium_input - self.gain @ state
+        if self.held_gain is not None and self._standing is not None:
+            wish -= self.held_gain @ (self._standing - self.plant.equilibrium_input)
         reached = np.array_equal(self._within_reach(wish), wish)
         return wish, OK if reached else "saturated"
 
@@ -104,8 +117,8 @@ def lqr(
     max_change : float or array_like, shape (α,), optional
         Largest change of the command from sample to sample, N/m or m.
     winches : Winches, optional
-        Speed and range that bound rest lengths. The feedback is that of winches that jump at the
-        start of a sample, whatever their ``pieces``.
+        Speed and range that bound rest lengths. The feedback is designed for how they move, by
+        their ``pieces``: with a jump at the start of a sample, or winding through it.
 
     Returns
     -------
@@ -143,13 +156,21 @@ def lqr(
         step = positive_number("step", step, "s")
     bounds = input_bounds(plant, max_force_density, winches)
     change = largest_change(plant, max_change, winches, step)
+    if step is None and winches is not None and winches.pieces > 1:
+        raise ValueError(
+            f"winches.pieces is {winches.pieces}: they wind through samples, so give step, s"
+        )
     refuse_unreachable(plant)
 
+    units, level = state_units(plant)
     if step is None:
         A, B = plant.A, plant.B
     else:
-        A, B, _ = plant.discretize(step)
-    feedback = regulate(A, B, state_weight, input_weight, *state_units(plant), step is not None)
+        A, B = sampled(plant, step, 1 if winches is None else winches.pieces).augmented
+    held = len(A) - states  # entries of what winches hold, where they wind: without a weight
+    state_weight = np.pad(state_weight, (0, held))
+    units = np.concatenate([units, np.full(held, level)])
+    feedback = regulate(A, B, state_weight, input_weight, units, level, step is not None)
     return LQR(plant, step, bounds, *feedback, change)
 
 

@@ -69,7 +69,8 @@ class NMPC(Controller):
     max_change : float or array_like, shape (α,), optional
         Largest change of the input from sample to sample, N/m or m.
     winches : Winches, optional
-        Speed and range that bound rest lengths. Strings of those that wind are limited at the ends.
+        Speed and range that bound rest lengths. Where they wind through samples, γ is limited at
+        the ends of samples.
     reference : Reference or array_like, shape (3, n), optional
         Shapes to follow, seen ahead. The operating point if not given.
     iterations : int
@@ -146,7 +147,7 @@ class NMPC(Controller):
         if winches is not None:
             instance("winches", winches, Winches, "make them by Winches(rate=...)")
         step = positive_number("step", step, "s")
-        # All before the model is built, which may be compiled.
+        truth("machine_code", machine_code, "whether to compile the derivatives")
         rounds = whole_number("iterations", iterations, least=1)
         tolerance = positive_number("tolerance", tolerance, "units of an input")
         max_iterations = whole_number("max_iterations", max_iterations, least=1)
@@ -157,14 +158,14 @@ class NMPC(Controller):
         )  # fmt: skip
         made = design(plant, horizon, step, Q, R, wishes)
         super().__init__(plant, step, made.low, made.high, made.problem.change)
-        model = TrajectoryModel(
-            plant, step, made.problem.length, made.constraints,
-            1 if winches is None else winches.pieces,
-            truth("machine_code", machine_code, "whether to compile the derivatives"),
-        )  # fmt: skip
         push = acceleration_response(plant, step)
-        observer = load_observer(plant, push, load_gain, tracked)
-        self._observer = observer
+        path = Path(plant, reference, step, push, made.sampled.drift)
+        self._observer = observer = load_observer(plant, push, load_gain, tracked)
+        # After all checks: it may be compiled.
+        pieces = 1 if winches is None else winches.pieces
+        model = TrajectoryModel(
+            plant, step, made.problem.length, made.constraints, pieces, machine_code
+        )
         self._law = NMPCLaw(
             step=step,
             model=model,
@@ -177,7 +178,7 @@ class NMPC(Controller):
             tolerance=tolerance,
             max_iterations=max_iterations,
             time_limit=longest,
-            path=Path(plant, reference, step, push, made.sampled.drift),
+            path=path,
         )
         self._program = self._law.program()
         self._plan = TrajectoryPlan(model, self._program, self._law.problem, self.bounds)

@@ -19,4 +19,8 @@ def lqr_parts(controller: LQR) -> Parts:
             "controller is an LQR in continuous time, and code runs in samples: "
             "make it by lqr(plant, Q, R, step=...)"
         )
-    return Parts(("lqr.c",), {}, {}, {"feedback": -controller.gain})
+    matrices = {"feedback": -controller.gain}
+    if controller.held_gain is not None:
+        matrices["held_feedback"] = -controller.held_gain
+    winds = int(controller.held_gain is not None)
+    return Parts(("lqr.c",), {"WINDS": winds}, {}, matrices)

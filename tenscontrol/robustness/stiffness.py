@@ -81,9 +81,8 @@ def stiffness_report(
     max_force_density : float or array_like, shape (α,), optional
         Largest γ that laws in γ command, N/m; three times the largest at rest if not given.
     winches : Winches, optional
-        In all runs. Laws in rest lengths know of them; LQR takes them for winches that jump at
-        the start of a sample. MPC that follows a reference starts where its force densities
-        say, or those of the equilibrium if it has none.
+        In all runs. Laws in rest lengths know of them. MPC that follows a reference starts where
+        its force densities say, or those of the equilibrium if it has none.
     integration_step : float, optional
         Longest step of RK4, s; 0.3 rad of the fastest vibration if not given, and a tenth of a
         sample at most.

@@ -88,7 +88,8 @@ def build_controller(
         arguments["reference"] = build_reference(
             table, model, rest, winches, table.need("step"), bounds
         )
-    if kind in ("mpc", "nmpc") and held == "rest_length":
+    # A law without a sample time knows neither speeds in a sample nor winding through it.
+    if kind != "shape_control" and held == "rest_length" and "step" in arguments:
         arguments["winches"] = winches
     if "plants" in table:
         return _schedule(table, model, arguments, held)

@@ -167,3 +167,55 @@ def test_both_forms_give_the_same_inputs(form):
         for each in (form, "condensed")
     ]  # fmt: skip
     np.testing.assert_allclose(commands[0].value, commands[1].value, atol=1e-6)
+
+
+def regulator(plant, pieces):
+    Q, R = tc.energy_weights(plant)
+    return tc.lqr(plant, Q, R, SAMPLE, winches=tc.Winches(rate=0.5, pieces=pieces))
+
+
+def test_the_regulator_is_that_of_the_state_and_of_what_winches_hold():
+    """Its commands, sample after sample, give the linear loop the poles that it states."""
+    plant = plant_of(1e4)
+    law = regulator(plant, 20)
+    s, a = plant.B.shape
+    model = sampled(plant, SAMPLE, 20)
+    loop = np.zeros((s + a, s + a))
+    for i, unit in enumerate(1e-7 * np.eye(s + a)):
+        state, held = unit[:s], plant.rest_length + unit[s:]
+        law.applied(held)
+        wish, status = law._decide(0.0, state)
+        assert status == "ok"
+        off = wish - plant.rest_length
+        end = model.transition @ state + model.by_before @ unit[s:] + model.by_input @ off
+        loop[:, i] = np.concatenate([end, off]) / 1e-7
+    found = np.linalg.eigvals(loop)
+    assert len(law.poles) == s + a
+    for pole in law.poles:
+        assert np.abs(found - pole).min() < 1e-6
+    assert np.abs(found).max() < 1.0
+
+
+def test_the_regulator_knows_winches_that_wind():
+    """One that takes them for winches that jump lets strings of 1e4 N/m go slack."""
+    plant = plant_of(1e4)
+    winches = tc.Winches(rate=0.5, pieces=20)
+    speeds = plant.to_velocities(np.zeros(9), 0.02 * np.random.default_rng(0).normal(size=9))
+    least = []
+    for law in (regulator(plant, 20), regulator(plant, 1)):
+        run = tc.simulate(
+            plant.model, 1.0, plant.nodes, speeds, controller=law, winches=winches,
+            rest_length=plant.rest_length, step=8e-4, output_step=SAMPLE,
+        )  # fmt: skip
+        least.append(run.force_density.min())
+        if law.held_gain is not None:
+            end = plant.measure(run.nodes[:, :, -1], run.velocities[:, :, -1])
+            assert np.abs(end[:9]).max() < 1e-4
+    assert least[0] > 14.0
+    assert least[1] == 0.0
+
+
+def test_a_regulator_without_samples_knows_no_winding():
+    plant = plant_of()
+    with pytest.raises(ValueError, match=r"winches\.pieces is 5.*give step"):
+        tc.lqr(plant, 1.0, 1.0, winches=tc.Winches(pieces=5))

@@ -50,6 +50,17 @@ def test_winches_that_wind_under_an_unknown_load(tmp_path):
     assert np.linalg.norm(pair.one.load) > 0.1
 
 
+def test_regulator_of_winches_that_wind(tmp_path):
+    plant = scenes.plant("rest_length")
+    law = tc.lqr(plant, *tc.energy_weights(plant), scenes.SAMPLE, winches=scenes.WINDING)
+    pair = scenes.pair_of(law, tmp_path)
+    scenes.closed_loop(
+        pair, winches=scenes.WINDING, rest_length=plant.rest_length, hold="rest_length"
+    )
+    scenes.check(pair, solved=False)
+    assert law.held_gain is not None
+
+
 def test_unknown_load_is_estimated_alike(tmp_path):
     pair = scenes.pair_of(scenes.with_load(), tmp_path)
     scenes.closed_loop(pair, pull=2 / 3)
