@@ -145,11 +145,6 @@ class LoadObserver:
         self.acceleration = np.zeros(self.model.push.shape[1])
         self._coasting: FloatArray | None = None
 
-    @property
-    def drift(self) -> FloatArray:
-        """What the load does to the state in a sample, shape (s,)."""
-        return np.asarray(self.model.push @ self.acceleration)
-
     def correct(
         self, state: FloatArray, pushed: FloatArray, push: FloatArray | None = None
     ) -> None:

@@ -71,8 +71,10 @@ class Motion(ABC):
     @abstractmethod
     def expected(
         self, state: FloatArray, before: FloatArray, held: FloatArray, load: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> tuple[FloatArray, FloatArray | None]:
         """Return the state a sample later under a load, and its derivative by it, shape (s, r).
+
+        The derivative is None where that of the operating point is taken.
 
         Parameters
         ----------
@@ -161,9 +163,9 @@ class ExplicitMotion(Motion):
 
     def expected(
         self, state: FloatArray, before: FloatArray, held: FloatArray, load: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> tuple[FloatArray, None]:
         """See :meth:`Motion.expected`."""
-        return self._push @ load + self._advance(state, held)[0], self._push
+        return self._push @ load + self._advance(state, held)[0], None
 
     def tangents(self, states: FloatArray, acting: FloatArray, stages: FloatArray) -> Tangents:
         """See :meth:`Motion.tangents`."""

@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control.controller import Controller
+from tests.control.test_mpc import kkt_residual
 
 
 class IpoptNMPC(Controller):
@@ -93,3 +94,23 @@ def closed_loop_cost(nmpc, controller, sample, state, count):
         total += off @ Q @ off + effort @ R @ effort
         states.append(state)
     return total, np.array(states)
+
+
+def optimality(nmpc, nodes, velocities):
+    """Return how far the program of a command is from its conditions, and its multipliers."""
+    program, kept = nmpc._program.quadratic, {}
+    solve = program.solve
+
+    def watched(q, l, u, start=None, deadline=np.inf):  # noqa: E741
+        kept["data"], kept["answer"] = (q, l, u), solve(q, l, u, start, deadline)
+        return kept["answer"]
+
+    program.solve = watched
+    assert nmpc.command(0.0, nodes, velocities).status == "ok"
+    answer, (q, *limits) = kept["answer"], kept["data"]
+    far = 1e9  # for infinity, which times zero is nothing
+    bounds = (np.clip(limit, -far, far) for limit in limits)
+    found = kkt_residual(
+        nmpc._program.hessian, q, nmpc._program.pattern, *bounds, answer.x, answer.y
+    )
+    return found, answer.y

@@ -7,8 +7,8 @@ import tenscontrol as tc
 from tenscontrol import demo
 from tenscontrol.control import NMPC, OutputLimit
 from tenscontrol.control.trajectory_model import limited_rows
+from tests.control.nmpc_oracle import optimality
 from tests.control.test_constraints import height_row, pushed
-from tests.control.test_mpc import kkt_residual
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))
@@ -81,20 +81,8 @@ def test_program_satisfies_the_optimality_conditions(plant, penalty):
         plant, 5, SAMPLE, 60.0, max_tension=40.0, outputs=[limit], string_penalty=penalty,
         max_change=None if penalty else 5.0, tolerance=1e-8, max_iterations=50000,
     )  # fmt: skip
-    kept, solve = {}, nmpc._program.quadratic.solve
-
-    def watched(q, l, u, start=None, deadline=np.inf):  # noqa: E741
-        kept["data"], kept["answer"] = (q, l, u), solve(q, l, u, start, deadline)
-        return kept["answer"]
-
-    nmpc._program.quadratic.solve = watched
-    assert nmpc.command(0.0, pushed(plant, 0.01), STILL).status == "ok"
-    answer, (q, l, u) = kept["answer"], kept["data"]  # noqa: E741
-    far = 1e9  # for infinity, which times zero is nothing
-    bounds = np.clip(l, -far, far), np.clip(u, -far, far)
-    found = kkt_residual(nmpc._program.hessian, q, nmpc._program.pattern, *bounds,
-                         answer.x, answer.y)  # fmt: skip
-    assert found < 1e-6 * max(1.0, np.abs(answer.y).max())
+    found, multipliers = optimality(nmpc, pushed(plant, 0.01), STILL)
+    assert found < 1e-6 * max(1.0, np.abs(multipliers).max())
 
 
 def test_strength_of_strings_is_kept_and_matters(plant):
