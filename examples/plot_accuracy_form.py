@@ -28,7 +28,7 @@ def let_go(vertical, name):
     """Return the prism let go with this force density in its vertical strings."""
     gamma = np.repeat([17.3205, 17.3205, vertical], 3)
     lengths = tc.to_rest_length(model, prism.nodes, gamma).rest_length
-    return tc.Case(model, 3.0, held="rest_length", value=lengths, name=name)
+    return tc.Case(model, 3.0, input="rest_length", value=lengths, name=name)
 
 
 cases = [let_go(25.0, "strings stay taut"), let_go(9.0, "strings go slack")]
@@ -56,7 +56,7 @@ def across_switches(case, step):
 
 found = {}
 for case in cases:
-    reference = tc.converged_motion(case, OUTPUTS)
+    reference = tc.accuracy.converged_motion(case, OUTPUTS)
     compared = tc.work_precision(
         case,
         ["rk4", "rattle6"],

@@ -22,8 +22,8 @@ prism = tc.prism()
 model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
 gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
 lengths = tc.to_rest_length(model, prism.nodes, gamma).rest_length
-case = tc.Case(model, 3.0, held="rest_length", value=lengths)
-reference = tc.converged_motion(case, outputs=30)
+case = tc.Case(model, 3.0, input="rest_length", value=lengths)
+reference = tc.accuracy.converged_motion(case, outputs=30)
 print(reference.summary())
 
 # %%

@@ -42,9 +42,9 @@ start = designs["force_density"][0].to_nodes(0.004 * np.random.default_rng(0).no
 runs, off = {}, {}
 for held, (plant, _) in designs.items():
     Q, R = tc.energy_weights(plant, by_mode=held == "rest_length")
-    law = tc.lqr(plant, Q, 0.1 * R, step=SAMPLE)
+    law = tc.lqr(plant, Q, 0.1 * R, sample_time=SAMPLE)
     runs[held] = tc.simulate(
-        model, DURATION, start, controller=law, hold=held, step=1e-3, output_step=SAMPLE
+        model, DURATION, start, controller=law, input=held, step=1e-3, output_step=SAMPLE
     )
     shapes = [plant.measure(runs[held].nodes[:, :, k], np.zeros((3, 6)))[:9]
               for k in range(len(runs[held].time))]  # fmt: skip

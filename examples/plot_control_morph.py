@@ -41,7 +41,7 @@ start, goal = shape(1.0, -35.0), shape(0.7, -55.0)
 # The path, as fast as the winches allow. A winch winds through each sample at constant
 # speed, here in 10 pieces.
 
-winches = tc.Winches(RATE, shortest=0.4, longest=1.3, pieces=10)
+winches = tc.Winches(RATE, shortest=0.4, longest=1.3, substeps=10)
 path = tc.shape_path(model, start, goal, winches=winches, step=SAMPLE, min_force_density=2.0)
 there = path.reference()
 reference = there.then(there.reversed(), pause=REST)
@@ -50,12 +50,12 @@ print(f"there in {path.time[-1]:.2f} s, clearance of the bars {path.clearance:.3
 # %%
 # One linear plant is not good for all of the way: MPC at five shapes, in turn.
 
-mpc = tc.Schedule(
+mpc = tc.GainSchedule(
     [
         tc.MPC(
             plant,
             horizon=8,
-            step=SAMPLE,
+            sample_time=SAMPLE,
             reference=reference,
             winches=winches,
             min_force_density=2.0,
@@ -70,7 +70,7 @@ mpc = tc.Schedule(
 
 mass = 0.05 * prism.bar_mass.sum() / len(prism.strings)
 massive = tc.subdivide(start.prestress.structure, 2, string_mass=mass)
-count = tc.segment_counts(massive)
+count = tc.structure.segment_counts(massive)
 plant = tc.Model(massive, strings=tc.LinearStrings(STIFFNESS * count, damping=DAMPING * count))
 run = tc.simulate(
     plant,

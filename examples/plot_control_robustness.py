@@ -28,7 +28,7 @@ def estimators(plant):
     """Return a filter that does not know of loads, and one that does."""
     sensors = tc.Sensors(structure=prism, string_length=0.001, bar_direction=0.005, delay=1)
     return {
-        name: tc.kalman(plant, sensors, step=0.04, process_noise=0.2, load=load)
+        name: tc.kalman(plant, sensors, sample_time=0.04, process_noise=0.2, load=load)
         for name, load in (("no load estimated", False), ("load estimated", True))
     }
 
@@ -51,7 +51,7 @@ reports = {}
 if __name__ != "__mp_main__":
     rest = tc.prestress(prism, force_density=17.320508)
     plant = tc.linearize(tc.Model(prism, strings=strings), rest, input="rest_length")
-    mpc = tc.MPC(plant, horizon=8, step=0.04, max_force_density=65.0, load_gain=0.1)
+    mpc = tc.MPC(plant, horizon=8, sample_time=0.04, max_force_density=65.0, load_gain=0.1)
     for name, estimator in estimators(plant).items():
         case = tc.ClosedLoopCase(
             prism, strings, mpc, duration=2.4, step=1e-2, tolerance=TOLERANCE, estimator=estimator

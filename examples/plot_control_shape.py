@@ -22,7 +22,7 @@ bar_length = prism.bar_length[0]
 
 def of_height(height):
     """Return the prism with the same bars and this height, m."""
-    return tc.prism(radius=tc.prism_radius(bar_length, height), height=height)
+    return tc.prism(radius=tc.structure.prism_radius(bar_length, height), height=height)
 
 
 time = np.linspace(0.0, 2.0, 101)
@@ -35,9 +35,11 @@ path = tc.Reference(time, np.stack([of_height(h).nodes for h in heights], axis=-
 
 plant = tc.linearize(model, tc.prestress(of_height(0.85), force_density=17.320508))
 controllers = {
-    "shape control": tc.ShapeControl(plant, path, 0.02, 80.0, frequency=1.2),
-    "MPC": tc.MPC(plant, 20, 0.02, 80.0, reference=path),
-    "NMPC": tc.NMPC(plant, 20, 0.02, 80.0, reference=path),
+    "shape control": tc.FeedbackLinearization(
+        plant, reference=path, sample_time=0.02, max_force_density=80.0, frequency=1.2
+    ),
+    "MPC": tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=80.0, reference=path),
+    "NMPC": tc.NMPC(plant, horizon=20, sample_time=0.02, max_force_density=80.0, reference=path),
 }
 
 # %%
@@ -53,7 +55,7 @@ runs = {
         duration=4.0,
         nodes=start,
         controller=controller,
-        hold=hold,
+        input=hold,
         step=1e-3,
         output_step=0.02,
         **actuators,
@@ -104,7 +106,10 @@ for panel, hold in zip(panels, ("force_density", "rest_length"), strict=True):
 # What shape control left of its law, on winches.
 
 left = controllers["shape control"].statistics
-print(left.status_count, f"largest residual {left.largest_residual:.3f} m/s²")
+print(
+    {str(each): n for each, n in left.status_count.items()},
+    f"largest residual {left.largest_residual:.3f} m/s²",
+)
 
 if __name__ == "__main__":
     plt.show()

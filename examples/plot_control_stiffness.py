@@ -24,10 +24,10 @@ path = tc.shape_path(soft, start, goal, duration=1.2, step=0.03)
 # For each stiffness LQR and MPC are designed with either input. MPC follows the way; LQR, which
 # follows nothing, is pushed at 0.85 m.
 
-report = tc.stiffness_report(
+report = tc.robustness.stiffness_report(
     goal,
     [1e2, 1e3, 1e4, 1e5],  # N/m
-    step=0.02,  # s
+    sample_time=0.02,  # s
     damping=lambda k: 0.02 * np.sqrt(k),  # N s/m
     reference=path.reference(),
     duration=2.0,

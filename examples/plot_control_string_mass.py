@@ -35,7 +35,7 @@ def plant_with_mass(segments, share):
     structure = tc.subdivide(prism, segments, string_mass=mass)
     moved = tc.Structure(start, prism.bars, prism.strings, prism.bar_mass)
     nodes = tc.subdivide(moved, segments, string_mass=mass).nodes
-    strings = tc.LinearStrings(STIFFNESS * tc.segment_counts(structure))
+    strings = tc.LinearStrings(STIFFNESS * tc.structure.segment_counts(structure))
     return tc.Model(structure, strings=strings), nodes
 
 
@@ -50,7 +50,7 @@ def at_rest(model):
     structure = model.structure
     gamma = rest.force_density
     if structure.parent is not None:
-        gamma = tc.spread_force_density(structure, gamma)
+        gamma = tc.structure.spread_force_density(structure, gamma)
     return tc.prestress(structure, gamma)
 
 
@@ -67,8 +67,8 @@ def off_target(run):
 # Every combination. What is left is the largest distance in the last half second.
 
 designs = {
-    "LQR": lambda: tc.lqr(plant, Q, 0.1 * R, step=SAMPLE, max_force_density=90.0),
-    "MPC": lambda: tc.MPC(plant, horizon=20, step=SAMPLE, max_force_density=80.0),
+    "LQR": lambda: tc.lqr(plant, Q, 0.1 * R, sample_time=SAMPLE, max_force_density=90.0),
+    "MPC": lambda: tc.MPC(plant, horizon=20, sample_time=SAMPLE, max_force_density=80.0),
 }
 cases = [(1, 0.0)] + [(s, share) for s in (2, 4, 8) for share in (0.001, 0.01, 0.05, 0.2)]
 left = {name: [] for name in designs}
@@ -105,7 +105,7 @@ drawn.ax.set_yscale("log")
 # is refused: nothing damps some of the sideways motions of the strings.)
 
 heavy, nodes = plant_with_mass(2, 0.2)
-full = tc.command_parents(tc.linearize(heavy, at_rest(heavy), input="rest_length"))
+full = tc.plant.command_parents(tc.linearize(heavy, at_rest(heavy), input="rest_length"))
 weights = tc.energy_weights(full)
 regulator = tc.lqr(full, weights[0], 0.1 * weights[1])
 run = tc.simulate(

@@ -32,9 +32,9 @@ without_mass = tc.simulate(light, 5.0, rest_length=wound, step=1e-3)
 # 100 N/m" can be read in two ways: a whole string has 100 N/m, or a segment.
 
 massive = tc.subdivide(prism, segments=4, node_mass=0.01)
-whole = tc.Model(massive, strings=tc.LinearStrings(100.0 * tc.segment_counts(massive)))
+whole = tc.Model(massive, strings=tc.LinearStrings(100.0 * tc.structure.segment_counts(massive)))
 segment = tc.Model(massive, strings=tc.LinearStrings(100.0))
-whole_gamma = tc.spread_force_density(massive, gamma)
+whole_gamma = tc.structure.spread_force_density(massive, gamma)
 runs = {}
 for name, model, pull in (
     ("whole string 100 N/m", whole, whole_gamma),

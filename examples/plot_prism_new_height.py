@@ -22,7 +22,7 @@ bar_length = prism.bar_length[0]
 
 def of_height(height):
     """Return the prism with the same bars and this height, m."""
-    return tc.prism(radius=tc.prism_radius(bar_length, height), height=height)
+    return tc.prism(radius=tc.structure.prism_radius(bar_length, height), height=height)
 
 
 # %%
@@ -39,7 +39,7 @@ path = tc.Reference(time, np.stack([of_height(h).nodes for h in heights], axis=-
 target = of_height(0.85)
 rest = tc.prestress(target, force_density=17.320508)
 plant = tc.linearize(model, rest)
-mpc = tc.MPC(plant, horizon=20, step=0.02, max_force_density=80.0, reference=path)
+mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=80.0, reference=path)
 
 # %%
 # A disturbed start, and winches with limits.

@@ -28,7 +28,7 @@ try:
     tc.shape_target(
         model, twist, force_density=17.320508, symmetry=tc.RotationalSymmetry([TOP, BOTTOM])
     )
-except tc.ShapeError as error:
+except tc.shape.ShapeError as error:
     print(error)
     missed = np.degrees(error.nearest.missed[0].missed)
 
@@ -82,7 +82,9 @@ tc.plot.history(
 # MPC follows it: γ from the controller, rest lengths by the winches.
 
 plant = tc.linearize(model, goal.prestress)
-mpc = tc.MPC(plant, horizon=20, step=0.02, max_force_density=90.0, reference=path.reference())
+mpc = tc.MPC(
+    plant, horizon=20, sample_time=0.02, max_force_density=90.0, reference=path.reference()
+)
 run = tc.simulate(
     model,
     duration=path.time[-1] + 1.0,

@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _demo(options: argparse.Namespace) -> None:
-    from tenscontrol.demo import main as demo
+    from tenscontrol.demo.tour import main as demo
 
     demo(_folder(options.output), figures=not options.no_figures)
 
@@ -93,7 +93,7 @@ def _draw(run: Trajectory, folder: Path) -> None:
 
 def _modes(options: argparse.Namespace) -> None:
     from tenscontrol import plot
-    from tenscontrol.analysis import modes
+    from tenscontrol.plant import modes
     from tenscontrol.scene import load_scene
 
     scene = load_scene(options.scene)

@@ -488,7 +488,10 @@ def test_there_is_something_to_walk():
     assert len(public_classes()) > 15
     assert "Structure.bar_length" in members()
     assert "Coordinates.measure" in members()
-    assert documented(tc.Coordinates.measure.__doc__, "Parameters") == ["nodes", "velocities"]
+    assert documented(tc.dynamics.Coordinates.measure.__doc__, "Parameters") == [
+        "nodes",
+        "velocities",
+    ]
     assert documented(tc.simulate.__doc__, "Parameters") == parameters(tc.simulate)
 
 
@@ -529,7 +532,7 @@ CONSTRUCTED = {
     "Case",
     "ClosedLoopCase",
     "CutString",
-    "Limits",
+    "HealthLimits",
     "LostMeasurement",
     "StuckWinch",
     "ElasticStrings",
@@ -547,9 +550,9 @@ CONSTRUCTED = {
     "PointAt",
     "Reference",
     "RotationalSymmetry",
-    "Schedule",
+    "GainSchedule",
     "Sensors",
-    "ShapeControl",
+    "FeedbackLinearization",
     "Structure",
     "Twist",
     "Uniform",
@@ -623,12 +626,12 @@ def values(tmp_path_factory):
     model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0, damping=0.1))
     rest = tc.prestress(prism, force_density=17.3205)
     plant = tc.linearize(model, rest)
-    regulator = tc.lqr(plant, Q=1.0, R=1e-3, step=0.01, max_force_density=50.0)
-    mpc = tc.MPC(plant, horizon=3, step=0.01, max_force_density=50.0)
+    regulator = tc.lqr(plant, Q=1.0, R=1e-3, sample_time=0.01, max_force_density=50.0)
+    mpc = tc.MPC(plant, horizon=3, sample_time=0.01, max_force_density=50.0)
     still = np.zeros((3, 6))
     sensors = tc.Sensors(structure=prism, string_length=0.001, nodes=[0, 2], node_position=0.01)
     held = tc.linearize(model, rest, input="rest_length")
-    estimator = tc.kalman(held, sensors, step=0.01)
+    estimator = tc.kalman(held, sensors, sample_time=0.01)
     winches = tc.Winches(rate=0.5, shortest=np.full(9, 0.1), longest=2.0)
     start = tc.to_rest_length(model, prism.nodes, rest.force_density)
     run = tc.simulate(
@@ -667,7 +670,7 @@ def values(tmp_path_factory):
         run.choice,
         run.work,
         run.health,
-        tc.Limits(),
+        tc.HealthLimits(),
         tc.CutString(string=3, time=1.0),
         tc.StuckWinch(string=5, time=0.8, until=1.5),
         tc.LostMeasurement(time=0.5, until=0.7),
@@ -681,13 +684,15 @@ def values(tmp_path_factory):
         tc.Reference([0.0], prism.nodes[:, :, None], rest.force_density[:, None]),
         mpc.statistics,
         tc.generate_c(regulator, tmp_path_factory.mktemp("code")),
-        tc.NMPC(plant, horizon=3, step=0.01, max_force_density=50.0).statistics,
-        tc.ShapeControl(plant, None, 0.01, 50.0, frequency=1.0).statistics,
+        tc.NMPC(plant, horizon=3, sample_time=0.01, max_force_density=50.0).statistics,
+        tc.FeedbackLinearization(
+            plant, reference=None, sample_time=0.01, max_force_density=50.0, frequency=1.0
+        ).statistics,
         tc.OutputLimit(np.ones((1, 18)), np.zeros(1), np.ones(1)),
-        tc.held_loop(plant, regulator.gain, step=0.01),
+        tc.control.held_loop(plant, regulator.gain, sample_time=0.01),
         tc.load_scene(PROJECT / "examples" / "scenes" / "prism_free.toml"),
     ]
-    case = tc.Case(model, 0.05, held="force_density", value=rest.force_density)
+    case = tc.Case(model, 0.05, input="force_density", value=rest.force_density)
     compared = tc.work_precision(case, ["rk4"], {"rk4": [0.01]}, repeats=1, outputs=5)
     drift = tc.long_run(case, "rk4", 1e-3, steps=30, outputs=30)
     found += [
@@ -718,7 +723,7 @@ def values(tmp_path_factory):
         report = tc.sweep(loop, drawn, 4, seed=0, executor=executor)
     found += [*drawn.values(), tc.OneOf([1, 2]), loop, loop({}, np.random.default_rng(0))]
     found += [report, report.failures[0]]
-    stiff = tc.stiffness_report(rest, [1e2], step=0.01, duration=0.01, horizon=2)
+    stiff = tc.robustness.stiffness_report(rest, [1e2], sample_time=0.01, duration=0.01, horizon=2)
     found += [stiff, stiff.rows[0], stiff.rows[0].runs[0]]
     return {type(value).__name__: value for value in found}
 

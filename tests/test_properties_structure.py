@@ -154,10 +154,10 @@ def test_string_groups_part_the_strings(structure):
 def test_restored_bars_have_their_length_and_stay_when_restored_again(case):
     structure, N = case
     assume((np.linalg.norm(structure.bar_vectors(N), axis=0) > 0).all())
-    mended = tc.restore_bar_lengths(structure, N)
+    mended = tc.structure.restore_bar_lengths(structure, N)
     length = np.linalg.norm(structure.bar_vectors(mended), axis=0)
     np.testing.assert_allclose(length, structure.bar_length, rtol=1e-12)
-    again = tc.restore_bar_lengths(structure, mended)
+    again = tc.structure.restore_bar_lengths(structure, mended)
     np.testing.assert_allclose(again, mended, rtol=0, atol=1e-12)
     points = structure.string_nodes
     np.testing.assert_array_equal(mended[:, points], N[:, points])

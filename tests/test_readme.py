@@ -56,10 +56,11 @@ def test_the_page_on_estimation_runs():
 
 
 def test_the_page_on_faults_runs(capsys):
-    statuses = ran("faults", 1)["run"].control.status_count
+    control = ran("faults", 1)["run"].control
     assert "string 6 cut from 0.9 s" in capsys.readouterr().out
-    assert statuses["measurement not finite: last plan continued"] == 5
-    assert sum(statuses.values()) == 60
+    assert control.status_count["measurement not finite"] == 5
+    assert control.fallback_count == {"plan continued": 5}
+    assert sum(control.status_count.values()) == 60
 
 
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")

@@ -2,12 +2,12 @@
 
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.compare import work_precision
+from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.drift import Drift, LongRun, long_run
 from tenscontrol.accuracy.growth import Predictability, predictability
 from tenscontrol.accuracy.order import ConvergenceOrder, convergence_order
 from tenscontrol.accuracy.peer import Peer, Solution
 from tenscontrol.accuracy.ratios import Ratios
-from tenscontrol.accuracy.reference import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.result import WorkPrecision
 from tenscontrol.accuracy.runs import Measurement
 from tenscontrol.accuracy.stability import StabilityMap, stability_map

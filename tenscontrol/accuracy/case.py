@@ -31,7 +31,7 @@ class Case:
     nodes, velocities : array_like, shape (3, n), optional
         Motion at the start, m and m/s; the reference shape at rest if not given.
         Bars must have their lengths, and must not be stretching.
-    held : {"rest_length", "force_density"}
+    input : {"rest_length", "force_density"}
         What the actuators hold.
     value : float or array_like, shape (α,)
         What they hold it at: rest lengths, m, or γ, N/m.
@@ -54,7 +54,7 @@ class Case:
     >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
     >>> start = tc.to_rest_length(model, prism.nodes, gamma).rest_length
-    >>> tc.Case(model, 5.0, held="rest_length", value=start)
+    >>> tc.Case(model, 5.0, input="rest_length", value=start)
     Case(5 s, rest_length held, 6 nodes)
     """
 
@@ -62,7 +62,7 @@ class Case:
     duration: float
     nodes: FloatArray = None  # type: ignore[assignment]  # filled below
     velocities: FloatArray = None  # type: ignore[assignment]  # filled below
-    held: str = field(kw_only=True)
+    input: str = field(kw_only=True)
     value: FloatArray = field(kw_only=True)
     external_force: FloatArray | None = None
     name: str = ""
@@ -70,17 +70,17 @@ class Case:
 
     def __post_init__(self) -> None:
         instance("model", self.model, Model, "make one by Model(structure)")
-        choice("held", self.held, ("rest_length", "force_density"))
-        if self.held == "rest_length" and self.model.strings is None:
+        choice("input", self.input, ("rest_length", "force_density"))
+        if self.input == "rest_length" and self.model.strings is None:
             raise ValueError(
-                "held is 'rest_length', which needs a model with a string law; build it as "
+                "input is 'rest_length', which needs a model with a string law; build it as "
                 "Model(structure, strings=LinearStrings(stiffness=...))"
             )
         if self.value is None:
             raise TypeError("value is None, expected rest lengths, m, or force densities, N/m")
-        given = (self.value, None) if self.held == "rest_length" else (None, self.value)
+        given = (self.value, None) if self.input == "rest_length" else (None, self.value)
         checked_load(self.model, self.external_force)
-        initial_state(self.model, self.nodes, self.velocities, self.held)
+        initial_state(self.model, self.nodes, self.velocities, self.input)
         structure = self.model.structure
         put = object.__setattr__
         put(self, "duration", positive_number("duration", self.duration, "s"))
@@ -108,7 +108,7 @@ class Case:
     @property
     def state(self) -> FloatArray:
         """The start as integrators take it: x of the free nodes."""
-        return initial_state(self.model, self.nodes, self.velocities, self.held)
+        return initial_state(self.model, self.nodes, self.velocities, self.input)
 
     def equation(self) -> Equation:
         """Return the state equation under the loads of the case.
@@ -117,12 +117,12 @@ class Case:
         -------
         Equation
         """
-        return self.model.equation(self.held, self.load - self.model.constant_force)
+        return self.model.equation(self.input, self.load - self.model.constant_force)
 
     def __repr__(self) -> str:
         title = f"{self.name}, " if self.name else ""
         nodes = self.structure.nodes.shape[1]
-        return f"Case({title}{self.duration:g} s, {self.held} held, {nodes} nodes)"
+        return f"Case({title}{self.duration:g} s, {self.input} held, {nodes} nodes)"
 
 
 def _array(value: object, default: FloatArray) -> FloatArray:
@@ -158,10 +158,10 @@ def as_case(scene: object) -> Case:
 
 
 def _of_scene(scene: Scene) -> Case:
-    held = "force_density" if scene.rest_length is None else "rest_length"
+    input = "force_density" if scene.rest_length is None else "rest_length"
     notes = []
     if scene.controller is not None:
-        words = held.replace("_", " ").replace("density", "densities").replace("length", "lengths")
+        words = input.replace("_", " ").replace("density", "densities").replace("length", "lengths")
         notes.append(f"The controller of the scene is left out: {words} are held as at the start.")
     if scene.faults:
         notes.append(f"Its faults are left out: {', '.join(each.label for each in scene.faults)}.")
@@ -170,7 +170,7 @@ def _of_scene(scene: Scene) -> Case:
         duration=scene.duration,
         nodes=scene.nodes,
         velocities=scene.velocities,
-        held=held,
+        input=input,
         value=scene.force_density if scene.rest_length is None else scene.rest_length,
         name=Path(scene.file).stem,
         note=" ".join(notes),

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from tenscontrol.accuracy.case import Case, as_case
+from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.growth import Predictability, predictability
 from tenscontrol.accuracy.methods import as_taken, checked_settings, default_settings, method_named
 from tenscontrol.accuracy.peer import Peer
-from tenscontrol.accuracy.reference import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.result import WorkPrecision
 from tenscontrol.accuracy.runs import Bench, Measurement
 from tenscontrol.integrate import METHODS, Method
@@ -84,7 +84,7 @@ def work_precision(
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
-    >>> case = tc.Case(tc.Model(prism), 0.5, held="force_density", value=gamma)
+    >>> case = tc.Case(tc.Model(prism), 0.5, input="force_density", value=gamma)
     >>> found = tc.work_precision(
     ...     case, ["rk4"], {"rk4": [0.025, 0.0125]}, repeats=1, outputs=10)
     >>> coarse, fine = found.rows

@@ -11,10 +11,10 @@ import numpy as np
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.invariants import conserves_energy, conserves_momentum, invariants
 from tenscontrol.accuracy.methods import method_named
-from tenscontrol.accuracy.tables import aligned, shown
 from tenscontrol.accuracy.trend import BLOCKS, trend
 from tenscontrol.integrate import IntegrationError, Work
 from tenscontrol.simulation.progress import progress_bar
+from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import FloatArray, frozen, positive_number, truth, whole_number
 
 if TYPE_CHECKING:
@@ -210,7 +210,7 @@ def long_run(
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
-    >>> case = tc.Case(tc.Model(prism), 1.0, held="force_density", value=gamma)
+    >>> case = tc.Case(tc.Model(prism), 1.0, input="force_density", value=gamma)
     >>> found = tc.long_run(case, "rk4", 1e-3, steps=5000, outputs=200)
     >>> found.of("momentum").largest < 1e-12, found.of("bar length").largest < 1e-4
     (True, True)

@@ -136,7 +136,7 @@ def predictability(
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
     >>> gamma = np.repeat([17.3205, 17.3205, 30.0], 3)
-    >>> case = tc.Case(tc.Model(prism), 1.0, held="force_density", value=gamma)
+    >>> case = tc.Case(tc.Model(prism), 1.0, input="force_density", value=gamma)
     >>> found = tc.predictability(case)
     >>> found.is_limited, found.factor < 100
     (False, True)

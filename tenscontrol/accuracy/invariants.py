@@ -51,7 +51,7 @@ def invariants(case: Case, states: FloatArray) -> Invariants:
     """
     model, structure = case.model, case.structure
     held = np.tile(case.value[:, None], (1, states.shape[1]))
-    of_strings = model.potential_energy if case.held == "force_density" else model.elastic_energy
+    of_strings = model.potential_energy if case.input == "force_density" else model.elastic_energy
     (potential,) = evaluate_columns(of_strings, states, held)
     (kinetic,) = evaluate_columns(model.kinetic_energy, states)
     linear, angular = evaluate_columns(model.momentum, states)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case
+from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.methods import as_taken, checked_settings, default_settings, method_named
-from tenscontrol.accuracy.reference import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.runs import Bench
-from tenscontrol.accuracy.tables import aligned, shown
 from tenscontrol.simulation.progress import progress_bar
+from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import FloatArray, frozen, truth, whole_number
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def convergence_order(
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
-    >>> case = tc.Case(tc.Model(prism), 0.5, held="force_density", value=gamma)
+    >>> case = tc.Case(tc.Model(prism), 0.5, input="force_density", value=gamma)
     >>> found = tc.convergence_order(case, "rk4", [0.02, 0.01, 0.005, 0.0025])
     >>> 3.8 < found.order < 4.2
     True

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.accuracy.runs import NOT_KNOWN, Measurement
-from tenscontrol.accuracy.tables import aligned, shown
+from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import FloatArray
 
 

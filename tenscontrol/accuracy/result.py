@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
+from tenscontrol.accuracy.converged_motion import ConvergedMotion
 from tenscontrol.accuracy.growth import Predictability
 from tenscontrol.accuracy.ratios import Ratios, time_to_reach
-from tenscontrol.accuracy.reference import ConvergedMotion
 from tenscontrol.accuracy.runs import NOT_KNOWN, Measurement
-from tenscontrol.accuracy.tables import aligned, comma_separated, markdown, shown
+from tenscontrol.tables import aligned, comma_separated, markdown, shown
 from tenscontrol.validation import choice, frozen, positive_number
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
+from tenscontrol.accuracy.converged_motion import ConvergedMotion, largest_distance
 from tenscontrol.accuracy.invariants import deviations, invariants
 from tenscontrol.accuracy.peer import Peer
-from tenscontrol.accuracy.reference import ConvergedMotion, largest_distance
 from tenscontrol.dynamics import pack_state, unpack_states
 from tenscontrol.integrate import IntegrationError, Method, Work
 from tenscontrol.validation import FloatArray

@@ -14,9 +14,9 @@ from tenscontrol.accuracy.invariants import invariants
 from tenscontrol.accuracy.limits import theoretical_limit
 from tenscontrol.accuracy.methods import checked_settings, method_named
 from tenscontrol.accuracy.spectrum import fastest_rate
-from tenscontrol.accuracy.tables import aligned
 from tenscontrol.integrate import IntegrationError, Method
 from tenscontrol.simulation.progress import progress_bar
+from tenscontrol.tables import aligned
 from tenscontrol.validation import FloatArray, frozen, instance, truth, whole_number
 
 if TYPE_CHECKING:
@@ -283,5 +283,5 @@ def prism_near_rest(stiffness: float, mass_ratio: float) -> Case:
     start = to_rest_length(model, structure.nodes, gamma).rest_length
     moves = np.random.default_rng(0).normal(size=structure.nodes.shape)
     nodes = restore_bar_lengths(structure, structure.nodes + disturbance * moves)
-    case = Case(model, 1.0, held="rest_length", value=start, name=f"k = {stiffness:g} N/m")
+    case = Case(model, 1.0, input="rest_length", value=start, name=f"k = {stiffness:g} N/m")
     return replace(case, nodes=nodes)

@@ -15,6 +15,7 @@ from tenscontrol.validation import (
     member_parameters,
     positive,
     positive_number,
+    truth,
     whole_number,
 )
 
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
 
 
 # Each is a span of the integration.
-_MOST_PIECES = 10_000
+_MOST_SUBSTEPS = 10_000
+_SUBSTEPS = 10
 
 _UNITS = (("rate", "speed in m/s"), ("shortest", "length in m"), ("longest", "length in m"))
 
@@ -57,23 +59,24 @@ class Winches:
         Largest speed of winding, m/s; unlimited if not given.
     shortest, longest : float or array_like, shape (α,), optional
         Range of the rest length, m; any positive length if not given.
-    pieces : int
-        Equal parts in which the move of a sample is made, evenly over the sample. With 1 a winch
-        jumps at the start of a sample and stands still. With more it winds, at a speed that is
-        constant within the sample but for small jumps: those should be shorter than the
-        stretch of the strings, T/k.
+    ramp : bool
+        Whether rest lengths ramp through a sample (first-order hold). If not, a winch
+        jumps at the start of a sample and stands still (zero-order hold).
+    substeps : int, optional
+        Equal steps that a ramp is made of, 10 if not given; more than 1 means a ramp. A step should
+        be shorter than the stretch of the strings, T/k.
 
     Raises
     ------
     TypeError, ValueError
         If a limit is not a positive finite number, ``shortest`` exceeds ``longest``, or
-        ``pieces`` is not a whole number from 1 to 10,000.
+        ``substeps`` is not a whole number from 1 to 10,000, or 1 for a ramp.
 
     Examples
     --------
     >>> import tenscontrol as tc
     >>> winches = tc.Winches(rate=0.5, shortest=0.2)
-    >>> move = winches.move(current=[0.8, 0.8], wanted=[0.79, 0.70], step=0.02)
+    >>> move = winches.move(current=[0.8, 0.8], wanted=[0.79, 0.70], sample_time=0.02)
     >>> move.rest_length, move.rate_limited
     (array([0.79, 0.79]), array([1]))
     """
@@ -81,7 +84,8 @@ class Winches:
     rate: FloatArray | None = None
     shortest: FloatArray | None = None
     longest: FloatArray | None = None
-    pieces: int = 1
+    ramp: bool = False
+    substeps: int = None  # type: ignore[assignment]  # an int from __post_init__ on
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
@@ -90,11 +94,19 @@ class Winches:
             rate: ArrayLike | None = None,
             shortest: ArrayLike | None = None,
             longest: ArrayLike | None = None,
-            pieces: int = 1,
+            ramp: bool = False,
+            substeps: int | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pieces", whole_number("pieces", self.pieces, 1, _MOST_PIECES))
+        ramp = truth("ramp", self.ramp, "whether rest lengths ramp through a sample")
+        steps = _SUBSTEPS if ramp else 1
+        if self.substeps is not None:
+            steps = whole_number("substeps", self.substeps, 1, _MOST_SUBSTEPS)
+        if ramp and steps == 1:
+            raise ValueError("substeps is 1, expected at least 2 for a ramp; leave out ramp=True")
+        object.__setattr__(self, "ramp", steps > 1)
+        object.__setattr__(self, "substeps", steps)
         limits = {}
         for name, unit in _UNITS:
             value = getattr(self, name)
@@ -134,14 +146,14 @@ class Winches:
                 "the range of the winches"
             )
 
-    def move(self, current: object, wanted: object, step: float) -> WinchMove:
+    def move(self, current: object, wanted: object, sample_time: float) -> WinchMove:
         """Return the rest lengths reached from ``current`` towards ``wanted`` in one sample.
 
         Parameters
         ----------
         current, wanted : array_like, shape (α,)
             Rest lengths, m.
-        step : float
+        sample_time : float
             Sample time, s.
 
         Returns
@@ -155,7 +167,7 @@ class Winches:
         """
         start = float_array("current", current)
         goal = float_array("wanted", wanted)
-        step = positive_number("step", step, "s")
+        sample_time = positive_number("sample_time", sample_time, "s")
         if start.ndim != 1 or goal.shape != start.shape:
             raise ValueError(
                 f"current has shape {start.shape} and wanted {goal.shape}, expected (α,) twice: "
@@ -173,7 +185,7 @@ class Winches:
         low = -np.inf if self.shortest is None else self.shortest
         high = np.inf if self.longest is None else self.longest
         within = np.clip(goal, low, high)
-        reach = np.inf if self.rate is None else self.rate * step
+        reach = np.inf if self.rate is None else self.rate * sample_time
         reached = np.clip(within, start - reach, start + reach)
         return WinchMove(
             frozen(reached),

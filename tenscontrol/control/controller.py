@@ -1,19 +1,18 @@
-"""The face that every controller shows to a simulation."""
+"""The controller interface: measured motion in, commands within bounds out."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
-from tenscontrol.analysis import LinearPlant
-from tenscontrol.control.plausible import Plausible
+from tenscontrol.control.measurement_check import Plausible
+from tenscontrol.control.status import Fallback, Status, merged_count
+from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray, float_array, frozen, measured, shaped
-
-OK = "ok"
-BAD_WISH = "decision not finite"
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,12 +25,22 @@ class Command:
         γ, N/m, or rest lengths, m, as the controller's ``input`` says. Finite
         and within the controller's bounds, always; where the change is limited,
         no farther than that from what stands.
-    status : str
-        ``"ok"``, or why the command is not what the controller would have wished.
+    status : Status
+        ``Status.OK``, or why the command is not what the controller wanted.
+    fallback : Fallback or None
+        What took the place of the decision; None where there was one.
+    detail : str
+        Figures to the status, for people.
     """
 
     value: FloatArray
-    status: str
+    status: Status = Status.OK
+    fallback: Fallback | None = None
+    detail: str = ""
+
+    def __str__(self) -> str:
+        """Return status, fallback and detail in one line."""
+        return ": ".join(filter(None, (self.status, self.fallback, self.detail)))
 
 
 class Controller(ABC):
@@ -41,7 +50,7 @@ class Controller(ABC):
     ----------
     plant : LinearPlant
         What it was designed on.
-    step : float or None
+    sample_time : float or None
         Sample time, s. None for a law in continuous time, which is run at
         whatever sample time the simulation is given.
     low, high : ndarray, shape (α,)
@@ -53,19 +62,20 @@ class Controller(ABC):
     def __init__(
         self,
         plant: LinearPlant,
-        step: float | None,
+        sample_time: float | None,
         low: FloatArray,
         high: FloatArray,
         change: FloatArray | None = None,
     ) -> None:
         self._plant = plant
-        self._step = step
+        self._sample_time = sample_time
         self._low, self._high = frozen(low), frozen(high)
         self._change = None if change is None else frozen(change)
-        self._plausible = Plausible(plant, step)
+        self._plausible = Plausible(plant, sample_time)
         self._called = 0.0  # when a command was asked for, by perf_counter
         # What the actuators hold: as told, else the last command; None before the first.
-        self._standing: FloatArray | None = None
+        self._previous_input: FloatArray | None = None
+        self._status_count: Counter[tuple[Status, Fallback | None]] = Counter()
 
     @property
     def plant(self) -> LinearPlant:
@@ -73,9 +83,9 @@ class Controller(ABC):
         return self._plant
 
     @property
-    def step(self) -> float | None:
+    def sample_time(self) -> float | None:
         """Sample time, s, or None."""
-        return self._step
+        return self._sample_time
 
     @property
     def input(self) -> str:
@@ -130,16 +140,16 @@ class Controller(ABC):
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
         state, fault = self._perceived(N, V)
         if fault is None:
-            wish, status = self._decide(time, state)
-            if not np.isfinite(wish).all():
-                wish, status = self._fall_back(BAD_WISH)
+            wanted = self._decide(time, state)
+            if not np.isfinite(wanted.value).all():
+                wanted = self._fall_back(Status.INPUT_NOT_FINITE)
         else:
-            wish, status = self._fall_back(fault)
-        return self._given(wish, status)
+            wanted = self._fall_back(fault)
+        return self._given(wanted)
 
     def _perceived(
         self, nodes: FloatArray, velocities: FloatArray
-    ) -> tuple[FloatArray, str | None]:
+    ) -> tuple[FloatArray, Status | None]:
         """Return what is decided on, and what is wrong with the measurement, None for nothing.
 
         The first is the reduced state z, unless a subclass measures for itself.
@@ -149,10 +159,11 @@ class Controller(ABC):
             return np.zeros(0), fault
         return self._plant.measure(nodes, velocities), None
 
-    def _given(self, wish: FloatArray, status: str) -> Command:
-        """Return the command that comes nearest to a wish; it stands from now on."""
-        self._standing = frozen(self._within_reach(wish))
-        return Command(self._standing, status)
+    def _given(self, wanted: Command) -> Command:
+        """Return the command within bounds that comes nearest to what is wanted."""
+        self._previous_input = frozen(self._within_reach(wanted.value))
+        self._status_count[wanted.status, wanted.fallback] += 1
+        return replace(wanted, value=self._previous_input)
 
     def applied(self, value: object) -> None:
         """Tell what the actuators hold, where that may not be the last command.
@@ -172,26 +183,29 @@ class Controller(ABC):
         TypeError, ValueError
             If it is not finite or has the wrong shape.
         """
-        self._standing = frozen(shaped("value", value, self._low.shape, "one per string"))
+        self._previous_input = frozen(shaped("value", value, self._low.shape, "one per string"))
 
     @property
-    def _reachable(self) -> FloatArray:
-        """What stands, within bounds: where the next change is counted from."""
-        before = self._plant.equilibrium_input if self._standing is None else self._standing
+    def _previous_within_bounds(self) -> FloatArray:
+        """The previous input within bounds: changes are limited from here."""
+        previous = self._previous_input
+        if previous is None:
+            previous = self._plant.equilibrium_input
         # Bounds come first: a command outside them is none, wherever the actuators stand.
-        return np.clip(before, self._low, self._high)
+        return np.clip(previous, self._low, self._high)
 
     def _within_reach(self, wish: FloatArray) -> FloatArray:
         """Return the wish within the change allowed and the bounds."""
         if self._change is not None:
-            before = self._reachable
+            before = self._previous_within_bounds
             wish = np.clip(wish, before - self._change, before + self._change)
         return np.clip(wish, self._low, self._high)
 
     @abstractmethod
     def reset(self) -> None:
         """Forget everything that was measured, planned or applied."""
-        self._standing = None
+        self._previous_input = None
+        self._status_count = Counter()
 
     def take_over(self, command: FloatArray) -> None:
         """Go on after another controller: what was planned from its own commands is void.
@@ -201,12 +215,30 @@ class Controller(ABC):
         command : ndarray, shape (α,)
             What stands, or the last command of that one.
         """
-        self._standing = frozen(command)
+        self._previous_input = frozen(command)
 
     @abstractmethod
-    def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
-        """Return the wanted input, shape (α,), for what is perceived, and a status."""
+    def _decide(self, time: float, state: FloatArray) -> Command:
+        """Return what is wanted for what is perceived, bounds aside."""
 
     @abstractmethod
-    def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
-        """Return a safe input, shape (α,), where there is nothing to decide on, and a status."""
+    def _fall_back(self, status: Status) -> Command:
+        """Return a safe input where there is nothing to decide on."""
+
+    def _hold(self, status: Status) -> Command:
+        """Return the rest lengths that the actuators hold, or γ of the operating point."""
+        if self.input == "rest_length" and self._previous_input is not None:
+            return Command(self._previous_input, status, Fallback.PREVIOUS_INPUT_HELD)
+        return Command(self._plant.equilibrium_input, status, Fallback.EQUILIBRIUM_HELD)
+
+    @property
+    def status_count(self) -> dict[Status, int]:
+        """How often each status came since the last reset."""
+        return merged_count((status, n) for (status, _), n in self._status_count.items())
+
+    @property
+    def fallback_count(self) -> dict[Fallback, int]:
+        """How often each fallback was taken since the last reset."""
+        return merged_count(
+            (fallback, n) for (_, fallback), n in self._status_count.items() if fallback
+        )

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.analysis import LinearPlant, OperatingPoint, command_parents, linearize
-from tenscontrol.control.strings import gather_lengths, spread, string_map
+from tenscontrol.plant import LinearPlant, OperatingPoint, command_parents, linearize
+from tenscontrol.plant.string_outputs import gather_lengths, spread, string_map
 from tenscontrol.validation import FloatArray, instance, positive_number, shaped
 
 # γ given to slack strings, relative to the tautest: the loop is looked at from the taut side.
@@ -45,7 +45,7 @@ class HeldLoop:
         return self.rate_ratio >= SLOWEST
 
 
-def held_loop(plant: LinearPlant, gain: object, step: float) -> HeldLoop:
+def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLoop:
     """Return how a sampled law that wants γ does where winches hold rest lengths.
 
     At each sample the wanted ``γ₀ − K z`` is turned into rest lengths at the measured
@@ -59,7 +59,7 @@ def held_loop(plant: LinearPlant, gain: object, step: float) -> HeldLoop:
         With ``input="force_density"``, of a model with a string law.
     gain : array_like, shape (α, 2r)
         K, for example that of :func:`lqr`.
-    step : float
+    sample_time : float
         Sample time, s.
 
     Returns
@@ -82,13 +82,13 @@ def held_loop(plant: LinearPlant, gain: object, step: float) -> HeldLoop:
     ...     model = tc.Model(prism, strings=tc.LinearStrings(stiffness))
     ...     plant = tc.linearize(model, tc.prestress(prism, force_density=17.3205))
     ...     Q, R = tc.energy_weights(plant)
-    ...     law = tc.lqr(plant, Q, 0.1 * R, step=0.02)
-    ...     print(held_loop(plant, law.gain, law.step).holds)
+    ...     law = tc.lqr(plant, Q, 0.1 * R, sample_time=0.02)
+    ...     print(held_loop(plant, law.gain, sample_time=law.sample_time).holds)
     True
     False
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    step = positive_number("step", step, "s")
+    sample_time = positive_number("sample_time", sample_time, "s")
     if plant.input != "force_density" or plant.model.strings is None:
         raise ValueError(
             f"plant has input={plant.input!r} and its model "
@@ -111,8 +111,8 @@ def held_loop(plant: LinearPlant, gain: object, step: float) -> HeldLoop:
     wound = gather_lengths(plant, (wanted / by_length).T).T
     if plant.commanded is not plant.model.structure:
         held = command_parents(held)
-    transition, input_matrix, _ = held.discretize(step)
-    designed_transition, designed_input, _ = plant.discretize(step)
+    transition, input_matrix, _ = held.discretize(sample_time)
+    designed_transition, designed_input, _ = plant.discretize(sample_time)
     loops = (transition + input_matrix @ wound, designed_transition - designed_input @ K)
     return HeldLoop(*(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops))
 
@@ -125,17 +125,17 @@ def _softest(plant: LinearPlant) -> FloatArray:
     return law.force_density(length, 0.5 * length)
 
 
-def warn_of_held_lengths(plant: LinearPlant, gain: FloatArray, step: float) -> None:
+def warn_of_held_lengths(plant: LinearPlant, gain: FloatArray, sample_time: float) -> None:
     """Warn the caller of the caller if winches would undo a law in γ.
 
     Parameters
     ----------
     plant : LinearPlant
     gain : ndarray, shape (α, 2r)
-    step : float
+    sample_time : float
         s.
     """
-    loop = held_loop(plant, gain, step)
+    loop = held_loop(plant, gain, sample_time=sample_time)
     if loop.holds:
         return
     what = (
@@ -144,16 +144,16 @@ def warn_of_held_lengths(plant: LinearPlant, gain: FloatArray, step: float) -> N
         else f"the loop settles at {100 * loop.rate_ratio:.0f} % of the rate it was designed for"
     )
     warnings.warn(
-        f"where winches hold rest lengths between samples of {step:g} s, strings this stiff undo "
-        f"a commanded γ: {what}. Linearize with input='rest_length'; if the actuators hold forces, "
-        "build the model without a string law",
+        f"where winches hold rest lengths between samples of {sample_time:g} s, strings this "
+        f"stiff undo a commanded γ: {what}. Linearize with input='rest_length'; if the actuators "
+        "hold forces, build the model without a string law",
         RuntimeWarning,
         stacklevel=3,
     )
 
 
 def held_error_rate(
-    plant: LinearPlant, matrix: FloatArray, rates: tuple[float, float], step: float
+    plant: LinearPlant, matrix: FloatArray, rates: tuple[float, float], sample_time: float
 ) -> float:
     """Return how fast tracked errors decay where winches hold rest lengths, against the design.
 
@@ -169,7 +169,7 @@ def held_error_rate(
         What is tracked.
     rates : tuple of float
         a, 1/s, and b, 1/s².
-    step : float
+    sample_time : float
         s.
     """
     r, (a, b) = plant.degrees_of_freedom, rates
@@ -178,14 +178,14 @@ def held_error_rate(
     # The mean over the segments of a string, whose γ are alike.
     gather = np.linalg.pinv(np.column_stack(spreading))
     by_shape = gather @ string_map(plant, "rest_length").gamma_by_state[:, :r]
-    D = -0.5 * step * moved @ plant.B[r:] @ by_shape @ np.linalg.pinv(moved)
+    D = -0.5 * sample_time * moved @ plant.B[r:] @ by_shape @ np.linalg.pinv(moved)
     damping = a + max(0.0, float(np.linalg.eigvals(D).real.max()))
     held, designed = (-np.roots([1.0, each, b]).real.max() for each in (damping, a))
     return float(held / designed)
 
 
 def warn_of_slow_errors(
-    plant: LinearPlant, matrix: FloatArray, rates: tuple[float, float], step: float
+    plant: LinearPlant, matrix: FloatArray, rates: tuple[float, float], sample_time: float
 ) -> None:
     """Warn the caller of the caller if winches would keep tracked errors from decaying.
 
@@ -194,13 +194,13 @@ def warn_of_slow_errors(
     plant, matrix, rates, step
         As for :func:`held_error_rate`.
     """
-    ratio = held_error_rate(plant, matrix, rates, step)
+    ratio = held_error_rate(plant, matrix, rates, sample_time)
     if ratio >= SLOWEST:
         return
     warnings.warn(
-        f"where winches hold rest lengths between samples of {step:g} s, strings this stiff act "
-        f"as dampers: errors decay at {100 * ratio:.0f} % of the rate asked for. Raise the "
-        "frequency or shorten the step, or use MPC with input='rest_length'; if the actuators "
+        f"where winches hold rest lengths between samples of {sample_time:g} s, strings this "
+        f"stiff act as dampers: errors decay at {100 * ratio:.0f} % of the rate asked for. Raise "
+        "the frequency or shorten the step, or use MPC with input='rest_length'; if the actuators "
         "hold forces, build the model without a string law",
         RuntimeWarning,
         stacklevel=3,

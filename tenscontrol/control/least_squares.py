@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tenscontrol.control.quadratic_program import QPSolution, QuadraticProgram
+from tenscontrol.control.mpc.osqp_adapter import QPSolution, QuadraticProgram
 from tenscontrol.validation import FloatArray
 
 

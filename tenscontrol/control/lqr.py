@@ -7,12 +7,13 @@ from typing import final
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.analysis import LinearPlant, controllability, lost_poles
-from tenscontrol.control.bounds import input_bounds, largest_change
-from tenscontrol.control.controller import OK, Controller
-from tenscontrol.control.sampled import sampled
-from tenscontrol.control.weights import weight_matrix
+from tenscontrol.control.controller import Command, Controller
+from tenscontrol.control.input_bounds import input_bounds, largest_change
+from tenscontrol.control.status import Status
+from tenscontrol.control.weights import energy_weights, weight_matrix
 from tenscontrol.dynamics import coordinates
+from tenscontrol.plant import LinearPlant, controllability, lost_poles
+from tenscontrol.plant.sampling import sampled
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number
 
 # A Riccati residual above this fraction of its terms means that the solution is wrong.
@@ -50,7 +51,7 @@ class LQR(Controller):
     def __init__(
         self,
         plant: LinearPlant,
-        step: float | None,
+        sample_time: float | None,
         bounds: tuple[FloatArray, FloatArray],
         gain: FloatArray,
         poles: np.ndarray,
@@ -58,11 +59,11 @@ class LQR(Controller):
         riccati_residual: float,
         change: FloatArray | None,
     ) -> None:
-        super().__init__(plant, step, *bounds, change)
+        super().__init__(plant, sample_time, *bounds, change)
         states = len(plant.A)
-        winds = gain.shape[1] > states
+        ramp = gain.shape[1] > states
         self.gain = frozen(gain[:, :states])
-        self.held_gain = frozen(gain[:, states:]) if winds else None
+        self.held_gain = frozen(gain[:, states:]) if ramp else None
         self.poles = frozen(poles)
         self.cost = frozen(cost)
         self.riccati_residual = riccati_residual
@@ -71,28 +72,27 @@ class LQR(Controller):
         """Forget what the actuators hold: the feedback remembers nothing else."""
         super().reset()
 
-    def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
+    def _decide(self, time: float, state: FloatArray) -> Command:
         wish = self.plant.equilibrium_input - self.gain @ state
-        if self.held_gain is not None and self._standing is not None:
-            wish -= self.held_gain @ (self._standing - self.plant.equilibrium_input)
+        if self.held_gain is not None and self._previous_input is not None:
+            wish -= self.held_gain @ (self._previous_input - self.plant.equilibrium_input)
         reached = np.array_equal(self._within_reach(wish), wish)
-        return wish, OK if reached else "saturated"
+        return Command(wish, Status.OK if reached else Status.SATURATED)
 
-    def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
-        if self.input == "rest_length" and self._standing is not None:
-            return self._standing, f"{reason}: last command held"
-        return self.plant.equilibrium_input, f"{reason}: equilibrium held"
+    def _fall_back(self, status: Status) -> Command:
+        return self._hold(status)
 
     def __repr__(self) -> str:
-        kind = "continuous" if self.step is None else f"every {self.step:g} s"
+        kind = "continuous" if self.sample_time is None else f"every {self.sample_time:g} s"
         return f"LQR({self.plant!r}, {kind})"
 
 
 def lqr(
     plant: LinearPlant,
-    Q: object,
-    R: object,
-    step: float | None = None,
+    Q: object = None,
+    R: object = None,
+    *,
+    sample_time: float | None = None,
     max_force_density: object = None,
     max_change: object = None,
     winches: Winches | None = None,
@@ -104,11 +104,12 @@ def lqr(
     plant : LinearPlant
         In ``"internal"`` coordinates; ``"nodes"`` and ``"minimal"`` have
         states that no string reaches.
-    Q : float or array_like, shape (2r,) or (2r, 2r)
-        Weight of the state ``z = [q; q̇]``, positive semidefinite.
-    R : float or array_like, shape (α,) or (α, α)
-        Weight of the input, positive definite.
-    step : float, optional
+    Q : float or array_like, shape (2r,) or (2r, 2r), optional
+        Weight of the state ``z = [q; q̇]``, positive semidefinite. If not given, that of
+        :func:`energy_weights`.
+    R : float or array_like, shape (α,) or (α, α), optional
+        Weight of the input, positive definite. If not given, that of :func:`energy_weights`.
+    sample_time : float, optional
         Sample time, s. With it the plant is discretized exactly, and the sum
         over samples is minimized in place of the integral.
     max_force_density : float or array_like, shape (α,), optional
@@ -118,7 +119,7 @@ def lqr(
         Largest change of the command from sample to sample, N/m or m.
     winches : Winches, optional
         Speed and range that bound rest lengths. The feedback is designed for how they move, by
-        their ``pieces``: with a jump at the start of a sample, or winding through it.
+        their ``substeps``: with a jump at the start of a sample, or winding through it.
 
     Returns
     -------
@@ -148,30 +149,34 @@ def lqr(
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     states, inputs = plant.B.shape
     refuse_empty(plant)
+    if Q is None or R is None:
+        natural = energy_weights(plant)
+        Q, R = (own if given is None else given for own, given in zip(natural, (Q, R), strict=True))
     state_weight = weight_matrix("Q", Q, states, definite=False)
     input_weight = weight_matrix("R", R, inputs, definite=True)
     if winches is not None:
         instance("winches", winches, Winches, "make them by Winches(rate=...)")
-    if step is not None:
-        step = positive_number("step", step, "s")
+    if sample_time is not None:
+        sample_time = positive_number("sample_time", sample_time, "s")
     bounds = input_bounds(plant, max_force_density, winches)
-    change = largest_change(plant, max_change, winches, step)
-    if step is None and winches is not None and winches.pieces > 1:
+    change = largest_change(plant, max_change, winches, sample_time)
+    if sample_time is None and winches is not None and winches.substeps > 1:
         raise ValueError(
-            f"winches.pieces is {winches.pieces}: they wind through samples, so give step, s"
+            f"winches.substeps is {winches.substeps}: they wind through samples, so "
+            "give sample_time, s"
         )
     refuse_unreachable(plant)
 
     units, level = state_units(plant)
-    if step is None:
+    if sample_time is None:
         A, B = plant.A, plant.B
     else:
-        A, B = sampled(plant, step, 1 if winches is None else winches.pieces).augmented
+        A, B = sampled(plant, sample_time, 1 if winches is None else winches.substeps).augmented
     held = len(A) - states  # entries of what winches hold, where they wind: without a weight
     state_weight = np.pad(state_weight, (0, held))
     units = np.concatenate([units, np.full(held, level)])
-    feedback = regulate(A, B, state_weight, input_weight, units, level, step is not None)
-    return LQR(plant, step, bounds, *feedback, change)
+    feedback = regulate(A, B, state_weight, input_weight, units, level, sample_time is not None)
+    return LQR(plant, sample_time, bounds, *feedback, change)
 
 
 def regulate(

@@ -6,8 +6,8 @@ from math import ceil, floor, log10, pi
 
 import numpy as np
 
-from tenscontrol.analysis import LinearPlant
-from tenscontrol.control.path import checked_tracked
+from tenscontrol.plant import LinearPlant
+from tenscontrol.plant.reduced_reference import checked_tracked
 from tenscontrol.validation import FloatArray, choice, positive_number
 
 
@@ -21,16 +21,16 @@ def refuse_other_plants(plant: LinearPlant) -> None:
     choice("plant.coordinates.kind", plant.coordinates.kind, ("internal", "minimal"))
 
 
-def error_rates(frequency: object, damping: object, step: float) -> tuple[float, float]:
+def error_rates(frequency: object, damping: object, sample_time: float) -> tuple[float, float]:
     """Return a and b, or raise where samples of this length make the error grow."""
     omega = 2 * pi * positive_number("frequency", frequency, "Hz")
     a, b = 2 * positive_number("damping", damping, "no unit") * omega, omega**2
     # With Ë held over a sample: det < 1 and trace > −1 − det of the map of (E, Ė).
-    if a * step >= 2 or b * step >= 2 * a:
+    if a * sample_time >= 2 or b * sample_time >= 2 * a:
         raise ValueError(
             f"frequency {omega / (2 * pi):g} Hz and damping {a / (2 * omega):g} give a = {a:g} 1/s "
-            f"and b = {b:g} 1/s²: in samples of {step:g} s the error would grow; expected "
-            f"a·step < 2 and b·step < 2a. Lower the frequency or the step"
+            f"and b = {b:g} 1/s²: in samples of {sample_time:g} s the error would grow; expected "
+            f"a·sample_time < 2 and b·sample_time < 2a. Lower the frequency or sample_time"
         )
     return a, b
 

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 
+from tenscontrol.control.status import Fallback, Status
 from tenscontrol.validation import FloatArray, frozen
 
 
 @dataclass(frozen=True, eq=False)
-class ShapeControlStatistics:
+class FeedbackLinearizationStatistics:
     """What became of the samples since the last reset.
 
     Attributes
     ----------
-    status_count : dict of str to int
-        How often the law was reached (``"ok"``), how often not, and how often each
-        fallback was taken.
+    status_count : dict of Status to int
+        How often the law was reached (``Status.OK``), how often not.
+    fallback_count : dict of Fallback to int
+        How often each fallback was taken.
     residual : ndarray, shape (K,)
         How far the applied γ misses the law: largest entry of ``Ë + a Ė + b E``, m/s².
         NaN for a fallback, which asks for nothing.
@@ -31,7 +32,8 @@ class ShapeControlStatistics:
         OSQP iterations; 0 where no program was begun.
     """
 
-    status_count: dict[str, int]
+    status_count: dict[Status, int]
+    fallback_count: dict[Fallback, int]
     residual: FloatArray
     unbounded_residual: FloatArray
     at_bound: np.ndarray
@@ -43,11 +45,16 @@ class ShapeControlStatistics:
         return float(np.nanmax(self.residual, initial=0.0))
 
 
-def statistics(statuses: list[str], records: list[tuple[float, ...]]) -> ShapeControlStatistics:
-    """Return statistics of statuses, and of samples with the other attributes in their order."""
+def statistics(
+    status_count: dict[Status, int],
+    fallback_count: dict[Fallback, int],
+    records: list[tuple[float, ...]],
+) -> FeedbackLinearizationStatistics:
+    """Return statistics of counts, and of samples with the other attributes in their order."""
     table = np.array(records).reshape(-1, 4)
-    return ShapeControlStatistics(
-        status_count=dict(Counter(statuses)),
+    return FeedbackLinearizationStatistics(
+        status_count=status_count,
+        fallback_count=fallback_count,
         residual=frozen(table[:, 0]),
         unbounded_residual=frozen(table[:, 1]),
         at_bound=frozen(table[:, 2].astype(np.int64)),

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control import Controller
-from tenscontrol.control.quadratic_program import QuadraticProgram
+from tenscontrol.control.mpc.osqp_adapter import QuadraticProgram
 from tenscontrol.deploy import c_text
 from tenscontrol.deploy.measurement import measurement
 from tenscontrol.deploy.parts import Parts
@@ -50,10 +50,10 @@ def code_files(controller: Controller, parts: Parts, name: str) -> dict[str, str
     words = {
         "UNIT": _UNIT[controller.input],
         "SIZES": c_text.constants(sizes)
-        + f"\n#define {name.upper()}_STEP {controller.step!r} /* sample time, s */",
+        + f"\n#define {name.upper()}_STEP {controller.sample_time!r} /* sample time, s */",
         "NODES": str(plant.nodes.shape[1]),
         "COMMANDS": str(count),
-        "STEP": f"{controller.step:g}",
+        "STEP": f"{controller.sample_time:g}",
         "KIND": type(controller).__name__,
         "SOLVER": "" if parts.program is None else _SOLVER_WORDS.replace("controller", name),
     }

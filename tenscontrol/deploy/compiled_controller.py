@@ -4,45 +4,44 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import final
 
 import numpy as np
 
-from tenscontrol.analysis import LinearPlant
-from tenscontrol.control.controller import BAD_WISH, OK, Controller
-from tenscontrol.control.plausible import ABSURD_MEASUREMENT, BAD_MEASUREMENT
-from tenscontrol.control.quadratic_program import Status
+from tenscontrol.control import Command, Controller, Fallback, Status
 from tenscontrol.dynamics.compiler import CompilerError, compiler
+from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray, positive_number
 
-# Words for a status of the C code: controller.h.
-_REASONS = (
-    OK,
-    "saturated",
-    BAD_MEASUREMENT,
-    Status.INACCURATE.value,
-    Status.INFEASIBLE.value,
-    Status.UNBOUNDED.value,
-    Status.OUT_OF_ITERATIONS.value,
-    Status.OUT_OF_TIME.value,
-    Status.NOT_CONVEX.value,
-    Status.INTERRUPTED.value,
-    Status.UNSOLVED.value,
-    Status.BAD_DATA.value,
-    ABSURD_MEASUREMENT,
-    BAD_WISH,
+# Status and fallback by their numbers in the C code: controller.h.
+_STATUSES = (
+    Status.OK,
+    Status.SATURATED,
+    Status.MEASUREMENT_NOT_FINITE,
+    Status.INACCURATE,
+    Status.INFEASIBLE,
+    Status.UNBOUNDED,
+    Status.OUT_OF_ITERATIONS,
+    Status.OUT_OF_TIME,
+    Status.NOT_CONVEX,
+    Status.INTERRUPTED,
+    Status.UNSOLVED,
+    Status.BAD_DATA,
+    Status.MEASUREMENT_NOT_PLAUSIBLE,
+    Status.INPUT_NOT_FINITE,
+)
+_FALLBACKS = (
+    None,
+    Fallback.PLAN_CONTINUED,
+    Fallback.PREVIOUS_INPUT_HELD,
+    Fallback.EQUILIBRIUM_HELD,
 )
 
 # GCC takes a third of the time of -O2 for long straight code.
 OPTIMIZATION = "-O1"
-
-_FALLBACKS = {
-    "LQR": ("", "", "last command held", "equilibrium held"),
-    "MPC": ("", "last plan continued", "last command held", "equilibrium held"),
-    "NMPC": ("", "plan continued", "last command held", "equilibrium held"),
-}
 
 
 @final
@@ -56,14 +55,13 @@ class CompiledController(Controller):
     def __init__(
         self,
         name: str,
-        kind: str,
         sources: Sequence[Path],
         plant: LinearPlant,
-        step: float,
+        sample_time: float,
         bounds: tuple[FloatArray, FloatArray],
         timeout: float,
     ) -> None:
-        super().__init__(plant, step, *bounds)
+        super().__init__(plant, sample_time, *bounds)
         timeout = positive_number("timeout", timeout, "s")
         found = compiler()
         if found is None:
@@ -82,7 +80,6 @@ class CompiledController(Controller):
                     f"the compiled controller cannot be loaded: {error}. The compiler may be one "
                     "for another machine: see CC"
                 ) from None
-        self._fallbacks = _FALLBACKS[kind]
         numbers = ctypes.POINTER(ctypes.c_double)
         self._reset, self._run, self._tell, self._count = (
             getattr(loaded, f"{name}_{what}")
@@ -105,8 +102,8 @@ class CompiledController(Controller):
     def applied(self, value: object) -> None:
         """See :meth:`Controller.applied`."""
         super().applied(value)
-        assert self._standing is not None  # just told
-        held = np.ascontiguousarray(self._standing)
+        assert self._previous_input is not None  # just told
+        held = np.ascontiguousarray(self._previous_input)
         self._tell(held.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
 
     def take_over(self, command: FloatArray) -> None:
@@ -116,22 +113,21 @@ class CompiledController(Controller):
 
     def _perceived(
         self, nodes: FloatArray, velocities: FloatArray
-    ) -> tuple[FloatArray, str | None]:
+    ) -> tuple[FloatArray, Status | None]:
         # The code judges and measures for itself.
         return np.concatenate([nodes.ravel(order="F"), velocities.ravel(order="F")]), None
 
-    def _decide(self, time: float, state: FloatArray) -> tuple[FloatArray, str]:
+    def _decide(self, time: float, state: FloatArray) -> Command:
         command = np.zeros(len(self._low))
         numbers = ctypes.POINTER(ctypes.c_double)
         nodes, velocities = (part.ctypes.data_as(numbers) for part in np.split(state, 2))
         status = self._run(time, nodes, velocities, command.ctypes.data_as(numbers))
-        reason, fallback = _REASONS[status & 15], self._fallbacks[status >> 4]
-        return command, f"{reason}: {fallback}" if fallback else reason
+        return Command(command, _STATUSES[status & 15], _FALLBACKS[status >> 4])
 
-    def _fall_back(self, reason: str) -> tuple[FloatArray, str]:
+    def _fall_back(self, status: Status) -> Command:
         # The code falls back for itself where a measurement is no number, and gives that reason.
-        command, status = self._decide(0.0, np.full(2 * self.plant.nodes.size, np.nan))
-        return command, status.replace(BAD_MEASUREMENT, reason, 1)
+        command = self._decide(0.0, np.full(2 * self.plant.nodes.size, np.nan))
+        return replace(command, status=status)
 
     def __repr__(self) -> str:
-        return f"CompiledController({self.plant!r}, every {self.step:g} s)"
+        return f"CompiledController({self.plant!r}, every {self.sample_time:g} s)"

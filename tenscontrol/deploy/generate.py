@@ -7,7 +7,6 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from tenscontrol.analysis import LinearPlant
 from tenscontrol.control import LQR, MPC, NMPC, Controller
 from tenscontrol.deploy.code_files import code_files
 from tenscontrol.deploy.compiled_controller import CompiledController
@@ -15,6 +14,7 @@ from tenscontrol.deploy.lqr_parts import lqr_parts
 from tenscontrol.deploy.mpc_parts import mpc_parts
 from tenscontrol.deploy.nmpc_parts import nmpc_parts
 from tenscontrol.deploy.parts import Parts
+from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray, frozen
 
 # Names of functions and headers that a controller may not have.
@@ -39,7 +39,7 @@ class GeneratedController:
         Their sizes, bytes.
     plant : LinearPlant
         What the controller was designed on.
-    step : float
+    sample_time : float
         Sample time, s.
     low, high : ndarray, shape (α,)
         Bounds of the commands.
@@ -51,7 +51,7 @@ class GeneratedController:
     files: tuple[str, ...]
     sizes: tuple[int, ...]
     plant: LinearPlant
-    step: float
+    sample_time: float
     low: FloatArray
     high: FloatArray
 
@@ -81,10 +81,9 @@ class GeneratedController:
         sources = [self.folder / file for file in self.files if file.endswith(".c")]
         return CompiledController(
             self.name,
-            self.kind,
             [source for source in sources if source.name != "main.c"],
             self.plant,
-            self.step,
+            self.sample_time,
             (self.low, self.high),
             timeout,
         )
@@ -143,7 +142,7 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     >>> import tempfile, tenscontrol as tc
     >>> prism = tc.prism()
     >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
-    >>> mpc = tc.MPC(plant, horizon=5, step=0.02, max_force_density=60.0)
+    >>> mpc = tc.MPC(plant, horizon=5, sample_time=0.02, max_force_density=60.0)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     made = tc.generate_c(mpc, folder)
     ...     made.kind, "controller.h" in made.files
@@ -163,7 +162,7 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     texts = code_files(controller, parts, name)
     for file, text in texts.items():
         (place / file).write_text(text, encoding="utf-8", newline="\n")
-    assert controller.step is not None  # the parts have been made
+    assert controller.sample_time is not None  # the parts have been made
     low, high = controller.bounds
     listed = sorted(texts)
     return GeneratedController(
@@ -173,7 +172,7 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
         files=tuple(listed),
         sizes=tuple((place / file).stat().st_size for file in listed),
         plant=controller.plant,
-        step=controller.step,
+        sample_time=controller.sample_time,
         low=frozen(low),
         high=frozen(high),
     )

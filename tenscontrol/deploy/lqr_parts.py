@@ -14,7 +14,7 @@ def lqr_parts(controller: LQR) -> Parts:
     ValueError
         If it acts in continuous time.
     """
-    if controller.step is None:
+    if controller.sample_time is None:
         raise ValueError(
             "controller is an LQR in continuous time, and code runs in samples: "
             "make it by lqr(plant, Q, R, step=...)"
@@ -22,5 +22,5 @@ def lqr_parts(controller: LQR) -> Parts:
     matrices = {"feedback": -controller.gain}
     if controller.held_gain is not None:
         matrices["held_feedback"] = -controller.held_gain
-    winds = int(controller.held_gain is not None)
-    return Parts(("lqr.c",), {"WINDS": winds}, {}, matrices)
+    ramp = int(controller.held_gain is not None)
+    return Parts(("lqr.c",), {"WINDS": ramp}, {}, matrices)

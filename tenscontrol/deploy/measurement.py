@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from tenscontrol.analysis import LinearPlant
+from tenscontrol.plant import LinearPlant
 
 # Sweeps of Jacobi's method. It converges quadratically: four give all digits of a 4 x 4 matrix,
 # and two more cost little.

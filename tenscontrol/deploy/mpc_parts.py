@@ -14,9 +14,9 @@ from collections.abc import Callable
 import numpy as np
 
 from tenscontrol.control import MPC
-from tenscontrol.control.mpc_law import MPCLaw
-from tenscontrol.control.problem import Ahead
-from tenscontrol.control.quadratic_program import START_RHO
+from tenscontrol.control.mpc.mpc_law import MPCLaw
+from tenscontrol.control.mpc.osqp_adapter import START_RHO
+from tenscontrol.control.mpc.problem import Ahead
 from tenscontrol.deploy.over_time import over_time
 from tenscontrol.deploy.parts import Parts, refuse_time_limit
 from tenscontrol.validation import FloatArray
@@ -84,8 +84,8 @@ def mpc_parts(controller: MPC) -> Parts:
     reader = _Reader(law)
     unknowns, rows = reader.unknowns, reader.rows
     problem, sampled = law.design.problem, law.design.sampled
-    first, table = over_time(law.path.span, law.step, problem.length, reader.row)
-    times = first * law.step, (first + len(table) - 1) * law.step
+    first, table = over_time(law.path.span, law.sample_time, problem.length, reader.row)
+    times = first * law.sample_time, (first + len(table) - 1) * law.sample_time
     given = sum(reader.sizes)
     offset, slope = _read(reader.vectors, given, times)
     # Upper and lower bounds move alike, where they are not infinite.

@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.control import NMPC
-from tenscontrol.control.motion import ExplicitMotion
-from tenscontrol.control.nmpc import CONVERGED
-from tenscontrol.control.problem import Horizon
-from tenscontrol.control.quadratic_program import START_RHO
-from tenscontrol.control.tangents import Tangents
-from tenscontrol.control.trajectory_model import NEWTON_STEPS
-from tenscontrol.control.trajectory_program import TrajectoryProgram
+from tenscontrol.control.mpc.nonlinear import CONVERGED
+from tenscontrol.control.mpc.osqp_adapter import START_RHO
+from tenscontrol.control.mpc.problem import Horizon
+from tenscontrol.control.mpc.shooting import ExplicitMotion
+from tenscontrol.control.mpc.sparse import TrajectoryProgram
+from tenscontrol.control.mpc.stage_jacobians import Tangents
+from tenscontrol.control.mpc.trajectory_model import NEWTON_STEPS
 from tenscontrol.deploy.over_time import over_time
 from tenscontrol.deploy.parts import Parts, refuse_time_limit
 from tenscontrol.validation import FloatArray, IntArray
@@ -53,7 +53,7 @@ def nmpc_parts(controller: NMPC) -> Parts:
         q, _, _ = program.vectors(nothing[0], reference, origin, np.zeros(a))
         return np.concatenate([q, reference.ravel(), origin.ravel()])
 
-    first, table = over_time(law.path.span, law.step, N, row)
+    first, table = over_time(law.path.span, law.sample_time, N, row)
     low, high = program.vectors(*nothing, np.zeros(a))[1:]
     slopes = np.zeros((len(low), a))
     # Rows of a change are bounded on both sides, and move alike; no others move.

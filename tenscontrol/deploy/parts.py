@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control.quadratic_program import QuadraticProgram
+from tenscontrol.control.mpc.osqp_adapter import QuadraticProgram
 from tenscontrol.validation import FloatArray
 
 

@@ -9,6 +9,7 @@ from tenscontrol.dynamics.coordinates import (
 from tenscontrol.dynamics.equation import Equation, smooth_equation
 from tenscontrol.dynamics.evaluator import Evaluator, evaluate_columns
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
+from tenscontrol.dynamics.prepared import Prepared
 from tenscontrol.dynamics.strings import ElasticStrings, LinearStrings, StringLaw
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "Evaluator",
     "LinearStrings",
     "Model",
+    "Prepared",
     "StringLaw",
     "compiled",
     "coordinates",

@@ -248,7 +248,8 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
     --------
     >>> import tenscontrol as tc
     >>> model = tc.Model(tc.prism())
-    >>> [tc.coordinates(model, kind=kind).count for kind in ("nodes", "minimal", "internal")]
+    >>> kinds = ("nodes", "minimal", "internal")
+    >>> [tc.dynamics.coordinates(model, kind=kind).count for kind in kinds]
     [18, 15, 9]
     """
     instance("model", model, Model, "make one by Model(structure)")

@@ -13,6 +13,7 @@ from tenscontrol.dynamics.driver import driver_equation
 from tenscontrol.dynamics.equation import FORMS, Equation
 from tenscontrol.dynamics.forms import suitable_form
 from tenscontrol.dynamics.mapped import mapped_equation
+from tenscontrol.dynamics.prepared import Prepared
 from tenscontrol.dynamics.strings import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped, truth
@@ -94,6 +95,7 @@ class Model:
         self._strings = strings
         self._external_force = takes_load
         self._constant_force = frozen(constant)
+        self._prepared = Prepared()
 
     @property
     def structure(self) -> Structure:
@@ -114,6 +116,11 @@ class Model:
     def constant_force(self) -> FloatArray:
         """Weights and built-in load on the nodes, N, shape (3, n), all nodes."""
         return self._constant_force
+
+    @property
+    def prepared(self) -> Prepared:
+        """What was built for this model once, for every later call; not for users."""
+        return self._prepared
 
     def __repr__(self) -> str:
         law = "" if self._strings is None else f", {type(self._strings).__name__}"
@@ -194,12 +201,12 @@ class Model:
         inputs, names = self._inputs(s, "x", "rest_length")
         return ca.Function("rest_length_dynamics", inputs, [self._xdot(s, gamma)], names, ["xdot"])
 
-    def state_equation(self, held: str) -> ca.Function:
+    def state_equation(self, input: str) -> ca.Function:
         """Return the state equation with the held input as its input.
 
         Parameters
         ----------
-        held : {"force_density", "rest_length"}
+        input : {"force_density", "rest_length"}
 
         Returns
         -------
@@ -209,19 +216,19 @@ class Model:
         Raises
         ------
         ValueError
-            If ``held`` is another word, or the model has no string law for it.
+            If ``input`` is another word, or the model has no string law for it.
         """
-        choice("held", held, ("force_density", "rest_length"))
-        return self.dynamics if held == "force_density" else self.rest_length_dynamics
+        choice("input", input, ("force_density", "rest_length"))
+        return self.dynamics if input == "force_density" else self.rest_length_dynamics
 
     def equation(
-        self, held: str, external_force: FloatArray | None = None, form: str = "auto"
+        self, input: str, external_force: FloatArray | None = None, form: str = "auto"
     ) -> Equation:
         """Return the state equation for an integrator, in smooth pieces.
 
         Parameters
         ----------
-        held : {"force_density", "rest_length"}
+        input : {"force_density", "rest_length"}
         external_force : ndarray, shape (3, n), optional
             Load that acts all the time, N, beside what is built in; for a
             model built with ``external_force=True``.
@@ -241,13 +248,13 @@ class Model:
         Raises
         ------
         ValueError
-            If ``held`` or ``form`` is another word, or the model has no string law for it.
+            If ``input`` or ``form`` is another word, or the model has no string law for it.
         FileNotFoundError
             If ``form`` is ``"driver"`` and there is no C compiler.
         """
-        choice("held", held, ("force_density", "rest_length"))
+        choice("input", input, ("force_density", "rest_length"))
         choice("form", form, ("auto", *FORMS))
-        law = self._needed_strings() if held == "rest_length" else None
+        law = self._needed_strings() if input == "rest_length" else None
         load = self._constant_force
         if external_force is not None:
             load = load + external_force

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from tenscontrol.analysis import LinearPlant
-from tenscontrol.control.sampled import Sampled
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.plant import LinearPlant
+from tenscontrol.plant.sampling import Sampled
 from tenscontrol.validation import FloatArray
 
 
@@ -22,10 +22,10 @@ class FilterDesign:
     ----------
     plant : LinearPlant
     sensors : Sensors
-    step : float
+    sample_time : float
     load : bool
         Whether a load is estimated.
-    pieces : int
+    substeps : int
         In which the input winds through a sample; 1 if it jumps at its start.
     sampled : Sampled
         What a sample does to z by the linear plant.
@@ -41,9 +41,9 @@ class FilterDesign:
 
     plant: LinearPlant
     sensors: Sensors
-    step: float
+    sample_time: float
     load: bool
-    pieces: int
+    substeps: int
     sampled: Sampled
     process_covariance: FloatArray
     start_covariance: FloatArray

@@ -6,16 +6,16 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.analysis import LinearPlant
-from tenscontrol.control.path import acceleration_response
-from tenscontrol.control.reduced_dynamics import sampled_dynamics
-from tenscontrol.control.sampled import sampled
 from tenscontrol.estimation.design import FilterDesign
 from tenscontrol.estimation.kalman_filter import KalmanFilter
 from tenscontrol.estimation.observability import refuse_unobservable, refuse_unseen_loads
 from tenscontrol.estimation.outputs import observed_plant, output_function, output_matrix
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.estimation.unknown_load import with_load
+from tenscontrol.plant import LinearPlant
+from tenscontrol.plant.reduced_dynamics import sampled_dynamics
+from tenscontrol.plant.reduced_reference import acceleration_response
+from tenscontrol.plant.sampling import sampled
 from tenscontrol.structure import refuse_wrong_bar_lengths, same_members
 from tenscontrol.validation import (
     FloatArray,
@@ -39,8 +39,8 @@ _RESIDUAL_TOLERANCE = 1e-6
 def kalman(
     plant: LinearPlant,
     sensors: Sensors,
-    step: float,
     *,
+    sample_time: float,
     process_noise: float = 0.02,
     load: bool = False,
     load_noise: float = 0.05,
@@ -63,7 +63,7 @@ def kalman(
         In internal or minimal coordinates.
     sensors : Sensors
         Of the structure of the plant's model.
-    step : float
+    sample_time : float
         Sample time, s; a reading is taken at the start of each sample.
     process_noise : float
         Standard deviation of an unknown acceleration in each coordinate, constant over a
@@ -92,7 +92,7 @@ def kalman(
         structure; that of the speeds is what the forces of the strings give over this distance.
     winches : Winches, optional
         Those that set the rest lengths, where they wind through samples
-        (``Winches(pieces=...)``): the prediction winds as they do. Their limits do not matter.
+        (``Winches(substeps=...)``): the prediction winds as they do. Their limits do not matter.
 
     Returns
     -------
@@ -120,23 +120,23 @@ def kalman(
     >>> prism = tc.prism()
     >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
     >>> sensors = tc.Sensors(structure=prism, string_length=0.001, node_position=0.005)
-    >>> estimator = tc.kalman(plant, sensors, step=0.02)
+    >>> estimator = tc.kalman(plant, sensors, sample_time=0.02)
     >>> estimator
-    KalmanFilter(30 states, 15 readings, step 0.02 s, linear prediction)
+    KalmanFilter(30 states, 15 readings, sample time 0.02 s, linear prediction)
     >>> bool(abs(estimator.poles).max() < 1)
     True
 
     The length of one string does not tell of all motions:
 
     >>> few = tc.Sensors(structure=prism, string_length=0.001, strings=[0])
-    >>> tc.kalman(plant, few, step=0.02)  # doctest: +ELLIPSIS
+    >>> tc.kalman(plant, few, sample_time=0.02)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
         ...
     ValueError: 10 of the 18 states are not seen by ...
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
-    step = positive_number("step", step, "s")
+    sample_time = positive_number("sample_time", sample_time, "s")
     share = positive_number("process_noise", process_noise, "accelerations of the strings")
     spread = positive_number("start_spread", start_spread, "sizes of the structure")
     if positive_number("gate", gate, "no unit, below 1") >= 1:
@@ -145,7 +145,7 @@ def kalman(
     walk = positive_number("load_noise", load_noise, "accelerations of the strings")
     patience = whole_number("patience", patience, least=1)
     choice("prediction", prediction, PREDICTIONS)
-    pieces = _pieces(plant, winches)
+    substeps = _substeps(plant, winches)
     if plant.coordinates.kind == "nodes":
         raise ValueError(
             "plant has 'nodes' coordinates, in which bars may stretch; linearize with "
@@ -163,17 +163,17 @@ def kalman(
     refuse_unobservable(plant, sensors, C)
     if load:
         refuse_unseen_loads(plant, sensors, C)
-    pull, by_load = _pull(plant), acceleration_response(plant, step)
+    pull, by_load = _pull(plant), acceleration_response(plant, sample_time)
     motion: ca.Function | None = None
     if prediction == "nonlinear":
-        motion = sampled_dynamics(plant, step / pieces)[1]
+        motion = sampled_dynamics(plant, sample_time / substeps)[1]
     design = FilterDesign(
         plant=plant,
         sensors=sensors,
-        step=step,
+        sample_time=sample_time,
         load=False,
-        pieces=pieces,
-        sampled=sampled(plant, step, pieces),
+        substeps=substeps,
+        sampled=sampled(plant, sample_time, substeps),
         process_covariance=(share * pull) ** 2 * by_load @ by_load.T,
         start_covariance=_start(plant, spread, pull),
         start=_start_state(plant, start),
@@ -194,16 +194,16 @@ def kalman(
     )
 
 
-def _pieces(plant: LinearPlant, winches: Winches | None) -> int:
+def _substeps(plant: LinearPlant, winches: Winches | None) -> int:
     if winches is None:
         return 1
-    instance("winches", winches, Winches, "make them by Winches(pieces=...)")
+    instance("winches", winches, Winches, "make them by Winches(substeps=...)")
     if plant.input != "rest_length":
         raise ValueError(
             f"winches set rest lengths, but plant has input={plant.input!r}; linearize with "
             "input='rest_length'"
         )
-    return winches.pieces
+    return winches.substeps
 
 
 def _pull(plant: LinearPlant) -> float:

@@ -7,12 +7,12 @@ from typing import Any, final
 
 import numpy as np
 
-from tenscontrol.analysis import LinearPlant
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.estimation.correction import Correction
 from tenscontrol.estimation.design import FilterDesign
 from tenscontrol.estimation.estimate import Estimate, FilterStatistics, Tally
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray, frozen, measured, shaped
 
 # From one start anew to the next, without a good sample between, the spread grows by this.
@@ -78,9 +78,9 @@ class KalmanFilter:
         return self._design.sensors
 
     @property
-    def step(self) -> float:
+    def sample_time(self) -> float:
         """Sample time, s."""
-        return self._design.step
+        return self._design.sample_time
 
     @property
     def input(self) -> str:
@@ -88,9 +88,9 @@ class KalmanFilter:
         return self.plant.input
 
     @property
-    def pieces(self) -> int:
+    def substeps(self) -> int:
         """Equal parts in which the input is taken to move through a sample."""
-        return self._design.pieces
+        return self._design.substeps
 
     @property
     def statistics(self) -> FilterStatistics:
@@ -225,12 +225,12 @@ class KalmanFilter:
             moved, rest = design.sampled, self.plant.equilibrium_input
             transition = moved.transition
             z = transition @ z + moved.by_input @ (held - rest) + moved.drift
-            if moved.winds:
+            if moved.ramp:
                 z = z + moved.by_before @ (start - rest)
         else:
             transition = np.eye(len(z))
-            for left in range(design.pieces - 1, -1, -1):
-                end, along, _ = self._motion(z, held + left / design.pieces * (start - held))
+            for left in range(design.substeps - 1, -1, -1):
+                end, along, _ = self._motion(z, held + left / design.substeps * (start - held))
                 z, transition = end.copy(), along @ transition
         P = transition @ P @ transition.T + design.process_covariance
         return z, 0.5 * (P + P.T)
@@ -273,7 +273,7 @@ class KalmanFilter:
         kind = "linear" if self._motion is None else "nonlinear"
         return (
             f"KalmanFilter({self._size} states, {len(self.sensors.readings)} readings, "
-            f"step {self.step:g} s, {kind} prediction)"
+            f"sample time {self.sample_time:g} s, {kind} prediction)"
         )
 
 

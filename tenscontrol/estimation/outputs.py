@@ -7,11 +7,11 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from tenscontrol.analysis import LinearPlant, in_coordinates
-from tenscontrol.control.reduced_dynamics import reduced_motion
-from tenscontrol.control.strings import spreading
 from tenscontrol.dynamics import kernel
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.plant import LinearPlant, in_coordinates
+from tenscontrol.plant.reduced_dynamics import reduced_motion
+from tenscontrol.plant.string_outputs import spreading
 from tenscontrol.structure import left_by_supports, rigid_motions
 from tenscontrol.validation import FloatArray, frozen
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control.path import acceleration_response
-from tenscontrol.control.sampled import Sampled
 from tenscontrol.estimation.design import FilterDesign
 from tenscontrol.estimation.outputs import output_function
+from tenscontrol.plant.reduced_reference import acceleration_response
+from tenscontrol.plant.sampling import Sampled
 from tenscontrol.validation import FloatArray
 
 # Standard deviation of the load at the start, as a part of the pull of a string.
@@ -32,8 +32,8 @@ def with_load(design: FilterDesign, pull: float, walk: float) -> FilterDesign:
     walk : float
         Standard deviation of w', as a part of it.
     """
-    by_load = acceleration_response(design.plant, design.step)
-    in_a_piece = acceleration_response(design.plant, design.step / design.pieces)
+    by_load = acceleration_response(design.plant, design.sample_time)
+    in_a_piece = acceleration_response(design.plant, design.sample_time / design.substeps)
     size, r = by_load.shape
     eye, zero = np.eye(r), np.zeros((size, r))
     moved, none = design.sampled, np.zeros((r, design.plant.B.shape[1]))
@@ -50,7 +50,7 @@ def with_load(design: FilterDesign, pull: float, walk: float) -> FilterDesign:
             by_before=np.vstack([moved.by_before, none]),
             by_input=np.vstack([moved.by_input, none]),
             drift=np.r_[moved.drift, np.zeros(r)],
-            winds=moved.winds,
+            ramp=moved.ramp,
         ),
         process_covariance=joined(design.process_covariance, walk),
         start_covariance=joined(design.start_covariance, _START),

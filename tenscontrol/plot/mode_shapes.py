@@ -10,7 +10,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from tenscontrol.analysis import LinearPlant, Modes
+from tenscontrol.plant import LinearPlant, Modes
 from tenscontrol.plot.drawing import Drawing, draw
 from tenscontrol.plot.space import checked_space, frame, new_space
 from tenscontrol.plot.style import SMALL, SMALL_FAINT

@@ -85,7 +85,8 @@ def stiffness(report: StiffnessReport, axes: Sequence[Axes] | None = None) -> St
     >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> rest = tc.prestress(tc.prism(), force_density=17.3205)
-    >>> report = tc.stiffness_report(rest, [1e2, 1e3], step=0.02, damping=0.5, duration=0.2)
+    >>> report = tc.robustness.stiffness_report(
+    ...     rest, [1e2, 1e3], sample_time=0.02, damping=0.5, duration=0.2)
     >>> drawn = tc.plot.stiffness(report)
     >>> sorted(drawn.errors)
     ['LQR in rest lengths', 'LQR in γ', 'MPC in rest lengths', 'MPC in γ']

@@ -8,6 +8,7 @@ from itertools import cycle
 import numpy as np
 from matplotlib.axes import Axes
 
+from tenscontrol.control import Status
 from tenscontrol.plot.axes import legend_above, panel_axes
 from tenscontrol.plot.faults import with_faults, wound
 from tenscontrol.plot.history import Curves, checked_references, draw_curves, mark_statuses
@@ -130,9 +131,12 @@ def _by_group(structure: Structure, values: FloatArray) -> dict[str, FloatArray]
 
 def _with_statuses(panel: Curves, control: ControlRecord) -> Curves:
     """Mark the samples whose status is not ok on the time axis of a panel."""
-    statuses = [status for status in dict.fromkeys(control.status) if status != "ok"]
+    told = [
+        ": ".join(filter(None, pair)) for pair in zip(control.status, control.fallback, strict=True)
+    ]
+    statuses = [each for each in dict.fromkeys(told) if each != Status.OK]
     markers = dict(zip(statuses, cycle(_MARKERS), strict=False))
-    panel = mark_statuses(panel, control.time, control.status, markers)
+    panel = mark_statuses(panel, control.time, told, markers)
     if statuses:
         legend_above(panel.ax)
     return panel

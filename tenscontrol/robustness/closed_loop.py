@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control.controller import OK, Controller
+from tenscontrol.control import Controller, Status
 from tenscontrol.dynamics import Model, StringLaw
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.robustness.distance import farthest_node
 from tenscontrol.robustness.errors import SweepError
 from tenscontrol.robustness.outcome import Outcome
 from tenscontrol.robustness.varied import varied_sensors, varied_strings
-from tenscontrol.simulation import Limits, Trajectory, simulate
+from tenscontrol.simulation import HealthLimits, Trajectory, simulate
 from tenscontrol.simulation.faults import Fault, Faults
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
@@ -57,7 +57,7 @@ class ClosedLoopCase:
     its place in the last tenth of the run, motion of the structure as one body
     apart; ``least_force_density`` and ``largest_force_density``, N/m, of all
     strings; ``largest_command``, N/m or m; ``commands_not_ok``, how many commands
-    had another status than ``"ok"``. A motion that is not accurate is a failure.
+    had another status than ``Status.OK``. A motion that is not accurate is a failure.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class ClosedLoopCase:
         Where the nodes are to be, m; at the operating point if not given.
     gravity : float or array_like, shape (3,), optional
         As in :class:`Model`. Weights go with the masses.
-    rest_length, hold, winches, sample_time, estimator, sensors, faults : optional
+    rest_length, input, winches, sample_time, estimator, sensors, faults : optional
         As in :func:`simulate`.
 
     Raises
@@ -96,7 +96,7 @@ class ClosedLoopCase:
     >>> plant = tc.linearize(tc.Model(prism, strings=strings), rest, input="rest_length")
     >>> Q, R = tc.energy_weights(plant)
     >>> case = tc.ClosedLoopCase(
-    ...     prism, strings, tc.lqr(plant, Q, 0.1 * R, step=0.02),
+    ...     prism, strings, tc.lqr(plant, Q, 0.1 * R, sample_time=0.02),
     ...     duration=1.0, step=5e-3, tolerance=0.03)
     >>> outcome = case({"stiffness": np.linspace(0.7, 1.3, 9)}, np.random.default_rng(0))
     >>> outcome.success, round(outcome.figures["final_error"], 4)
@@ -113,7 +113,7 @@ class ClosedLoopCase:
     target: FloatArray | None = None
     gravity: FloatArray | None = None
     rest_length: FloatArray | None = None
-    hold: str | None = None
+    input: str | None = None
     winches: Winches | None = None
     sample_time: float | None = None
     estimator: KalmanFilter | None = None
@@ -134,7 +134,7 @@ class ClosedLoopCase:
             target: ArrayLike | None = None,
             gravity: ArrayLike | None = None,
             rest_length: ArrayLike | None = None,
-            hold: str | None = None,
+            input: str | None = None,
             winches: Winches | None = None,
             sample_time: float | None = None,
             estimator: KalmanFilter | None = None,
@@ -203,11 +203,11 @@ class ClosedLoopCase:
             self._start(parameters),
             controller=self.controller,
             rest_length=self.rest_length,
-            hold=self.hold,
+            input=self.input,
             winches=self.winches,
             sample_time=self.sample_time,
             step=self.step,
-            limits=Limits(action="raise"),
+            limits=HealthLimits(action="raise"),
             estimator=self.estimator,
             sensors=varied_sensors(sensors, parameters),
             seed=None if self.estimator is None else int(rng.integers(2**63)),
@@ -235,7 +235,7 @@ class ClosedLoopCase:
         """Return the faults, after checking that there is what they break."""
         held = "force_density" if self.strings is None else "rest_length"
         size = float(np.ptp(self.structure.nodes, axis=1).max())
-        breaking = Faults(self.faults, size, self.hold or held)
+        breaking = Faults(self.faults, size, self.input or held)
         winches = len(self.controller.plant.commanded.strings)
         breaking.refuse_unknown(len(self.structure.strings), winches)
         return tuple(self.faults)
@@ -260,7 +260,7 @@ class ClosedLoopCase:
             "least_force_density": float(run.force_density.min()),
             "largest_force_density": float(run.force_density.max()),
             "largest_command": float(record.command.max()),
-            "commands_not_ok": float(sum(status != OK for status in record.status)),
+            "commands_not_ok": float(sum(status is not Status.OK for status in record.status)),
         }
         return Outcome(success=error <= self.tolerance, figures=figures)
 

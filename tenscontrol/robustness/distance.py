@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tenscontrol.analysis import LinearPlant
+from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray
 
 

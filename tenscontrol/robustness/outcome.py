@@ -30,7 +30,7 @@ class Outcome:
     Examples
     --------
     >>> import tenscontrol as tc
-    >>> outcome = tc.Outcome(success=True, figures={"final_error": 0.8e-3})
+    >>> outcome = tc.robustness.Outcome(success=True, figures={"final_error": 0.8e-3})
     >>> outcome.success, outcome.figures
     (True, {'final_error': 0.0008})
     """

@@ -10,9 +10,9 @@ from typing import final
 
 import numpy as np
 
-from tenscontrol.accuracy.tables import aligned
 from tenscontrol.robustness import store
 from tenscontrol.robustness.record import Record
+from tenscontrol.tables import aligned
 from tenscontrol.validation import FloatArray, IntArray, frozen, positive_number
 
 _QUANTILES = (0.05, 0.5, 0.95)

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.analysis import LinearPlant
-from tenscontrol.control import Reference
+from tenscontrol.plant import LinearPlant, Reference
 from tenscontrol.robustness.distance import farthest_node
 from tenscontrol.robustness.stiffness_loops import LATE, Task, natural_weights
 from tenscontrol.robustness.stiffness_report import StiffnessReport, StiffnessRow
@@ -33,7 +32,7 @@ def stiffness_report(
     at: Prestress | ShapeTarget,
     stiffness: Sequence[float],
     *,
-    step: float,
+    sample_time: float,
     damping: float | Callable[[float], float] = 0.0,
     reference: Reference | None = None,
     push: float = 0.02,
@@ -58,7 +57,7 @@ def stiffness_report(
         The equilibrium to be held. Its force densities and its load are those of every stiffness.
     stiffness : array_like, shape (K,)
         k of every string, N/m, ascending.
-    step : float
+    sample_time : float
         Sample time, s.
     damping : float or callable
         c of every string, N s/m, or a function of k that returns it.
@@ -111,8 +110,8 @@ def stiffness_report(
     --------
     >>> import numpy as np, tenscontrol as tc
     >>> rest = tc.prestress(tc.prism(), force_density=17.3205)
-    >>> report = tc.stiffness_report(
-    ...     rest, [1e2, 1e4], step=0.02, damping=lambda k: 0.02 * np.sqrt(k), duration=0.4)
+    >>> report = tc.robustness.stiffness_report(
+    ...     rest, [1e2, 1e4], sample_time=0.02, damping=lambda k: 0.02 * np.sqrt(k), duration=0.4)
     >>> report.limit("MPC", "force_density"), report.limit("MPC", "rest_length")
     (100.0, 10000.0)
     """
@@ -134,7 +133,7 @@ def stiffness_report(
     duration = positive_number("duration", duration, "s")
     task = Task(
         at=at,
-        step=positive_number("step", step, "s"),
+        sample_time=positive_number("sample_time", sample_time, "s"),
         reference=None if reference is None else _checked_reference(reference, at, duration),
         push=positive_number("push", push, "m/s"),
         duration=duration,
@@ -167,7 +166,7 @@ def stiffness_report(
                     design.stiffness, design.damping, design.held, design.radius, tuple(runs)
                 )
             )
-    return StiffnessReport(task.step, task.duration, tolerance, tuple(rows))
+    return StiffnessReport(task.sample_time, task.duration, tolerance, tuple(rows))
 
 
 def _checked_stiffness(value: object) -> list[float]:

@@ -10,13 +10,21 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.actuation import Winches, to_rest_length
-from tenscontrol.analysis import INPUTS, LinearPlant, linearize
-from tenscontrol.control import LQR, MPC, HeldLoop, Reference, energy_weights, held_loop, lqr
-from tenscontrol.control.controller import OK, Controller
+from tenscontrol.control import (
+    LQR,
+    MPC,
+    Controller,
+    HeldLoop,
+    Status,
+    energy_weights,
+    held_loop,
+    lqr,
+)
 from tenscontrol.dynamics import LinearStrings, Model
+from tenscontrol.plant import INPUTS, LinearPlant, Reference, linearize
 from tenscontrol.robustness.distance import farthest_node
 from tenscontrol.robustness.stiffness_report import StiffnessRun
-from tenscontrol.simulation import Limits, SimulationError, Trajectory, simulate
+from tenscontrol.simulation import HealthLimits, SimulationError, Trajectory, simulate
 from tenscontrol.statics import Prestress
 from tenscontrol.validation import FloatArray
 
@@ -47,7 +55,7 @@ class Task:
     """What is the same for every stiffness; see :func:`stiffness_report`."""
 
     at: Prestress
-    step: float
+    sample_time: float
     reference: Reference | None
     push: float
     duration: float
@@ -74,13 +82,18 @@ class Task:
             if name == "rest_length":
                 largest, winches = None, self.winches
             laws[name] = lqr(
-                plant, Q, R, step=self.step, max_force_density=largest, winches=winches
+                plant,
+                Q,
+                R,
+                sample_time=self.sample_time,
+                max_force_density=largest,
+                winches=winches,
             )
             # That a law in γ will not hold is a figure of the report.
             with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
                 mpc = MPC(
-                    plant, self.horizon, self.step, largest, Q=Q, R=R,
-                    reference=self.reference, winches=winches,
+                    plant, horizon=self.horizon, sample_time=self.sample_time,
+                    max_force_density=largest, Q=Q, R=R, reference=self.reference, winches=winches,
                 )  # fmt: skip
             controllers += [laws[name], mpc]
         by_length = laws["rest_length"]
@@ -88,10 +101,14 @@ class Task:
         return Design(
             stiffness,
             damping,
-            held_loop(laws["force_density"].plant, laws["force_density"].gain, self.step),
+            held_loop(
+                laws["force_density"].plant,
+                laws["force_density"].gain,
+                sample_time=self.sample_time,
+            ),
             float(np.abs(by_length.poles).max()),
             tuple(controllers),
-            min(self.step / _STEPS, self.integration_step or _RADIANS / fastest),
+            min(self.sample_time / _STEPS, self.integration_step or _RADIANS / fastest),
         )
 
     def run(self, controller: Controller, integration_step: float) -> StiffnessRun:
@@ -112,8 +129,8 @@ class Task:
                 winches=self.winches,
                 rest_length=standing,
                 step=integration_step,
-                output_step=self.step / _STEPS,
-                limits=Limits(action="raise"),
+                output_step=self.sample_time / _STEPS,
+                limits=HealthLimits(action="raise"),
             )
         except SimulationError as error:
             run = error.trajectory
@@ -154,7 +171,7 @@ class Task:
             least,
             # What comes and goes between states that are kept shows as switches.
             least <= 0 or run.work.switches > 0,
-            sum(status != OK for status in record.status),
+            sum(status is not Status.OK for status in record.status),
         )
 
 

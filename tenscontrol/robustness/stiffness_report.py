@@ -7,9 +7,9 @@ from typing import final
 
 import numpy as np
 
-from tenscontrol.accuracy.tables import aligned
-from tenscontrol.analysis import INPUTS
 from tenscontrol.control import HeldLoop
+from tenscontrol.plant import INPUTS
+from tenscontrol.tables import aligned
 from tenscontrol.validation import FloatArray, choice, frozen
 
 CONTROLLERS = ("LQR", "MPC")
@@ -86,7 +86,7 @@ class StiffnessReport:
 
     Attributes
     ----------
-    step : float
+    sample_time : float
         Sample time, s.
     duration : float
         Of each run, s.
@@ -96,7 +96,7 @@ class StiffnessReport:
         From soft to stiff.
     """
 
-    step: float
+    sample_time: float
     duration: float
     tolerance: float
     rows: tuple[StiffnessRow, ...]
@@ -106,7 +106,7 @@ class StiffnessReport:
         """Stiffness k of each row, N/m, shape (K,)."""
         return frozen(np.array([row.stiffness for row in self.rows]))
 
-    def runs(self, controller: str, input: str) -> tuple[StiffnessRun, ...]:  # noqa: A002
+    def runs(self, controller: str, input: str) -> tuple[StiffnessRun, ...]:
         """Return the runs of one loop, from soft to stiff.
 
         Parameters
@@ -127,7 +127,7 @@ class StiffnessReport:
         found = [run for row in self.rows for run in row.runs]
         return tuple(run for run in found if (run.controller, run.input) == loop)
 
-    def holds(self, controller: str, input: str) -> np.ndarray:  # noqa: A002
+    def holds(self, controller: str, input: str) -> np.ndarray:
         """Return at which stiffness a loop holds the target.
 
         Its run comes to its end within the tolerance. For γ the linear loop must say so as
@@ -152,7 +152,7 @@ class StiffnessReport:
         linear = [input == "rest_length" or row.held.holds for row in self.rows]
         return frozen(np.logical_and(near, linear))
 
-    def limit(self, controller: str, input: str) -> float | None:  # noqa: A002
+    def limit(self, controller: str, input: str) -> float | None:
         """Return the largest stiffness up to which a loop holds the target, N/m.
 
         Parameters
@@ -188,7 +188,7 @@ class StiffnessReport:
         rows = []
         for row in self.rows:
             errors = [_error(run) for run in row.runs]
-            rate = f"{-np.log(row.radius) / self.step:.2g}"
+            rate = f"{-np.log(row.radius) / self.sample_time:.2g}"
             ratio = f"{row.held.rate_ratio:.3f}"
             rows.append([f"{row.stiffness:g}", ratio, *errors[:2], rate, *errors[2:]])
         return aligned(head, rows)
@@ -201,8 +201,8 @@ class StiffnessReport:
         str
         """
         lines = [
-            f"rest lengths held over samples of {self.step:g} s; errors of the last quarter of "
-            f"{self.duration:g} s, mm; rates in 1/s",
+            f"rest lengths held over samples of {self.sample_time:g} s; errors of the last quarter "
+            f"of {self.duration:g} s, mm; rates in 1/s",
             self.table(),
         ]
         lines += [f"{run}: {self._verdict(run)}" for run in self.rows[0].runs]
@@ -231,7 +231,7 @@ class StiffnessReport:
 
     def __repr__(self) -> str:
         ends = f"{self.rows[0].stiffness:g} to {self.rows[-1].stiffness:g} N/m"
-        return f"StiffnessReport({len(self.rows)} rows, {ends}, step {self.step:g} s)"
+        return f"StiffnessReport({len(self.rows)} rows, {ends}, sample time {self.sample_time:g} s)"
 
 
 def _error(run: StiffnessRun) -> str:

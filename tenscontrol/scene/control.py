@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 from tenscontrol.actuation import Winches
-from tenscontrol.analysis import linearize
 from tenscontrol.control import (
     MPC,
     NMPC,
     Controller,
-    Reference,
-    Schedule,
-    ShapeControl,
+    FeedbackLinearization,
+    GainSchedule,
     energy_weights,
     lqr,
 )
 from tenscontrol.dynamics import Model
+from tenscontrol.plant import Reference, linearize
 from tenscontrol.scene import keys
 from tenscontrol.scene.document import Document, Table
 from tenscontrol.scene.members import per_string, whole
@@ -91,6 +90,8 @@ def build_controller(
     # A law without a sample time knows neither speeds in a sample nor winding through it.
     if kind != "shape_control" and held == "rest_length" and "step" in arguments:
         arguments["winches"] = winches
+    if "step" in arguments:
+        arguments["sample_time"] = arguments.pop("step")
     if "plants" in table:
         return _schedule(table, model, arguments, held)
     with table.checked():
@@ -100,13 +101,15 @@ def build_controller(
         if kind == "nmpc":
             return NMPC(plant, **arguments)
         if kind == "shape_control":
-            return ShapeControl(plant, arguments.pop("reference", None), **arguments)
+            return FeedbackLinearization(
+                plant, reference=arguments.pop("reference", None), **arguments
+            )
         natural_Q, natural_R = energy_weights(plant)
         weights = {"Q": natural_Q, "R": _INPUT_WEIGHT * natural_R}
         return lqr(plant, **(weights | arguments))
 
 
-def _schedule(table: Table, model: Model, arguments: dict[str, Any], held: str) -> Schedule:
+def _schedule(table: Table, model: Model, arguments: dict[str, Any], held: str) -> GainSchedule:
     """Return MPCs designed along the reference, which take turns."""
     if "reference" not in table:
         raise table.error(
@@ -120,7 +123,7 @@ def _schedule(table: Table, model: Model, arguments: dict[str, Any], held: str) 
     assert reference.force_density is not None  # build_reference gives it
     with table.checked():
         plants = plants_along(model, reference.nodes, reference.force_density, count, held)
-        return Schedule([MPC(plant, **arguments) for plant in plants])
+        return GainSchedule([MPC(plant, **arguments) for plant in plants])
 
 
 def build_winches(document: Document, structure: Structure) -> Winches | None:
@@ -128,12 +131,12 @@ def build_winches(document: Document, structure: Structure) -> Winches | None:
     if not document.has("winches"):
         return None
     table = document.table("winches")
-    keys = [key for key in table.values if key != "pieces"]
+    keys = [key for key in table.values if key != "substeps"]
     limits = {key: per_string(table, key, whole(structure)) for key in keys}
     with table.checked():
         return Winches(
             limits.get("rate"),
             limits.get("shortest"),
             limits.get("longest"),
-            table.get("pieces", 1),
+            substeps=table.get("substeps", 1),
         )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from tenscontrol.actuation import Winches
-from tenscontrol.analysis import linearize
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter, Sensors, kalman
+from tenscontrol.plant import linearize
 from tenscontrol.scene.document import Document
 from tenscontrol.statics import Prestress
 from tenscontrol.validation import whole_number
@@ -15,7 +15,7 @@ def build_estimator(
     document: Document,
     model: Model,
     rest: Prestress,
-    hold: str,
+    input: str,
     step: float,
     winches: Winches | None,
 ) -> KalmanFilter | None:
@@ -28,7 +28,7 @@ def build_estimator(
         Of the whole strings.
     rest : Prestress
         About which it is designed.
-    hold : {"force_density", "rest_length"}
+    input : {"force_density", "rest_length"}
     step : float
         Sample time, s.
     winches : Winches, optional
@@ -51,5 +51,5 @@ def build_estimator(
         readings = Sensors(structure=model.structure, **given)
     given = {key: value for key, value in estimator.values.items() if key != "kind"}
     with estimator.checked():
-        plant = linearize(model, rest, input=hold)
-        return kalman(plant, readings, step, winches=winches, **given)
+        plant = linearize(model, rest, input=input)
+        return kalman(plant, readings, sample_time=step, winches=winches, **given)

@@ -130,7 +130,7 @@ TABLES: Mapping[str, Keys] = MappingProxyType(
             "rate": (BY_STRING, "m/s"),
             "shortest": (BY_STRING, "m"),
             "longest": (BY_STRING, "m"),
-            "pieces": (WHOLE, ""),
+            "substeps": (WHOLE, ""),
         },
         "sensors": {
             "node_position": (NUMBERS, "m"),

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.actuation import to_rest_length
-from tenscontrol.analysis import equilibrium
 from tenscontrol.dynamics import Model
 from tenscontrol.integrate import METHODS
+from tenscontrol.plant import equilibrium
 from tenscontrol.scene.control import build_controller, build_winches
 from tenscontrol.scene.design import build_design
 from tenscontrol.scene.document import Document, Table, read_document
@@ -82,11 +82,11 @@ def load_scene(file: str | Path) -> Scene:
         ``[strings]``, else ``"force_density"``.
     ``[controller]``
         ``kind = "mpc"``, ``"nmpc"``, ``"shape_control"`` or ``"lqr"`` with the
-        arguments of :class:`MPC`, :class:`NMPC`, :class:`ShapeControl` or :func:`lqr`;
+        arguments of :class:`MPC`, :class:`NMPC`, :class:`FeedbackLinearization` or :func:`lqr`;
         of the latter also ``sample_time``. ``input`` as for :func:`linearize`; where it is
         ``"rest_length"``, MPC and NMPC know the winches of the scene. It is designed
         about the prestress, on the structure with its strings whole. With ``plants = 8``, MPCs
-        are designed at eight shapes along the reference, and take turns as a :class:`Schedule`.
+        are designed at eight shapes along the reference, and take turns as a :class:`GainSchedule`.
     ``[[controller.reference]]``
         A shape to be reached at ``time``, s, through equilibria within the controller's bounds
         of γ and what the winches can do: ``height``, m, and
@@ -125,7 +125,7 @@ def load_scene(file: str | Path) -> Scene:
     ...     file = Path(folder, "prism.toml")
     ...     _ = file.write_text(text, encoding="utf-8")
     ...     scene = tc.load_scene(file)
-    >>> scene.structure, scene.hold, scene.simulate()
+    >>> scene.structure, scene.input, scene.simulate()
     (Structure(6 nodes, 3 bars, 9 strings), 'force_density', Trajectory(0.5 s, 501 states, rk4))
     """
     if not isinstance(file, str | Path):
@@ -147,18 +147,18 @@ def load_scene(file: str | Path) -> Scene:
     force_density = build_force_density(document, structure, acting)
     run = document.table("run")
     settings = _settings(run)
-    hold = run.choice("hold", _HOLD, _HOLD[laws is not None])
-    if hold == "rest_length" and laws is None:
+    input = run.choice("hold", _HOLD, _HOLD[laws is not None])
+    if input == "rest_length" and laws is None:
         raise run.error("hold", "in [run], hold is 'rest_length', which needs a table [strings]")
     rest_length = None
-    if hold == "rest_length":
+    if input == "rest_length":
         with document.table("prestress").checked("force_density"):
             found = to_rest_length(model, structure.nodes, force_density)
         rest_length = found.rest_length
     if gives:
         held = force_density if rest_length is None else rest_length
         with document.table("prestress").checked("shape_gives"):
-            rest = equilibrium(model, **{hold: held})
+            rest = equilibrium(model, **{input: held})
         structure, force_density = rest.structure, rest.force_density
         model = Model(
             structure,
@@ -172,11 +172,11 @@ def load_scene(file: str | Path) -> Scene:
     if document.has("controller"):
         design, rest = build_design(document, structure, whole_law, gravity, forces, force_density)
         controller = build_controller(document, design, rest, winches)
-        _refuse_contradictions(document, hold)
-        sample = controller.step or document.table("controller").get(
+        _refuse_contradictions(document, input)
+        sample = controller.sample_time or document.table("controller").get(
             "sample_time", settings["step"]
         )
-        estimator = build_estimator(document, design, rest, hold, sample, winches)
+        estimator = build_estimator(document, design, rest, input, sample, winches)
     wound = None if controller is None else len(controller.plant.commanded.strings)
     faults = build_faults(document, len(structure.strings), wound)
     nodes, velocities = build_start(document, structure)
@@ -193,7 +193,7 @@ def load_scene(file: str | Path) -> Scene:
         estimator=estimator,
         seed=None if estimator is None else document.table("sensors").get("seed", 0),
         faults=faults,
-        hold=hold,
+        input=input,
         **settings,
     )
 
@@ -229,12 +229,12 @@ def _refuse_alone(document: Document) -> None:
             raise document.table(name).error(None, f"[{name}] goes with a table [controller]")
 
 
-def _refuse_contradictions(document: Document, hold: str) -> None:
+def _refuse_contradictions(document: Document, input: str) -> None:
     """Raise if the controller does not go with the other tables."""
     controller, winches = document.table("controller"), document.table("winches")
-    if document.has("winches") and hold == "force_density":
+    if document.has("winches") and input == "force_density":
         raise winches.error(None, "[winches] limits rest lengths, but [run] holds force_density")
-    if controller.get("input") == "rest_length" and hold == "force_density":
+    if controller.get("input") == "rest_length" and input == "force_density":
         raise controller.error(
             "input", "in [controller], input is 'rest_length', but [run] holds force_density"
         )

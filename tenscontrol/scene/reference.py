@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control import OutputLimit, Reference
+from tenscontrol.control import OutputLimit
 from tenscontrol.dynamics import Model
+from tenscontrol.plant import Reference
 from tenscontrol.scene import keys
 from tenscontrol.scene.document import Table
 from tenscontrol.shape import Demand, Height, NodesAt, ShapeTarget, Twist, shape_path, shape_target

@@ -61,6 +61,8 @@ def _arrays(prefix: str, value: Any) -> dict[str, Any]:
         part = getattr(value, field.name)
         if is_dataclass(part):
             found |= _arrays(f"{prefix}{field.name}_", part)
+        elif field.name == "fallback":
+            found[f"{prefix}{field.name}"] = np.array([str(each or "") for each in part], dtype=str)
         elif field.name == "faults":
             found[field.name] = np.array([repr(fault) for fault in part], dtype=str)
         elif part is not None and not isinstance(part, dict):

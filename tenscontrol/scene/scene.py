@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.analysis import LinearPlant, linearize
 from tenscontrol.control import Controller
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter
+from tenscontrol.plant import LinearPlant, linearize
 from tenscontrol.simulation import Fault, Trajectory, simulate
 from tenscontrol.statics import prestress
 from tenscontrol.structure import Structure
@@ -46,7 +46,7 @@ class Scene:
         Of the noise of the sensors; None without them.
     faults : tuple of Fault
         What breaks.
-    hold : str
+    input : str
         ``"force_density"`` or ``"rest_length"``: what the actuators hold.
     duration : float
         s.
@@ -72,7 +72,7 @@ class Scene:
     estimator: KalmanFilter | None
     seed: int | None
     faults: tuple[Fault, ...]
-    hold: str
+    input: str
     duration: float
     step: float | None
     tolerance: float
@@ -110,7 +110,7 @@ class Scene:
         """
         held: dict[str, object] = {}
         if self.controller is not None:
-            held = {"controller": self.controller, "hold": self.hold, "winches": self.winches}
+            held = {"controller": self.controller, "input": self.input, "winches": self.winches}
             held |= {"sample_time": self.sample_time, "estimator": self.estimator}
             held["seed"] = self.seed
             if self.rest_length is not None:
@@ -141,13 +141,13 @@ class Scene:
         assert self.structure.string_parent is not None  # the design is on the parent
         return np.asarray(np.bincount(self.structure.string_parent, weights=self.rest_length))
 
-    def linearize(self, input: str | None = None, coordinates: str = "internal") -> LinearPlant:  # noqa: A002
+    def linearize(self, input: str | None = None, coordinates: str = "internal") -> LinearPlant:
         """Return the linear plant about the shape of the structure, which must be at rest.
 
         Parameters
         ----------
         input : {"force_density", "rest_length"}, optional
-            As ``hold`` if not given.
+            As ``input`` if not given.
         coordinates : {"internal", "minimal", "nodes"}
 
         Returns
@@ -168,4 +168,4 @@ class Scene:
             raise ValueError(
                 f"the scene has no linear plant, as it is not at rest: {error}"
             ) from error
-        return linearize(self.model, rest, self.hold if input is None else input, coordinates)
+        return linearize(self.model, rest, self.input if input is None else input, coordinates)

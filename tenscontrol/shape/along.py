@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tenscontrol.analysis import LinearPlant, OperatingPoint, linearize
 from tenscontrol.dynamics import Model
+from tenscontrol.plant import LinearPlant, OperatingPoint, linearize
 from tenscontrol.validation import FloatArray, whole_number
 
 
@@ -14,7 +14,7 @@ def plants_along(
     nodes: FloatArray,
     force_density: FloatArray,
     count: int,
-    input: str,  # noqa: A002
+    input: str,
 ) -> tuple[LinearPlant, ...]:
     """Return linear plants at some shapes of a way, evenly by the distance that nodes travel.
 

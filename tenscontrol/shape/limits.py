@@ -69,7 +69,7 @@ class Bounds:
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class HealthLimits:
     """Level and bounds of the forces.
 
     Attributes
@@ -116,7 +116,7 @@ def checked_limits(
     winches: Winches | None,
     prestress: str,
     min_clearance: object,
-) -> Limits:
+) -> HealthLimits:
     """Return level and bounds, or raise naming the argument."""
     bounds = checked_bounds(model, min_force_density, max_force_density, winches)
     structure, low, high = model.structure, bounds.low, bounds.high
@@ -160,7 +160,7 @@ def checked_limits(
         size = float(np.ptp(structure.nodes, axis=1).max())
         candidates.append(float(np.abs(model.constant_force).max()) / size)
     scale = max(value for value in candidates if value)
-    return Limits(bounds, clearance, level, strings, scale)
+    return HealthLimits(bounds, clearance, level, strings, scale)
 
 
 def checked_bounds(

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.analysis import LinearPlant
-from tenscontrol.control.reference import Reference
 from tenscontrol.dynamics import Model
+from tenscontrol.plant import LinearPlant
+from tenscontrol.plant.reference import Reference
 from tenscontrol.shape.along import plants_along
 from tenscontrol.shape.continuation import Continuation, Waypoint
 from tenscontrol.shape.ends import path_end, refuse_same
@@ -105,7 +105,7 @@ class ShapePath:
         gamma = np.array([np.interp(at, self.time, row) for row in self.force_density])
         return Reference(at, np.stack(kept, axis=-1) if kept else shapes, gamma)
 
-    def plants(self, count: int, input: str) -> tuple[LinearPlant, ...]:  # noqa: A002
+    def plants(self, count: int, input: str) -> tuple[LinearPlant, ...]:
         """Return linear plants along the way, evenly by the distance that nodes travel.
 
         Parameters

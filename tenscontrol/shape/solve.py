@@ -13,7 +13,7 @@ from tenscontrol.dynamics import Model, kernel
 from tenscontrol.shape.clearance import signed_distances
 from tenscontrol.shape.constraints import Demand
 from tenscontrol.shape.forces import choose_force_density
-from tenscontrol.shape.limits import Limits
+from tenscontrol.shape.limits import HealthLimits
 from tenscontrol.shape.margin import Margin
 from tenscontrol.shape.problem import EXACT, ShapeProblem
 from tenscontrol.shape.symmetry import RotationalSymmetry
@@ -83,7 +83,7 @@ class _Wishes:
         self,
         problem: ShapeProblem,
         demands: tuple[Demand, ...],
-        limits: Limits,
+        limits: HealthLimits,
         size: float,
         start: FloatArray,
     ) -> None:
@@ -150,7 +150,7 @@ class _Wishes:
 def solve_shape(
     model: Model,
     demands: tuple[Demand, ...],
-    limits: Limits,
+    limits: HealthLimits,
     kind: str,
     symmetry: RotationalSymmetry | None,
     start: FloatArray,
@@ -214,7 +214,7 @@ def solve_shape(
     return best
 
 
-def _prestress_cost(problem: ShapeProblem, limits: Limits, kind: str) -> Any:
+def _prestress_cost(problem: ShapeProblem, limits: HealthLimits, kind: str) -> Any:
     """Return what the forces cost where no level is given: their size, or how far off centre."""
     if kind == "least":
         return ca.sumsqr(problem.gamma / problem.level) / len(limits.bounds.low)
@@ -224,7 +224,7 @@ def _prestress_cost(problem: ShapeProblem, limits: Limits, kind: str) -> Any:
     return ca.sumsqr(off / ca.DM(room[wide])) / len(limits.bounds.low)
 
 
-def _orbit_bounds(problem: ShapeProblem, limits: Limits) -> tuple[FloatArray, FloatArray]:
+def _orbit_bounds(problem: ShapeProblem, limits: HealthLimits) -> tuple[FloatArray, FloatArray]:
     """Return hard bounds of γ in units of the level, for each set of strings that share one."""
     orbits = problem.string_orbits > 0
     low = np.array([limits.bounds.low[column].max() for column in orbits.T]) / problem.level
@@ -263,7 +263,7 @@ def _polished(
 def _finished(
     problem: ShapeProblem,
     wishes: _Wishes,
-    limits: Limits,
+    limits: HealthLimits,
     kind: str,
     values: FloatArray,
     outside: float,

@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model
 from tenscontrol.shape.constraints import Demand
-from tenscontrol.shape.limits import Limits, checked_limits
+from tenscontrol.shape.limits import HealthLimits, checked_limits
 from tenscontrol.shape.solve import MET, STIFF, Solved, solve_shape
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics import Prestress
@@ -283,7 +283,7 @@ def shape_target(
 
 
 def _target(
-    model: Model, demands: tuple[Demand, ...], limits: Limits, solved: Solved
+    model: Model, demands: tuple[Demand, ...], limits: HealthLimits, solved: Solved
 ) -> ShapeTarget:
     structure, rest = model.structure, solved.rest
     nodes, gamma = rest.structure.nodes, rest.force_density
@@ -302,7 +302,7 @@ def _target(
     )
 
 
-def _checks(demands: tuple[Demand, ...], limits: Limits, solved: Solved) -> list[DemandCheck]:
+def _checks(demands: tuple[Demand, ...], limits: HealthLimits, solved: Solved) -> list[DemandCheck]:
     rows = []
     at = 0
     for demand in demands:

@@ -1,7 +1,7 @@
 """Open- and closed-loop simulation."""
 
 from tenscontrol.simulation.faults import CutString, Fault, LostMeasurement, StuckWinch
-from tenscontrol.simulation.health import AccuracyWarning, Health, Limits
+from tenscontrol.simulation.health import AccuracyWarning, Health, HealthLimits
 from tenscontrol.simulation.loop import SimulationError
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.simulation.simulate import simulate
@@ -14,7 +14,7 @@ __all__ = [
     "EstimateRecord",
     "Fault",
     "Health",
-    "Limits",
+    "HealthLimits",
     "LostMeasurement",
     "SimulationError",
     "StuckWinch",

@@ -58,13 +58,13 @@ class Actuators:
         self._wiring = Wiring(controller, loop.model)
         if winches is not None:
             instance("winches", winches, Winches, "make them by Winches(rate=...)")
-        self._hold = loop.hold
-        self._convert = loop.hold == "rest_length" and controller.input == "force_density"
-        if controller.input == "rest_length" and loop.hold == "force_density":
+        self._held = loop.input
+        self._convert = loop.input == "rest_length" and controller.input == "force_density"
+        if controller.input == "rest_length" and loop.input == "force_density":
             raise ValueError(
-                "the controller commands rest lengths; hold='force_density' cannot follow it"
+                "the controller commands rest lengths; input='force_density' cannot follow it"
             )
-        if loop.hold == "force_density" and (winches is not None or rest_length is not None):
+        if loop.input == "force_density" and (winches is not None or rest_length is not None):
             raise ValueError("winches and rest_length have no meaning where γ is held")
         self._input = controller.input
         self._law = loop.model.strings
@@ -75,10 +75,10 @@ class Actuators:
             self.start = self._wiring.checked_rest_length(rest_length)
             if winches is not None:
                 winches.refuse_out_of_range("rest_length", self.start)
-        elif winches is not None and (winches.rate is not None or winches.pieces > 1):
+        elif winches is not None and (winches.rate is not None or winches.substeps > 1):
             raise ValueError(
-                "winches with a rate or pieces need rest_length: where they stand at the start, m; "
-                "to_rest_length(model, nodes, force_density) finds it"
+                "winches with a rate or substeps need rest_length: where they stand at the start, "
+                "m; to_rest_length(model, nodes, force_density) finds it"
             )
         self._current = self.start
         if self._convert:
@@ -113,7 +113,7 @@ class Actuators:
         What is held comes part by part: they share the sample evenly.
         """
         wanted = self._checked(command.value)
-        if self._hold == "force_density":
+        if self._held == "force_density":
             wanted = self._moved(wanted, stuck)
             self._current = wanted
             gamma = self._wiring.spread_force_density(wanted)
@@ -126,12 +126,12 @@ class Actuators:
             )
         wanted = self._moved(wanted, stuck)
         start = wanted if self._current is None else self._current
-        move, pieces = WinchMove(frozen(wanted), _NONE, _NONE), 1
+        move, substeps = WinchMove(frozen(wanted), _NONE, _NONE), 1
         if self._winches is not None:
             move = self._winches.move(start, wanted, self._sample)
-            pieces = self._winches.pieces
+            substeps = self._winches.substeps
         self._current = move.rest_length
-        left = np.arange(pieces - 1.0, -1.0, -1.0)[:, None] / pieces
+        left = np.arange(substeps - 1.0, -1.0, -1.0)[:, None] / substeps
         reached = move.rest_length - left * (move.rest_length - start)
         return move, [self._wiring.spread_rest_length(each) for each in reached]
 
@@ -140,7 +140,7 @@ class Actuators:
         if not len(stuck):
             return wanted
         if self._current is None:
-            how = "give rest_length, or" if self._hold == "rest_length" else "give"
+            how = "give rest_length, or" if self._held == "rest_length" else "give"
             raise ValueError(
                 f"faults has winch {stuck[0]} stuck from the start, but it is not known where it "
                 f"stands: {how} a time after the first sample"

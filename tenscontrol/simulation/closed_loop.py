@@ -38,11 +38,11 @@ def run_closed_loop(
         controller.applied(actuators.acting(N))
     eyes = None
     if estimation is not None:
-        pieces = 1 if winches is None else winches.pieces
+        substeps = 1 if winches is None else winches.substeps
         eyes = Observation(
-            *estimation, loop.model, loop.hold, controller, sample, actuators.start, pieces
+            *estimation, loop.model, loop.input, controller, sample, actuators.start, substeps
         )
-    log = _Log(loop.hold, actuators.start, eyes)
+    log = _Log(loop.input, actuators.start, eyes)
     seen = controller.plant.nodes.shape[1]  # of a subdivision, the nodes of its parent come first
     # The allowance keeps round-off from adding a last sample of no length.
     for k in range(max(1, ceil(duration / sample - 1e-9))):
@@ -76,8 +76,8 @@ def run_closed_loop(
 class _Log:
     """Collects what becomes the control record."""
 
-    def __init__(self, hold: str, start: FloatArray | None, eyes: Observation | None) -> None:
-        self._hold = hold
+    def __init__(self, input: str, start: FloatArray | None, eyes: Observation | None) -> None:
+        self._input = input
         self._eyes = eyes
         self._start = start
         self._rows: list[tuple[float, Command, WinchMove, float]] = []
@@ -89,7 +89,7 @@ class _Log:
         times, commands, moves, taken = zip(*self._rows, strict=True)
         applied = np.column_stack([move.rest_length for move in moves])
         rate = np.zeros_like(applied)
-        if self._hold == "rest_length":
+        if self._input == "rest_length":
             before = applied[:, :1] if self._start is None else self._start[:, None]
             rate = np.diff(applied, axis=1, prepend=before) / sample
         return ControlRecord(
@@ -97,6 +97,8 @@ class _Log:
             command=frozen(np.column_stack([command.value for command in commands])),
             applied=frozen(applied),
             status=tuple(command.status for command in commands),
+            fallback=tuple(command.fallback for command in commands),
+            detail=tuple(command.detail for command in commands),
             winch_rate=frozen(rate),
             rate_limited=frozen(np.array([len(move.rate_limited) for move in moves])),
             range_limited=frozen(np.array([len(move.range_limited) for move in moves])),
@@ -106,13 +108,13 @@ class _Log:
 
 
 def _sample_time(controller: Controller, sample_time: float | None, step: float | None) -> float:
-    if controller.step is not None:
+    if controller.sample_time is not None:
         if sample_time is not None:
             raise ValueError(
-                f"the controller has a sample time of its own, {controller.step:g} s; "
+                f"the controller has a sample time of its own, {controller.sample_time:g} s; "
                 "leave sample_time out"
             )
-        return controller.step
+        return controller.sample_time
     if sample_time is not None:
         return positive_number("sample_time", sample_time, "s")
     if step is None:

@@ -43,7 +43,7 @@ class Health:
 
 
 @dataclass(frozen=True)
-class Limits:
+class HealthLimits:
     """Limits on the figures of :class:`Health`; None for no limit.
 
     Parameters
@@ -71,7 +71,7 @@ class Limits:
     --------
     >>> import tenscontrol as tc
     >>> model = tc.Model(tc.prism())
-    >>> limits = tc.Limits(bar_length_error=1e-9, action="raise")
+    >>> limits = tc.HealthLimits(bar_length_error=1e-9, action="raise")
     >>> run = tc.simulate(model, 1.0, force_density=[17.3205] * 6 + [9.0] * 3, limits=limits)
     >>> run.health.bar_length_error < 1e-9
     True

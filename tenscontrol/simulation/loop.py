@@ -38,7 +38,7 @@ class Loop:
     """The plant side of a simulation: integrates span by span and keeps what comes."""
 
     model: Model
-    hold: str
+    input: str
     load: FloatArray
     duration: float
     method: str
@@ -62,7 +62,7 @@ class Loop:
         choice("method", self.method, ("auto", *METHODS))
         if self.step is not None:
             self.step = positive_number("step", self.step, "s")
-        self._equation = self.model.equation(self.hold, self.load - self.model.constant_force)
+        self._equation = self.model.equation(self.input, self.load - self.model.constant_force)
         if self.method == "auto":
             return
         settings = METHODS[self.method].settings
@@ -87,7 +87,7 @@ class Loop:
         method = METHODS[chosen.method]
         if method.differentiates and equation.form == "driver":
             load = self.load - self.model.constant_force
-            equation = self.model.equation(self.hold, load, form="mapped")
+            equation = self.model.equation(self.input, load, form="mapped")
         # Not what the user says of a method that he has not chosen, and that needs no projection.
         project = self.project if method.drifts or self.method != "auto" else None
         integrator = method.integrator(
@@ -124,7 +124,7 @@ class Loop:
         after = self.faults.without_cut(before, time)
         if np.array_equal(before, after):
             return
-        force = self.hold == "force_density"
+        force = self.input == "force_density"
         energy = self.model.potential_energy if force else self.model.elastic_energy
         inputs = np.column_stack([before, after])
         (stored,) = evaluate_columns(energy, np.column_stack([state, state]), inputs)
@@ -192,7 +192,7 @@ class Loop:
         return build_trajectory(
             self.model,
             self.load,
-            self.hold,
+            self.input,
             *motion,
             self.choice,
             self.work,

@@ -72,7 +72,7 @@ class Observation:
         Sample time, s.
     start : ndarray, shape (α,), or None
         Where the winches stand at the start, m, if that is known.
-    pieces : int
+    substeps : int
         In which they wind through a sample.
     """
 
@@ -82,11 +82,11 @@ class Observation:
         sensors: object,
         seed: object,
         model: Model,
-        hold: str,
+        input: str,
         controller: Controller,
         sample: float,
         start: FloatArray | None,
-        pieces: int,
+        substeps: int,
     ) -> None:
         if not isinstance(estimator, KalmanFilter):
             raise TypeError(
@@ -100,13 +100,13 @@ class Observation:
                 f"sensors is a {type(sensors).__name__}, expected Sensors: make them by "
                 "Sensors(structure=..., ...)"
             )
-        _refuse_misfits(estimator, sensors, hold, controller, sample, pieces)
+        _refuse_misfits(estimator, sensors, input, controller, sample, substeps)
         self._filter, self._sensors = estimator, sensors
         self._generator = np.random.default_rng(
             0 if seed is None else whole_number("seed", seed, least=0)
         )
         self._model = model
-        self._law = Evaluator(model.string_force_density) if hold == "rest_length" else None
+        self._law = Evaluator(model.string_force_density) if input == "rest_length" else None
         self._held: FloatArray | None = None
         self._nothing = np.full(len(sensors.noise), np.nan)
         self._late = deque([self._nothing] * sensors.delay)
@@ -170,25 +170,25 @@ class Observation:
 def _refuse_misfits(
     estimator: KalmanFilter,
     sensors: Sensors,
-    hold: str,
+    input: str,
     controller: Controller,
     sample: float,
-    pieces: int,
+    substeps: int,
 ) -> None:
-    if not np.isclose(estimator.step, sample, rtol=1e-12, atol=0):
+    if not np.isclose(estimator.sample_time, sample, rtol=1e-12, atol=0):
         raise ValueError(
-            f"estimator has the sample time {estimator.step:g} s, expected that of the loop, "
-            f"{sample:g} s"
+            f"estimator has the sample time {estimator.sample_time:g} s, expected that of the "
+            f"loop, {sample:g} s"
         )
-    if estimator.input != hold:
+    if estimator.input != input:
         raise ValueError(
-            f"estimator knows the effect of {estimator.input}, but the actuators hold {hold} "
-            f"between samples: design it on linearize(model, rest, input={hold!r})"
+            f"estimator knows the effect of {estimator.input}, but the actuators hold {input} "
+            f"between samples: design it on linearize(model, rest, input={input!r})"
         )
-    if estimator.pieces != pieces:
+    if estimator.substeps != substeps:
         raise ValueError(
-            f"estimator predicts winches with pieces={estimator.pieces}, but those of the run "
-            f"have pieces={pieces}: give them to kalman(..., winches=...) as well"
+            f"estimator predicts winches with substeps={estimator.substeps}, but those of the run "
+            f"have substeps={substeps}: give them to kalman(..., winches=...) as well"
         )
     seen, known = controller.plant.model.structure, estimator.plant.model.structure
     if not same_members(known, seen):

@@ -13,7 +13,7 @@ from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
-from tenscontrol.simulation.health import AccuracyWarning, Limits
+from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
 from tenscontrol.simulation.loop import Loop, SimulationError
 from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.simulation.start import checked_load, held_value, initial_state
@@ -37,7 +37,7 @@ def simulate(
     rest_length: object = None,
     force_density: object = None,
     controller: Controller | None = None,
-    hold: str | None = None,
+    input: str | None = None,
     winches: Winches | None = None,
     sample_time: float | None = None,
     faults: Sequence[Fault] = (),
@@ -48,7 +48,7 @@ def simulate(
     output_step: float | None = None,
     project: bool | None = None,
     machine_code: bool = False,
-    limits: Limits | None = None,
+    limits: HealthLimits | None = None,
     progress: bool = False,
     estimator: KalmanFilter | None = None,
     sensors: Sensors | None = None,
@@ -78,11 +78,11 @@ def simulate(
         For example ``lqr(...)`` or ``MPC(...)``. It is reset first. One that
         was designed on the parent of a subdivided structure sees the parent's
         nodes and commands the parent's strings.
-    hold : {"rest_length", "force_density"}, optional
+    input : {"rest_length", "force_density"}, optional
         What the actuators hold between samples. The rest length if the model
         has a string law, else γ.
     winches : Winches, optional
-        Limits of the winches; none if not given. With a rate or pieces, ``rest_length`` says
+        Limits of the winches; none if not given. With a rate or substeps, ``rest_length`` says
         where they start.
     sample_time : float, optional
         For a controller without a sample time of its own, s; else ``step``.
@@ -113,14 +113,14 @@ def simulate(
         numbers, several times as fast, after some seconds for the first run.
         Where there is no compiler, or the method cannot be compiled, the steps
         run in CasADi's virtual machine; ``run.choice.back_end`` says which.
-    limits : Limits, optional
-        Limits on the figures in ``run.health``; ``Limits()`` if not given.
+    limits : HealthLimits, optional
+        Limits on the figures in ``run.health``; ``HealthLimits()`` if not given.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
     estimator : KalmanFilter, optional
         From :func:`kalman`. The controller is then told its estimate in place of the motion, and
         the estimator what the actuators hold. It is reset first. Its step is that of the
-        samples, and its winches move in as many pieces as those here.
+        samples, and its winches move in as many substeps as those here.
     sensors : Sensors, optional
         What the readings are taken by, if other than the estimator believes: noise, delay and
         losses may differ.
@@ -166,20 +166,20 @@ def simulate(
     if project is not None:
         truth("project", project, "whether to make bar lengths exact after each step")
     if limits is not None:
-        instance("limits", limits, Limits, "make them by Limits(bar_length_error=...)")
+        instance("limits", limits, HealthLimits, "make them by HealthLimits(bar_length_error=...)")
     if controller is not None:
         instance("controller", controller, Controller, "make one by lqr(...) or MPC(...)")
     if estimator is None and (sensors is not None or seed is not None):
         raise ValueError("sensors and seed go with an estimator; kalman(...) makes one")
     if not len(model.structure.free):
         raise ValueError("every node of the model is fixed: nothing can move")
-    what = _held(model, rest_length, force_density, controller, hold)
+    what = _held(model, rest_length, force_density, controller, input)
     breaking = Faults(faults, float(np.ptp(model.structure.nodes, axis=1).max()), what)
     winch_count = None if controller is None else len(controller.plant.commanded.strings)
     breaking.refuse_unknown(len(model.structure.strings), winch_count)
     loop = Loop(
         model,
-        hold=what,
+        input=what,
         load=checked_load(model, external_force),
         duration=duration,
         method=method,
@@ -190,7 +190,7 @@ def simulate(
         machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
     )
     loop.output_step = _output_step(loop, output_step, duration)
-    state = initial_state(model, nodes, velocities, loop.hold)
+    state = initial_state(model, nodes, velocities, loop.input)
     try:
         with progress_bar(duration, shown=progress) as report:
             if controller is None:
@@ -210,11 +210,11 @@ def simulate(
             raise
         warnings.warn(f"the simulation {error.trajectory.stopped}", RuntimeWarning, stacklevel=2)
         return error.trajectory
-    _check(run, Limits() if limits is None else limits)
+    _check(run, HealthLimits() if limits is None else limits)
     return run
 
 
-def _check(run: Trajectory, limits: Limits) -> None:
+def _check(run: Trajectory, limits: HealthLimits) -> None:
     """Warn or raise where the motion passes a limit."""
     passed = limits.passed(run.health)
     if not passed:
@@ -231,17 +231,17 @@ def _held(
     rest_length: object,
     force_density: object,
     controller: Controller | None,
-    hold: str | None,
+    input: str | None,
 ) -> str:
     """Return what is held, after checking that the arguments say so without contradiction."""
     if controller is not None:
         if force_density is not None:
             raise ValueError("force_density is commanded by the controller; leave it out")
-        if hold is None:
+        if input is None:
             return "force_density" if model.strings is None else "rest_length"
-        return choice("hold", hold, ("rest_length", "force_density"))
-    if hold is not None:
-        raise ValueError("hold goes with a controller; in open loop the given input is held")
+        return choice("input", input, ("rest_length", "force_density"))
+    if input is not None:
+        raise ValueError("input goes with a controller; in open loop the given input is held")
     if (rest_length is None) == (force_density is None):
         found = "neither" if rest_length is None else "both"
         raise ValueError(

@@ -38,7 +38,7 @@ def checked_load(model: Model, external_force: object) -> FloatArray:
     return given + model.constant_force
 
 
-def initial_state(model: Model, nodes: object, velocities: object, hold: str) -> FloatArray:
+def initial_state(model: Model, nodes: object, velocities: object, input: str) -> FloatArray:
     """Return the state at the start, after checking that the structure can be in it."""
     structure = model.structure
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
@@ -51,7 +51,7 @@ def initial_state(model: Model, nodes: object, velocities: object, hold: str) ->
     if len(moving):
         node = structure.fixed[moving[0]]
         raise ValueError(f"velocities move the fixed node {node} by {V[:, node]} m/s, expected 0")
-    if hold == "rest_length":
+    if input == "rest_length":
         refuse_strings_without_length("nodes", structure, N)
     bars, rates = structure.bar_vectors(N), structure.bar_vectors(V)
     stretching = np.abs((bars * rates).sum(axis=0)) / structure.bar_length

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tenscontrol.control import Fallback, Status
 from tenscontrol.dynamics import Model, evaluate_columns, unpack_states
 from tenscontrol.integrate import Choice, Work
 from tenscontrol.simulation.faults import Fault
@@ -29,8 +30,12 @@ class ControlRecord:
     applied : ndarray, shape (α, K)
         What the actuators held: γ, N/m, or rest lengths, m, one a string of
         the controller; where winches wind, what they reach by the end.
-    status : tuple of str, length K
-        Status of each command; ``"ok"`` where all went well.
+    status : tuple of Status, length K
+        Status of each command; ``Status.OK`` where all went well.
+    fallback : tuple, length K
+        Fallback of each command, None where there was a decision.
+    detail : tuple of str, length K
+        Figures to the status.
     winch_rate : ndarray, shape (α, K)
         Change of the rest length in each sample over the sample time, m/s;
         zero where γ is held. The first counts from where the winches stood, if
@@ -46,7 +51,9 @@ class ControlRecord:
     time: FloatArray
     command: FloatArray
     applied: FloatArray
-    status: tuple[str, ...]
+    status: tuple[Status, ...]
+    fallback: tuple[Fallback | None, ...]
+    detail: tuple[str, ...]
     winch_rate: FloatArray
     rate_limited: np.ndarray
     range_limited: np.ndarray
@@ -54,9 +61,14 @@ class ControlRecord:
     estimate: EstimateRecord | None = None
 
     @property
-    def status_count(self) -> dict[str, int]:
+    def status_count(self) -> dict[Status, int]:
         """How often each status came."""
         return dict(Counter(self.status))
+
+    @property
+    def fallback_count(self) -> dict[Fallback, int]:
+        """How often each fallback was taken."""
+        return dict(Counter(fallback for fallback in self.fallback if fallback is not None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +225,9 @@ class Trajectory:
         ]
         if self.control is not None:
             counts = ", ".join(
-                f"{count} {name}" for name, count in self.control.status_count.items()
+                f"{count} {name}"
+                for kind in (self.control.status_count, self.control.fallback_count)
+                for name, count in kind.items()
             )
             lines.append(f"commands          {counts}")
             if self.control.estimate is not None:

@@ -39,7 +39,7 @@ def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray
     self-stress, and 18 − 6 − 11 = 1 mechanism:
 
     >>> import numpy as np, tenscontrol as tc
-    >>> E = tc.equilibrium_matrix(tc.prism())
+    >>> E = tc.statics.equilibrium_matrix(tc.prism())
     >>> E.shape, int(np.linalg.matrix_rank(E))
     ((18, 12), 11)
     """

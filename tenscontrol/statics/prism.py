@@ -46,7 +46,7 @@ def prism_force_density(
     Examples
     --------
     >>> import tenscontrol as tc
-    >>> strings, bars = tc.prism_force_density(3, 10.0)
+    >>> strings, bars = tc.statics.prism_force_density(3, 10.0)
     >>> strings[[0, 3, 6]].round(4)
     array([10.    , 10.    , 17.3205])
     """

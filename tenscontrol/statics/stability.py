@@ -124,7 +124,7 @@ def stress_matrix(
 
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
-    >>> stress = tc.stress_matrix(prism, *tc.prism_force_density(3, 10.0))
+    >>> stress = tc.statics.stress_matrix(prism, *tc.statics.prism_force_density(3, 10.0))
     >>> int(np.linalg.matrix_rank(stress, tol=1e-9))
     2
     """

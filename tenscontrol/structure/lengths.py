@@ -37,7 +37,7 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     --------
     >>> import numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
-    >>> nodes = tc.restore_bar_lengths(prism, 1.1 * prism.nodes)
+    >>> nodes = tc.structure.restore_bar_lengths(prism, 1.1 * prism.nodes)
     >>> bool(np.allclose(np.linalg.norm(prism.bar_vectors(nodes), axis=0), prism.bar_length))
     True
     """

@@ -38,7 +38,7 @@ def skin_rest_length(
     --------
     >>> import tenscontrol as tc
     >>> skinned = tc.skin(tc.prism(), panels=["top"], iterations=1, node_mass=0.01)
-    >>> tc.skin_rest_length(skinned, 0.8, prestretch=0.25).round(4)
+    >>> tc.structure.skin_rest_length(skinned, 0.8, prestretch=0.25).round(4)
     array([0.8, 0.8, 0.8, 0.8, 0.8, 0.8, 0.8, 0.8, 0.8, 0.4, 0.4, 0.4])
     """
     instance("structure", structure, Structure, "make one by skin(...)")

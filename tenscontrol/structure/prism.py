@@ -129,7 +129,7 @@ def prism_radius(bar_length: float, height: float, sides: int = 3) -> float:
     --------
     >>> import tenscontrol as tc
     >>> length = tc.prism(height=1.0, radius=0.5).bar_length[0]
-    >>> lower = tc.prism(height=0.85, radius=tc.prism_radius(length, height=0.85))
+    >>> lower = tc.prism(height=0.85, radius=tc.structure.prism_radius(length, height=0.85))
     >>> bool(abs(lower.bar_length - length).max() < 1e-15)
     True
     """

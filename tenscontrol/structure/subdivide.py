@@ -91,7 +91,7 @@ def subdivide(
 
     Strings that keep the stiffness of 100 N/m that they had whole:
 
-    >>> strings = tc.LinearStrings(stiffness=100.0 * tc.segment_counts(massive))
+    >>> strings = tc.LinearStrings(stiffness=100.0 * tc.structure.segment_counts(massive))
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     counts = _counts(segments, len(structure.strings))
@@ -153,9 +153,9 @@ def segment_counts(structure: Structure) -> IntArray:
     --------
     >>> import tenscontrol as tc
     >>> massive = tc.subdivide(tc.prism(), [2, 2, 2, 2, 2, 2, 3, 3, 3], string_mass=0.04)
-    >>> tc.segment_counts(massive)[[0, 1, -1]]
+    >>> tc.structure.segment_counts(massive)[[0, 1, -1]]
     array([2, 2, 3])
-    >>> strings = tc.LinearStrings(stiffness=100.0 * tc.segment_counts(massive))
+    >>> strings = tc.LinearStrings(stiffness=100.0 * tc.structure.segment_counts(massive))
     """
     string_parent = _subdivided(structure)[1]
     return frozen(np.bincount(string_parent)[string_parent])
@@ -192,7 +192,7 @@ def spread_force_density(structure: Structure, force_density: object) -> FloatAr
     >>> import tenscontrol as tc
     >>> rest = tc.prestress(tc.prism(), force_density=17.3205)
     >>> massive = tc.subdivide(rest.structure, segments=4, node_mass=0.01)
-    >>> cut = tc.prestress(massive, tc.spread_force_density(massive, rest.force_density))
+    >>> cut = tc.prestress(massive, tc.structure.spread_force_density(massive, rest.force_density))
     >>> round(float(cut.force_density[0]), 4), cut.residual < 1e-12
     (69.282, True)
     """
@@ -227,7 +227,7 @@ def spread_rest_length(structure: Structure, rest_length: object) -> FloatArray:
     --------
     >>> import tenscontrol as tc
     >>> massive = tc.subdivide(tc.prism(), segments=4, node_mass=0.01)
-    >>> tc.spread_rest_length(massive, 0.8)[:2]
+    >>> tc.structure.spread_rest_length(massive, 0.8)[:2]
     array([0.2, 0.2])
     """
     parent, string_parent = _subdivided(structure)

@@ -15,7 +15,7 @@ SCENES = Path(__file__).parent.parent.parent / "examples" / "scenes"
 def test_a_scene_becomes_the_same_motion():
     scene = tc.load_scene(SCENES / "prism_free.toml")
     case = as_case(scene)
-    assert (case.name, case.note, case.held) == ("prism_free", "", "rest_length")
+    assert (case.name, case.note, case.input) == ("prism_free", "", "rest_length")
     np.testing.assert_array_equal(case.value, scene.rest_length)
     run = tc.simulate(scene.model, 0.1, case.nodes, rest_length=case.value, step=1e-2)
     np.testing.assert_allclose(case.state, np.r_[run.nodes[:, :, 0].T.ravel(), np.zeros(18)])
@@ -29,7 +29,7 @@ def test_a_controller_is_left_out_and_that_is_said():
     )
     np.testing.assert_array_equal(case.value, scene.rest_length)
     found = tc.work_precision(
-        tc.Case(case.model, 0.05, held=case.held, value=case.value, note=case.note),
+        tc.Case(case.model, 0.05, input=case.input, value=case.value, note=case.note),
         ["rk4"],
         {"rk4": [0.01]},
         repeats=1,
@@ -48,7 +48,7 @@ def test_loads_act(prism):
     load = np.zeros((3, 6))
     load[2, 0] = 5.0
     model = tc.Model(prism, external_force=True, gravity=9.81)
-    case = tc.Case(model, 1.0, held="force_density", value=20.0, external_force=load)
+    case = tc.Case(model, 1.0, input="force_density", value=20.0, external_force=load)
     np.testing.assert_allclose(case.load, load + model.constant_force)
     slope = np.array(case.equation().slope(case.state, case.value, [])).ravel()
     true = np.array(model.acceleration(prism.nodes, np.zeros((3, 6)), case.value, load))
@@ -59,10 +59,10 @@ def test_loads_act(prism):
     ("change", "error", "message"),
     [
         ({"duration": 0.0}, ValueError, "duration is 0.0, expected a positive finite number"),
-        ({"held": "tension"}, ValueError, "held is 'tension', expected one of"),
+        ({"input": "tension"}, ValueError, "input is 'tension', expected one of"),
         ({"value": None}, TypeError, "value is None"),
         ({"value": [1.0]}, ValueError, r"force_density has shape \(1,\), expected"),
-        ({"held": "rest_length"}, ValueError, "which needs a model with a string law"),
+        ({"input": "rest_length"}, ValueError, "which needs a model with a string law"),
         ({"nodes": np.ones((3, 6))}, ValueError, "in nodes, bar 0 has length 0 m"),
         ({"velocities": np.eye(3, 6)}, ValueError, "velocities stretch bar"),
         ({"external_force": np.zeros((3, 6))}, ValueError, "takes no load as an input"),
@@ -70,7 +70,7 @@ def test_loads_act(prism):
     ],
 )
 def test_what_does_not_fit_is_refused(prism, change, error, message):
-    given = {"model": tc.Model(prism), "duration": 1.0, "held": "force_density", "value": 10.0}
+    given = {"model": tc.Model(prism), "duration": 1.0, "input": "force_density", "value": 10.0}
     with pytest.raises(error, match=message):
         tc.Case(**given | change)
 

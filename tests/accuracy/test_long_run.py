@@ -79,7 +79,7 @@ def test_what_is_not_conserved_is_left_out():
     with pytest.raises(ValueError, match="name is 'energy', expected what the motion conserves"):
         damped.of("energy")
     hung = tc.Model(tc.prism(), gravity=9.81)
-    case = tc.Case(hung, 1.0, held="force_density", value=20.0)
+    case = tc.Case(hung, 1.0, input="force_density", value=20.0)
     falling = tc.long_run(case, "rk4", 1e-3, steps=100, outputs=50)
     assert [drift.name for drift in falling.drifts] == ["energy", "bar length"]
     assert falling.of("energy").largest < 1e-4

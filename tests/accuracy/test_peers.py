@@ -37,7 +37,7 @@ def prism_case(vertical=45.0, duration=0.5, stiffness=100.0, damping=0.0):
     prism = tc.prism()
     lengths = rest_lengths(prism, paper_force_density(vertical), stiffness)
     model = tc.Model(prism, strings=tc.LinearStrings(stiffness, damping))
-    return Case(model, duration, held="rest_length", value=lengths)
+    return Case(model, duration, input="rest_length", value=lengths)
 
 
 def solved(peer, case, setting, outputs=5):
@@ -104,7 +104,7 @@ def test_a_peer_starts_anew_each_time(peer):
 @pytest.mark.parametrize("peer", PEERS)
 def test_a_peer_holds_force_densities(peer):
     gamma = paper_force_density(20.0)
-    case = Case(tc.Model(tc.prism()), 0.3, held="force_density", value=gamma)
+    case = Case(tc.Model(tc.prism()), 0.3, input="force_density", value=gamma)
     exact = oracle(case, HeldForceDensity(gamma))
     setting, error = FINE[peer.name]
     assert np.abs(solved(peer, case, setting).nodes - exact).max() < 3 * error
@@ -182,7 +182,7 @@ def test_a_problem_beyond_cvodes_is_a_failed_run(capfd):
     pair = tc.Structure(
         [[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]], [], [[0, 1]], [], string_node_mass=1.0
     )
-    case = Case(tc.Model(pair), 1.0, held="force_density", value=1e300)
+    case = Case(tc.Model(pair), 1.0, input="force_density", value=1e300)
     with pytest.raises(ArithmeticError, match="CVODES stopped with"):
         solved(CasADiCVODES(), case, 1e-8)
     assert capfd.readouterr() == ("", "")
@@ -209,7 +209,7 @@ def test_mujoco_takes_any_structure_and_motion(seed):
     start, rates = random_motion(structure, seed)
     gamma = random_force_density(structure, seed)
     model = tc.Model(structure)
-    case = Case(model, 0.2, start, rates, held="force_density", value=gamma)
+    case = Case(model, 0.2, start, rates, input="force_density", value=gamma)
     compared(case, HeldForceDensity(gamma))
 
 
@@ -243,7 +243,7 @@ def test_mujoco_takes_elastic_strings():
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.ElasticStrings(80.0))
     lengths = model.strings.rest_length(prism.string_length(), paper_force_density(40.0))
-    compared(Case(model, 0.3, held="rest_length", value=lengths))
+    compared(Case(model, 0.3, input="rest_length", value=lengths))
 
 
 @needs_mujoco
@@ -254,10 +254,10 @@ def test_mujoco_takes_fixed_nodes_and_gravity(fixed):
     standing = tc.Structure(prism.nodes, prism.bars, prism.strings, 2.0, fixed=fixed)
     model = tc.Model(standing, strings=tc.LinearStrings(100.0), gravity=9.81)
     lengths = rest_lengths(standing, paper_force_density(45.0), 100.0)
-    case = Case(model, 0.3, held="rest_length", value=lengths)
+    case = Case(model, 0.3, input="rest_length", value=lengths)
     rates = ours(case)[1][:, :, -1]
-    nodes = tc.restore_bar_lengths(standing, ours(case)[0][:, :, -1])
-    moving = Case(model, 0.2, nodes, _rigid(standing, nodes, rates), held="rest_length",
+    nodes = tc.structure.restore_bar_lengths(standing, ours(case)[0][:, :, -1])
+    moving = Case(model, 0.2, nodes, _rigid(standing, nodes, rates), input="rest_length",
                   value=lengths)  # fmt: skip
     compared(case)
     found = compared(moving)
@@ -287,7 +287,7 @@ def test_mujoco_takes_loads(even):
         load[:, structure.bars[:, 1]] = load[:, structure.bars[:, 0]]
     gamma = random_force_density(structure, 5)
     model = tc.Model(structure, external_force=True, gravity=[0.0, 1.0, -9.0])
-    case = Case(model, 0.2, held="force_density", value=gamma, external_force=load)
+    case = Case(model, 0.2, input="force_density", value=gamma, external_force=load)
     compared(case, HeldForceDensity(gamma))
 
 
@@ -299,7 +299,7 @@ def test_mujoco_takes_loads_on_swinging_bars():
     load = np.zeros((3, 3))
     load[:, 1] = 1.0, 2.0, -3.0
     model = tc.Model(structure, external_force=load)
-    compared(Case(model, 0.5, held="force_density", value=2.0))
+    compared(Case(model, 0.5, input="force_density", value=2.0))
 
 
 @needs_mujoco

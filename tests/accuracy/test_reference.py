@@ -13,7 +13,7 @@ from tests.oracle import HeldRestLength, RigidBars
 
 def test_example_one_agrees_with_rigid_bodies_through_all_switches(paper_motion):
     """Five seconds, 56 moments of switching; both have errors of some 1e-12 m."""
-    found = tc.converged_motion(paper_case(5.0), outputs=100)
+    found = tc.accuracy.converged_motion(paper_case(5.0), outputs=100)
     true = paper_motion.nodes[:, :, 50::50]
     np.testing.assert_allclose(found.time, paper_motion.time[50::50], rtol=1e-14)
     assert np.abs(found.nodes - true).max() < 5e-11
@@ -24,7 +24,7 @@ def test_example_one_agrees_with_rigid_bodies_through_all_switches(paper_motion)
 
 def test_damped_strings_agree_with_rigid_bodies():
     case = paper_case(1.0, damping=0.3)
-    found = tc.converged_motion(case, outputs=20)
+    found = tc.accuracy.converged_motion(case, outputs=20)
     law = HeldRestLength(case.value, 100.0, 0.3)
     nodes, _ = RigidBars(case.structure, law).integrate(
         case.nodes, case.velocities, np.r_[0.0, found.time]
@@ -72,7 +72,7 @@ def test_a_slack_skin_is_chaotic():
     # A coarser error can be asked for longer.
     assert tc.predictability(case, error=1e-7).horizon > found.horizon + 0.1
     # Up to the horizon the two codes of the reference agree to about the error asked for.
-    assert tc.converged_motion(replace(case, duration=found.horizon), 20).error < 1e-8
+    assert tc.accuracy.converged_motion(replace(case, duration=found.horizon), 20).error < 1e-8
 
 
 def test_the_comparison_of_a_chaotic_motion_is_cut_short():

@@ -36,7 +36,7 @@ def test_measured_steps_are_those_of_theory(method):
 
 def test_the_fastest_rate_is_the_highest_mode(prism, rest):
     model = tc.Model(prism)
-    case = tc.Case(model, 1.0, held="force_density", value=rest.force_density)
+    case = tc.Case(model, 1.0, input="force_density", value=rest.force_density)
     highest = 2 * np.pi * tc.modes(tc.linearize(model, rest)).frequency.max()
     assert fastest_rate(case) == pytest.approx(highest, rel=1e-9)
 
@@ -52,8 +52,8 @@ def test_a_users_own_case(rest):
         model = tc.Model(prism, strings=tc.LinearStrings(stiffness))
         lengths = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
         moved = prism.nodes + 1e-5 * np.random.default_rng(1).normal(size=(3, 6))
-        nodes = tc.restore_bar_lengths(prism, moved)
-        return tc.Case(model, 1.0, nodes, held="rest_length", value=lengths)
+        nodes = tc.structure.restore_bar_lengths(prism, moved)
+        return tc.Case(model, 1.0, nodes, input="rest_length", value=lengths)
 
     found = tc.stability_map("rk4", [1e3], [1.0, 0.25], make, steps=600)
     np.testing.assert_allclose(found.step / found.bound, 1.0, atol=0.03)

@@ -26,7 +26,7 @@ def quick():
 @pytest.fixture(scope="module")
 def prism_case():
     return Extreme(
-        "prism", "let go", Case(tc.Model(tc.prism()), 1.0, held="force_density", value=GAMMA)
+        "prism", "let go", Case(tc.Model(tc.prism()), 1.0, input="force_density", value=GAMMA)
     )
 
 
@@ -82,7 +82,7 @@ def test_a_run_that_is_too_long_is_not_started(prism_case):
 def test_a_method_that_refuses_gives_its_reason():
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0, damping=1.0))
     lengths = 0.95 * tc.prism().string_length()
-    case = Extreme("prism", "damped", Case(model, 0.5, held="rest_length", value=lengths))
+    case = Extreme("prism", "damped", Case(model, 0.5, input="rest_length", value=lengths))
     row = judge(case, truth(case), "rattle6")
     assert row.verdict == "refused"
     assert "damped" in row.reason
@@ -186,7 +186,7 @@ def test_asked_and_methods_are_sound():
 def test_the_estimate_is_near_the_error(prism_case, method, step):
     case = prism_case.case
     run = tc.simulate(
-        case.model, 5.0, force_density=GAMMA, method=method, step=step, limits=tc.Limits(
+        case.model, 5.0, force_density=GAMMA, method=method, step=step, limits=tc.HealthLimits(
             energy_error=None, bar_length_error=None, position_error=None)
     )  # fmt: skip
     exact = tc.simulate(
@@ -201,7 +201,7 @@ def test_long_steps_that_conserve_energy_are_told():
     """The energy says nothing here: the method conserves it whatever the step."""
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0))
     start = tc.to_rest_length(model, tc.prism().nodes, GAMMA).rest_length
-    with pytest.warns(tc.AccuracyWarning, match="position error"):
+    with pytest.warns(tc.simulation.AccuracyWarning, match="position error"):
         run = tc.simulate(model, 2.0, rest_length=start, method="energy_momentum", step=0.1)
     assert run.health.energy_error < 1e-9
 

@@ -61,7 +61,7 @@ def case():
 
 @pytest.fixture(scope="module")
 def reference(case):
-    return tc.converged_motion(case, outputs=10)
+    return tc.accuracy.converged_motion(case, outputs=10)
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +109,7 @@ def test_a_failed_run_is_kept_with_its_reason(found):
 
 def test_a_run_that_blows_up_is_kept():
     case = paper_case(20.0, vertical=45.0)
-    reference = tc.converged_motion(paper_case(0.4), outputs=4)
+    reference = tc.accuracy.converged_motion(paper_case(0.4), outputs=4)
     stretched = replace(reference, time=np.arange(1.0, 5.0) * 5.0)
     (row,) = tc.work_precision(case, ["rk4"], {"rk4": [5.0]}, (), stretched, repeats=1).rows
     assert "no longer finite" in row.failure or row.error > 1.0

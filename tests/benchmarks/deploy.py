@@ -30,9 +30,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print("there is no C compiler")
         return
     plant = scenes.plant("force_density")
-    wound = {"rest_length": scenes.plant("rest_length").rest_length, "hold": "rest_length"}
+    wound = {"rest_length": scenes.plant("rest_length").rest_length, "input": "rest_length"}
     controllers = {
-        "LQR": (tc.lqr(plant, *tc.energy_weights(plant), scenes.SAMPLE, 80.0), {}),
+        "LQR": (
+            tc.lqr(
+                plant, *tc.energy_weights(plant), sample_time=scenes.SAMPLE, max_force_density=80.0
+            ),
+            {},
+        ),
         "MPC, γ, N = 10": (scenes.of_force_density(), {}),
         "MPC, rest length, N = 4": (scenes.of_rest_length(), {"winches": scenes.WINCHES, **wound}),
         "MPC, winding, load, N = 4": (scenes.winding(), {"winches": scenes.WINDING, **wound}),

@@ -39,7 +39,7 @@ PIECES = {1e2: 20, 1e3: 20, 1e4: 20, 1e5: 100, 1e6: 500}
 class Morphed:
     """What came of a run: SI units, degrees, worst values."""
 
-    run: tc.Trajectory
+    run: tc.simulation.Trajectory
     height_error: float
     twist_error: float
     node_error: float
@@ -49,7 +49,7 @@ class Morphed:
     at_rate: float
     in_range: bool
     statuses: dict
-    controller: tc.Controller
+    controller: tc.control.Controller
 
 
 def morph(stiffness, pieces, rate=RATE, plants=PLANTS, nonlinear=False, machine_code=True):
@@ -67,7 +67,7 @@ def morph(stiffness, pieces, rate=RATE, plants=PLANTS, nonlinear=False, machine_
         )
         for height, twist in SHAPES
     )
-    winches = tc.Winches(rate, *RANGE, pieces=pieces)
+    winches = tc.Winches(rate, *RANGE, substeps=pieces)
     path = tc.shape_path(model, start, goal, winches=winches, step=SAMPLE, min_force_density=LEAST)
     there = path.reference()
     reference = there.then(there.reversed(), pause=REST)
@@ -79,21 +79,23 @@ def morph(stiffness, pieces, rate=RATE, plants=PLANTS, nonlinear=False, machine_
     }
     if nonlinear:
         (half,) = path.plants(1, "rest_length")
-        controller = tc.NMPC(half, HORIZON, SAMPLE, machine_code=machine_code, **limits)
+        controller = tc.NMPC(
+            half, horizon=HORIZON, sample_time=SAMPLE, machine_code=machine_code, **limits
+        )
     else:
-        controller = tc.Schedule([
-            tc.MPC(plant, HORIZON, SAMPLE, **limits)
+        controller = tc.GainSchedule([
+            tc.MPC(plant, horizon=HORIZON, sample_time=SAMPLE, **limits)
             for plant in path.plants(plants, "rest_length")
         ])  # fmt: skip
     mass = MASS_SHARE * prism.bar_mass.sum() / len(prism.strings)
     massive = tc.subdivide(start.prestress.structure, SEGMENTS, string_mass=mass)
-    segments = tc.segment_counts(massive)
+    segments = tc.structure.segment_counts(massive)
     plant = tc.Model(
         massive, strings=tc.LinearStrings(stiffness * segments, damping=damping * segments)
     )
     fastest = 2 * np.sqrt(SEGMENTS * stiffness * (SEGMENTS - 1) / mass)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", tc.AccuracyWarning)
+        warnings.simplefilter("ignore", tc.simulation.AccuracyWarning)
         run = tc.simulate(
             plant,
             reference.time[-1] + REST,
@@ -138,7 +140,7 @@ def _read(run, shapes, there, rate, controller):
         rate=float(rates.max()),
         at_rate=float((rates.max(axis=0) > 0.99 * rate).mean()),
         in_range=bool((applied >= RANGE[0]).all() and (applied <= RANGE[1]).all()),
-        statuses=run.control.status_count,
+        statuses={str(each): n for each, n in run.control.status_count.items()},
         controller=controller,
     )
 
@@ -184,7 +186,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 stiffness, pieces, rate=given.rate, plants=given.plants, nonlinear=given.nmpc,
                 machine_code=not given.interpreted,
             )  # fmt: skip
-        except tc.SimulationError as error:
+        except tc.simulation.SimulationError as error:
             print(f"{stiffness:6.0e}  {pieces:6d}  {error}", flush=True)
             continue
         print(

@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol import demo
+from tenscontrol.demo import tour as demo
 from tests.benchmarks.command_line import options
 
 LENGTHS = (10, 20, 40, 80)
@@ -76,7 +76,15 @@ def scene(push, target, duration):
 
 
 def controller(plant, reference, form, length):
-    return tc.MPC(plant, length, demo.SAMPLE, LIMIT, R=1e-3, reference=reference, form=form)
+    return tc.MPC(
+        plant,
+        horizon=length,
+        sample_time=demo.SAMPLE,
+        max_force_density=LIMIT,
+        R=1e-3,
+        reference=reference,
+        form=form,
+    )
 
 
 def run(mpc, measured, rebuilt):

@@ -21,9 +21,8 @@ import casadi as ca
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol import demo
-from tenscontrol.control import NMPC
-from tenscontrol.control.controller import Controller
+from tenscontrol.control import NMPC, Command, Controller, Status
+from tenscontrol.demo import tour as demo
 from tests.benchmarks.command_line import options
 from tests.control.nmpc_oracle import IpoptNMPC, closed_loop_cost
 
@@ -37,12 +36,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     N = given.horizon
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, demo.TOP_FORCE_DENSITY))
-    one = NMPC(plant, N, demo.SAMPLE, LIMIT, machine_code=True)
+    one = NMPC(
+        plant, horizon=N, sample_time=demo.SAMPLE, max_force_density=LIMIT, machine_code=True
+    )
     loops = {
         "NMPC, machine code": one,
-        "NMPC, no compiler": NMPC(plant, N, demo.SAMPLE, LIMIT),
-        "NMPC, converged": NMPC(plant, N, demo.SAMPLE, LIMIT, iterations=20, machine_code=True),
-        "MPC, linear": tc.MPC(plant, N, demo.SAMPLE, LIMIT),
+        "NMPC, no compiler": NMPC(
+            plant, horizon=N, sample_time=demo.SAMPLE, max_force_density=LIMIT
+        ),
+        "NMPC, converged": NMPC(
+            plant,
+            horizon=N,
+            sample_time=demo.SAMPLE,
+            max_force_density=LIMIT,
+            iterations=20,
+            machine_code=True,
+        ),
+        "MPC, linear": tc.MPC(plant, horizon=N, sample_time=demo.SAMPLE, max_force_density=LIMIT),
         "IPOPT (nlpsol)": IpoptNMPC(one, tolerance=1e-6),
     }
     peer = "do-mpc (IPOPT)"
@@ -96,7 +106,7 @@ class Timed(Controller):
     """A controller whose commands are timed, the first left out."""
 
     def __init__(self, controller):
-        super().__init__(controller.plant, controller.step, *controller.bounds)
+        super().__init__(controller.plant, controller.sample_time, *controller.bounds)
         self._controller = controller
         self.times, self.bounded = [], 0
 
@@ -124,7 +134,7 @@ class DoMpc(Controller):
     """The same problem given to do-mpc."""
 
     def __init__(self, nmpc):
-        super().__init__(nmpc.plant, nmpc.step, *nmpc.bounds)
+        super().__init__(nmpc.plant, nmpc.sample_time, *nmpc.bounds)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             import do_mpc
@@ -137,7 +147,7 @@ class DoMpc(Controller):
         model.set_rhs("z", nmpc.sampled(z, u))
         model.setup()
         self._mpc = mpc = do_mpc.controller.MPC(model)
-        mpc.settings.n_horizon, mpc.settings.t_step = nmpc.horizon, nmpc.step
+        mpc.settings.n_horizon, mpc.settings.t_step = nmpc.horizon, nmpc.sample_time
         mpc.settings.store_full_solution = False
         mpc.settings.supress_ipopt_output()
         mpc.settings.nlpsol_opts["ipopt.tol"] = 1e-6
@@ -159,7 +169,8 @@ class DoMpc(Controller):
             self._mpc.set_initial_guess()
             self._fresh = False
         value = self._mpc.make_step(state.reshape(-1, 1)).ravel()
-        return value, "ok" if self._mpc.data["success"][-1] else "not solved"
+        status = Status.OK if self._mpc.data["success"][-1] else Status.UNSOLVED
+        return Command(value, status)
 
     def _fall_back(self, reason):
         raise AssertionError(reason)

@@ -27,9 +27,9 @@ import numpy as np
 from scipy.sparse import csc_array, csc_matrix, triu
 
 import tenscontrol as tc
-from tenscontrol import demo
 from tenscontrol.control import NMPC
-from tenscontrol.control.quadratic_program import QuadraticProgram
+from tenscontrol.control.mpc.osqp_adapter import QuadraticProgram
+from tenscontrol.demo import tour as demo
 from tests.benchmarks.command_line import options
 from tests.control.nmpc_oracle import closed_loop_cost
 from tests.control.test_mpc import kkt_residual
@@ -69,10 +69,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def recordings(starts, samples, horizon):
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, demo.TOP_FORCE_DENSITY))
-    nmpc = NMPC(plant, horizon, demo.SAMPLE, LIMIT)
+    nmpc = NMPC(plant, horizon=horizon, sample_time=demo.SAMPLE, max_force_density=LIMIT)
     controllers = {
-        "condensed MPC": tc.MPC(plant, horizon, demo.SAMPLE, LIMIT, form="condensed"),
-        "sparse MPC": tc.MPC(plant, horizon, demo.SAMPLE, LIMIT, form="sparse"),
+        "condensed MPC": tc.MPC(
+            plant,
+            horizon=horizon,
+            sample_time=demo.SAMPLE,
+            max_force_density=LIMIT,
+            form="condensed",
+        ),
+        "sparse MPC": tc.MPC(
+            plant, horizon=horizon, sample_time=demo.SAMPLE, max_force_density=LIMIT, form="sparse"
+        ),
         "NMPC": nmpc,
     }
     for name, controller in controllers.items():

@@ -31,7 +31,7 @@ SHARES = 0.01, 0.02, 0.04, 0.08, 0.12, 0.15
 def shape(height):
     """The prism with the bars of one of 1 m, and this height, m."""
     length = tc.prism().bar_length[0]
-    return tc.prism(radius=tc.prism_radius(length, height), height=height)
+    return tc.prism(radius=tc.structure.prism_radius(length, height), height=height)
 
 
 def reference(duration):
@@ -62,11 +62,17 @@ def errors(plant, path, run):
 
 def controllers(plant, path, limit):
     found = {
-        f"shape control, {f:g} Hz": tc.ShapeControl(plant, path, STEP, limit, frequency=f)
+        f"shape control, {f:g} Hz": tc.FeedbackLinearization(
+            plant, reference=path, sample_time=STEP, max_force_density=limit, frequency=f
+        )
         for f in FREQUENCIES
     }
-    found["MPC"] = tc.MPC(plant, 20, STEP, limit, reference=path)
-    found["NMPC"] = tc.NMPC(plant, 20, STEP, limit, reference=path)
+    found["MPC"] = tc.MPC(
+        plant, horizon=20, sample_time=STEP, max_force_density=limit, reference=path
+    )
+    found["NMPC"] = tc.NMPC(
+        plant, horizon=20, sample_time=STEP, max_force_density=limit, reference=path
+    )
     return found
 
 
@@ -83,7 +89,7 @@ def play(hold, move, limit, duration):
     for name, controller in controllers(plant, path, limit).items():
         began = perf_counter()
         run = tc.simulate(
-            model, duration, nodes=start, controller=controller, hold=hold, step=1e-3,
+            model, duration, nodes=start, controller=controller, input=hold, step=1e-3,
             output_step=STEP, **actuators,
         )  # fmt: skip
         gamma = run.control.command
@@ -111,8 +117,8 @@ def settling(stiffness, share):
     rows = np.zeros((3, 3, 6))
     for i in range(3):
         rows[i, 2, [i, 3 + i]] = 1, -1
-    law = tc.ShapeControl(
-        plant, None, STEP, min(80.0, 0.8 * (stiffness or np.inf)), frequency=share / STEP,
+    law = tc.FeedbackLinearization(
+        plant, reference=None, sample_time=STEP, max_force_density=min(80.0, 0.8 * (stiffness or np.inf)), frequency=share / STEP,
         tracked=rows.transpose(0, 2, 1).reshape(3, 18),
     )  # fmt: skip
     start = shape(0.99).nodes
@@ -121,9 +127,9 @@ def settling(stiffness, share):
     try:
         run = tc.simulate(
             model, duration, nodes=start, controller=law, step=STEP / 40, output_step=STEP,
-            hold="rest_length" if stiffness else "force_density",
+            input="rest_length" if stiffness else "force_density",
         )  # fmt: skip
-    except tc.SimulationError:
+    except tc.simulation.SimulationError:
         return np.nan
     size = [
         np.linalg.norm(law.error(run.time[k], run.nodes[:, :, k], run.velocities[:, :, k])[0])

@@ -36,7 +36,7 @@ def scene(segments):
     twist = 0.2 * level * np.cross([0.0, 0.0, 1.0], cut.nodes.T).T
     velocities = _without_stretch(cut, spin + twist)
     massive = tc.Model(cut, strings=tc.LinearStrings(STIFFNESS * segments))
-    return massive, tc.spread_rest_length(cut, lengths), velocities
+    return massive, tc.structure.spread_rest_length(cut, lengths), velocities
 
 
 def _without_stretch(structure, velocities):

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol import demo
+from tenscontrol.demo import tour as demo
 from tests.benchmarks.command_line import options
 
 STIFFNESS = (1e2, 3e2, 1e3, 3e3, 1e4, 1e5, 1e6)
@@ -22,10 +22,10 @@ STIFFNESS = (1e2, 3e2, 1e3, 3e3, 1e4, 1e5, 1e6)
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(__doc__, arguments, stiffness=STIFFNESS)
     prism = tc.prism()
-    report = tc.stiffness_report(
+    report = tc.robustness.stiffness_report(
         tc.prestress(demo.prism_of_height(prism, demo.TARGET), demo.TOP_FORCE_DENSITY),
         given.stiffness,
-        step=demo.SAMPLE,
+        sample_time=demo.SAMPLE,
         damping=lambda k: 0.02 * np.sqrt(k),
         reference=demo.ramp(prism, 1.0, demo.TARGET, 2.0),
         max_force_density=55.0,

@@ -9,9 +9,10 @@ from functools import cache
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.control.quadratic_program import QPSolution, QuadraticProgram, Status
-from tenscontrol.control.reduced_dynamics import sampled_dynamics
+from tenscontrol.control import Status
+from tenscontrol.control.mpc.osqp_adapter import QPSolution, QuadraticProgram
 from tenscontrol.dynamics import Evaluator
+from tenscontrol.plant.reduced_dynamics import sampled_dynamics
 
 STEP, GAMMA = 0.02, 17.3205
 CHANGE = {"force_density": 6.0, "rest_length": 0.03}  # N/m and m a sample
@@ -47,9 +48,9 @@ def controller(kind, held, **changes):
         limits = {"winches": tc.Winches(RATE, *RANGE)}
     if kind == "lqr":
         Q, R = tc.energy_weights(at)
-        return tc.lqr(at, Q, R, step=STEP, **limits, **changes)
+        return tc.lqr(at, Q, R, sample_time=STEP, **limits, **changes)
     made = {"mpc": tc.MPC, "nmpc": tc.NMPC}[kind]
-    return made(at, HORIZON[kind], STEP, **limits, **changes)
+    return made(at, horizon=HORIZON[kind], sample_time=STEP, **limits, **changes)
 
 
 def absurd(rng, nodes, velocities):
@@ -92,7 +93,7 @@ class FaultLoop:
 
     kind: str
     held: str
-    made: tc.Controller
+    made: tc.control.Controller
     rng: np.random.Generator
     state: np.ndarray = field(default_factory=lambda: np.zeros(18))
     statuses: list = field(default_factory=list)
@@ -113,7 +114,7 @@ class FaultLoop:
             nodes, velocities = spoil(self.rng, nodes, velocities)
         command = self.made.command(self.time, nodes, velocities)
         self.check(command.value)
-        self.statuses.append(command.status)
+        self.statuses.append(str(command))
         held = command.value.copy()
         strings = np.asarray(strings, dtype=int)
         if fault == "stuck":
@@ -125,7 +126,7 @@ class FaultLoop:
             acting[strings] = 0.0 if self.held == "force_density" else 1e6
         self.state = sampled(self.held)(self.state, acting)[0].copy()
         self.time += STEP
-        return command.status
+        return str(command)
 
     def check(self, value):
         """Finite, within bounds, and no farther from what stands than the actuators go."""

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control.controller import Controller
+from tenscontrol.control import Command, Controller
 from tests.control.test_mpc import kkt_residual
 
 
@@ -16,7 +16,7 @@ class IpoptNMPC(Controller):
     """
 
     def __init__(self, nmpc, tolerance=1e-8, hessian="exact"):
-        super().__init__(nmpc.plant, nmpc.step, *nmpc.bounds)
+        super().__init__(nmpc.plant, nmpc.sample_time, *nmpc.bounds)
         self._nmpc, N = nmpc, nmpc.horizon
         s, a = nmpc.plant.B.shape
         Q, R, P = nmpc.weights
@@ -61,7 +61,7 @@ class IpoptNMPC(Controller):
         if self._x is None:
             first = np.tile(state / self._unit, self._N)
             self._x = np.r_[first, (held / self._level).ravel()]
-        standing = held[0] if self._standing is None else self._standing
+        standing = held[0] if self._previous_input is None else self._previous_input
         parameters = np.r_[state, standing, reference.ravel(), held.ravel()]
         answer = self._solver(x0=self._x, p=parameters, **self._bounds)
         assert self._solver.stats()["success"], self._solver.stats()["return_status"]
@@ -70,7 +70,7 @@ class IpoptNMPC(Controller):
         Z, U = (part.reshape(self._N, -1) for part in np.split(x, [self._split]))
         self.inputs = self._level * U
         self._x = np.r_[np.vstack([Z[1:], Z[-1:]]).ravel(), np.vstack([U[1:], U[-1:]]).ravel()]
-        return self.inputs[0], "ok"
+        return Command(self.inputs[0])
 
     def _fall_back(self, reason):
         raise AssertionError(reason)
@@ -85,10 +85,10 @@ def closed_loop_cost(nmpc, controller, sample, state, count):
     for k in range(count):
         nodes = plant.to_nodes(state[:r])
         command = controller.command(
-            k * nmpc.step, nodes, plant.to_velocities(state[:r], state[r:])
+            k * nmpc.sample_time, nodes, plant.to_velocities(state[:r], state[r:])
         )
         assert command.status == "ok"
-        reference, held = nmpc.targets(k * nmpc.step)
+        reference, held = nmpc.targets(k * nmpc.sample_time)
         state = np.array(sample(state, command.value)).ravel()
         off, effort = state - reference[0], command.value - held[0]
         total += off @ Q @ off + effort @ R @ effort

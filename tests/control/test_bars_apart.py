@@ -19,7 +19,7 @@ def plant(held="force_density"):
 
 def test_rows_are_the_derivatives_of_the_distances():
     at = plant()
-    rows = tc.bars_apart(at, 0.1).matrix
+    rows = tc.clearance(at, 0.1).matrix
     rest = bar_distances(at.model.structure, at.nodes)
     np.testing.assert_allclose(rows @ at.nodes.ravel(order="F"), rest.distance, atol=1e-14)
     step = 1e-5
@@ -34,7 +34,7 @@ def test_rows_are_the_derivatives_of_the_distances():
 def test_distances_change_by_nothing_that_moves_all():
     """Moved or turned as one body, bars are as far apart as before."""
     at = plant()
-    rows = tc.bars_apart(at, 0.1).matrix
+    rows = tc.clearance(at, 0.1).matrix
     for axis in np.eye(3):
         np.testing.assert_allclose(rows @ np.tile(axis, 6), 0.0, atol=1e-14)
         turned = np.cross(axis, at.nodes.T).ravel()
@@ -46,15 +46,17 @@ def test_distances_change_by_nothing_that_moves_all():
 def test_bars_thrown_at_each_other_stay_apart(kind, held):
     at = plant(held)
     rest = bar_distances(at.model.structure, at.nodes).least
-    closing = (tc.bars_apart(at, 0.1).matrix @ at.basis).sum(axis=0)
+    closing = (tc.clearance(at, 0.1).matrix @ at.basis).sum(axis=0)
     thrown = at.to_velocities(np.zeros(9), -0.35 * closing / np.linalg.norm(closing))
     largest = 60.0 if held == "force_density" else None
     least = {}
     for name, outputs in (
         ("free", []),
-        ("soft", [tc.bars_apart(at, 0.95 * rest, penalty=1e4)]),
+        ("soft", [tc.clearance(at, 0.95 * rest, penalty=1e4)]),
     ):
-        controller = kind(at, 15, SAMPLE, largest, outputs=outputs)
+        controller = kind(
+            at, horizon=15, sample_time=SAMPLE, max_force_density=largest, outputs=outputs
+        )
         run = tc.simulate(at.model, 0.8, at.nodes, thrown, controller=controller, step=2e-3)
         assert set(run.control.status) == {"ok"}
         least[name] = min(
@@ -75,7 +77,7 @@ def test_bars_that_do_not_pass_one_another_are_refused():
         require_equilibrium=False,
     )  # fmt: skip
     with pytest.raises(ValueError, match="no two bars that pass one another"):
-        tc.bars_apart(at, 0.1)
+        tc.clearance(at, 0.1)
 
 
 @pytest.mark.parametrize(
@@ -89,9 +91,9 @@ def test_bars_that_do_not_pass_one_another_are_refused():
 )
 def test_bad_input(clearance, penalty, message):
     with pytest.raises(ValueError, match=message):
-        tc.bars_apart(plant(), clearance, penalty)
+        tc.clearance(plant(), clearance, penalty)
 
 
 def test_what_is_no_plant_is_refused():
     with pytest.raises(TypeError, match="plant is a Structure"):
-        tc.bars_apart(replace(tc.prism()), 0.1)
+        tc.clearance(replace(tc.prism()), 0.1)

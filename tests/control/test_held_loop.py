@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol import demo
 from tenscontrol.control import held_loop
+from tenscontrol.demo import tour as demo
 
 SAMPLE = 0.02
 
@@ -17,7 +17,15 @@ def designed(stiffness, weight):
     plant = tc.linearize(model, tc.prestress(target, demo.TOP_FORCE_DENSITY))
     Q, R = tc.energy_weights(plant)
     reference = demo.ramp(prism, 1.0, demo.TARGET, 1.5)
-    return tc.MPC(plant, 10, SAMPLE, 55.0, Q=Q, R=weight * R, reference=reference)
+    return tc.MPC(
+        plant,
+        horizon=10,
+        sample_time=SAMPLE,
+        max_force_density=55.0,
+        Q=Q,
+        R=weight * R,
+        reference=reference,
+    )
 
 
 def worst_height(mpc):
@@ -44,9 +52,9 @@ def test_loops_that_are_said_not_to_hold_do_not(stiffness, weight):
 def test_model_without_string_law_is_not_warned_of():
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 17.3205))
-    tc.MPC(plant, 5, SAMPLE, 60.0)
+    tc.MPC(plant, horizon=5, sample_time=SAMPLE, max_force_density=60.0)
     with pytest.raises(ValueError, match="no string law"):
-        held_loop(plant, np.zeros((9, 18)), SAMPLE)
+        held_loop(plant, np.zeros((9, 18)), sample_time=SAMPLE)
 
 
 def test_prediction_is_what_a_small_motion_does():
@@ -55,12 +63,12 @@ def test_prediction_is_what_a_small_motion_does():
     model = tc.Model(prism, strings=tc.LinearStrings(2e3))
     plant = tc.linearize(model, tc.prestress(prism, 17.3205))
     Q, R = tc.energy_weights(plant)
-    law = tc.lqr(plant, Q, 0.1 * R, step=SAMPLE)
-    loop = held_loop(plant, law.gain, SAMPLE)
+    law = tc.lqr(plant, Q, 0.1 * R, sample_time=SAMPLE)
+    loop = held_loop(plant, law.gain, sample_time=SAMPLE)
     assert loop.radius > 1
     assert not loop.holds
     start = plant.to_nodes(1e-6 * np.random.default_rng(0).normal(size=9))
-    law = tc.lqr(plant, Q, 0.1 * R, step=SAMPLE, max_force_density=1e3)
+    law = tc.lqr(plant, Q, 0.1 * R, sample_time=SAMPLE, max_force_density=1e3)
     run = tc.simulate(model, 8.0, start, controller=law, step=5e-4)
     at = np.searchsorted(run.time, run.control.time[-151:] - 1e-9)
     size = [np.linalg.norm(plant.measure(run.nodes[:, :, k], run.velocities[:, :, k])) for k in at]

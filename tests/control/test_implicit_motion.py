@@ -5,11 +5,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import tenscontrol as tc
-from tenscontrol import demo
-from tenscontrol.control.implicit_motion import ImplicitMotion
-from tenscontrol.control.path import Path, acceleration_response, checked_reference
-from tenscontrol.control.reduced_dynamics import reduced_acceleration, sampled_dynamics
+from tenscontrol.control.mpc.implicit_shooting import ImplicitMotion
+from tenscontrol.demo import tour as demo
 from tenscontrol.dynamics import Evaluator
+from tenscontrol.plant.reduced_dynamics import reduced_acceleration, sampled_dynamics
+from tenscontrol.plant.reduced_reference import Path, acceleration_response, checked_reference
 
 SAMPLE = 0.02
 

@@ -38,8 +38,17 @@ def test_another_reference_is_that_of_a_new_controller(kind, held):
     """Also after a reset, which forgets no reference."""
     plant = scenes.plant(held)
     largest = 80.0 if held == "force_density" else None
-    new = kind(plant, 3, scenes.SAMPLE, largest, reference=scenes.ramp(), load_gain=0.2)
-    used = kind(plant, 3, scenes.SAMPLE, largest, load_gain=0.2)
+    new = kind(
+        plant,
+        horizon=3,
+        sample_time=scenes.SAMPLE,
+        max_force_density=largest,
+        reference=scenes.ramp(),
+        load_gain=0.2,
+    )
+    used = kind(
+        plant, horizon=3, sample_time=scenes.SAMPLE, max_force_density=largest, load_gain=0.2
+    )
     before = used.law
     used.follow(scenes.ramp())
     assert used.law.load is before.load

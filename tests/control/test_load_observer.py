@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol import demo
-from tenscontrol.control.load_observer import LoadObserver, load_model
-from tenscontrol.control.path import acceleration_response
+from tenscontrol.control.disturbance import LoadObserver, load_model
+from tenscontrol.demo import tour as demo
+from tenscontrol.plant.reduced_reference import acceleration_response
 
 SAMPLE, LOAD = 0.02, 2.0
 
@@ -24,7 +24,14 @@ def final_height(load_gain):
     pull[2, :3], pull[2, 3:] = LOAD / 3, -LOAD / 3
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, demo.TOP_FORCE_DENSITY))
     tracked = None if load_gain is None else height_row()
-    mpc = tc.MPC(plant, 10, SAMPLE, 80.0, load_gain=load_gain, tracked=tracked)
+    mpc = tc.MPC(
+        plant,
+        horizon=10,
+        sample_time=SAMPLE,
+        max_force_density=80.0,
+        load_gain=load_gain,
+        tracked=tracked,
+    )
     loaded = tc.Model(prism, external_force=pull)
     run = tc.simulate(loaded, 40.0, controller=mpc, step=4e-3, output_step=SAMPLE)
     assert mpc.statistics.fallbacks == 0
@@ -77,11 +84,11 @@ def test_estimate_converges_and_the_rest_is_a_rest(held):
 
 def controlled(kind, plant, pieces):
     """Return a controller that estimates, and what a sample does, ``(z, before, v) -> z``."""
-    winches = tc.Winches(rate=0.2, shortest=0.4, longest=1.3, pieces=pieces)
+    winches = tc.Winches(rate=0.2, shortest=0.4, longest=1.3, substeps=pieces)
     if kind == "NMPC":
-        made = tc.NMPC(plant, 4, SAMPLE, winches=winches, load_gain=0.5)
+        made = tc.NMPC(plant, horizon=4, sample_time=SAMPLE, winches=winches, load_gain=0.5)
         return made, lambda z, before, now: made.sampled(z, now).full().ravel()
-    made = tc.MPC(plant, 8, SAMPLE, winches=winches, load_gain=0.5)
+    made = tc.MPC(plant, horizon=8, sample_time=SAMPLE, winches=winches, load_gain=0.5)
     fine = plant.discretize(SAMPLE / pieces)
 
     def sample(z, before, now):
@@ -131,7 +138,9 @@ def test_a_shape_without_dynamics_spoils_no_estimate(kind):
     """Bars turned round have their lengths; the coordinates do not reach where they go."""
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 17.3205))
-    made = getattr(tc, kind)(plant, 4, SAMPLE, 60.0, load_gain=0.5)
+    made = getattr(tc, kind)(
+        plant, horizon=4, sample_time=SAMPLE, max_force_density=60.0, load_gain=0.5
+    )
     rng, still = np.random.default_rng(1), np.zeros((3, 6))
     start, end = prism.bars.T
     for k in range(60):

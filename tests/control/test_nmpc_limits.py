@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol import demo
 from tenscontrol.control import NMPC, OutputLimit
-from tenscontrol.control.trajectory_model import limited_rows
+from tenscontrol.control.mpc.trajectory_model import limited_rows
+from tenscontrol.demo import tour as demo
 from tests.control.nmpc_oracle import optimality
 from tests.control.test_constraints import height_row, pushed
 
@@ -54,7 +54,14 @@ def with_bar_lengths(plant, nodes):
 
 
 def test_derivatives_of_limited_rows(plant):
-    nmpc = NMPC(plant, 3, SAMPLE, 60.0, max_tension=40.0, outputs=[OutputLimit(height_row(), 0.9)])
+    nmpc = NMPC(
+        plant,
+        horizon=3,
+        sample_time=SAMPLE,
+        max_force_density=60.0,
+        max_tension=40.0,
+        outputs=[OutputLimit(height_row(), 0.9)],
+    )
     rows = limited_rows(plant, constraints_of(nmpc))
     rng = np.random.default_rng(0)
     z, later, dz, dl = (1e-2 * rng.normal(size=18) for _ in range(4))
@@ -67,7 +74,7 @@ def test_derivatives_of_limited_rows(plant):
 
 
 def constraints_of(nmpc):
-    from tenscontrol.control.mpc_design import Wishes, design
+    from tenscontrol.control.mpc.settings import Wishes, design
 
     limits = (OutputLimit(height_row(), 0.9),)
     wishes = Wishes(60.0, 0.0, 40.0, None, None, limits, 1.0)
@@ -78,7 +85,7 @@ def constraints_of(nmpc):
 def test_program_satisfies_the_optimality_conditions(plant, penalty):
     limit = OutputLimit(height_row(), low=0.995, high=1.004, penalty=1e4)
     nmpc = NMPC(
-        plant, 5, SAMPLE, 60.0, max_tension=40.0, outputs=[limit], string_penalty=penalty,
+        plant, horizon=5, sample_time=SAMPLE, max_force_density=60.0, max_tension=40.0, outputs=[limit], string_penalty=penalty,
         max_change=None if penalty else 5.0, tolerance=1e-8, max_iterations=50000,
     )  # fmt: skip
     found, multipliers = optimality(nmpc, pushed(plant, 0.01), STILL)
@@ -87,9 +94,13 @@ def test_program_satisfies_the_optimality_conditions(plant, penalty):
 
 def test_strength_of_strings_is_kept_and_matters(plant):
     nodes = pushed(plant, 0.02)
-    free, *_, tension = planned(NMPC(plant, 6, SAMPLE, 300.0, **EXACT), nodes)
+    free, *_, tension = planned(
+        NMPC(plant, horizon=6, sample_time=SAMPLE, max_force_density=300.0, **EXACT), nodes
+    )
     limit = max(0.5 * (tension[1:].max() + 30.1), 1.001 * tension[0].min())
-    held = NMPC(plant, 6, SAMPLE, 300.0, max_tension=limit, **EXACT)
+    held = NMPC(
+        plant, horizon=6, sample_time=SAMPLE, max_force_density=300.0, max_tension=limit, **EXACT
+    )
     command, _, _, kept = planned(held, nodes)
     assert command.status == "ok"
     assert tension.max() > limit * 1.001
@@ -101,7 +112,18 @@ def test_least_force_density_is_kept(plant):
     nodes = pushed(plant, 0.02)
     weight = 1e-3 if plant.input == "force_density" else None
     gammas = [
-        planned(NMPC(plant, 6, SAMPLE, 60.0, min_force_density=least, R=weight, **EXACT), nodes)[2]
+        planned(
+            NMPC(
+                plant,
+                horizon=6,
+                sample_time=SAMPLE,
+                max_force_density=60.0,
+                min_force_density=least,
+                R=weight,
+                **EXACT,
+            ),
+            nodes,
+        )[2]
         for least in (0.0, 14.0)
     ]
     assert gammas[0].min() < 14.0
@@ -116,12 +138,18 @@ def test_soft_output_limit_that_can_be_kept_is_the_hard_one(plant):
     def heights(shapes):
         return shapes.transpose(0, 2, 1).reshape(len(shapes), -1)[1:] @ row[0]
 
-    free = heights(planned(NMPC(plant, 6, SAMPLE, 300.0, **EXACT), nodes)[1])
+    free = heights(
+        planned(
+            NMPC(plant, horizon=6, sample_time=SAMPLE, max_force_density=300.0, **EXACT), nodes
+        )[1]
+    )
     bound = 1.0 + 0.7 * (free.max() - 1.0)
     values = []
     for penalty in (None, 1e7):
         limit = OutputLimit(row, high=bound, penalty=penalty)
-        nmpc = NMPC(plant, 6, SAMPLE, 300.0, outputs=[limit], **EXACT)
+        nmpc = NMPC(
+            plant, horizon=6, sample_time=SAMPLE, max_force_density=300.0, outputs=[limit], **EXACT
+        )
         command, shapes, *_ = planned(nmpc, nodes)
         assert command.status == "ok"
         assert heights(shapes).max() < bound + 2e-5
@@ -132,21 +160,31 @@ def test_soft_output_limit_that_can_be_kept_is_the_hard_one(plant):
 def test_limit_out_of_reach_is_violated_softly_or_reported_when_hard(plant):
     for penalty, status in ((1e3, "ok"), (None, "infeasible")):
         limit = OutputLimit(height_row(), low=1.02, penalty=penalty)  # after one sample already
-        nmpc = NMPC(plant, 4, SAMPLE, 60.0, outputs=[limit], max_change=1e-3)
+        nmpc = NMPC(
+            plant,
+            horizon=4,
+            sample_time=SAMPLE,
+            max_force_density=60.0,
+            outputs=[limit],
+            max_change=1e-3,
+        )
         assert nmpc.command(0.0, plant.nodes, STILL).status.split(":")[0] == status
 
 
 def test_program_pays_only_for_the_limits_that_it_has(plant):
     if plant.input == "force_density":
         plain, limited = (
-            NMPC(plant, 4, SAMPLE, 60.0, max_tension=most)._program for most in (None, 50.0)
+            NMPC(
+                plant, horizon=4, sample_time=SAMPLE, max_force_density=60.0, max_tension=most
+            )._program
+            for most in (None, 50.0)
         )
         assert plain.pattern.shape == (4 * 27, 4 * 27)
         # Tension from above alone, and one violation each: of z_k (k ≥ 1), of u_k, of itself.
         assert limited.pattern.shape == (4 * 27 + 2 * 4 * 9, 4 * 36)
         assert limited.pattern.nnz - plain.pattern.nnz == 3 * 81 + 4 * 9 + 2 * 4 * 9
     else:
-        program = NMPC(plant, 4, SAMPLE)._program
+        program = NMPC(plant, horizon=4, sample_time=SAMPLE)._program
         assert program.pattern.shape == (4 * 18 + 4 * 9 + 2 * 4 * 9, 4 * 36)
 
 
@@ -158,7 +196,14 @@ def test_unknown_load_leaves_no_offset_where_it_is_estimated(gain):
     pull[2, :3], pull[2, 3:] = 2 / 3, -2 / 3
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, demo.TOP_FORCE_DENSITY))
     tracked = None if gain is None else height_row()
-    nmpc = NMPC(plant, 6, SAMPLE, 80.0, load_gain=gain, tracked=tracked)
+    nmpc = NMPC(
+        plant,
+        horizon=6,
+        sample_time=SAMPLE,
+        max_force_density=80.0,
+        load_gain=gain,
+        tracked=tracked,
+    )
     loaded = tc.Model(prism, external_force=pull)
     run = tc.simulate(loaded, 6.0, controller=nmpc, step=5e-3, output_step=0.2)
     assert set(nmpc.statistics.status_count) == {"ok"}
@@ -187,7 +232,7 @@ def test_limits_that_do_not_fit_are_refused(arguments, message):
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, demo.TOP_FORCE_DENSITY))
     with pytest.raises(ValueError, match=message):
-        NMPC(plant, 4, SAMPLE, 60.0, **arguments)
+        NMPC(plant, horizon=4, sample_time=SAMPLE, max_force_density=60.0, **arguments)
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
@@ -198,4 +243,4 @@ def test_arguments_of_the_wrong_kind_are_refused(arguments, message):
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, demo.TOP_FORCE_DENSITY))
     with pytest.raises(TypeError, match=message):
-        NMPC(plant, 4, SAMPLE, 60.0, **arguments)
+        NMPC(plant, horizon=4, sample_time=SAMPLE, max_force_density=60.0, **arguments)

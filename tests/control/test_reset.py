@@ -9,16 +9,29 @@ from tests.deploy import scenes
 
 def shape_control():
     plant = scenes.plant("force_density")
-    return tc.ShapeControl(plant, None, scenes.SAMPLE, 60.0, frequency=1.0, max_change=3.0)
+    return tc.FeedbackLinearization(
+        plant,
+        reference=None,
+        sample_time=scenes.SAMPLE,
+        max_force_density=60.0,
+        frequency=1.0,
+        max_change=3.0,
+    )
 
 
 def regulator():
     plant = scenes.plant("force_density")
-    return tc.lqr(plant, *tc.energy_weights(plant), scenes.SAMPLE, 60.0, max_change=3.0)
+    return tc.lqr(
+        plant,
+        *tc.energy_weights(plant),
+        sample_time=scenes.SAMPLE,
+        max_force_density=60.0,
+        max_change=3.0,
+    )
 
 
 def schedule():
-    return tc.Schedule([scenes.with_load(), scenes.with_load()])
+    return tc.GainSchedule([scenes.with_load(), scenes.with_load()])
 
 
 def nonlinear_winding():
@@ -26,7 +39,9 @@ def nonlinear_winding():
     strings = tc.LinearStrings(1e4, damping=2.0)
     rest = tc.prestress(tc.prism(), 17.3205)
     plant = tc.linearize(tc.Model(tc.prism(), strings=strings), rest, input="rest_length")
-    return tc.NMPC(plant, 3, scenes.SAMPLE, winches=tc.Winches(rate=0.1, pieces=10))
+    return tc.NMPC(
+        plant, horizon=3, sample_time=scenes.SAMPLE, winches=tc.Winches(rate=0.1, substeps=10)
+    )
 
 
 KINDS = [

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol import demo
-from tenscontrol.control.path import Path, acceleration_response
-from tenscontrol.control.strings import string_map
+from tenscontrol.demo import tour as demo
+from tenscontrol.plant.reduced_reference import Path, acceleration_response
+from tenscontrol.plant.string_outputs import string_map
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))
@@ -59,10 +59,10 @@ def test_target_is_held_after_a_push_whatever_the_stiffness(stiffness, kind):
     """Undamped strings: what takes the vibration out is the controller alone."""
     plant = at_target(stiffness)
     if kind == "mpc":
-        controller = tc.MPC(plant, 20, SAMPLE)
+        controller = tc.MPC(plant, horizon=20, sample_time=SAMPLE)
     else:
         Q, R = tc.energy_weights(plant, by_mode=True)
-        controller = tc.lqr(plant, Q, R, step=SAMPLE)
+        controller = tc.lqr(plant, Q, R, sample_time=SAMPLE)
         assert controller.riccati_residual < 1e-9
     start, duration = kick(plant), 2.0 if stiffness < 1e5 else 0.5
     run = tc.simulate(
@@ -87,7 +87,11 @@ def test_new_height_is_reached_by_winches(stiffness, damped, ramp):
     plant = at_target(stiffness, damped)
     winches = tc.Winches(rate=0.5, shortest=0.1)
     mpc = tc.MPC(
-        plant, 15, SAMPLE, reference=demo.ramp(prism, 1.0, demo.TARGET, ramp), winches=winches
+        plant,
+        horizon=15,
+        sample_time=SAMPLE,
+        reference=demo.ramp(prism, 1.0, demo.TARGET, ramp),
+        winches=winches,
     )
     rest = tc.prestress(prism, demo.TOP_FORCE_DENSITY)
     wound = tc.to_rest_length(plant.model, prism.nodes, rest.force_density).rest_length
@@ -105,8 +109,10 @@ def test_new_height_is_reached_by_winches(stiffness, damped, ramp):
 def test_first_input_without_active_limits_is_that_of_the_discrete_lqr(stiffness):
     plant = at_target(stiffness)
     Q, R = tc.energy_weights(plant, by_mode=True)
-    mpc = tc.MPC(plant, 5, SAMPLE, Q=Q, R=R, tolerance=1e-9, max_iterations=20000)
-    law = tc.lqr(plant, Q, R, step=SAMPLE)
+    mpc = tc.MPC(
+        plant, horizon=5, sample_time=SAMPLE, Q=Q, R=R, tolerance=1e-9, max_iterations=20000
+    )
+    law = tc.lqr(plant, Q, R, sample_time=SAMPLE)
     pushed = kick(plant, share=1e-3)
     for velocities in (STILL, pushed):
         found, wanted = (
@@ -201,7 +207,7 @@ def test_commands_keep_range_and_rate_of_the_winches(form):
     plant = at_target(1e3)
     shortest = plant.rest_length - 0.003
     winches = tc.Winches(rate=0.05, shortest=shortest, longest=plant.rest_length + 0.004)
-    mpc = tc.MPC(plant, 8, SAMPLE, form=form, winches=winches, tolerance=1e-3)
+    mpc = tc.MPC(plant, horizon=8, sample_time=SAMPLE, form=form, winches=winches, tolerance=1e-3)
     rng, last = np.random.default_rng(3), plant.rest_length
     for k in range(20):
         nodes = plant.to_nodes(0.01 * rng.normal(size=9))
@@ -215,12 +221,12 @@ def test_commands_keep_range_and_rate_of_the_winches(form):
 
 def test_bad_measurement_leaves_the_winches_where_they_are():
     plant = at_target(1e3)
-    mpc = tc.MPC(plant, 3, SAMPLE)
+    mpc = tc.MPC(plant, horizon=3, sample_time=SAMPLE)
     first = mpc.command(0.0, plant.nodes, kick(plant)).value
     broken = np.full((3, 6), np.nan)
     for k in range(1, 5):
         command = mpc.command(SAMPLE * k, broken, STILL)
-    assert command.status == "measurement not finite: last command held"
+    assert str(command) == "measurement not finite: previous input held"
     assert np.isfinite(command.value).all()
     assert np.abs(command.value - first).max() < 0.01
 

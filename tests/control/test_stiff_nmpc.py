@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol import demo
-from tenscontrol.control import trajectory_model
+from tenscontrol.control.mpc import trajectory_model
+from tenscontrol.demo import tour as demo
 from tests.control.nmpc_oracle import IpoptNMPC, closed_loop_cost, optimality
 from tests.control.test_constraints import height_row
 
@@ -33,8 +33,8 @@ def implicit(nmpc):
     (1e2, 1, False), (1e2, 20, True), (1e3, 1, True), (1e6, 1, True), (1e8, 20, True),
 ])  # fmt: skip
 def test_steps_are_implicit_where_strings_are_stiff_or_winches_wind(stiffness, pieces, expected):
-    winches = tc.Winches(rate=0.1, pieces=pieces)
-    nmpc = tc.NMPC(plant_of(stiffness), 2, SAMPLE, winches=winches)
+    winches = tc.Winches(rate=0.1, substeps=pieces)
+    nmpc = tc.NMPC(plant_of(stiffness), horizon=2, sample_time=SAMPLE, winches=winches)
     assert implicit(nmpc) == expected
     assert nmpc.sampled.n_in() == (3 if pieces > 1 else 2)
 
@@ -43,8 +43,8 @@ def test_converged_plan_is_the_optimum_that_ipopt_finds():
     """Winches wind, stand elsewhere than planned, and the tail of the cost knows them."""
     stiffness = 1e5
     plant = plant_of(stiffness)
-    winches = tc.Winches(shortest=0.5, longest=1.2, pieces=10)
-    nmpc = tc.NMPC(plant, 2, SAMPLE, winches=winches, **EXACT)
+    winches = tc.Winches(shortest=0.5, longest=1.2, substeps=10)
+    nmpc = tc.NMPC(plant, horizon=2, sample_time=SAMPLE, winches=winches, **EXACT)
     # Limits of γ are soft, and IPOPT's problem has none: none may matter.
     rng, size = np.random.default_rng(0), 1 / stiffness
     oracle = IpoptNMPC(nmpc, tolerance=1e-6, hessian="limited-memory")
@@ -62,7 +62,7 @@ def test_program_satisfies_the_optimality_conditions():
     plant = plant_of(1e5)
     limit = tc.OutputLimit(height_row(), low=0.9999, high=1.0001, penalty=1e4)
     nmpc = tc.NMPC(
-        plant, 4, SAMPLE, winches=tc.Winches(rate=2e-4, pieces=50), min_force_density=10.0,
+        plant, horizon=4, sample_time=SAMPLE, winches=tc.Winches(rate=2e-4, substeps=50), min_force_density=10.0,
         max_tension=33.0, outputs=[limit], tolerance=1e-6, max_iterations=50_000,
     )  # fmt: skip
     stands = plant.rest_length - 2e-5
@@ -79,7 +79,7 @@ def test_limits_hold_at_the_ends_of_samples():
     least = []
     for low in (0.0, 16.0):
         nmpc = tc.NMPC(
-            plant, 5, SAMPLE, winches=tc.Winches(rate=0.1, pieces=20), min_force_density=low,
+            plant, horizon=5, sample_time=SAMPLE, winches=tc.Winches(rate=0.1, substeps=20), min_force_density=low,
             **EXACT,
         )  # fmt: skip
         state = np.r_[np.zeros(9), 0.1 * np.random.default_rng(1).normal(size=9)]
@@ -101,9 +101,9 @@ def test_costs_are_those_of_explicit_steps_where_strings_are_soft(monkeypatch):
     """In a closed loop on the explicit prediction."""
     plant = plant_of(1e2)
     state = np.r_[0.01 * np.random.default_rng(0).normal(size=9), np.zeros(9)]
-    explicit = tc.NMPC(plant, 10, SAMPLE)
+    explicit = tc.NMPC(plant, horizon=10, sample_time=SAMPLE)
     monkeypatch.setattr(trajectory_model, "_MOST_EXPLICIT", 0)
-    other = tc.NMPC(plant, 10, SAMPLE)
+    other = tc.NMPC(plant, horizon=10, sample_time=SAMPLE)
     assert (implicit(explicit), implicit(other)) == (False, True)
     costs = [
         closed_loop_cost(explicit, each, explicit.sampled, state, 40)[0]
@@ -129,10 +129,10 @@ def test_stiff_prism_is_moved_by_winches_that_wind(stiffness, pieces, gain):
     pull = np.zeros((3, 6))
     pull[2, :3], pull[2, 3:] = (0.0, 0.0) if gain is None else (0.2, -0.2)
     model = tc.Model(prism, strings=middle.model.strings, external_force=pull)
-    winches = tc.Winches(rate=0.3, pieces=pieces)
+    winches = tc.Winches(rate=0.3, substeps=pieces)
     estimate = {} if gain is None else {"load_gain": gain, "tracked": height_row()}
     nmpc = tc.NMPC(
-        middle, 6, SAMPLE, reference=smooth_way(1.0, 0.9, 0.8), winches=winches,
+        middle, horizon=6, sample_time=SAMPLE, reference=smooth_way(1.0, 0.9, 0.8), winches=winches,
         min_force_density=5.0, max_tension=45.0, **estimate,
     )  # fmt: skip
     run = tc.simulate(
@@ -160,7 +160,11 @@ def test_a_stiff_prism_recovers_where_no_string_resists():
     plant = plant_of(1e6)
     z = np.r_[0.015 * softest(plant), np.zeros(9)]
     nmpc = tc.NMPC(
-        plant, 6, SAMPLE, winches=tc.Winches(rate=0.3, pieces=100), min_force_density=2.0
+        plant,
+        horizon=6,
+        sample_time=SAMPLE,
+        winches=tc.Winches(rate=0.3, substeps=100),
+        min_force_density=2.0,
     )
     # Wound so that the strings are as tense as at rest.
     stands = plant.model.structure.string_length(nodes_of(plant, z)[0]) * (1 - 17e-6)
@@ -175,10 +179,10 @@ def test_a_stiff_prism_recovers_where_no_string_resists():
 
 def test_a_plan_begins_along_the_reference_where_the_law_leads_astray(monkeypatch):
     """Where single steps have no value; six programs lead both beginnings near to one plan."""
-    plant, plans, winches = plant_of(1e6), [], tc.Winches(rate=0.3, pieces=100)
+    plant, plans, winches = plant_of(1e6), [], tc.Winches(rate=0.3, substeps=100)
     z = np.r_[0.002 * softest(plant), np.zeros(9)]
     for astray in (False, True):
-        nmpc = tc.NMPC(plant, 4, SAMPLE, winches=winches, **EXACT)
+        nmpc = tc.NMPC(plant, horizon=4, sample_time=SAMPLE, winches=winches, **EXACT)
         nmpc.applied(plant.rest_length)
         if astray:
             none = np.full(18, np.nan), np.full((3, 9), np.nan)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol import demo
-from tenscontrol.control.mpc_design import Wishes, design
-from tenscontrol.control.sampled import sampled
+from tenscontrol.control import Status
+from tenscontrol.control.mpc.settings import Wishes, design
+from tenscontrol.demo import tour as demo
+from tenscontrol.plant.sampling import sampled
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))
@@ -19,7 +20,7 @@ def plant_of(stiffness=1e3):
     return tc.linearize(model, rest, input="rest_length")
 
 
-class Winding(tc.Controller):
+class Winding(tc.control.Controller):
     """Asks for one change of the rest lengths, at once."""
 
     def __init__(self, plant, change):
@@ -31,7 +32,7 @@ class Winding(tc.Controller):
         pass
 
     def _decide(self, time, state):
-        return self.plant.rest_length + self.change, "ok"
+        return tc.control.Command(self.plant.rest_length + self.change)
 
     def _fall_back(self, reason):
         raise AssertionError(reason)
@@ -40,7 +41,7 @@ class Winding(tc.Controller):
 def run_of(plant, change, pieces, duration=SAMPLE, **options):
     return tc.simulate(
         plant.model, duration, controller=Winding(plant, change), step=1e-4,
-        winches=tc.Winches(pieces=pieces), rest_length=plant.rest_length, **options,
+        winches=tc.Winches(substeps=pieces), rest_length=plant.rest_length, **options,
     )  # fmt: skip
 
 
@@ -92,7 +93,7 @@ def test_one_piece_is_the_zero_order_hold_and_pieces_add_up():
     plant = plant_of()
     transition, input_matrix, drift = plant.discretize(SAMPLE)
     jump, wind = (sampled(plant, SAMPLE, pieces) for pieces in (1, 9))
-    assert not jump.winds
+    assert not jump.ramp
     assert not jump.by_before.any()
     for model in (jump, wind):
         np.testing.assert_allclose(model.transition, transition, atol=1e-9)
@@ -104,9 +105,9 @@ def test_one_piece_is_the_zero_order_hold_and_pieces_add_up():
 def test_prediction_and_limits_of_winding_winches_are_those_of_the_plant():
     """What the program plans is what the linear plant then does, and γ is limited at the ends."""
     plant = plant_of()
-    N, winches = 4, tc.Winches(rate=0.1, pieces=6)
+    N, winches = 4, tc.Winches(rate=0.1, substeps=6)
     made = design(plant, N, SAMPLE, None, None, Wishes(None, 5.0, None, None, winches, (), 1e2))
-    mpc = tc.MPC(plant, N, SAMPLE, winches=winches, min_force_density=5.0)
+    mpc = tc.MPC(plant, horizon=N, sample_time=SAMPLE, winches=winches, min_force_density=5.0)
     nodes = plant.to_nodes(np.random.default_rng(2).normal(size=9) * 2e-3)
     mpc.command(0.0, nodes, STILL)
     v = mpc.plan.T - plant.rest_length
@@ -141,8 +142,8 @@ def test_a_height_is_reached_by_winding_where_jumps_slacken_strings(stiffness):
     wound = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
     slackest = {}
     for pieces in (1, 40):
-        winches = tc.Winches(rate=0.2, pieces=pieces)
-        mpc = tc.MPC(plant, 10, SAMPLE, reference=reference, winches=winches)
+        winches = tc.Winches(rate=0.2, substeps=pieces)
+        mpc = tc.MPC(plant, horizon=10, sample_time=SAMPLE, reference=reference, winches=winches)
         run = tc.simulate(
             model, 1.5, prism.nodes, controller=mpc, winches=winches, rest_length=wound,
             step=5e-4, machine_code=False,
@@ -161,7 +162,7 @@ def test_both_forms_give_the_same_inputs(form):
     nodes = plant.to_nodes(np.random.default_rng(3).normal(size=9) * 2e-3)
     commands = [
         tc.MPC(
-            plant, 5, SAMPLE, form=each, winches=tc.Winches(rate=0.05, pieces=8), tolerance=1e-8,
+            plant, horizon=5, sample_time=SAMPLE, form=each, winches=tc.Winches(rate=0.05, substeps=8), tolerance=1e-8,
             max_iterations=50000,
         ).command(0.0, nodes, STILL)
         for each in (form, "condensed")
@@ -171,7 +172,7 @@ def test_both_forms_give_the_same_inputs(form):
 
 def regulator(plant, pieces):
     Q, R = tc.energy_weights(plant)
-    return tc.lqr(plant, Q, R, SAMPLE, winches=tc.Winches(rate=0.5, pieces=pieces))
+    return tc.lqr(plant, Q, R, sample_time=SAMPLE, winches=tc.Winches(rate=0.5, substeps=pieces))
 
 
 def test_the_regulator_is_that_of_the_state_and_of_what_winches_hold():
@@ -184,9 +185,9 @@ def test_the_regulator_is_that_of_the_state_and_of_what_winches_hold():
     for i, unit in enumerate(1e-7 * np.eye(s + a)):
         state, held = unit[:s], plant.rest_length + unit[s:]
         law.applied(held)
-        wish, status = law._decide(0.0, state)
-        assert status == "ok"
-        off = wish - plant.rest_length
+        wanted = law._decide(0.0, state)
+        assert wanted.status is Status.OK
+        off = wanted.value - plant.rest_length
         end = model.transition @ state + model.by_before @ unit[s:] + model.by_input @ off
         loop[:, i] = np.concatenate([end, off]) / 1e-7
     found = np.linalg.eigvals(loop)
@@ -199,7 +200,7 @@ def test_the_regulator_is_that_of_the_state_and_of_what_winches_hold():
 def test_the_regulator_knows_winches_that_wind():
     """One that takes them for winches that jump lets strings of 1e4 N/m go slack."""
     plant = plant_of(1e4)
-    winches = tc.Winches(rate=0.5, pieces=20)
+    winches = tc.Winches(rate=0.5, substeps=20)
     speeds = plant.to_velocities(np.zeros(9), 0.02 * np.random.default_rng(0).normal(size=9))
     least = []
     for law in (regulator(plant, 20), regulator(plant, 1)):
@@ -217,5 +218,5 @@ def test_the_regulator_knows_winches_that_wind():
 
 def test_a_regulator_without_samples_knows_no_winding():
     plant = plant_of()
-    with pytest.raises(ValueError, match=r"winches\.pieces is 5.*give step"):
-        tc.lqr(plant, 1.0, 1.0, winches=tc.Winches(pieces=5))
+    with pytest.raises(ValueError, match=r"winches\.substeps is 5.*give sample_time"):
+        tc.lqr(plant, 1.0, 1.0, winches=tc.Winches(substeps=5))

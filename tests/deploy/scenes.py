@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol import demo
+from tenscontrol.demo import tour as demo
 
 SAMPLE = 0.02
 SAMPLES = 500
@@ -15,10 +15,10 @@ SPOILT = (57, 120, 121, 122, 400)
 ABSURD = (180, 181, 300)
 
 WINCHES = tc.Winches(rate=0.5, shortest=0.1)
-WINDING = tc.Winches(rate=0.5, shortest=0.1, pieces=10)
+WINDING = tc.Winches(rate=0.5, shortest=0.1, substeps=10)
 
 
-class Pair(tc.Controller):
+class Pair(tc.control.Controller):
     """Obeys one controller, and asks another for the same command.
 
     Every measurement in ``SPOILT`` is handed to both with one entry that is not a number, every
@@ -26,7 +26,7 @@ class Pair(tc.Controller):
     """
 
     def __init__(self, one, other):
-        super().__init__(one.plant, one.step, *one.bounds)
+        super().__init__(one.plant, one.sample_time, *one.bounds)
         self.one, self.other = one, other
         self.reset()
 
@@ -70,7 +70,7 @@ class Pair(tc.Controller):
     def statuses(self):
         """Statuses of both."""
         one, other = zip(*self.answers, strict=True)
-        return [command.status for command in one], [command.status for command in other]
+        return [str(command) for command in one], [str(command) for command in other]
 
     @property
     def error(self):
@@ -104,7 +104,12 @@ def height_row():
 def of_force_density(**options):
     """The demo's: a moving reference."""
     return tc.MPC(
-        plant("force_density", demo.TARGET), 10, SAMPLE, 80.0, reference=ramp(), **options
+        plant("force_density", demo.TARGET),
+        horizon=10,
+        sample_time=SAMPLE,
+        max_force_density=80.0,
+        reference=ramp(),
+        **options,
     )
 
 
@@ -112,9 +117,9 @@ def of_rest_length():
     """Winches, soft limits on γ and tension, and a moving reference."""
     return tc.MPC(
         plant("rest_length", demo.TARGET),
-        4,
-        SAMPLE,
-        60.0,
+        horizon=4,
+        sample_time=SAMPLE,
+        max_force_density=60.0,
         winches=WINCHES,
         max_tension=50.0,
         reference=ramp(),
@@ -125,8 +130,8 @@ def winding():
     """Winches that wind through samples, under an unknown load and along a moving reference."""
     return tc.MPC(
         plant("rest_length", demo.TARGET),
-        4,
-        SAMPLE,
+        horizon=4,
+        sample_time=SAMPLE,
         winches=WINDING,
         load_gain=0.1,
         reference=ramp(),
@@ -137,9 +142,9 @@ def with_load():
     """An unknown load is estimated; the program is written the sparse way, changes are limited."""
     return tc.MPC(
         plant("force_density"),
-        6,
-        SAMPLE,
-        80.0,
+        horizon=6,
+        sample_time=SAMPLE,
+        max_force_density=80.0,
         load_gain=0.1,
         tracked=height_row(),
         max_change=4.0,
@@ -151,7 +156,7 @@ def with_load():
 def nonlinear_of_rest_length():
     """Winches, soft limits on γ and tension and on height, linearized at each sample."""
     return tc.NMPC(
-        plant("rest_length", demo.TARGET), 3, SAMPLE, 60.0, reference=ramp(),
+        plant("rest_length", demo.TARGET), horizon=3, sample_time=SAMPLE, max_force_density=60.0, reference=ramp(),
         winches=WINCHES, max_tension=50.0,
         outputs=[tc.OutputLimit(height_row(), low=0.8, penalty=100.0)],
     )  # fmt: skip
@@ -160,7 +165,7 @@ def nonlinear_of_rest_length():
 def nonlinear():
     """Linearized along the predicted motion, twice a sample, and changes are limited."""
     return tc.NMPC(
-        plant("force_density", demo.TARGET), 3, SAMPLE, 80.0, reference=ramp(),
+        plant("force_density", demo.TARGET), horizon=3, sample_time=SAMPLE, max_force_density=80.0, reference=ramp(),
         max_change=10.0, iterations=2,
     )  # fmt: skip
 
@@ -168,7 +173,7 @@ def nonlinear():
 def nonlinear_with_load():
     """An unknown load is estimated, along a moving reference and with limited rows."""
     return tc.NMPC(
-        plant("force_density", demo.TARGET), 3, SAMPLE, 80.0, reference=ramp(), load_gain=0.1,
+        plant("force_density", demo.TARGET), horizon=3, sample_time=SAMPLE, max_force_density=80.0, reference=ramp(), load_gain=0.1,
         tracked=height_row(), outputs=[tc.OutputLimit(height_row(), low=0.6, penalty=100.0)],
         max_iterations=100,
     )  # fmt: skip

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tenscontrol import demo
+from tenscontrol.demo import tour as demo
 from tenscontrol.dynamics.compiler import compiler
 from tests.deploy import scenes
 
@@ -106,7 +106,7 @@ def test_plan_that_ends_is_forgotten(limited):
     limited.applied(1.01 * limited.plant.rest_length)
     for k, measured in enumerate([lost, nodes, lost, lost, lost, lost, nodes]):
         limited.command(scenes.SAMPLE * k, measured, np.zeros((3, 6)))
-    held, followed = "last command held", "plan continued"
+    held, followed = "previous input held", "plan continued"
     statuses = [status.split(": ")[-1] for status in limited.statuses[1]]
     assert statuses == [held, "ok", followed, followed, held, held, "ok"]
     assert limited.statuses[0] == limited.statuses[1]

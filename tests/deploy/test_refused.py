@@ -10,7 +10,7 @@ from tests.deploy import scenes
 
 def regulator(step=scenes.SAMPLE):
     plant = scenes.plant("force_density")
-    return tc.lqr(plant, *tc.energy_weights(plant), step)
+    return tc.lqr(plant, *tc.energy_weights(plant), sample_time=step)
 
 
 def test_law_in_continuous_time(tmp_path):
@@ -27,15 +27,25 @@ def test_other_controllers(what, tmp_path):
 
 def test_controllers_that_are_not_written(tmp_path):
     plant = scenes.plant("force_density")
-    shape = tc.ShapeControl(plant, None, scenes.SAMPLE, 60.0, frequency=1.0)
-    for given in (shape, tc.Schedule([regulator()])):
-        with pytest.raises(TypeError, match=r"controller is a S\w+, expected an LQR .* or an NMPC"):
+    shape = tc.FeedbackLinearization(
+        plant, reference=None, sample_time=scenes.SAMPLE, max_force_density=60.0, frequency=1.0
+    )
+    for given in (shape, tc.GainSchedule([regulator()])):
+        with pytest.raises(
+            TypeError, match=r"controller is a (Feed|Gain)\w+, expected an LQR .* or an NMPC"
+        ):
             tc.generate_c(given, tmp_path)
 
 
 @pytest.mark.parametrize("kind", [tc.MPC, tc.NMPC])
 def test_limit_of_time(kind, tmp_path):
-    limited = kind(scenes.plant("force_density"), 2, scenes.SAMPLE, 80.0, time_limit=0.01)
+    limited = kind(
+        scenes.plant("force_density"),
+        horizon=2,
+        sample_time=scenes.SAMPLE,
+        max_force_density=80.0,
+        time_limit=0.01,
+    )
     with pytest.raises(ValueError, match=r"time_limit=0\.01 s, and C code .* has no clock"):
         tc.generate_c(limited, tmp_path)
 
@@ -44,7 +54,9 @@ def test_limit_of_time(kind, tmp_path):
 def test_nonlinear_mpc_with_implicit_steps(stiffness, pieces, tmp_path):
     model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness))
     plant = tc.linearize(model, tc.prestress(tc.prism(), 17.32), input="rest_length")
-    nmpc = tc.NMPC(plant, 2, scenes.SAMPLE, winches=tc.Winches(rate=0.1, pieces=pieces))
+    nmpc = tc.NMPC(
+        plant, horizon=2, sample_time=scenes.SAMPLE, winches=tc.Winches(rate=0.1, substeps=pieces)
+    )
     with pytest.raises(ValueError, match=r"NMPC that predicts stiff strings .* or take MPC"):
         tc.generate_c(nmpc, tmp_path)
     assert not list(tmp_path.iterdir())
@@ -71,14 +83,18 @@ def test_name_that_is_none_in_c(name, tmp_path):
 
 
 def test_name_of_a_file_of_the_solver(tmp_path):
-    mpc = tc.MPC(scenes.plant("force_density"), 2, scenes.SAMPLE, 80.0)
+    mpc = tc.MPC(
+        scenes.plant("force_density"), horizon=2, sample_time=scenes.SAMPLE, max_force_density=80.0
+    )
     with pytest.raises(ValueError, match=r"name is 'kkt', but OSQP has a file 'kkt\.[ch]'"):
         tc.generate_c(mpc, tmp_path, name="kkt")
     assert not list(tmp_path.iterdir())
 
 
 def test_reference_too_long_for_a_table(tmp_path):
-    mpc = tc.MPC(scenes.plant("force_density"), 2, scenes.SAMPLE, 80.0)
+    mpc = tc.MPC(
+        scenes.plant("force_density"), horizon=2, sample_time=scenes.SAMPLE, max_force_density=80.0
+    )
     nodes = mpc.plant.nodes
     mpc.follow(tc.Reference([0.0, 1e5], np.stack([nodes, 1.001 * nodes], axis=-1)))
     with pytest.raises(ValueError, match=r"reference of 100000 s, \d+ samples.*Follow a shorter"):

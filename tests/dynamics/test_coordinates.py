@@ -17,7 +17,7 @@ seeds = st.integers(0, 10_000)
 
 
 def frame(structure, kind):
-    return tc.coordinates(tc.Model(structure), kind=kind)
+    return tc.dynamics.coordinates(tc.Model(structure), kind=kind)
 
 
 def random_state(coordinates, seed, size=0.1):

@@ -31,7 +31,7 @@ def test_degrees_of_freedom_are_those_the_supports_leave(fixed, minimal, interna
     """Two a swinging bar, five a free one; 6, 3, 1, 0 rigid motions with 0, 1, 2, 3 fixed nodes."""
     structure = standing(fixed)
     model = tc.Model(structure, strings=tc.LinearStrings(100.0))
-    rest = tc.prestress(structure, tc.prism_force_density(3, TOP)[0])
+    rest = tc.prestress(structure, tc.statics.prism_force_density(3, TOP)[0])
     counts = {"nodes": 3 * (6 - len(fixed)), "minimal": minimal, "internal": internal}
     for kind, count in counts.items():
         plant = tc.linearize(model, rest, input=held, coordinates=kind)
@@ -118,7 +118,7 @@ def test_kinetic_energy_and_bar_lengths_hold_with_supports():
 @pytest.mark.parametrize("fixed", [[3], [3, 4, 5]])
 def test_coordinates_map_there_and_back_with_supports(fixed):
     structure = standing(fixed)
-    frame = tc.coordinates(tc.Model(structure), kind="internal")
+    frame = tc.dynamics.coordinates(tc.Model(structure), kind="internal")
     random = np.random.default_rng(0)
     q, rates = 0.05 * random.normal(size=(2, frame.count))
     nodes, velocities = frame.to_nodes(q), frame.to_velocities(q, rates)

@@ -26,7 +26,7 @@ def read(plant, sensors, z, u):
 @pytest.mark.parametrize("coordinates", ["internal", "minimal"])
 def test_derivatives_are_those_of_the_readings(request, kinds, which, coordinates, sensors_of):
     sensors = sensors_of(*kinds)
-    plant = tc.in_coordinates(request.getfixturevalue(which), coordinates)
+    plant = tc.plant.in_coordinates(request.getfixturevalue(which), coordinates)
     plant = observed_plant(plant, sensors)
     rng = np.random.default_rng(3)
     function = output_function(plant, sensors)
@@ -115,13 +115,13 @@ def test_a_mechanism_that_no_length_shows_is_seen_by_its_vibration(held, sensors
     C = output_matrix(held, sensors)
     sizes = np.linalg.svd(C[:, :9], compute_uv=False)
     assert sizes[-1] < 1e-12 * sizes[0]
-    assert np.abs(tc.kalman(held, sensors, STEP).poles).max() < 1
+    assert np.abs(tc.kalman(held, sensors, sample_time=STEP).poles).max() < 1
 
 
 def test_what_is_not_seen_is_refused_with_what_would_do(by_force, model):
     sensors = tc.Sensors(structure=model.structure, string_length=1e-3, strings=[0])
     with pytest.raises(ValueError, match=r"10 of the 18 states are not seen") as raised:
-        tc.kalman(undamped(by_force), sensors, STEP)
+        tc.kalman(undamped(by_force), sensors, sample_time=STEP)
     text = str(raised.value)
     assert "string_length of all strings" in text
     # What is said to do does.
@@ -129,14 +129,16 @@ def test_what_is_not_seen_is_refused_with_what_would_do(by_force, model):
         assert f"{kind} of all" in text
         more = {"string_length": 1e-3, "strings": [0]} if kind != "string_length" else {}
         tc.kalman(
-            undamped(by_force), tc.Sensors(structure=model.structure, **more, **{kind: 1e-3}), STEP
+            undamped(by_force),
+            tc.Sensors(structure=model.structure, **more, **{kind: 1e-3}),
+            sample_time=STEP,
         )
 
 
 def test_minimal_coordinates_need_readings_of_the_motion_as_one_body(held, sensors_of):
-    minimal = tc.in_coordinates(held, "minimal")
+    minimal = tc.plant.in_coordinates(held, "minimal")
     with pytest.raises(ValueError, match=r"12 of the 30 states.*node_position of all nodes"):
-        tc.kalman(minimal, sensors_of("string_length"), STEP)
+        tc.kalman(minimal, sensors_of("string_length"), sample_time=STEP)
 
 
 def undamped(plant):

@@ -8,10 +8,10 @@ import tenscontrol as tc
 from tests.estimation.conftest import STEP
 
 PIECES = 8
-WINCHES = tc.Winches(pieces=PIECES)
+WINCHES = tc.Winches(substeps=PIECES)
 
 
-class Winding(tc.Controller):
+class Winding(tc.control.Controller):
     """Winds all strings along a smooth course, whatever it is told."""
 
     def __init__(self, plant):
@@ -23,10 +23,12 @@ class Winding(tc.Controller):
         super().reset()
 
     def _decide(self, time, state):
-        return self.plant.rest_length + np.sin(np.pi * min(time, 1.0)) ** 2 * self.way, "ok"
+        return tc.control.Command(
+            self.plant.rest_length + np.sin(np.pi * min(time, 1.0)) ** 2 * self.way
+        )
 
-    def _fall_back(self, reason):
-        return self.plant.rest_length, reason
+    def _fall_back(self, status):
+        return tc.control.Command(self.plant.rest_length, status)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +42,7 @@ def stiff():
 def blind(plant, prediction):
     """A filter that knows the start, and is shown nothing after it."""
     sensors = tc.Sensors(structure=plant.model.structure, string_length=1e-3)
-    made = tc.kalman(plant, sensors, STEP, prediction=prediction, winches=WINCHES)
+    made = tc.kalman(plant, sensors, sample_time=STEP, prediction=prediction, winches=WINCHES)
     size = len(plant.A)
     made.reset(state=np.zeros(size), covariance=np.zeros((size, size)), held=plant.rest_length)
     return made
@@ -49,7 +51,9 @@ def blind(plant, prediction):
 @pytest.mark.parametrize("prediction", ["linear", "nonlinear"])
 def test_a_load_acts_through_every_piece(stiff, prediction):
     sensors = tc.Sensors(structure=stiff.model.structure, string_length=1e-3, bar_direction=1e-3)
-    made = tc.kalman(stiff, sensors, STEP, load=True, prediction=prediction, winches=WINCHES)
+    made = tc.kalman(
+        stiff, sensors, sample_time=STEP, load=True, prediction=prediction, winches=WINCHES
+    )
     r = made.plant.degrees_of_freedom  # with the rotations that bar directions show
     A = np.zeros((3 * r, 3 * r))  # z and a load that stays, in continuous time
     A[: 2 * r, : 2 * r], A[r : 2 * r, 2 * r :] = made.plant.A, np.eye(r)
@@ -66,7 +70,7 @@ def test_a_load_acts_through_every_piece(stiff, prediction):
 
 def test_the_linear_prediction_is_that_of_the_plant_piece_by_piece(stiff):
     estimator, z = blind(stiff, "linear"), np.zeros(18)
-    assert estimator.pieces == PIECES
+    assert estimator.substeps == PIECES
     transition, inputs, drift = stiff.discretize(STEP / PIECES)
     rng, before = np.random.default_rng(0), stiff.rest_length
     for _ in range(20):
@@ -105,7 +109,7 @@ def test_the_nonlinear_prediction_is_the_simulated_motion(stiff):
 def test_tensions_are_those_of_the_rest_lengths_at_the_sample(stiff):
     """1 mm of winding is 10 N, a hundred times the noise: with the mean, most would be refused."""
     sensors = tc.Sensors(structure=stiff.model.structure, string_length=1e-4, string_tension=0.1)
-    estimator = tc.kalman(stiff, sensors, STEP, prediction="nonlinear", winches=WINCHES)
+    estimator = tc.kalman(stiff, sensors, sample_time=STEP, prediction="nonlinear", winches=WINCHES)
     run = tc.simulate(
         stiff.model, 1.0, controller=Winding(stiff), winches=WINCHES, rest_length=stiff.rest_length,
         step=5e-4, estimator=estimator,
@@ -123,7 +127,7 @@ def test_tensions_are_those_of_the_rest_lengths_at_the_sample(stiff):
 def test_a_stuck_winch_and_a_lost_measurement_while_it_winds(stiff, delay):
     """The filter is told what stands; blind, it goes on by that."""
     sensors = tc.Sensors(structure=stiff.model.structure, node_position=1e-5, delay=delay)
-    estimator = tc.kalman(stiff, sensors, STEP, prediction="nonlinear", winches=WINCHES)
+    estimator = tc.kalman(stiff, sensors, sample_time=STEP, prediction="nonlinear", winches=WINCHES)
     faults = [tc.StuckWinch(7, time=0.2), tc.LostMeasurement(time=0.3, until=0.38)]
     run = tc.simulate(
         stiff.model, 0.5, controller=Winding(stiff), winches=WINCHES, rest_length=stiff.rest_length,
@@ -144,13 +148,15 @@ def test_a_stuck_winch_and_a_lost_measurement_while_it_winds(stiff, delay):
 def test_winches_that_do_not_fit_are_refused(stiff):
     sensors = tc.Sensors(structure=stiff.model.structure, string_length=1e-3)
     options = {"rest_length": stiff.rest_length, "winches": WINCHES}
-    plain = tc.kalman(stiff, sensors, STEP)
-    with pytest.raises(ValueError, match=r"with pieces=1, but .* have pieces=8: give them to kalm"):
+    plain = tc.kalman(stiff, sensors, sample_time=STEP)
+    with pytest.raises(
+        ValueError, match=r"with substeps=1, but .* have substeps=8: give them to kalm"
+    ):
         tc.simulate(stiff.model, 0.1, controller=Winding(stiff), estimator=plain, **options)
     with pytest.raises(TypeError, match=r"winches is a int, expected Winches"):
-        tc.kalman(stiff, sensors, STEP, winches=8)
+        tc.kalman(stiff, sensors, sample_time=STEP, winches=8)
     by_force = tc.linearize(stiff.model, tc.prestress(tc.prism(), 17.3205))
     with pytest.raises(ValueError, match=r"winches set rest lengths, but plant has input='force"):
-        tc.kalman(by_force, sensors, STEP, winches=WINCHES)
+        tc.kalman(by_force, sensors, sample_time=STEP, winches=WINCHES)
     with pytest.raises(ValueError, match=r"held has shape \(8,\), expected \(9,\)"):
         plain.reset(held=np.ones(8))

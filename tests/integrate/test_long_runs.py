@@ -12,7 +12,7 @@ def example():
     prism = tc.prism()
     lengths = rest_lengths(prism, paper_force_density(9.0), 100.0)
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
-    return tc.Case(model, 1.0, held="rest_length", value=lengths)
+    return tc.Case(model, 1.0, input="rest_length", value=lengths)
 
 
 def test_a_million_steps_of_rattle_keep_bar_lengths_and_energy(example):

@@ -90,7 +90,7 @@ def test_large_structures_use_the_sparse_jacobian_for_the_same_motion(prism):
 def test_massive_strings_follow_the_oracle():
     structure = tc.subdivide(tc.prism(), segments=2, node_mass=0.05)
     parent = rest_lengths(tc.prism(), paper_force_density(9.0), 100.0)
-    lengths = tc.spread_rest_length(structure, parent)
+    lengths = tc.structure.spread_rest_length(structure, parent)
     times = np.linspace(0, 0.3, 4)
     law = HeldRestLength(lengths, 200.0)
     exact, switches = RigidBars(structure, law).integrate(

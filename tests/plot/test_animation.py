@@ -24,7 +24,7 @@ def frames(path):
 
 
 def test_eighty_frames_stay_small(prism, slack_run, tmp_path):
-    lower = tc.prism(height=0.8, radius=tc.prism_radius(prism.bar_length[0], 0.8))
+    lower = tc.prism(height=0.8, radius=tc.structure.prism_radius(prism.bar_length[0], 0.8))
     path = tc.plot.animate(
         slack_run, tmp_path / "run.gif", fps=20, duration=4.0, target=lower.nodes
     )

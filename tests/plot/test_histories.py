@@ -18,10 +18,12 @@ def record(run, status):
     zeros = np.zeros((9, count))
     return replace(
         run,
-        control=tc.ControlRecord(
+        control=tc.simulation.ControlRecord(
             time=0.01 * np.arange(count),
             command=zeros,
             applied=zeros,
+            fallback=(None,) * count,
+            detail=("",) * count,
             status=tuple(status),
             winch_rate=zeros,
             rate_limited=np.zeros(count, int),

@@ -12,15 +12,19 @@ LOOPS = [(c, i) for i in ("force_density", "rest_length") for c in ("LQR", "MPC"
 def row(stiffness, radius, errors, slack=()):
     """A row with these errors, m, of the four loops; None for a run that failed."""
     runs = tuple(
-        tc.StiffnessRun(*loop, error, "ran away" if error is None else None, 1.0, k in slack, 0)
+        tc.robustness.StiffnessRun(
+            *loop, error, "ran away" if error is None else None, 1.0, k in slack, 0
+        )
         for k, (loop, error) in enumerate(zip(LOOPS, errors, strict=True))
     )
-    return tc.StiffnessRow(stiffness, 0.0, tc.HeldLoop(radius, 0.99), 0.995, runs)
+    return tc.robustness.StiffnessRow(
+        stiffness, 0.0, tc.control.HeldLoop(radius, 0.99), 0.995, runs
+    )
 
 
 @pytest.fixture(scope="module")
 def report():
-    return tc.StiffnessReport(
+    return tc.robustness.StiffnessReport(
         0.02,
         2.0,
         1e-3,
@@ -84,7 +88,7 @@ def test_rates_are_those_of_the_linear_loop(report):
 
 def test_one_row_and_given_axes_are_drawn(report):
     _, axes = plt.subplots(2)
-    one = tc.StiffnessReport(0.02, 2.0, 1e-3, report.rows[1:2])
+    one = tc.robustness.StiffnessReport(0.02, 2.0, 1e-3, report.rows[1:2])
     drawn = tc.plot.stiffness(one, axes=axes)
     assert list(drawn.axes) == list(axes)
     assert len(drawn.shaded) == 1

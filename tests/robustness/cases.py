@@ -48,13 +48,13 @@ def noisy(parameters, rng):
     fate = rng.random()
     if fate < 0.2:
         raise ArithmeticError(f"ran away at {value!r} s")
-    return tc.Outcome(
+    return tc.robustness.Outcome(
         success=fate < 0.8, figures={"value": value, "first_mass": parameters["mass"][0]}
     )
 
 
 def first_of_the_stream(parameters, rng):
-    return tc.Outcome(success=True, figures={"first": rng.random()})
+    return tc.robustness.Outcome(success=True, figures={"first": rng.random()})
 
 
 class Remembering:
@@ -65,17 +65,17 @@ class Remembering:
 
     def __call__(self, parameters, rng):
         self.calls += 1
-        return tc.Outcome(success=True, figures={"calls": self.calls})
+        return tc.robustness.Outcome(success=True, figures={"calls": self.calls})
 
 
 def dies(parameters, rng):
     if parameters["x"] < 0.05:
         os._exit(3)
-    return tc.Outcome(success=True)
+    return tc.robustness.Outcome(success=True)
 
 
 def not_a_number(parameters, rng):
-    return tc.Outcome(success=True, figures={"error": float("nan")})
+    return tc.robustness.Outcome(success=True, figures={"error": float("nan")})
 
 
 def returns_a_number(parameters, rng):
@@ -87,13 +87,13 @@ def without_memory(parameters, rng):
 
 
 def changing_figures(parameters, rng):
-    return tc.Outcome(success=True, figures={"a" if parameters["x"] < 0.5 else "b": 1.0})
+    return tc.robustness.Outcome(success=True, figures={"a" if parameters["x"] < 0.5 else "b": 1.0})
 
 
 def stops_the_sweep(parameters, rng):
-    raise tc.SweepError("no such parameter")
+    raise tc.robustness.SweepError("no such parameter")
 
 
 def writes_to_its_parameters(parameters, rng):
     parameters["mass"][0] = 1.0
-    return tc.Outcome(success=True)
+    return tc.robustness.Outcome(success=True)

@@ -27,7 +27,7 @@ def plant(prism, strings):
 @pytest.fixture(scope="module")
 def regulator(plant):
     Q, R = tc.energy_weights(plant)
-    return tc.lqr(plant, Q, 0.1 * R, step=0.02)
+    return tc.lqr(plant, Q, 0.1 * R, sample_time=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,9 @@ def test_weights_go_with_the_masses(prism, strings, regulator):
 
 
 def test_what_is_wrong_with_a_draw_is_named(case):
-    with pytest.raises(tc.SweepError, match="no parameter 'mass', expected some of 'bar_mass'"):
+    with pytest.raises(
+        tc.robustness.SweepError, match="no parameter 'mass', expected some of 'bar_mass'"
+    ):
         case({"mass": 1.0}, RNG)
     with pytest.raises(ValueError, match=r"bar_mass\[0\] is -1"):
         case({"bar_mass": -1.0}, RNG)
@@ -97,10 +99,12 @@ def test_what_is_wrong_with_a_draw_is_named(case):
 
 def test_strings_without_the_parameter_stop_the_sweep(prism):
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 17.32))
-    regulator = tc.lqr(plant, *tc.energy_weights(plant), step=0.02, max_force_density=60.0)
+    regulator = tc.lqr(plant, *tc.energy_weights(plant), sample_time=0.02, max_force_density=60.0)
     case = tc.ClosedLoopCase(prism, None, regulator, DURATION, STEP, 0.02)
     assert case({"bar_mass": 1.1}, RNG).success
-    with pytest.raises(tc.SweepError, match="stiffness is drawn, but the strings have none: None"):
+    with pytest.raises(
+        tc.robustness.SweepError, match="stiffness is drawn, but the strings have none: None"
+    ):
         case({"stiffness": 1.1}, RNG)
 
 
@@ -117,7 +121,8 @@ def test_a_motion_that_runs_away_or_is_inaccurate_is_a_failure(prism, strings, r
 @pytest.mark.parametrize("kind", [tc.MPC, tc.NMPC])
 def test_a_pickled_mpc_commands_what_a_new_one_does(prism, strings, plant, kind):
     made = [
-        kind(plant, horizon=6, step=0.04, max_force_density=65.0, load_gain=0.3) for _ in range(2)
+        kind(plant, horizon=6, sample_time=0.04, max_force_density=65.0, load_gain=0.3)
+        for _ in range(2)
     ]
     case = tc.ClosedLoopCase(prism, strings, made[0], DURATION, STEP, 0.02)
     case({"start": np.full(9, 0.01)}, RNG)  # leaves something in OSQP
@@ -131,7 +136,7 @@ def test_a_pickled_mpc_commands_what_a_new_one_does(prism, strings, plant, kind)
 def watched(prism, strings, plant, regulator):
     """The regulator on what a filter makes of readings."""
     sensors = tc.Sensors(structure=prism, string_length=1e-3, bar_direction=[5e-3, 6e-3, 7e-3])
-    estimator = tc.kalman(plant, sensors, 0.02)
+    estimator = tc.kalman(plant, sensors, sample_time=0.02)
     return tc.ClosedLoopCase(
         prism, strings, regulator, 0.2, STEP, tolerance=0.02, estimator=estimator
     )
@@ -173,10 +178,14 @@ def test_sensors_of_ones_own_are_those_that_vary(watched):
 
 def test_draws_that_no_sensor_can_have_stop_the_sweep(case, watched):
     for name in ("noise", "delay"):
-        with pytest.raises(tc.SweepError, match=f"{name} is drawn, but nothing is measured"):
+        with pytest.raises(
+            tc.robustness.SweepError, match=f"{name} is drawn, but nothing is measured"
+        ):
             case({name: 1.0}, RNG)
     for late in (0.5, -1.0, np.ones(2)):
-        with pytest.raises(tc.SweepError, match="expected whole samples, at least 0: draw it by"):
+        with pytest.raises(
+            tc.robustness.SweepError, match="expected whole samples, at least 0: draw it by"
+        ):
             watched({"delay": late}, RNG)
     with pytest.raises(ValueError, match="noise is 0"):
         watched({"noise": 0.0}, RNG)
@@ -191,7 +200,7 @@ def test_faults_are_those_of_each_run(prism, strings, regulator):
 
 def test_an_estimate_of_the_load_makes_up_for_wrong_stiffness(prism, strings, plant, regulator):
     """What the sweep is for: strings that are not as stiff as the controller was told."""
-    mpc = tc.MPC(plant, horizon=8, step=0.04, max_force_density=65.0, load_gain=0.3)
+    mpc = tc.MPC(plant, horizon=8, sample_time=0.04, max_force_density=65.0, load_gain=0.3)
     drawn = {"stiffness": tc.Uniform(0.7, 1.3, size=9), "bar_mass": tc.Uniform(0.8, 1.2, size=3)}
     rates = []
     for controller in (regulator, mpc):

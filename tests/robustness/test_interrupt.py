@@ -30,7 +30,7 @@ class Case:
         if parameters["x"] == 1.0:
             say("at work")
             time.sleep(600)
-        return tc.Outcome(success=True)
+        return tc.robustness.Outcome(success=True)
 
 if __name__ == "__mp_main__" and sys.argv[1] == "starting":
     say("starting")

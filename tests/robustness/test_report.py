@@ -16,7 +16,7 @@ def of(good, count):
         tc.robustness.record.Record(i, {"x": float(i)}, i < good, {"y": float(i * i)})
         for i in range(count)
     )
-    return tc.SweepReport("case", 0, count, records)
+    return tc.robustness.SweepReport("case", 0, count, records)
 
 
 class TestConfidenceInterval:

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import tenscontrol as tc
-from tenscontrol import demo
+from tenscontrol.demo import tour as demo
 from tenscontrol.robustness import stiffness_loops
 
 SAMPLE = 0.02
@@ -35,10 +35,19 @@ def laws(stiffness, held, winches=None, reference=None):
     limit = None
     if held == "force_density":
         R, limit, winches = 0.1 * R, 3 * REST.force_density.max(), None
-    law = tc.lqr(plant, Q, R, step=SAMPLE, max_force_density=limit, winches=winches)
+    law = tc.lqr(plant, Q, R, sample_time=SAMPLE, max_force_density=limit, winches=winches)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # that it will not hold is known
-        mpc = tc.MPC(plant, 20, SAMPLE, limit, Q=Q, R=R, reference=reference, winches=winches)
+        mpc = tc.MPC(
+            plant,
+            horizon=20,
+            sample_time=SAMPLE,
+            max_force_density=limit,
+            Q=Q,
+            R=R,
+            reference=reference,
+            winches=winches,
+        )
     return {"LQR": law, "MPC": mpc}
 
 
@@ -76,8 +85,8 @@ def off_by_kabsch(run):
 
 @pytest.fixture(scope="module")
 def report():
-    return tc.stiffness_report(
-        REST, [1e2, 1e4], step=SAMPLE, damping=damping, reference=RAMP, duration=DURATION
+    return tc.robustness.stiffness_report(
+        REST, [1e2, 1e4], sample_time=SAMPLE, damping=damping, reference=RAMP, duration=DURATION
     )
 
 
@@ -101,7 +110,7 @@ def test_rows_are_what_loops_made_by_hand_give(report, held):
         assert found.failure is None
     law = laws(1e4, held)["LQR"]
     if held == "force_density":
-        loop = tc.held_loop(law.plant, law.gain, SAMPLE)
+        loop = tc.control.held_loop(law.plant, law.gain, sample_time=SAMPLE)
         assert (row.held.radius, row.held.designed_radius) == (loop.radius, loop.designed_radius)
     else:
         assert row.radius == np.abs(law.poles).max()
@@ -140,8 +149,13 @@ def test_linear_loops_of_lqr_and_mpc_are_one(held):
 
 @pytest.fixture(scope="module")
 def short():
-    return tc.stiffness_report(
-        REST, np.geomspace(1e2, 1e5, 4), step=SAMPLE, damping=damping, duration=SAMPLE, horizon=2
+    return tc.robustness.stiffness_report(
+        REST,
+        np.geomspace(1e2, 1e5, 4),
+        sample_time=SAMPLE,
+        damping=damping,
+        duration=SAMPLE,
+        horizon=2,
     )
 
 
@@ -157,8 +171,13 @@ def test_law_in_force_densities_settles_the_slower_the_stiffer(short):
 
 def test_shorter_samples_let_the_law_in_force_densities_hold_with_stiffer_strings(short):
     """Over a sample strings act as dampers of k step / 2: half the step, twice the stiffness."""
-    half = tc.stiffness_report(
-        REST, 2 * short.stiffness[:2], step=SAMPLE / 2, damping=damping, duration=SAMPLE, horizon=2
+    half = tc.robustness.stiffness_report(
+        REST,
+        2 * short.stiffness[:2],
+        sample_time=SAMPLE / 2,
+        damping=damping,
+        duration=SAMPLE,
+        horizon=2,
     )
     for row, other in zip(half.rows, short.rows, strict=False):
         assert row.held.rate_ratio == pytest.approx(other.held.rate_ratio, rel=0.2)
@@ -172,22 +191,22 @@ def test_weights_of_the_user_are_those_of_all_four(short):
         Q, R = tc.energy_weights(plant, by_mode=plant.input == "rest_length")
         return Q, 1e-2 * R
 
-    fast = tc.stiffness_report(
-        REST, [1e3], step=SAMPLE, damping=damping, duration=SAMPLE, weights=faster, horizon=2
+    fast = tc.robustness.stiffness_report(
+        REST, [1e3], sample_time=SAMPLE, damping=damping, duration=SAMPLE, weights=faster, horizon=2
     )
     assert seen == ["force_density", "rest_length"]
     plant = tc.linearize(model_of(1e3), REST)
-    law = tc.lqr(plant, *faster(plant), step=SAMPLE)
-    loop = tc.held_loop(plant, law.gain, SAMPLE)
+    law = tc.lqr(plant, *faster(plant), sample_time=SAMPLE)
+    loop = tc.control.held_loop(plant, law.gain, sample_time=SAMPLE)
     assert fast.rows[0].held.radius == loop.radius
     assert fast.rows[0].held.radius != short.rows[1].held.radius
 
 
 def test_winches_are_those_of_all_runs():
     """Winches that hardly wind hold the rest lengths: whatever the law, one motion."""
-    stuck = tc.Winches(rate=1e-9, pieces=2)
-    found = tc.stiffness_report(
-        REST, [1e3], step=SAMPLE, damping=damping, duration=0.3, winches=stuck
+    stuck = tc.Winches(rate=1e-9, substeps=2)
+    found = tc.robustness.stiffness_report(
+        REST, [1e3], sample_time=SAMPLE, damping=damping, duration=0.3, winches=stuck
     ).rows[0]
     plant = tc.linearize(model_of(1e3), REST, input="rest_length")
     free = tc.simulate(
@@ -197,16 +216,18 @@ def test_winches_are_those_of_all_runs():
     wanted = off_at_the_end(plant, free)
     for run in found.runs:
         assert run.error == pytest.approx(wanted, rel=1e-3)
-    free_winches = tc.stiffness_report(REST, [1e3], step=SAMPLE, damping=damping, duration=0.3)
+    free_winches = tc.robustness.stiffness_report(
+        REST, [1e3], sample_time=SAMPLE, damping=damping, duration=0.3
+    )
     assert abs(free_winches.rows[0].runs[2].error / wanted - 1) > 1e-3
 
 
 def test_winches_stand_where_the_reference_begins():
     model = model_of(1e3)
     path = tc.shape_path(model, NEAR, REST, duration=0.2, step=0.05)
-    winches = tc.Winches(rate=0.5, pieces=4)
-    found = tc.stiffness_report(
-        REST, [1e3], step=SAMPLE, damping=damping, duration=0.3, winches=winches,
+    winches = tc.Winches(rate=0.5, substeps=4)
+    found = tc.robustness.stiffness_report(
+        REST, [1e3], sample_time=SAMPLE, damping=damping, duration=0.3, winches=winches,
         reference=path.reference(),
     )  # fmt: skip
     mpc = laws(1e3, "rest_length", winches=winches, reference=path.reference())["MPC"]
@@ -220,7 +241,9 @@ def test_winches_stand_where_the_reference_begins():
 
 
 def test_runs_that_fail_are_rows_that_say_so():
-    found = tc.stiffness_report(REST, [1e3], step=SAMPLE, push=300.0, duration=0.2)
+    found = tc.robustness.stiffness_report(
+        REST, [1e3], sample_time=SAMPLE, push=300.0, duration=0.2
+    )
     for run in found.rows[0].runs:
         assert run.error is None
         assert run.failure
@@ -234,8 +257,14 @@ def test_runs_that_fail_are_rows_that_say_so():
 def test_steps_of_the_user_are_taken():
     """A step that is too long fails, and says what to try."""
     coarse, fine = (
-        tc.stiffness_report(
-            REST, [1e6], step=SAMPLE, duration=0.1, horizon=2, push=0.001, integration_step=step
+        tc.robustness.stiffness_report(
+            REST,
+            [1e6],
+            sample_time=SAMPLE,
+            duration=0.1,
+            horizon=2,
+            push=0.001,
+            integration_step=step,
         )
         for step in (SAMPLE, 8e-5)
     )
@@ -251,7 +280,7 @@ def test_an_interrupted_run_is_no_row(monkeypatch):
 
     monkeypatch.setattr(stiffness_loops, "simulate", interrupted)
     with pytest.raises(KeyboardInterrupt, match=r"interrupted at 0\.02 s"):
-        tc.stiffness_report(REST, [1e2], step=SAMPLE, duration=SAMPLE)
+        tc.robustness.stiffness_report(REST, [1e2], sample_time=SAMPLE, duration=SAMPLE)
 
 
 def test_a_shape_target_on_supports_under_its_weight_is_held():
@@ -260,10 +289,12 @@ def test_a_shape_target_on_supports_under_its_weight_is_held():
     strings = tc.LinearStrings(1e3, damping=1.0)
     model = tc.Model(standing, strings=strings, gravity=9.81)
     goal = tc.shape_target(model, force_density=60.0)
-    found = tc.stiffness_report(goal, [1e3], step=SAMPLE, damping=1.0, duration=0.3)
+    found = tc.robustness.stiffness_report(
+        goal, [1e3], sample_time=SAMPLE, damping=1.0, duration=0.3
+    )
     plant = tc.linearize(model, goal.prestress, input="rest_length")
     Q, R = tc.energy_weights(plant, by_mode=True)
-    law = tc.lqr(plant, Q, R, step=SAMPLE)
+    law = tc.lqr(plant, Q, R, sample_time=SAMPLE)
     assert found.rows[0].radius == pytest.approx(np.abs(law.poles).max(), rel=1e-9)
     assert found.runs("LQR", "rest_length")[0].error < 2e-3
 

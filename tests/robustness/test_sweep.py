@@ -155,11 +155,13 @@ class TestFailuresAreData:
         x = inline(cases.first_of_the_stream, drawn, count=16)[0].parameters["x"]
         deadly = int(np.flatnonzero(x < 0.05)[0])
         assert deadly >= 4  # so that there are others before it
-        with pytest.raises(tc.SweepError, match=rf"worker process died.*\b{deadly}\b") as raised:
+        with pytest.raises(
+            tc.robustness.SweepError, match=rf"worker process died.*\b{deadly}\b"
+        ) as raised:
             tc.sweep(cases.dies, drawn, 16, seed=SEED, processes=1, file=file)
         kept = raised.value.report.runs.tolist()
         assert set(range(deadly - 1)) <= set(kept) <= set(range(deadly))
-        assert tc.SweepReport.load(file).runs.tolist() == kept
+        assert tc.robustness.SweepReport.load(file).runs.tolist() == kept
 
     @pytest.mark.parametrize(
         ("case", "message"),
@@ -171,7 +173,7 @@ class TestFailuresAreData:
         ],
     )
     def test_a_case_that_is_wrong_stops_the_sweep(self, case, message):
-        with pytest.raises(tc.SweepError, match=message) as raised:
+        with pytest.raises(tc.robustness.SweepError, match=message) as raised:
             inline(case, {"x": tc.Uniform(0, 1)})
         assert len(raised.value.report) < COUNT
 
@@ -196,13 +198,13 @@ class TestFile:
         return path
 
     def test_what_is_written_comes_back_to_the_last_bit(self, file, report):
-        assert tc.SweepReport.load(file) == report
-        assert lines(tc.SweepReport.load(file)) == lines(report)
+        assert tc.robustness.SweepReport.load(file) == report
+        assert lines(tc.robustness.SweepReport.load(file)) == lines(report)
 
     def test_runs_in_another_order_are_the_same_report(self, file, report):
         head, *rest = file.read_text("utf-8").splitlines(keepends=True)
         file.write_text(head + "".join(reversed(rest)), "utf-8")
-        assert tc.SweepReport.load(file) == report
+        assert tc.robustness.SweepReport.load(file) == report
 
     @pytest.mark.parametrize("torn", [False, True])
     def test_a_killed_sweep_goes_on(self, file, report, torn):
@@ -216,7 +218,7 @@ class TestFile:
         ] * torn
         assert runs == [0, *range(9, COUNT)]
         assert lines(found) == lines(report)
-        assert tc.SweepReport.load(file) == report  # nothing torn is left in it
+        assert tc.robustness.SweepReport.load(file) == report  # nothing torn is left in it
 
     def test_a_finished_sweep_does_one_run_to_see_that_it_is_the_same(self, file, report):
         found, runs = inline(file=file)
@@ -227,7 +229,9 @@ class TestFile:
         record = json.loads(first)
         record["success"] = not record["success"]
         file.write_text(head + json.dumps(record) + "\n" + "".join(rest), "utf-8")
-        with pytest.raises(tc.SweepError, match=r"run 0 of the file gave .* case, a library or"):
+        with pytest.raises(
+            tc.robustness.SweepError, match=r"run 0 of the file gave .* case, a library or"
+        ):
             inline(file=file)
 
     @pytest.mark.parametrize(
@@ -261,7 +265,7 @@ class TestFile:
     def test_what_is_no_sweep_is_refused(self, file, content, message):
         head, first, *_ = file.read_text("utf-8").splitlines()
         file.write_text(content.replace("HEAD", head).replace("FIRST", first), "utf-8")
-        for use in (tc.SweepReport.load, lambda path: inline(file=path)):
+        for use in (tc.robustness.SweepReport.load, lambda path: inline(file=path)):
             with pytest.raises(ValueError, match=message):
                 use(file)
 
@@ -281,7 +285,7 @@ class TestAnotherNumberOfRuns:
         found, runs = inline(file=file)
         assert runs == [0, *range(self.LESS, COUNT)]
         assert lines(found) == lines(report)
-        for same in (found, tc.SweepReport.load(file), inline(file=file)[0]):
+        for same in (found, tc.robustness.SweepReport.load(file), inline(file=file)[0]):
             assert same == report
             assert same.summary() == report.summary()
 
@@ -292,7 +296,7 @@ class TestAnotherNumberOfRuns:
                 cases.noisy, PARAMETERS, COUNT, seed=SEED, file=file, executor=executor
             )
         assert lines(found) == lines(report)
-        assert tc.SweepReport.load(file) == report
+        assert tc.robustness.SweepReport.load(file) == report
 
     def test_fewer_runs_are_the_first_ones_and_the_file_keeps_all(self, file, report):
         inline(file=file)
@@ -312,7 +316,7 @@ class TestAnotherNumberOfRuns:
         found, runs = inline(count=self.LESS, file=file)
         assert runs == [9, *range(9)]
         assert found == inline(count=self.LESS)[0]
-        part = tc.SweepReport.load(file)
+        part = tc.robustness.SweepReport.load(file)
         assert (part.count, part.runs.tolist()) == (COUNT, [*range(10), 20])
         assert inline(file=file)[0] == report
 
@@ -334,13 +338,13 @@ class TestAnotherNumberOfRuns:
         keep = short + 8 if left == "line of the count" else len(file.read_bytes()) - 30
         file.write_bytes(file.read_bytes()[:keep])
         with pytest.warns(RuntimeWarning, match="torn line, which is dropped"):
-            part = tc.SweepReport.load(file)
+            part = tc.robustness.SweepReport.load(file)
         torn_count = left == "line of the count"
         assert (part.count, len(part)) == ((self.LESS,) * 2 if torn_count else (COUNT, COUNT - 1))
         with pytest.warns(RuntimeWarning, match="torn line, which is dropped"):
             found, _ = inline(file=file)
         assert lines(found) == lines(report)
-        assert tc.SweepReport.load(file) == report
+        assert tc.robustness.SweepReport.load(file) == report
 
     def test_a_case_that_has_changed_adds_nothing(self, file):
         head, first, *rest = file.read_text("utf-8").splitlines(keepends=True)
@@ -348,7 +352,10 @@ class TestAnotherNumberOfRuns:
         record["success"] = not record["success"]
         file.write_text(head + json.dumps(record) + "\n" + "".join(rest), "utf-8")
         before = file.read_bytes()
-        with ThreadPoolExecutor(2) as executor, pytest.raises(tc.SweepError, match="run 0 of the"):
+        with (
+            ThreadPoolExecutor(2) as executor,
+            pytest.raises(tc.robustness.SweepError, match="run 0 of the"),
+        ):
             tc.sweep(cases.noisy, PARAMETERS, COUNT, seed=SEED, file=file, executor=executor)
         assert file.read_bytes() == before
 

@@ -56,9 +56,11 @@ time_limit = 60.0
     )
     scene = load(text)
     plant, given = scene.controller.plant, given | {"time_limit": 60.0}
-    first = commands_alike(scene.controller, tc.NMPC(plant, 3, 0.02, **given), plant)
+    first = commands_alike(
+        scene.controller, tc.NMPC(plant, horizon=3, sample_time=0.02, **given), plant
+    )
     # The limit of the output is felt.
-    other = tc.NMPC(plant, 3, 0.02, **given | {"outputs": ()})
+    other = tc.NMPC(plant, horizon=3, sample_time=0.02, **given | {"outputs": ()})
     pushed = plant.to_nodes(0.01 * np.arange(9))
     for k in range(2):
         without = other.command(0.02 * k, pushed, np.zeros((3, 6))).value
@@ -84,8 +86,8 @@ def test_lqr_changes_no_faster_than_it_may(load):
 
 
 def test_winches_wind_in_pieces(load):
-    scene = load(PLAIN + LQR + "[winches]\nrate = 0.1\npieces = 4\n[start]\ndisturbance = 0.02\n")
-    assert scene.winches.pieces == 4
+    scene = load(PLAIN + LQR + "[winches]\nrate = 0.1\nsubsteps = 4\n[start]\ndisturbance = 0.02\n")
+    assert scene.winches.substeps == 4
     seen = np.unique(scene.simulate().rest_length[0].round(9))
     jumping = replace(scene, winches=tc.Winches(rate=0.1)).simulate()
     assert len(seen) > 3 * len(np.unique(jumping.rest_length[0].round(9)))
@@ -112,7 +114,7 @@ rate = 1.0
 """
     )
     schedule = scene.controller
-    assert isinstance(schedule, tc.Schedule)
+    assert isinstance(schedule, tc.GainSchedule)
     plants = [each.plant for each in schedule.controllers]
     heights = [plant.nodes[2, :3].mean() - plant.nodes[2, 3:].mean() for plant in plants]
     np.testing.assert_allclose(heights, [1.0, 0.9, 0.8], atol=0.01)
@@ -219,7 +221,7 @@ time = 0.205
         tension_strings=[2], delay=1, drop_rate=0.1, outlier_rate=0.01,
     )  # fmt: skip
     estimator = tc.kalman(
-        plant, sensors, 0.02, process_noise=0.03, prediction="nonlinear", gate=1e-5, patience=6,
+        plant, sensors, sample_time=0.02, process_noise=0.03, prediction="nonlinear", gate=1e-5, patience=6,
         start_spread=0.02,
     )  # fmt: skip
     faults = (
@@ -230,7 +232,7 @@ time = 0.205
     assert scene.faults == faults
     natural_Q, natural_R = tc.energy_weights(plant)
     same = tc.simulate(
-        scene.model, 0.3, scene.nodes, controller=tc.lqr(plant, natural_Q, 0.1 * natural_R, 0.02),
+        scene.model, 0.3, scene.nodes, controller=tc.lqr(plant, natural_Q, 0.1 * natural_R, sample_time=0.02),
         rest_length=scene.rest_length, step=2e-3, faults=faults, estimator=estimator, seed=7,
     )  # fmt: skip
     run = scene.simulate()
@@ -247,8 +249,10 @@ def test_the_estimator_knows_what_is_held(load):
     text = "[sensors]\nstring_length = 0.001\n[estimator]\nkind = 'kalman'\n"
     law = "[controller]\nkind = 'lqr'\nsample_time = 0.01\n"
     estimator = load(PLAIN + law + text).estimator
-    assert (estimator.input, estimator.step) == ("rest_length", 0.01)
-    assert load(PLAIN + law.replace("sample_time = 0.01\n", "") + text).estimator.step == 2e-3
+    assert (estimator.input, estimator.sample_time) == ("rest_length", 0.01)
+    assert (
+        load(PLAIN + law.replace("sample_time = 0.01\n", "") + text).estimator.sample_time == 2e-3
+    )
     held = load(PLAIN.replace("[run]\n", "[run]\nhold = 'force_density'\n") + law + text)
     assert held.estimator.input == "force_density"
 
@@ -258,14 +262,14 @@ def test_the_estimator_winds_as_the_winches_do(load):
     text = (
         PLAIN
         + LQR
-        + "[start]\ndisturbance = 0.02\n[winches]\nrate = 0.1\npieces = 4\n"
+        + "[start]\ndisturbance = 0.02\n[winches]\nrate = 0.1\nsubsteps = 4\n"
         + "[sensors]\nstring_length = 0.001\nbar_direction = 0.01\n"
         + "[estimator]\nkind = 'kalman'\n"
     )
     scene = load(text)
-    assert scene.estimator.pieces == 4
+    assert scene.estimator.substeps == 4
     winding = scene.simulate().control.estimate.nodes
-    jumping = load(text.replace("pieces = 4\n", "")).simulate().control.estimate.nodes
+    jumping = load(text.replace("substeps = 4\n", "")).simulate().control.estimate.nodes
     assert np.abs(winding - jumping).max() > 1e-5
 
 

@@ -82,7 +82,7 @@ method = "dop853"
     wound = tc.to_rest_length(model, prism.nodes, gamma).rest_length
     np.testing.assert_array_equal(scene.rest_length, wound)
     assert (scene.duration, scene.tolerance, scene.output_step) == (2, 1e-7, 0.1)
-    assert (scene.method, scene.hold, scene.step) == ("dop853", "rest_length", None)
+    assert (scene.method, scene.input, scene.step) == ("dop853", "rest_length", None)
     assert len(scene.simulate().time) == 21
 
 
@@ -110,7 +110,7 @@ right = 2
     assert scene.structure.string_groups == ("left", "right")
     np.testing.assert_array_equal(scene.structure.string_nodes, [0, 3])
     np.testing.assert_array_equal(scene.force_density, [1, 2])
-    assert scene.hold == "force_density"
+    assert scene.input == "force_density"
     assert scene.simulate().time[-1] == pytest.approx(0.1)
 
 
@@ -145,7 +145,7 @@ def test_cut_strings_act_as_whole_ones(load, law):
         "string_mass={top=0.1,bottom=0.1,vertical=0.2}\n"
     )
     structure = scene.structure
-    count = tc.segment_counts(structure)
+    count = tc.structure.segment_counts(structure)
     np.testing.assert_array_equal(np.bincount(structure.string_parent), np.repeat([2, 3, 4], 3))
     np.testing.assert_array_equal(scene.model.strings.damping, 2.0 * count)
     # The tension of a segment is that of its string, also where the string is longer.
@@ -159,7 +159,9 @@ def test_cut_strings_act_as_whole_ones(load, law):
     rest = tc.prestress(parent, 17.3205)
     wound = tc.to_rest_length(model, parent.nodes, rest.force_density).rest_length
     whole = model.strings.force_density(1.1 * parent.string_length(), wound)
-    np.testing.assert_allclose(gamma, tc.spread_force_density(structure, whole), rtol=1e-12)
+    np.testing.assert_allclose(
+        gamma, tc.structure.spread_force_density(structure, whole), rtol=1e-12
+    )
     assert scene.linearize().invariance_residual < 1e-8
 
 
@@ -272,7 +274,7 @@ def test_skin_of_a_contracting_prism_goes_slack():
 def test_skin_of_a_contracting_prism_is_chaotic():
     scene = shipped("prism_skin", duration=2.0)
     pushed = scene.nodes + 1e-10 * np.random.default_rng(0).normal(size=scene.nodes.shape)
-    pushed = tc.restore_bar_lengths(scene.structure, pushed)
+    pushed = tc.structure.restore_bar_lengths(scene.structure, pushed)
     apart = scene.simulate().nodes - replace(scene, nodes=pushed).simulate().nodes
     assert np.abs(apart[:, :, -1]).max() > 1e-3
 
@@ -415,7 +417,12 @@ def test_predictive_controllers_of_rest_lengths(load):
     assert plant.input == "rest_length"
     assert controller.bounds[1] == pytest.approx(2.0)
     same = tc.MPC(
-        plant, 5, 0.02, max_change=0.01, winches=tc.Winches(rate=0.3, longest=2.0), **given
+        plant,
+        horizon=5,
+        sample_time=0.02,
+        max_change=0.01,
+        winches=tc.Winches(rate=0.3, longest=2.0),
+        **given,
     )
     pushed = plant.to_nodes(0.01 * np.arange(9))
     commands = [each.command(0.0, pushed, np.zeros((3, 6))).value for each in (controller, same)]
@@ -428,16 +435,18 @@ def test_predictive_controllers_of_rest_lengths(load):
 ])  # fmt: skip
 def test_nmpc_of_a_scene(load, held, pieces):
     limit = "max_force_density = 60.0\n" if held == "force_density" else ""
-    winches = f"[winches]\nrate = 0.3\npieces = {pieces}\n"
+    winches = f"[winches]\nrate = 0.3\nsubsteps = {pieces}\n"
     scene = load(
         PRISM
         + f"[controller]\nkind = 'nmpc'\ninput = '{held}'\nhorizon = 3\nstep = 0.02\n"
         + f"iterations = 2\n{limit}{winches}"
     )
     plant = scene.controller.plant
-    given = {"winches": tc.Winches(rate=0.3, pieces=pieces)} if held == "rest_length" else {}
+    given = {"winches": tc.Winches(rate=0.3, substeps=pieces)} if held == "rest_length" else {}
     largest = 60.0 if held == "force_density" else None
-    same = tc.NMPC(plant, 3, 0.02, largest, iterations=2, **given)
+    same = tc.NMPC(
+        plant, horizon=3, sample_time=0.02, max_force_density=largest, iterations=2, **given
+    )
     pushed = plant.to_nodes(0.01 * np.arange(9))
     commands = [e.command(0.0, pushed, np.zeros((3, 6))).value for e in (scene.controller, same)]
     np.testing.assert_array_equal(*commands)
@@ -917,9 +926,9 @@ BROKEN = {
         PRISM + MPC + "max_force_density = 60\nplants = 0\n" + AIM + "time = 1.0\nheight = 0.9\n",
         r":16: .*plants is 0, expected a whole number of at least 1",
     ),
-    "pieces": (
-        PRISM + LQR + "[winches]\npieces = 0\n",
-        r":14: in \[winches\], pieces is 0, expected a whole number of at least 1",
+    "substeps": (
+        PRISM + LQR + "[winches]\nsubsteps = 0\n",
+        r":14: in \[winches\], substeps is 0, expected a whole number of at least 1",
     ),
     "sensors alone": (
         PRISM + LQR + "[sensors]\nstring_length = 0.001\n",

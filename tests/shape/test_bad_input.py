@@ -36,7 +36,9 @@ def rest(level=10.0):
 
 
 def lower():
-    nodes = tc.prism(radius=tc.prism_radius(tc.prism().bar_length[0], 0.9), height=0.9).nodes
+    nodes = tc.prism(
+        radius=tc.structure.prism_radius(tc.prism().bar_length[0], 0.9), height=0.9
+    ).nodes
     prism = tc.prism()
     structure = tc.Structure(
         nodes, prism.bars, prism.strings, 1.0, string_groups=prism.string_groups

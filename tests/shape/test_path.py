@@ -82,9 +82,9 @@ def test_a_change_of_height_goes_through_the_prisms_of_the_closed_form():
     height = found.nodes[2, TOP].mean(axis=0) - found.nodes[2, BOTTOM].mean(axis=0)
     assert (np.diff(height) < 0).all()
     bar = model().structure.bar_length[0]
-    radius = [tc.prism_radius(bar, h) for h in height]
+    radius = [tc.structure.prism_radius(bar, h) for h in height]
     np.testing.assert_allclose(np.hypot(*found.nodes[:2])[0], radius, rtol=1e-8)
-    expected = tc.prism_force_density(3, LEVEL)[0][:, None] * np.ones(len(found.time))
+    expected = tc.statics.prism_force_density(3, LEVEL)[0][:, None] * np.ones(len(found.time))
     np.testing.assert_allclose(found.force_density, expected, rtol=1e-7)
 
 
@@ -200,10 +200,10 @@ class FeedForward(Controller):
 
     def _decide(self, time, state):
         times, lengths = self._path.time, self._path.rest_length
-        return np.array([np.interp(time, times, each) for each in lengths]), "ok"
+        return tc.control.Command(np.array([np.interp(time, times, each) for each in lengths]))
 
-    def _fall_back(self, reason):
-        return self._path.rest_length[:, 0], reason
+    def _fall_back(self, status):
+        return tc.control.Command(self._path.rest_length[:, 0], status)
 
 
 def off_path(plant, found, run):
@@ -241,7 +241,9 @@ def test_a_slow_damped_plant_stays_on_the_path(goal):
 def test_mpc_takes_the_path_as_its_reference():
     found = shape_path(model(), start(), low(), winches=tc.Winches(rate=0.2), duration=2.0)
     plant = tc.linearize(model(), low().prestress)
-    mpc = tc.MPC(plant, horizon=20, step=0.02, max_force_density=80.0, reference=found.reference())
+    mpc = tc.MPC(
+        plant, horizon=20, sample_time=0.02, max_force_density=80.0, reference=found.reference()
+    )
     run = tc.simulate(
         model(), 4.0, controller=mpc, winches=tc.Winches(rate=0.5), step=1e-3,
         rest_length=found.rest_length[:, 0],
@@ -265,7 +267,7 @@ def test_the_reference_is_the_path_and_stands_still_outside():
         np.testing.assert_allclose(length, structure.bar_length, rtol=1e-14)
     # Between equilibria there are, to fourth order, equilibria.
     height = fine.nodes[2, TOP].mean(axis=0) - fine.nodes[2, BOTTOM].mean(axis=0)
-    radius = [tc.prism_radius(structure.bar_length[0], h) for h in height]
+    radius = [tc.structure.prism_radius(structure.bar_length[0], h) for h in height]
     np.testing.assert_allclose(np.hypot(*fine.nodes[:2])[0], radius, atol=1e-7)
 
 

@@ -105,9 +105,9 @@ def test_a_prism_of_a_height_is_the_one_of_the_closed_form(wanted):
     target = shape_target(free(), Height(wanted, TOP, BOTTOM), force_density=LEVEL)
     refuse_motion(target)
     assert height(target.nodes) == pytest.approx(wanted, abs=1e-13)
-    radius = tc.prism_radius(free().structure.bar_length[0], wanted)
+    radius = tc.structure.prism_radius(free().structure.bar_length[0], wanted)
     np.testing.assert_allclose(np.hypot(*target.nodes[:2]), radius, rtol=1e-8)
-    expected = tc.prism_force_density(3, LEVEL)[0]
+    expected = tc.statics.prism_force_density(3, LEVEL)[0]
     np.testing.assert_allclose(target.force_density, expected, rtol=1e-7)
     assert twist(target.nodes) == pytest.approx(-np.pi / 6, abs=1e-12)
 
@@ -117,7 +117,7 @@ def test_prisms_of_more_sides(sides):
     model = tc.Model(tc.prism(sides))
     wanted = Height(0.8, range(sides), range(sides, 2 * sides))
     target = shape_target(model, wanted, force_density=10.0)
-    expected = tc.prism_force_density(sides, 10.0)[0]
+    expected = tc.statics.prism_force_density(sides, 10.0)[0]
     np.testing.assert_allclose(target.force_density, expected, rtol=1e-7)
     refuse_motion(target)
 
@@ -349,7 +349,7 @@ def test_least_and_centred_forces_among_several_states():
         assert (target.force_density <= 60.0).all()
     assert least.prestress.self_stress_states > 1
     # Each is best in its own sense among the others in the same shape.
-    E = tc.equilibrium_matrix(least.prestress.structure)
+    E = tc.statics.equilibrium_matrix(least.prestress.structure)
     _, sizes, Vt = np.linalg.svd(E)
     states = Vt[np.count_nonzero(sizes > 1e-9 * sizes[0]) :].T
     mean = states[:3].mean(axis=0)
@@ -378,7 +378,7 @@ def test_the_margin_is_the_softest_direction_of_the_linearized_model():
     target = shape_target(free(), Height(0.85, TOP, BOTTOM), force_density=LEVEL)
     # An independent figure: second differences of the energy along bar-preserving motions.
     model = target.model
-    basis = tc.coordinates(model, target.nodes, "internal")
+    basis = tc.dynamics.coordinates(model, target.nodes, "internal")
 
     def energy(q):
         nodes = basis.to_nodes(q)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.control import Status
 from tenscontrol.control.controller import Controller
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
@@ -31,10 +32,11 @@ class Script(Controller):
     def _decide(self, time, state):
         turn = len(self.seen) - 1
         value = self.values[min(turn, len(self.values) - 1)]
-        return np.asarray(value, float), self.statuses[turn % len(self.statuses)]
+        status = Status(self.statuses[turn % len(self.statuses)])
+        return tc.control.Command(np.asarray(value, float), status)
 
-    def _fall_back(self, reason):
-        return np.asarray(self.values[-1], float), reason
+    def _fall_back(self, status):
+        return tc.control.Command(np.asarray(self.values[-1], float), status)
 
 
 class Damper(Script):
@@ -43,7 +45,7 @@ class Damper(Script):
     def _decide(self, time, state):
         r = len(state) // 2
         push = self.plant.B[r:].T @ state[r:]
-        return self.plant.force_density - self.values[0] * push, "ok"
+        return tc.control.Command(self.plant.force_density - self.values[0] * push)
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +123,7 @@ def test_a_constant_command_is_an_open_loop(model, by_force, by_length, hold):
     value = gamma if hold == "force_density" else rest_lengths(model.structure, gamma, 100.0)
     plant = by_force if hold == "force_density" else by_length
     closed = tc.simulate(
-        model, 0.5, controller=Script(plant, [value], step=0.02), hold=hold, step=1e-3
+        model, 0.5, controller=Script(plant, [value], step=0.02), input=hold, step=1e-3
     )
     opened = tc.simulate(model, 0.5, step=1e-3, **{hold: value})
     np.testing.assert_allclose(closed.time, opened.time, rtol=0, atol=1e-12)
@@ -131,7 +133,7 @@ def test_a_constant_command_is_an_open_loop(model, by_force, by_length, hold):
 def test_held_force_densities_are_the_commands(model, by_force):
     commands = [np.full(9, 10.0 + k) for k in range(5)]
     controller = Script(by_force, commands, step=0.02)
-    run = tc.simulate(model, 0.1, controller=controller, hold="force_density", step=1e-3)
+    run = tc.simulate(model, 0.1, controller=controller, input="force_density", step=1e-3)
     assert run.rest_length is None
     sample = steps_of(run, 0.02)
     np.testing.assert_array_equal(run.force_density[:, 1:], np.column_stack(commands)[:, sample])
@@ -164,7 +166,7 @@ def test_a_winch_gives_the_commanded_force_density_at_the_sample_only(model, by_
 def test_the_two_holds_are_different_loops(model, by_force):
     def final(hold):
         controller = Script(by_force, [paper_force_density(45.0)], step=0.1)
-        run = tc.simulate(model, 0.5, controller=controller, hold=hold, step=1e-3)
+        run = tc.simulate(model, 0.5, controller=controller, input=hold, step=1e-3)
         return run.nodes[:, :, -1]
 
     assert np.abs(final("rest_length") - final("force_density")).max() > 1e-3
@@ -285,7 +287,7 @@ def test_a_feedback_against_the_velocities_settles_the_prism(model, by_force, ho
     start = by_force.to_nodes(0.05 * np.random.default_rng(0).normal(size=9))
     quiet, damped = (
         tc.simulate(
-            model, 3.0, start, controller=Damper(by_force, [gain], 0.01), hold=hold, step=2e-3
+            model, 3.0, start, controller=Damper(by_force, [gain], 0.01), input=hold, step=2e-3
         )
         for gain in (0.0, 4.0)
     )
@@ -295,7 +297,7 @@ def test_a_feedback_against_the_velocities_settles_the_prism(model, by_force, ho
 
 def test_commands_are_within_the_bounds(model, by_force):
     controller = Script(by_force, [np.linspace(-20.0, 200.0, 9)], step=0.02, largest=60.0)
-    run = tc.simulate(model, 0.04, controller=controller, hold="force_density", step=1e-3)
+    run = tc.simulate(model, 0.04, controller=controller, input="force_density", step=1e-3)
     assert (run.control.command.min(), run.control.command.max()) == (0.0, 60.0)
     assert run.force_density.min() == 0.0
 
@@ -305,7 +307,7 @@ def wound_prism(prism):
     rest = tc.prestress(prism, 30 / np.sqrt(3))
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     plant = tc.linearize(model, rest)
-    mpc = tc.MPC(plant, 10, 0.02, 80.0)
+    mpc = tc.MPC(plant, horizon=10, sample_time=0.02, max_force_density=80.0)
     start = plant.to_nodes(np.r_[0.03, np.zeros(8)])
     stood = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
     return model, mpc, start, stood
@@ -337,7 +339,7 @@ def test_winches_at_their_limits_are_in_the_summary(prism):
 
 def test_a_controller_for_other_strings_is_refused_even_if_the_number_agrees(prism):
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
-    mpc = tc.MPC(plant, 5, 0.02, 80.0)
+    mpc = tc.MPC(plant, horizon=5, sample_time=0.02, max_force_density=80.0)
     turned = tc.Structure(prism.nodes, prism.bars, prism.strings[::-1], 1.0)
     with pytest.raises(ValueError, match="with other bars, strings or fixed nodes"):
         tc.simulate(tc.Model(turned), 0.1, controller=mpc, step=1e-3)
@@ -345,12 +347,22 @@ def test_a_controller_for_other_strings_is_refused_even_if_the_number_agrees(pri
 
 def test_a_span_of_almost_nothing_is_one_sample(prism):
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
-    run = tc.simulate(tc.Model(prism), 1e-12, controller=tc.MPC(plant, 5, 0.02, 80.0), step=1e-3)
+    run = tc.simulate(
+        tc.Model(prism),
+        1e-12,
+        controller=tc.MPC(plant, horizon=5, sample_time=0.02, max_force_density=80.0),
+        step=1e-3,
+    )
     assert len(run.control.time) == 1
 
 
 def test_work_is_counted_over_all_samples(prism):
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
-    run = tc.simulate(tc.Model(prism), 0.2, controller=tc.MPC(plant, 5, 0.02, 80.0), step=1e-3)
+    run = tc.simulate(
+        tc.Model(prism),
+        0.2,
+        controller=tc.MPC(plant, horizon=5, sample_time=0.02, max_force_density=80.0),
+        step=1e-3,
+    )
     assert run.steps == 200
     assert run.evaluations == 800

@@ -94,7 +94,7 @@ def test_what_the_string_stored_is_lost_and_all_else_is_kept(held):
 
 @both
 def test_the_balance_of_energy_still_tells_of_a_coarse_step(held):
-    with pytest.warns(tc.AccuracyWarning, match="energy error"):
+    with pytest.warns(tc.simulation.AccuracyWarning, match="energy error"):
         coarse = tc.simulate(
             model(), 4.0, faults=[tc.CutString(6, CUT)], method="rk4", step=0.2,
             **{held: 0.9 * value(held)},
@@ -142,7 +142,10 @@ def test_of_a_subdivided_string_a_segment_is_cut_and_the_rest_dangles(held):
     massive = tc.subdivide(tc.prism(), segments=2, node_mass=0.05)
     segments = np.flatnonzero(massive.string_parent == 6)
     cut, left = segments
-    spread = {"force_density": tc.spread_force_density, "rest_length": tc.spread_rest_length}[held]
+    spread = {
+        "force_density": tc.structure.spread_force_density,
+        "rest_length": tc.structure.spread_rest_length,
+    }[held]
     given = spread(massive, rest().force_density if held == "force_density" else start())
     law = tc.LinearStrings(200.0)
     run = tc.simulate(
@@ -169,9 +172,11 @@ def controller(kind, held, **changes):
     if held == "rest_length":
         limits = {"winches": winches()}
     if kind == "lqr":
-        return tc.lqr(plant(held), *tc.energy_weights(plant(held)), step=STEP, **limits, **changes)
+        return tc.lqr(
+            plant(held), *tc.energy_weights(plant(held)), sample_time=STEP, **limits, **changes
+        )
     made = {"mpc": tc.MPC, "nmpc": tc.NMPC}[kind]
-    return made(plant(held), 6, STEP, **limits, **changes)
+    return made(plant(held), horizon=6, sample_time=STEP, **limits, **changes)
 
 
 def winches():
@@ -183,7 +188,7 @@ def closed(kind, held, faults, duration=1.0, **changes):
     if held == "rest_length":
         changes = {"winches": winches(), "rest_length": start()} | changes
     else:
-        changes = {"hold": "force_density"} | changes
+        changes = {"input": "force_density"} | changes
     q = 0.03 * np.random.default_rng(1).normal(size=9)
     return tc.simulate(
         model(0.5), duration, plant(held).to_nodes(q), controller=controller(kind, held),
@@ -258,7 +263,7 @@ def test_a_controller_that_is_not_told_of_a_cut_gives_safe_commands(kind, held):
 def test_changes_of_a_force_controller_on_winches_count_from_the_force_that_stands():
     """It commands γ, winches hold rest lengths and one is stuck: γ moves with the structure."""
     soft = tc.linearize(model(), rest())
-    mpc = tc.MPC(soft, 6, STEP, 60.0, max_change=2.0)
+    mpc = tc.MPC(soft, horizon=6, sample_time=STEP, max_force_density=60.0, max_change=2.0)
     nodes = soft.to_nodes(0.02 * np.random.default_rng(1).normal(size=9))
     begin = tc.to_rest_length(model(), nodes, rest().force_density).rest_length
     run = tc.simulate(
@@ -278,7 +283,7 @@ def test_changes_of_a_force_controller_on_winches_count_from_the_force_that_stan
     assert np.abs(run.control.command[2] - stands[2]).max() > 0.01
 
 
-class Ear(tc.Controller):
+class Ear(tc.control.Controller):
     """Commands γ that grow from sample to sample, and notes what it is told."""
 
     def __init__(self, designed):
@@ -294,10 +299,10 @@ class Ear(tc.Controller):
         self.told = []
 
     def _decide(self, time, state):
-        return (1 + time) * rest().force_density, "ok"
+        return tc.control.Command((1 + time) * rest().force_density)
 
-    def _fall_back(self, reason):
-        return rest().force_density, reason
+    def _fall_back(self, status):
+        return tc.control.Command(rest().force_density, status)
 
 
 def test_winches_of_a_subdivided_structure_are_those_of_whole_strings():
@@ -330,7 +335,12 @@ def test_a_tower_is_held_without_a_string_by_a_controller_that_is_told():
     keep = np.arange(len(tower.strings)) != string
     less = tc.Structure(tower.nodes, tower.bars, tower.strings[keep], tower.bar_mass)
     controllers = [
-        tc.MPC(tc.linearize(tc.Model(each), tc.prestress(each, GAMMA)), 5, STEP, 150.0)
+        tc.MPC(
+            tc.linearize(tc.Model(each), tc.prestress(each, GAMMA)),
+            horizon=5,
+            sample_time=STEP,
+            max_force_density=150.0,
+        )
         for each in (tower, less)
     ]
     deaf, told = controllers

@@ -37,7 +37,7 @@ def test_energy_is_not_judged_where_it_may_change(example):
 def test_too_long_a_step_is_told_where_energy_and_lengths_are_kept(example):
     """RATTLE in steps of 30 ms keeps its bars, and is off by centimetres."""
     model, lengths = example
-    with pytest.warns(tc.AccuracyWarning, match=r"position error .* step below 0\.03 s"):
+    with pytest.warns(tc.simulation.AccuracyWarning, match=r"position error .* step below 0\.03 s"):
         run = tc.simulate(model, 2.0, rest_length=lengths, method="rattle", step=0.03)
     assert run.health.bar_length_error < 1e-14
     exact = tc.simulate(model, 2.0, rest_length=lengths, tolerance=1e-10, output_step=2.0)
@@ -58,21 +58,23 @@ def test_the_estimate_is_about_the_error(step):
 
 def test_a_limit_can_raise(example):
     model, lengths = example
-    limits = tc.Limits(bar_length_error=1e-12, action="raise")
-    with pytest.raises(tc.SimulationError, match=r"bar length error .* above its limit") as info:
+    limits = tc.HealthLimits(bar_length_error=1e-12, action="raise")
+    with pytest.raises(
+        tc.simulation.SimulationError, match=r"bar length error .* above its limit"
+    ) as info:
         tc.simulate(model, 0.5, rest_length=lengths, step=5e-3, limits=limits)
     assert info.value.trajectory.time[-1] == 0.5
 
 
 def test_counts_can_be_limited(example):
     model, lengths = example
-    with pytest.warns(tc.AccuracyWarning, match="switches 24 is above its limit 3"):
-        tc.simulate(model, 0.3, rest_length=lengths, step=1e-3, limits=tc.Limits(switches=3))
+    with pytest.warns(tc.simulation.AccuracyWarning, match="switches 24 is above its limit 3"):
+        tc.simulate(model, 0.3, rest_length=lengths, step=1e-3, limits=tc.HealthLimits(switches=3))
 
 
 def test_without_limits_nothing_is_said(example):
     model, lengths = example
-    none = tc.Limits(energy_error=None, bar_length_error=None, position_error=None)
+    none = tc.HealthLimits(energy_error=None, bar_length_error=None, position_error=None)
     run = tc.simulate(model, 0.5, rest_length=lengths, step=2.5e-2, limits=none)
     assert run.health.energy_error > 0.05
 
@@ -122,4 +124,4 @@ def test_an_interrupted_run_returns_the_part_done(example, monkeypatch, method, 
 )
 def test_bad_limits_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
-        tc.Limits(**options)
+        tc.HealthLimits(**options)

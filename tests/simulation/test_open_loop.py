@@ -313,7 +313,7 @@ def test_time_runs_backwards(prism):
     back = tc.simulate(
         tc.Model(prism),
         1.0,
-        tc.restore_bar_lengths(prism, out.nodes[:, :, -1]),
+        tc.structure.restore_bar_lengths(prism, out.nodes[:, :, -1]),
         -out.velocities[:, :, -1],
         **how,
     )

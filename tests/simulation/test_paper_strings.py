@@ -30,8 +30,8 @@ def scene(reading):
     structure = tc.subdivide(tc.prism(), SEGMENTS, node_mass=NODE_MASS)
     gamma = paper_force_density(9.0)
     if reading == "whole":
-        stiffness = STIFFNESS * tc.segment_counts(structure)
-        gamma = tc.spread_force_density(structure, gamma)
+        stiffness = STIFFNESS * tc.structure.segment_counts(structure)
+        gamma = tc.structure.spread_force_density(structure, gamma)
     else:
         stiffness = np.full(len(structure.strings), STIFFNESS)
         gamma = gamma[structure.string_parent]
@@ -130,7 +130,7 @@ def test_lighter_strings_change_it_less(paper_motion):
     """Over 1 s: 31.3 mm with beads of 1 g, 27 g of string on 3 kg of bars."""
     structure = tc.subdivide(tc.prism(), SEGMENTS, node_mass=1e-3)
     model = tc.Model(structure, strings=tc.LinearStrings(STIFFNESS * SEGMENTS))
-    lengths = tc.spread_rest_length(structure, paper_motion.rest_length)
+    lengths = tc.structure.spread_rest_length(structure, paper_motion.rest_length)
     run = tc.simulate(model, 1.0, rest_length=lengths, tolerance=1e-9, output_step=1e-3)
     off = np.abs(run.nodes[2, 0] - paper_motion.nodes[2, 0, :1001]).max()
     assert off == pytest.approx(0.0313, abs=1e-4)

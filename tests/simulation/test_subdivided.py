@@ -17,7 +17,7 @@ def plant_and_start():
 
 def massive_model(prism, segments, string_mass):
     structure = tc.subdivide(prism, segments, string_mass=string_mass)
-    stiffness = STIFFNESS * tc.segment_counts(structure)
+    stiffness = STIFFNESS * tc.structure.segment_counts(structure)
     return tc.Model(structure, strings=tc.LinearStrings(stiffness))
 
 
@@ -35,8 +35,8 @@ def parts(structure):
 @pytest.mark.parametrize("hold", ["rest_length", "force_density"])
 def test_strings_of_vanishing_mass_are_controlled_like_none(hold):
     prism, plant, start = plant_and_start()
-    mpc = tc.MPC(plant, 20, 0.02, 80.0)
-    options = {"controller": mpc, "hold": hold, "step": 1e-4, "output_step": 0.02}
+    mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=80.0)
+    options = {"controller": mpc, "input": hold, "step": 1e-4, "output_step": 0.02}
     ideal = tc.simulate(tc.Model(prism, tc.LinearStrings(STIFFNESS)), 0.4, start, **options)
     errors = []
     for mass in (1e-2, 1e-3):
@@ -53,7 +53,7 @@ def test_strings_of_vanishing_mass_are_controlled_like_none(hold):
 def test_massive_prism_is_brought_to_rest():
     prism, plant, start = plant_and_start()
     model = massive_model(prism, 4, 0.01)
-    mpc = tc.MPC(plant, 20, 0.02, 80.0)
+    mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=80.0)
     nodes = with_straight_strings(model.structure, start)
     run = tc.simulate(model, 5.0, nodes, controller=mpc, step=1e-3)
     z = plant.measure(run.nodes[:, :6, -1], run.velocities[:, :6, -1])
@@ -66,7 +66,7 @@ def test_winches_hold_the_whole_string():
     """What is held is the rest length of the parent string, shared evenly by its segments."""
     prism, plant, start = plant_and_start()
     model = massive_model(prism, 4, 0.01)
-    mpc = tc.MPC(plant, 20, 0.02, 80.0)
+    mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=80.0)
     nodes = with_straight_strings(model.structure, start)
     law = tc.LinearStrings(STIFFNESS)
     wound = law.rest_length(prism.string_length(start), plant.force_density)
@@ -83,7 +83,7 @@ def test_winches_hold_the_whole_string():
 
 def test_a_controller_of_another_structure_is_refused():
     _, plant, _ = plant_and_start()
-    mpc = tc.MPC(plant, 5, 0.02, 80.0)
+    mpc = tc.MPC(plant, horizon=5, sample_time=0.02, max_force_density=80.0)
     other = tc.subdivide(tc.prism(4), 2, node_mass=0.01)
     model = tc.Model(other, strings=tc.LinearStrings(200.0))
     with pytest.raises(

@@ -45,7 +45,7 @@ def prism_with_diagonals():
 @every_prism
 def test_closed_form_and_numerical_self_stress_agree(sides, top_radius, hand):
     structure = tc.prism(sides, 0.5, 1.0, top_radius, handedness=hand)
-    strings, bars = tc.prism_force_density(sides, 17.0, 0.5, top_radius)
+    strings, bars = tc.statics.prism_force_density(sides, 17.0, 0.5, top_radius)
     found = tc.prestress(structure, force_density=17.0)
     np.testing.assert_allclose(found.force_density, strings, rtol=1e-10)
     np.testing.assert_allclose(found.bar_force_density, bars, rtol=1e-10)
@@ -54,8 +54,8 @@ def test_closed_form_and_numerical_self_stress_agree(sides, top_radius, hand):
 @every_prism
 def test_closed_form_balances(sides, top_radius, hand):
     structure = tc.prism(sides, 0.5, 1.0, top_radius, handedness=hand)
-    strings, bars = tc.prism_force_density(sides, 17.0, 0.5, top_radius)
-    unbalanced = tc.equilibrium_matrix(structure) @ np.concatenate([strings, bars])
+    strings, bars = tc.statics.prism_force_density(sides, 17.0, 0.5, top_radius)
+    unbalanced = tc.statics.equilibrium_matrix(structure) @ np.concatenate([strings, bars])
     assert np.abs(unbalanced).max() < 1e-12
 
 
@@ -153,7 +153,7 @@ def test_a_symmetric_structure_with_two_states_gets_a_symmetric_answer(reference
 def nearest_by_general_optimization(structure, level, strings):
     """Balanced γ >= 0 of mean ``level`` over the strings nearest to uniform, by SLSQP."""
     alpha = len(structure.strings)
-    E = tc.equilibrium_matrix(structure)
+    E = tc.statics.equilibrium_matrix(structure)
     rows = np.vstack([E, np.isin(np.arange(E.shape[1]), strings) / len(strings)])
     goal = np.r_[np.zeros(len(E)), level]
     start, _, rank, _ = np.linalg.lstsq(rows, goal, rcond=1e-9)
@@ -186,7 +186,7 @@ def loaded(structure, seed):
     """Random γ and a load that it balances together with bars in compression."""
     gamma = random_force_density(structure, seed)
     bars = np.random.default_rng(seed).uniform(5.0, 20.0, len(structure.bars))
-    load = tc.equilibrium_matrix(structure) @ np.concatenate([gamma, bars])
+    load = tc.statics.equilibrium_matrix(structure) @ np.concatenate([gamma, bars])
     return gamma, bars, load.reshape(3, -1, order="F")
 
 
@@ -203,7 +203,9 @@ def test_given_force_densities_under_a_load_are_accepted_and_bars_found(seed):
 def test_a_load_changes_the_force_densities_that_balance(prism):
     _, _, load = loaded(prism, 3)
     found = tc.prestress(prism, force_density=50.0, external_force=load)
-    balance = tc.equilibrium_matrix(prism) @ np.r_[found.force_density, found.bar_force_density]
+    balance = (
+        tc.statics.equilibrium_matrix(prism) @ np.r_[found.force_density, found.bar_force_density]
+    )
     np.testing.assert_allclose(balance, load.ravel(order="F"), atol=1e-11)
     assert found.force_density[:3].mean() == pytest.approx(50.0, rel=1e-12)
     assert found.force_density.min() >= 0
@@ -231,7 +233,7 @@ def test_a_load_with_a_resultant_is_refused(prism):
 
 def test_a_load_along_the_mechanism_is_refused(prism):
     """The twist changes no length, so members cannot carry a load that does work on it."""
-    E = tc.equilibrium_matrix(prism)
+    E = tc.statics.equilibrium_matrix(prism)
     flexes = np.linalg.svd(E.T)[2][11:].T  # rigid motions and the twist
     centred = prism.nodes.T - prism.nodes.mean(axis=1)
     rigid = [np.tile(axis, 6) for axis in np.eye(3)]
@@ -262,7 +264,7 @@ def test_prestress_refuses_exactly_where_a_linear_program_is_infeasible(seed):
         bar_mass=1.0,
         string_groups=prism.string_groups + ("extra",) * 4,
     )
-    E = tc.equilibrium_matrix(structure)
+    E = tc.statics.equilibrium_matrix(structure)
     top = np.zeros(E.shape[1])
     top[:4] = 0.25
     bounds = [(0, None)] * 16 + [(None, None)] * 4

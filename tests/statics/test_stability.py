@@ -61,7 +61,7 @@ def test_a_stable_prestress_stays_in_the_dynamics(prism, rest):
 
 
 def test_stiffness_of_the_twist_is_the_curvature_of_the_energy(prism, rest):
-    flexes = np.linalg.svd(tc.equilibrium_matrix(prism).T)[2][11:].T
+    flexes = np.linalg.svd(tc.statics.equilibrium_matrix(prism).T)[2][11:].T
     centred = (prism.nodes - prism.nodes.mean(axis=1, keepdims=True)).T
     rigid = np.array(
         [np.tile(axis, 6) for axis in np.eye(3)]
@@ -82,7 +82,7 @@ def test_stiffness_of_the_mechanism_grows_with_the_prestress(prism):
 def test_stable_but_not_super_stable():
     """Tense diagonals make the stress matrix indefinite; string stiffness holds that motion."""
     rest = tc.prestress(prism_with_diagonals(), force_density=10.0, reference="diagonal")
-    stress = tc.stress_matrix(rest.structure, rest.force_density, rest.bar_force_density)
+    stress = tc.statics.stress_matrix(rest.structure, rest.force_density, rest.bar_force_density)
     assert np.linalg.eigvalsh(stress).min() < -0.1
     assert rest.is_stable
     assert not rest.is_super_stable
@@ -99,7 +99,7 @@ def test_slack_strings_give_no_stability():
 def test_stress_matrix_is_the_stiffness_matrix_at_rest(prism, rest):
     model = tc.Model(prism)
     K = model.stiffness_matrix(prism.nodes, np.zeros((3, 6)), rest.force_density)
-    stress = tc.stress_matrix(prism, rest.force_density, rest.bar_force_density)
+    stress = tc.statics.stress_matrix(prism, rest.force_density, rest.bar_force_density)
     np.testing.assert_allclose(np.array(K.full()), stress, rtol=0, atol=1e-12)
     np.testing.assert_allclose(prism.nodes @ stress, 0, atol=1e-12)
     np.testing.assert_allclose(stress.sum(axis=0), 0, atol=1e-12)

@@ -60,7 +60,7 @@ def test_indices_say_what_is_held():
 
 def test_one_tension_everywhere_holds_a_net_with_fixed_edges():
     net = tc.net(4, 5, spacing=0.1, node_mass=0.01, fixed="edges")
-    force = net.nodes @ tc.stress_matrix(net, np.full(len(net.strings), 7.0), [])
+    force = net.nodes @ tc.statics.stress_matrix(net, np.full(len(net.strings), 7.0), [])
     np.testing.assert_allclose(force[:, net.string_nodes], 0, atol=1e-14)
 
 

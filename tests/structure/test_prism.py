@@ -94,7 +94,7 @@ def test_bar_masses_go_to_their_bars():
 )
 def test_prism_radius_inverts_prism(sides, radius, height):
     length = tc.prism(sides, radius, height).bar_length[0]
-    found = tc.prism_radius(float(length), height, sides)
+    found = tc.structure.prism_radius(float(length), height, sides)
     # The radius is the root of a difference: its error grows where bars stand nearly upright.
     assert found == pytest.approx(radius, rel=1e-13 * (1 + (height / radius) ** 2))
 

@@ -238,7 +238,9 @@ def test_one_mass_for_each_new_node(prism):
 @given(st.integers(3, 7), st.integers(1, 4), st.integers(0, 100))
 def test_one_force_density_holds_every_new_node_in_its_place(v, n, seed):
     skinned = tc.skin(polygon(v, seed=seed), "rim", iterations=n, node_mass=0.01)
-    force = skinned.nodes @ tc.stress_matrix(skinned, np.full(len(skinned.strings), 3.0), [])
+    force = skinned.nodes @ tc.statics.stress_matrix(
+        skinned, np.full(len(skinned.strings), 3.0), []
+    )
     np.testing.assert_allclose(force[:, v:], 0, atol=1e-10)
 
 

@@ -106,7 +106,7 @@ def test_strings_are_found_by_their_group(prism):
 def test_restored_bars_keep_centre_and_direction_and_get_their_length(seed):
     structure = random_structure(seed)
     bent, _ = any_motion(structure, seed + 100)
-    restored = tc.restore_bar_lengths(structure, bent)
+    restored = tc.structure.restore_bar_lengths(structure, bent)
     before, after = structure.bar_vectors(bent), structure.bar_vectors(restored)
     length = np.linalg.norm(after, axis=0)
     np.testing.assert_allclose(length, structure.bar_length, rtol=1e-14)
@@ -120,5 +120,5 @@ def test_restored_bars_keep_centre_and_direction_and_get_their_length(seed):
 
 
 def test_a_shape_with_true_bar_lengths_is_left_alone(prism):
-    restored = tc.restore_bar_lengths(prism, prism.nodes)
+    restored = tc.structure.restore_bar_lengths(prism, prism.nodes)
     np.testing.assert_allclose(restored, prism.nodes, rtol=0, atol=1e-15)

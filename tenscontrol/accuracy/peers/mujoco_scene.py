@@ -117,7 +117,7 @@ class RigidScene:
     def _springs(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return stiffness, N/m, rest length, m, and damping, N s/m, of each string."""
         value, law = self._case.value, self._case.model.strings
-        if self._case.held == "force_density":
+        if self._case.input == "force_density":
             # T = γ l is a spring without rest length.
             return value, np.zeros_like(value), np.zeros_like(value)
         if isinstance(law, ElasticStrings):

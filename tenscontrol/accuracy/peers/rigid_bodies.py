@@ -58,7 +58,7 @@ class MuJoCo(Peer):
         if find_spec("mujoco") is None:
             return "mujoco is not installed: pip install 'tenscontrol[bench]'"
         law = case.model.strings
-        if case.held == "rest_length" and not isinstance(law, LinearStrings | ElasticStrings):
+        if case.input == "rest_length" and not isinstance(law, LinearStrings | ElasticStrings):
             return f"MuJoCo's tendons are springs of constant stiffness, not {type(law).__name__}"
         return None
 

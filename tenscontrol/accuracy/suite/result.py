@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tenscontrol.accuracy.suite.extreme import ASKED, TOLERANCE
 from tenscontrol.accuracy.suite.verdict import VERDICTS, Verdict
-from tenscontrol.accuracy.tables import aligned, comma_separated, markdown
+from tenscontrol.tables import aligned, comma_separated, markdown
 
 _COLUMNS = (
     "case",

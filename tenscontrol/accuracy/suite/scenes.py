@@ -48,11 +48,11 @@ def _let_go(
         gamma = spread_force_density(structure, gamma)
     if stiffness is None:
         return Case(
-            Model(structure), duration, velocities=turning, held="force_density", value=gamma
+            Model(structure), duration, velocities=turning, input="force_density", value=gamma
         )
     model = Model(structure, strings=LinearStrings(stiffness=stiffness))
     lengths = to_rest_length(model, structure.nodes, gamma).rest_length
-    return Case(model, duration, velocities=turning, held="rest_length", value=lengths)
+    return Case(model, duration, velocities=turning, input="rest_length", value=lengths)
 
 
 def _stiffness(powers: range = range(10)) -> list[Extreme]:
@@ -109,7 +109,7 @@ def _free_bar(speeds: tuple[float, ...] = (1.0, 10.0, 100.0, 1e3)) -> list[Extre
             Model(bar),
             6 * np.pi / speed,
             velocities=turning + drift,
-            held="force_density",
+            input="force_density",
             value=np.zeros(0),
         )
         cases.append(
@@ -157,7 +157,7 @@ def _slack() -> list[Extreme]:
     cases = []
     kinds = (("for ever", 100.0, 2.0), ("until they catch", 1.05, 2.0), ("rattling", 1.05, 8.0))
     for label, part, duration in kinds:
-        case = Case(model, duration, velocities=away, held="rest_length", value=part * lengths)
+        case = Case(model, duration, velocities=away, input="rest_length", value=part * lengths)
         cases.append(Extreme("all strings slack", label, case, turning=1.0))
     return cases
 
@@ -171,7 +171,7 @@ def _zero_length() -> list[Extreme]:
     parting[2] = [0.5, 0.0, -0.5, 0.0]
     cases = []
     held = Case(
-        Model(joined), 4.0, velocities=parting, held="force_density", value=np.array([10.0, 0.5])
+        Model(joined), 4.0, velocities=parting, input="force_density", value=np.array([10.0, 0.5])
     )
     cases.append(Extreme("string at zero length", "force density held", held))
     apart = nodes.copy()
@@ -179,7 +179,7 @@ def _zero_length() -> list[Extreme]:
     crossing = Structure(nodes=apart, bars=joined.bars, strings=joined.strings, bar_mass=1.0)
     model = Model(crossing, strings=LinearStrings(stiffness=[50.0, 1.0]))
     for rest in (0.1, 1e-3):
-        case = Case(model, 3.0, held="rest_length", value=np.array([rest, 1.5]))
+        case = Case(model, 3.0, input="rest_length", value=np.array([rest, 1.5]))
         cases.append(Extreme("string through zero length", f"rest length {rest:g} m", case))
     return cases
 

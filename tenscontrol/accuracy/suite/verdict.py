@@ -12,7 +12,7 @@ from tenscontrol.accuracy.suite.extreme import ASKED, Extreme
 from tenscontrol.accuracy.suite.truth import Truth
 from tenscontrol.simulation import (
     AccuracyWarning,
-    Limits,
+    HealthLimits,
     SimulationError,
     Trajectory,
     simulate,
@@ -23,7 +23,7 @@ from tenscontrol.validation import FloatArray
 VERDICTS = ("accurate", "in part", "warned", "stopped", "refused", "too long", "unknown", "SILENT")
 
 # What the runs are told to warn of.
-_LIMITS = Limits(position_error=ASKED)
+_LIMITS = HealthLimits(position_error=ASKED)
 
 # Length at which reasons are cut off in what is kept.
 _LONGEST = 200
@@ -117,7 +117,7 @@ def judge(extreme: Extreme, known: Truth, method: str) -> Verdict:
     if expected > allowed:
         reason = f"some {expected:.0e} evaluations, {allowed:.0e} are allowed"
         return Verdict(**row, verdict="too long", evaluations=expected, reason=reason)
-    given: dict[str, Any] = {case.held: case.value}
+    given: dict[str, Any] = {case.input: case.value}
     settings: dict[str, Any] = {**extreme.settings(method)}
     with warnings.catch_warnings(record=True, action="always") as caught:
         try:

@@ -1,0 +1,268 @@
+"""What stands at the top level; each name is imported when it is first used."""
+
+from . import (
+    accuracy as accuracy,
+)
+from . import (
+    actuation as actuation,
+)
+from . import (
+    control as control,
+)
+from . import (
+    deploy as deploy,
+)
+from . import (
+    dynamics as dynamics,
+)
+from . import (
+    estimation as estimation,
+)
+from . import (
+    integrate as integrate,
+)
+from . import (
+    plant as plant,
+)
+from . import (
+    plot as plot,
+)
+from . import (
+    robustness as robustness,
+)
+from . import (
+    scene as scene,
+)
+from . import (
+    shape as shape,
+)
+from . import (
+    simulation as simulation,
+)
+from . import (
+    statics as statics,
+)
+from . import (
+    structure as structure,
+)
+from ._version import __version__ as __version__
+from .accuracy import (
+    Case as Case,
+)
+from .accuracy import (
+    convergence_order as convergence_order,
+)
+from .accuracy import (
+    long_run as long_run,
+)
+from .accuracy import (
+    predictability as predictability,
+)
+from .accuracy import (
+    stability_map as stability_map,
+)
+from .accuracy import (
+    work_precision as work_precision,
+)
+from .actuation import (
+    Winches as Winches,
+)
+from .actuation import (
+    to_force_density as to_force_density,
+)
+from .actuation import (
+    to_rest_length as to_rest_length,
+)
+from .control import (
+    MPC as MPC,
+)
+from .control import (
+    NMPC as NMPC,
+)
+from .control import (
+    FeedbackLinearization as FeedbackLinearization,
+)
+from .control import (
+    GainSchedule as GainSchedule,
+)
+from .control import (
+    OutputLimit as OutputLimit,
+)
+from .control import (
+    clearance as clearance,
+)
+from .control import (
+    energy_weights as energy_weights,
+)
+from .control import (
+    lqr as lqr,
+)
+from .deploy import (
+    generate_c as generate_c,
+)
+from .dynamics import (
+    ElasticStrings as ElasticStrings,
+)
+from .dynamics import (
+    LinearStrings as LinearStrings,
+)
+from .dynamics import (
+    Model as Model,
+)
+from .estimation import (
+    Sensors as Sensors,
+)
+from .estimation import (
+    kalman as kalman,
+)
+from .plant import (
+    OperatingPoint as OperatingPoint,
+)
+from .plant import (
+    Reference as Reference,
+)
+from .plant import (
+    controllability as controllability,
+)
+from .plant import (
+    equilibrium as equilibrium,
+)
+from .plant import (
+    linearize as linearize,
+)
+from .plant import (
+    modes as modes,
+)
+from .robustness import (
+    ClosedLoopCase as ClosedLoopCase,
+)
+from .robustness import (
+    Normal as Normal,
+)
+from .robustness import (
+    OneOf as OneOf,
+)
+from .robustness import (
+    Uniform as Uniform,
+)
+from .robustness import (
+    sweep as sweep,
+)
+from .scene import (
+    load_scene as load_scene,
+)
+from .shape import (
+    Height as Height,
+)
+from .shape import (
+    NodesAt as NodesAt,
+)
+from .shape import (
+    PointAt as PointAt,
+)
+from .shape import (
+    RotationalSymmetry as RotationalSymmetry,
+)
+from .shape import (
+    Twist as Twist,
+)
+from .shape import (
+    shape_path as shape_path,
+)
+from .shape import (
+    shape_target as shape_target,
+)
+from .simulation import (
+    CutString as CutString,
+)
+from .simulation import (
+    HealthLimits as HealthLimits,
+)
+from .simulation import (
+    LostMeasurement as LostMeasurement,
+)
+from .simulation import (
+    StuckWinch as StuckWinch,
+)
+from .simulation import (
+    simulate as simulate,
+)
+from .statics import (
+    prestress as prestress,
+)
+from .structure import (
+    Structure as Structure,
+)
+from .structure import (
+    net as net,
+)
+from .structure import (
+    prism as prism,
+)
+from .structure import (
+    prism_tower as prism_tower,
+)
+from .structure import (
+    skin as skin,
+)
+from .structure import (
+    subdivide as subdivide,
+)
+
+__all__ = [
+    "MPC",
+    "NMPC",
+    "Case",
+    "ClosedLoopCase",
+    "CutString",
+    "ElasticStrings",
+    "FeedbackLinearization",
+    "GainSchedule",
+    "HealthLimits",
+    "Height",
+    "LinearStrings",
+    "LostMeasurement",
+    "Model",
+    "NodesAt",
+    "Normal",
+    "OneOf",
+    "OperatingPoint",
+    "OutputLimit",
+    "PointAt",
+    "Reference",
+    "RotationalSymmetry",
+    "Sensors",
+    "Structure",
+    "StuckWinch",
+    "Twist",
+    "Uniform",
+    "Winches",
+    "__version__",
+    "clearance",
+    "controllability",
+    "convergence_order",
+    "energy_weights",
+    "equilibrium",
+    "generate_c",
+    "kalman",
+    "linearize",
+    "load_scene",
+    "long_run",
+    "lqr",
+    "modes",
+    "net",
+    "predictability",
+    "prestress",
+    "prism",
+    "prism_tower",
+    "shape_path",
+    "shape_target",
+    "simulate",
+    "skin",
+    "stability_map",
+    "subdivide",
+    "sweep",
+    "to_force_density",
+    "to_rest_length",
+    "work_precision",
+]

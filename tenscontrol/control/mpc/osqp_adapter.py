@@ -1,0 +1,239 @@
+"""Quadratic programs of one fixed pattern, solved by OSQP."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tenscontrol.control.status import Status
+from tenscontrol.validation import FloatArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
+
+
+# Every status that OSQP can return.
+_STATUS = {
+    "OSQP_SOLVED": Status.OK,
+    "OSQP_SOLVED_INACCURATE": Status.INACCURATE,
+    "OSQP_PRIMAL_INFEASIBLE": Status.INFEASIBLE,
+    "OSQP_PRIMAL_INFEASIBLE_INACCURATE": Status.INFEASIBLE,
+    "OSQP_DUAL_INFEASIBLE": Status.UNBOUNDED,
+    "OSQP_DUAL_INFEASIBLE_INACCURATE": Status.UNBOUNDED,
+    "OSQP_MAX_ITER_REACHED": Status.OUT_OF_ITERATIONS,
+    "OSQP_TIME_LIMIT_REACHED": Status.OUT_OF_TIME,
+    "OSQP_NON_CVX": Status.NOT_CONVEX,
+    "OSQP_SIGINT": Status.INTERRUPTED,
+    "OSQP_UNSOLVED": Status.UNSOLVED,
+}
+
+
+_LARGEST = 1e20
+
+# Step of ADMM at the start.
+START_RHO = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class QPSolution:
+    """Answer to a quadratic program.
+
+    Attributes
+    ----------
+    status : Status
+    x, y : ndarray or None
+        Primal and dual solution; None unless the status is ``OK``.
+    iterations : int
+    """
+
+    status: Status
+    x: FloatArray | None
+    y: FloatArray | None
+    iterations: int
+
+
+class QuadraticProgram:
+    """``min ½ xᵀ P x + qᵀ x  subject to  l ≤ A x ≤ u`` with P and A fixed.
+
+    The matrices are factorised once; a solve changes q, l and u in place and
+    starts from the last solution, or from the one it is told.
+
+    Parameters
+    ----------
+    P : sparse array, shape (k, k)
+        Symmetric positive semidefinite; all of it.
+    A : sparse array, shape (m, k)
+    tolerance : float
+        Absolute and relative tolerance of the residuals.
+    max_iterations : int
+    polish : bool
+        Whether the answer is refined by solving for the bounds found active: to
+        round-off, where they are the right ones.
+    equations : bool
+        Whether many rows of A are equations, and all are in units of their own already. Then
+        ADMM is not over-relaxed, since equations gain from that only further iterations, and A
+        is not scaled, which costs more than factorizing it where A is updated.
+    """
+
+    def __init__(
+        self,
+        P: csc_array,
+        A: csc_array,
+        tolerance: float,
+        max_iterations: int,
+        polish: bool = False,
+        equations: bool = False,
+    ) -> None:
+        rows, columns = A.shape
+        self.tolerance, self.max_iterations = tolerance, max_iterations
+        # The caller may put other values into his A.
+        self._made_of = P, A.copy(), tolerance, max_iterations, polish, equations
+        self._shapes = {"q": columns, "l": rows, "u": rows}
+        self._nonzeros = A.nnz
+        self._set_up()
+
+    def _set_up(self) -> None:
+        import osqp
+        from scipy.sparse import csc_matrix, triu
+
+        began = perf_counter()
+        P, A, tolerance, max_iterations, polish, equations = self._made_of
+        rows, columns = A.shape
+        self._status = {status.value: _STATUS[status.name] for status in osqp.SolverStatus}
+        self._solver = osqp.OSQP()
+        self._solver.setup(
+            P=csc_matrix(triu(P)),
+            q=np.zeros(columns),
+            A=csc_matrix(A),
+            l=np.full(rows, -np.inf),
+            u=np.full(rows, np.inf),
+            verbose=False,
+            eps_abs=tolerance,
+            eps_rel=tolerance,
+            max_iter=max_iterations,
+            polishing=polish,
+            # Iterations, not seconds, decide when ρ is adapted: the same data
+            # give the same answer on every machine.
+            rho=START_RHO,  # both forms are scaled for it
+            adaptive_rho=1,
+            adaptive_rho_interval=50,
+            check_termination=5,
+            **({"alpha": 1.1, "scaling": 0} if equations else {}),
+        )
+        # OSQP scales a new A by what its vectors are then, and rounds P each time.
+        self._scales, self._rescaled = not equations, False
+        # OSQP counts as run time of the first solve the setup, of later ones the updates.
+        self._fresh = True
+        self._counted = perf_counter() - began
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what the program is made of; OSQP's own memory, and what it solved, stay here."""
+        return QuadraticProgram, self._made_of
+
+    def update(self, A: FloatArray) -> None:
+        """Put other values into A, in the order of its columns; the pattern stays.
+
+        Parameters
+        ----------
+        A : ndarray, shape (nonzeros of A,)
+
+        Raises
+        ------
+        ValueError
+            If there are not as many values as A has nonzeros, or one is not finite.
+        """
+        if A.shape != (self._nonzeros,) or not np.isfinite(A).all():
+            raise ValueError(f"A needs {self._nonzeros} finite values, got shape {A.shape}")
+        began = perf_counter()
+        self._solver.update(Ax=A)
+        self._rescaled = self._scales
+        if not self._fresh:
+            self._counted += perf_counter() - began
+
+    def reset(self) -> None:
+        """Forget the last solution, and the step and scaling that were adapted."""
+        if self._rescaled:
+            self._set_up()
+            return
+        self._cold_start()
+        self._solver.update_settings(rho=START_RHO)
+
+    def write_c(self, folder: str, prefix: str) -> None:
+        """Write the program and OSQP itself as C code, in the state it is in.
+
+        Parameters
+        ----------
+        folder : str
+            A folder that is not there.
+        prefix : str
+            How names of the workspace start.
+        """
+        # With "vectors" the code could adapt neither the step nor the kinds of the rows.
+        self._solver.codegen(folder, parameters="matrices", extension_name=None, prefix=prefix)
+
+    def _cold_start(self) -> None:
+        self._solver.warm_start(x=np.zeros(self._shapes["q"]), y=np.zeros(self._shapes["l"]))
+
+    def solve(
+        self,
+        q: FloatArray,
+        l: FloatArray,  # noqa: E741 - the letters of the problem
+        u: FloatArray,
+        start: tuple[FloatArray, FloatArray] | None = None,
+        deadline: float = np.inf,
+    ) -> QPSolution:
+        """Solve for new vectors, from the last solution or from a given start.
+
+        Data that are not finite, or bounds that cross, never reach OSQP: it
+        would print a line, keep the old data, or be poisoned for good.
+
+        Parameters
+        ----------
+        q : ndarray, shape (k,)
+        l, u : ndarray, shape (m,)
+            May be infinite.
+        start : pair of ndarray, shapes (k,) and (m,), optional
+            Primal and dual vectors to start from.
+        deadline : float
+            When ``perf_counter`` says so, s, the solve is given up: before it
+            begins, or at the end of an iteration.
+
+        Returns
+        -------
+        QPSolution
+
+        Raises
+        ------
+        ValueError
+            If a vector has the wrong length.
+        """
+        for name, vector in (("q", q), ("l", l), ("u", u)):
+            if vector.shape != (self._shapes[name],):
+                raise ValueError(
+                    f"{name} has shape {vector.shape}, expected ({self._shapes[name]},)"
+                )
+        # OSQP takes 1e30 for infinite, and loses its digits long before.
+        largest = max(np.abs(q).max(initial=0.0), l.max(initial=0.0), -u.min(initial=0.0))
+        if not largest < _LARGEST or np.isnan(l).any() or np.isnan(u).any():
+            return QPSolution(Status.BAD_DATA, None, None, 0)
+        if (l > u).any():
+            return QPSolution(Status.INFEASIBLE, None, None, 0)
+        if deadline < np.inf:
+            left = deadline - perf_counter()
+            if left <= 0:
+                return QPSolution(Status.OUT_OF_TIME, None, None, 0)
+            self._solver.update_settings(time_limit=left + self._counted)
+        self._solver.update(q=q, l=l, u=u)
+        if start is not None:
+            self._solver.warm_start(x=start[0], y=start[1])
+        result = self._solver.solve(raise_error=False)
+        self._fresh, self._counted = False, 0.0
+        status = self._status[result.info.status_val]
+        if status is not Status.OK:
+            # What OSQP leaves in x then is not a solution, and may warm-start nothing.
+            self._cold_start()
+            return QPSolution(status, None, None, result.info.iter)
+        return QPSolution(status, result.x, result.y, result.info.iter)

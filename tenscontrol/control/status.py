@@ -1,0 +1,46 @@
+"""Why a command is what it is: an enumerated status, and what took the place of the wish."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import StrEnum
+from typing import TypeVar
+
+_Kind = TypeVar("_Kind", bound=StrEnum)
+
+
+class Status(StrEnum):
+    """Whether a command is what its controller wanted, or why not. Compare with ``is``."""
+
+    OK = "ok"
+    SATURATED = "saturated"
+    UNREACHED = "error dynamics not reached"
+    MEASUREMENT_NOT_FINITE = "measurement not finite"
+    MEASUREMENT_NOT_PLAUSIBLE = "measurement not plausible"
+    INPUT_NOT_FINITE = "input not finite"
+    # Of a quadratic program that was not solved.
+    INACCURATE = "solved inaccurately"
+    INFEASIBLE = "infeasible"
+    UNBOUNDED = "unbounded"
+    OUT_OF_ITERATIONS = "out of iterations"
+    OUT_OF_TIME = "out of time"
+    NOT_CONVEX = "not convex"
+    INTERRUPTED = "interrupted"
+    UNSOLVED = "unsolved"
+    BAD_DATA = "data not finite or too large"
+
+
+class Fallback(StrEnum):
+    """What is commanded where there is no decision."""
+
+    PLAN_CONTINUED = "plan continued"
+    PREVIOUS_INPUT_HELD = "previous input held"
+    EQUILIBRIUM_HELD = "equilibrium held"
+
+
+def merged_count(counts: Iterable[tuple[_Kind, int]]) -> dict[_Kind, int]:
+    """Return the sum of counts by kind, in the order of their first coming."""
+    total: dict[_Kind, int] = {}
+    for kind, count in counts:
+        total[kind] = total.get(kind, 0) + count
+    return total

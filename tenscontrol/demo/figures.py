@@ -1,0 +1,111 @@
+"""The pictures of the demo."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tenscontrol import plot
+from tenscontrol.control import LQR
+from tenscontrol.plant import LinearPlant, Modes
+from tenscontrol.plot.files import save_figure
+from tenscontrol.plot.space import new_space
+from tenscontrol.statics import Prestress
+from tenscontrol.validation import FloatArray
+
+if TYPE_CHECKING:
+    from tenscontrol.demo.tour import Morph
+
+
+def save_figures(
+    output: Path,
+    rest: Prestress,
+    plants: dict[str, tuple[LinearPlant, Modes]],
+    regulator: LQR,
+    morph: Morph,
+) -> Iterator[Path]:
+    """Draw and save one figure after the other, and yield where each is.
+
+    Parameters
+    ----------
+    output : Path
+        Folder, which exists.
+    rest : Prestress
+    plants : dict of str to (LinearPlant, Modes)
+        By what is held.
+    regulator : LQR
+    morph : Morph
+
+    Yields
+    ------
+    Path
+    """
+    yield save_figure(prism_figure(rest), output / "prism.png")
+    for name, (plant, found) in plants.items():
+        shapes = plot.mode_shapes(plant, found)
+        yield save_figure(_figure(shapes[0].ax), output / f"modes_{name}.png")
+    yield save_figure(pole_figure(regulator), output / "poles.png")
+    yield save_figure(morph_figure(morph), output / "closed_loop.png")
+    yield save_figure(_figure(plot.health(morph.run)["energy"].ax), output / "health.png")
+    yield plot.animate(morph.run, output / "closed_loop.gif", target=_laid_over(morph), fps=16)
+
+
+def prism_figure(rest: Prestress) -> Figure:
+    """Return the prism with its force densities."""
+    return _figure(plot.structure(rest.structure, force_density=rest.force_density).ax)
+
+
+def pole_figure(regulator: LQR) -> Figure:
+    """Return the poles without and with feedback."""
+    open_loop = np.linalg.eigvals(regulator.plant.A)
+    return _figure(plot.poles({"open loop": open_loop, "LQR": regulator.poles}).ax)
+
+
+def morph_figure(morph: Morph) -> Figure:
+    """Return the way to the new height: start and end in space, height, γ and rest lengths."""
+    from tenscontrol.demo.tour import TARGET
+
+    figure = plt.figure(figsize=(10.5, 6.0))
+    space = new_space(figure, 1, 2, 1)
+    space.set_position((0.0, 0.04, 0.46, 0.9))
+    grid = figure.add_gridspec(3, 1, left=0.58, right=0.98, bottom=0.08, top=0.95, hspace=0.55)
+    run = morph.run
+    plot.structure(run.structure, run.nodes[:, :, 0], ax=space, faint=True, legend=False)
+    plot.structure(run.structure, run.nodes[:, :, -1], ax=space)
+    space.set_title("start (faint) and end", fontsize="medium")
+    rows = [figure.add_subplot(grid[i]) for i in range(3)]
+    plot.history(
+        run.time, {"height": morph.height}, "height, m", ax=rows[0], references={"target": TARGET}
+    )
+    groups = dict.fromkeys(run.structure.string_groups)
+    plot.history(
+        run.time,
+        {name: run.force_density[run.structure.strings_in(name)] for name in groups},
+        "γ, N/m",
+        ax=rows[1],
+    )
+    assert run.rest_length is not None  # the winches hold it
+    plot.history(
+        run.time,
+        {name: run.rest_length[run.structure.strings_in(name)] for name in groups},
+        "rest length, m",
+        ax=rows[2],
+    )
+    return figure
+
+
+def _laid_over(morph: Morph) -> FloatArray:
+    """Return the target with its centre where the prism ends, since nothing holds that in place."""
+    end, target = morph.run.nodes[:, :, -1], morph.target.nodes
+    return np.asarray(target + (end - target).mean(axis=1, keepdims=True))
+
+
+def _figure(ax: Axes) -> Figure:
+    assert isinstance(ax.figure, Figure)  # not a figure within a figure: it was just made
+    return ax.figure

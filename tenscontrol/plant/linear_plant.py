@@ -1,0 +1,204 @@
+"""A linear plant: what linearization gives and controllers are designed on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tenscontrol.dynamics import Coordinates, Model, Prepared
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, positive_number
+
+if TYPE_CHECKING:
+    import control
+
+INPUTS = ("force_density", "rest_length")
+
+
+@dataclass(frozen=True, eq=False)
+class LinearPlant:
+    """A linearized structure ``ż = A z + B v + drift``.
+
+    The state is ``z = [q; q̇]`` in the chosen coordinates, the input v the
+    departure of γ or of the rest lengths from the operating point. Made by
+    :func:`linearize`.
+
+    Attributes
+    ----------
+    model : Model
+    coordinates : Coordinates
+        The basis and the maps between node positions and q.
+    input : str
+        ``"force_density"`` or ``"rest_length"``.
+    A : ndarray, shape (2r, 2r)
+    B : ndarray, shape (2r, α)
+    drift : ndarray, shape (2r,)
+        Zero at an equilibrium up to round-off.
+    commanded : Structure
+        The structure whose strings are the inputs: that of the model, or its
+        parent after :func:`command_parents`.
+    force_density : ndarray, shape (α,)
+        γ of the commanded strings at the operating point, N/m.
+    rest_length : ndarray, shape (α,), or None
+        Their rest lengths at the operating point, m; None without a string law.
+    external_force : ndarray, shape (3, n)
+        W, N.
+    invariance_residual : float
+        How far the accelerations lead out of the space of the coordinates, or
+        answer to motions that it leaves out, relative to their size.
+    """
+
+    model: Model
+    coordinates: Coordinates
+    input: str
+    A: FloatArray
+    B: FloatArray
+    drift: FloatArray
+    commanded: Structure
+    force_density: FloatArray
+    rest_length: FloatArray | None
+    external_force: FloatArray
+    invariance_residual: float
+
+    @property
+    def nodes(self) -> FloatArray:
+        """Node positions at the operating point, m, shape (3, n)."""
+        return self.coordinates.nodes
+
+    @property
+    def basis(self) -> FloatArray:
+        """T, shape (3n, r): node displacements are ``vec(δN) = T q``."""
+        return self.coordinates.basis
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Number r of coordinates; the state has twice as many entries."""
+        return self.coordinates.count
+
+    @property
+    def equilibrium_input(self) -> FloatArray:
+        """The input at the operating point, γ or rest length, shape (α,)."""
+        if self.input == "force_density":
+            return self.force_density
+        assert self.rest_length is not None  # linearize needs a string law for this input
+        return self.rest_length
+
+    @cached_property
+    def prepared(self) -> Prepared:
+        """What was built for this plant once, for every later call; not for users."""
+        return Prepared()
+
+    def measure(self, nodes: object, velocities: object) -> FloatArray:
+        """Return z of a motion; see :meth:`Coordinates.measure`."""
+        return self.coordinates.measure(nodes, velocities)
+
+    def to_nodes(self, q: object) -> FloatArray:
+        """Return node positions of reduced coordinates; see :meth:`Coordinates.to_nodes`."""
+        return self.coordinates.to_nodes(q)
+
+    def to_velocities(self, q: object, rates: object) -> FloatArray:
+        """Return node velocities; see :meth:`Coordinates.to_velocities`."""
+        return self.coordinates.to_velocities(q, rates)
+
+    def discretize(self, sample_time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the exact zero-order-hold model ``z⁺ = Φ z + Γ v + d``.
+
+        Parameters
+        ----------
+        sample_time : float
+            Sample time, s.
+
+        Returns
+        -------
+        Φ : ndarray, shape (2r, 2r)
+        Γ : ndarray, shape (2r, α)
+        d : ndarray, shape (2r,)
+            The drift over one sample.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the step is not a positive finite number.
+        """
+        from scipy.linalg import expm
+
+        sample_time = positive_number("sample_time", sample_time, "s")
+        states, inputs = self.B.shape
+        exponent = np.zeros((states + inputs + 1, states + inputs + 1))
+        exponent[:states, :states] = self.A
+        exponent[:states, states:-1] = self.B
+        exponent[:states, -1] = self.drift
+        grown = expm(sample_time * exponent)[:states]
+        return grown[:, :states], grown[:, states:-1], grown[:, -1]
+
+    @property
+    def state_names(self) -> list[str]:
+        """Names of z: coordinates, then rates."""
+        r = self.degrees_of_freedom
+        if self.coordinates.kind == "nodes":
+            free = self.model.structure.free.tolist()
+            positions = [f"{axis}[{i}]" for i in free for axis in "xyz"]
+        else:
+            positions = [f"q[{i}]" for i in range(r)]
+        return positions + [f"d{name}" for name in positions]
+
+    @property
+    def input_names(self) -> list[str]:
+        """Names of v, by string group: ``gamma_top[0]`` or ``rest_length_top[0]``."""
+        symbol = "gamma" if self.input == "force_density" else "rest_length"
+        seen: dict[str, int] = {}
+        names = []
+        for group in self.commanded.string_groups:
+            seen[group] = seen.get(group, -1) + 1
+            names.append(f"{symbol}_{group}[{seen[group]}]")
+        return names
+
+    @property
+    def output_names(self) -> list[str]:
+        """Names of the node displacements, node by node."""
+        n = self.nodes.shape[1]
+        return [f"delta_{axis}[{i}]" for i in range(n) for axis in "xyz"]
+
+    def to_statespace(self) -> control.StateSpace:
+        """Return the plant as a ``control.StateSpace`` with named signals.
+
+        The outputs are the node displacements δN, m, node by node.
+
+        Returns
+        -------
+        control.StateSpace
+
+        Raises
+        ------
+        ValueError
+            If the operating point is not an equilibrium: a state-space system has no drift.
+        """
+        import control
+
+        if np.abs(self.drift).max(initial=0.0) > 1e-8 * max(1.0, np.abs(self.A).max(initial=0.0)):
+            raise ValueError(
+                "the plant drifts: it was linearized away from an equilibrium, "
+                "and a StateSpace cannot say so. Use A, B and drift"
+            )
+        r = self.degrees_of_freedom
+        C = np.hstack([self.basis, np.zeros((len(self.basis), r))])
+        return control.StateSpace(
+            self.A,
+            self.B,
+            C,
+            np.zeros((len(self.basis), self.B.shape[1])),
+            name=f"{self.coordinates.kind} {self.input}".replace(" ", "_"),
+            states=self.state_names,
+            inputs=self.input_names,
+            outputs=self.output_names,
+            remove_useless_states=False,
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"LinearPlant({self.degrees_of_freedom} {self.coordinates.kind} coordinates, "
+            f"input {self.input}, {self.B.shape[1]} inputs)"
+        )

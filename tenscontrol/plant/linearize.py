@@ -1,0 +1,453 @@
+"""Linearization of the model about a shape at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.dynamics import KINDS, Model, pack_state
+from tenscontrol.dynamics import coordinates as frame_of
+from tenscontrol.plant.linear_plant import INPUTS, LinearPlant
+from tenscontrol.statics import Prestress
+from tenscontrol.structure import (
+    Structure,
+    left_by_supports,
+    refuse_moved_supports,
+    refuse_strings_without_length,
+    refuse_wrong_bar_lengths,
+    rigid_motions,
+    segment_counts,
+    spread_force_density,
+    spread_rest_length,
+)
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    float_array,
+    frozen,
+    instance,
+    non_negative,
+    shaped,
+    truth,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+# Unbalanced force relative to the largest string force: far above round-off,
+# far below a force density that is off by any amount one would care about.
+_EQUILIBRIUM_TOLERANCE = 1e-8
+
+# Beyond this the coordinates do not close: without a load the residual is round-off.
+_INVARIANCE_TOLERANCE = 1e-8
+
+# Asking for the linear model of a string this close to slack is asking for a kink.
+_SLACK_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class OperatingPoint:
+    """A shape at zero velocity with force densities, in balance or not.
+
+    Parameters
+    ----------
+    nodes : array_like, shape (3, n)
+        Node positions, m, with the bar lengths of the structure.
+    force_density : array_like, shape (α,)
+        γ, N/m, at least 0.
+    external_force : array_like, shape (3, n), optional
+        W, N.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an array is not finite or does not fit.
+
+    Examples
+    --------
+    A prism whose force densities do not balance, linearized all the same:
+
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> at = tc.OperatingPoint(prism.nodes, np.repeat([17.3205, 17.3205, 9.0], 3))
+    >>> plant = tc.linearize(tc.Model(prism), at, require_equilibrium=False)
+    >>> bool(abs(plant.drift).max() > 1)
+    True
+    """
+
+    nodes: FloatArray
+    force_density: FloatArray
+    external_force: FloatArray | None = None
+
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            nodes: ArrayLike,
+            force_density: ArrayLike,
+            external_force: ArrayLike | None = None,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        nodes = float_array("nodes", self.nodes)
+        if nodes.ndim != 2 or nodes.shape[0] != 3:
+            raise ValueError(f"nodes has shape {nodes.shape}, expected (3, n): one column per node")
+        gamma = float_array("force_density", self.force_density)
+        if gamma.ndim != 1:
+            raise ValueError(
+                f"force_density has shape {gamma.shape}, expected (α,): one per string"
+            )
+        load = self.external_force
+        if load is not None:
+            load = frozen(shaped("external_force", load, nodes.shape, "one force per node"))
+        object.__setattr__(self, "nodes", frozen(nodes))
+        object.__setattr__(self, "force_density", frozen(gamma))
+        object.__setattr__(self, "external_force", load)
+
+
+def linearize(
+    model: Model,
+    at: Prestress | OperatingPoint,
+    input: str = "force_density",
+    coordinates: str = "internal",
+    require_equilibrium: bool = True,
+) -> LinearPlant:
+    """Return the linear plant about a shape at rest, with exact derivatives.
+
+    Parameters
+    ----------
+    model : Model
+    at : Prestress or OperatingPoint
+        The shape and its force densities.
+    input : {"force_density", "rest_length"}
+        What an actuator holds: a force-controlled cable holds γ, a winch holds
+        the rest length. They are different plants.
+    coordinates : {"internal", "minimal", "nodes"}
+        See :func:`coordinates`.
+    require_equilibrium : bool
+        Whether to refuse a shape whose forces do not balance. If not, the
+        plant carries the acceleration there as ``drift``.
+
+    Returns
+    -------
+    LinearPlant
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, the shape is not
+        an equilibrium (the message says by how much), the model lacks a string
+        law or a load input that is needed, or with ``input="rest_length"`` a
+        string is at the border of slack, where no derivative exists.
+
+    Notes
+    -----
+    In coordinates with ``Tᵀ M T = I``: ``q̈ = Tᵀ M (∂N̈/∂N T q + ∂N̈/∂Ṅ T q̇ +
+    ∂N̈/∂u v)``. The tangent space of the bar constraints is invariant under A,
+    so that nothing is lost by the reduction; ``invariance_residual`` says so.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> plant
+    LinearPlant(9 internal coordinates, input force_density, 9 inputs)
+    >>> plant.A.shape, plant.B.shape
+    ((18, 18), (18, 9))
+    """
+    instance("model", model, Model, "make one by Model(structure)")
+    choice("input", input, INPUTS)
+    choice("coordinates", coordinates, KINDS)
+    truth("require_equilibrium", require_equilibrium, "whether to refuse unbalanced forces")
+    nodes, gamma, load = _checked_point(model, at)
+    _refuse_other_load(model, load)
+    rest_length = None
+    if model.strings is not None:
+        refuse_strings_without_length("at.nodes", model.structure, nodes)
+        rest_length = model.strings.rest_length(model.structure.string_length(nodes), gamma)
+    elif input == "rest_length":
+        raise ValueError(
+            "the model has no string law, so the rest length is no input; "
+            "build it as Model(structure, strings=LinearStrings(stiffness=...))"
+        )
+    if require_equilibrium:
+        _refuse_unbalanced(model, nodes, gamma, load)
+    if input == "rest_length":
+        _refuse_kink(model, gamma)
+    held = gamma if input == "force_density" else rest_length
+    xdot, A_x, B_x = _derivatives(model, input, nodes, held, load)
+    plant = _reduced(model, input, nodes, coordinates, (xdot, A_x, B_x), gamma, rest_length, load)
+    if require_equilibrium and plant.invariance_residual > _INVARIANCE_TOLERANCE:
+        raise ValueError(
+            f"coordinates={coordinates!r} leave out motions that take part: "
+            f"{plant.invariance_residual:.1e} of the accelerations belong to those. A load "
+            "that stays as it is while the structure turns gives turning a stiffness, and couples "
+            "it with changes of shape; use coordinates='minimal'"
+        )
+    return plant
+
+
+def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
+    """Return the plant of the same operating point and input in other coordinates.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    kind : {"internal", "minimal", "nodes"}
+
+    Returns
+    -------
+    LinearPlant
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``plant`` is not a linear plant or ``kind`` is another word.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> tc.plant.in_coordinates(plant, "minimal")
+    LinearPlant(15 minimal coordinates, input force_density, 9 inputs)
+    """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    whole = plant.commanded is not plant.model.structure
+    gamma = plant.force_density
+    if whole:
+        gamma = spread_force_density(plant.model.structure, gamma)
+    at = OperatingPoint(plant.nodes, gamma, plant.external_force)
+    other = linearize(plant.model, at, plant.input, kind, require_equilibrium=False)
+    return command_parents(other) if whole else other
+
+
+def command_parents(plant: LinearPlant) -> LinearPlant:
+    """Return the plant of a subdivided structure with one input for each uncut string.
+
+    A winch winds a whole string, not its segments: γ of a string gives s times
+    γ to each of its s segments, its rest length l0 gives l0/s.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        Of a model whose structure was made by :func:`subdivide`.
+
+    Returns
+    -------
+    LinearPlant
+        With the states of ``plant`` and the inputs of the parent. Controllers
+        designed on it know the strings' own vibrations, and run on that model.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``plant`` is not a linear plant of a subdivided structure, or the
+        segments of a string differ in their force density.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> massive = tc.subdivide(tc.prism(), segments=2, node_mass=0.01)
+    >>> whole = tc.statics.prism_force_density(3, 17.3205)[0]
+    >>> gamma = tc.structure.spread_force_density(massive, whole)
+    >>> plant = tc.linearize(tc.Model(massive), tc.prestress(massive, gamma))
+    >>> plant.B.shape, tc.plant.command_parents(plant).B.shape
+    ((72, 18), (72, 9))
+    """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    structure = plant.model.structure
+    parent, of = structure.parent, structure.string_parent
+    if parent is None or of is None:
+        raise ValueError(
+            "the plant is not that of a subdivided structure; subdivide(structure, ...) makes one"
+        )
+    if plant.commanded is parent:
+        return plant
+    count = len(parent.strings)
+    segments = segment_counts(structure)
+    gamma = np.bincount(of, weights=plant.force_density / segments**2, minlength=count)
+    rest_length = None
+    if plant.rest_length is not None:
+        rest_length = np.bincount(of, weights=plant.rest_length, minlength=count)
+    if plant.input == "force_density":
+        whole, given = spread_force_density(structure, gamma), plant.force_density
+    else:
+        assert rest_length is not None  # it is the input
+        assert plant.rest_length is not None  # and so is that of the segments
+        whole, given = spread_rest_length(structure, rest_length), plant.rest_length
+    if not np.allclose(whole, given, rtol=1e-9):
+        what = plant.input.replace("_", " ")
+        raise ValueError(
+            f"the segments of a string differ in their {what}, so that no {what} of the whole "
+            "string gives the operating point. Weight makes force densities differ along a "
+            "string: linearize with input='rest_length'"
+        )
+    spread = np.zeros((len(of), count))
+    share = segments if plant.input == "force_density" else 1 / segments
+    spread[np.arange(len(of)), of] = share
+    return replace(
+        plant,
+        B=frozen(plant.B @ spread),
+        commanded=parent,
+        force_density=frozen(gamma),
+        rest_length=None if rest_length is None else frozen(rest_length),
+    )
+
+
+def _reduced(
+    model: Model,
+    input: str,
+    nodes: FloatArray,
+    kind: str,
+    derivatives: tuple[FloatArray, FloatArray, FloatArray],
+    gamma: FloatArray,
+    rest_length: FloatArray | None,
+    load: FloatArray,
+) -> LinearPlant:
+    xdot, A_x, B_x = derivatives
+    frame = frame_of(model, nodes, kind)
+    rows = model.structure.free_rows
+    T, P = frame.basis[rows], frame.project(np.eye(nodes.size))[:, rows]
+    half, r = len(rows), frame.count
+    A = np.zeros((2 * r, 2 * r))
+    A[:r, r:] = np.eye(r)
+    by_shape, by_speed = A_x[half:, :half] @ T, A_x[half:, half:] @ T
+    A[r:, :r], A[r:, r:] = P @ by_shape, P @ by_speed
+    outside = max(
+        float(np.linalg.norm(T @ (P @ part) - part)) / max(float(np.linalg.norm(part)), 1e-300)
+        for part in (by_shape, by_speed)
+    )
+    if kind == "internal":
+        # Motions as one body that are left out must meet no stiffness: a load may give them some.
+        rigid = left_by_supports(model.structure, rigid_motions(nodes))[rows]
+        met = float(np.linalg.norm(A_x[half:, :half] @ rigid))
+        size = float(np.linalg.norm(A_x[half:, :half]) * np.linalg.norm(rigid))
+        outside = max(outside, met / max(size, 1e-300))
+    return LinearPlant(
+        model=model,
+        coordinates=frame,
+        input=input,
+        A=frozen(A),
+        B=frozen(np.vstack([np.zeros((r, B_x.shape[1])), P @ B_x[half:]])),
+        drift=frozen(np.concatenate([np.zeros(r), P @ xdot[half:]])),
+        commanded=model.structure,
+        force_density=frozen(gamma),
+        rest_length=None if rest_length is None else frozen(rest_length),
+        external_force=frozen(load),
+        invariance_residual=outside,
+    )
+
+
+def _derivatives(
+    model: Model,
+    held: str,
+    nodes: FloatArray,
+    value: FloatArray | None,
+    load: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return ẋ, ∂ẋ/∂x and ∂ẋ/∂u by algorithmic differentiation of the model."""
+    equation = model.state_equation(held)
+    x, u = ca.SX.sym("x", equation.size1_in(0)), ca.SX.sym("u", equation.size1_in(1))
+    xdot = equation(x, u, *_loads(model, load))
+    function = ca.Function(
+        "derivatives", [x, u], [xdot, ca.jacobian(xdot, x), ca.jacobian(xdot, u)]
+    )
+    values = function(pack_state(model.structure, nodes, np.zeros_like(nodes)), value)
+    drift, A, B = (np.array(part.full()) for part in values)
+    return drift.ravel(), A, B
+
+
+def _checked_point(
+    model: Model, at: Prestress | OperatingPoint
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return nodes, γ and load, checked against the structure of the model."""
+    structure = model.structure
+    if isinstance(at, Prestress):
+        _refuse_other_structure(structure, at.structure)
+        nodes: object = at.structure.nodes
+    elif isinstance(at, OperatingPoint):
+        nodes = at.nodes
+    else:
+        raise TypeError(
+            f"at is a {type(at).__name__}, expected the result of prestress(...), "
+            "or an OperatingPoint(nodes, force_density)"
+        )
+    N = structure.checked_nodes("at.nodes", nodes)
+    refuse_wrong_bar_lengths("at.nodes", structure, N)
+    refuse_moved_supports("at.nodes", structure, N)
+    count = len(structure.strings)
+    gamma = shaped("at.force_density", at.force_density, (count,), "one per string")
+    non_negative("at.force_density", gamma, "a string can only pull")
+    load = np.zeros(N.shape)
+    if at.external_force is not None:
+        load = shaped("at.external_force", at.external_force, N.shape, "one force per node")
+    return N, gamma, load
+
+
+def _refuse_other_structure(ours: Structure, theirs: Structure) -> None:
+    for what in ("bars", "strings", "bar_mass", "string_node_mass", "fixed"):
+        if not np.array_equal(getattr(ours, what), getattr(theirs, what)):
+            raise ValueError(
+                f"the prestress and the model differ in their {what}; "
+                "compute the prestress of the structure that the model was built for"
+            )
+
+
+def _refuse_unbalanced(
+    model: Model, nodes: FloatArray, gamma: FloatArray, load: FloatArray
+) -> None:
+    free = model.structure.free
+    still = np.zeros((3, len(free)))
+    found = model.acceleration(nodes[:, free], still, gamma, *_loads(model, load))
+    mass = model.mass_matrix().toarray()[np.ix_(free, free)]
+    unbalanced = np.linalg.norm(np.array(found) @ mass, axis=0)
+    strings = np.linalg.norm(model.structure.string_vectors(nodes), axis=0)
+    scale = max(float((gamma * strings).max(initial=0.0)), float(np.abs(load).max()))
+    if unbalanced.max() > _EQUILIBRIUM_TOLERANCE * scale:
+        worst = int(unbalanced.argmax())
+        raise ValueError(
+            f"not an equilibrium: node {free[worst]} is left with an unbalanced force of "
+            f"{unbalanced[worst]:.3g} N, expected less than "
+            f"{_EQUILIBRIUM_TOLERANCE * scale:.1e} N. Start from prestress(...), or pass "
+            "require_equilibrium=False to get a plant that drifts"
+        )
+
+
+def _loads(model: Model, load: FloatArray) -> list[FloatArray]:
+    """Return the load input of the model's functions: what is not built in, on the free nodes."""
+    if not model.has_external_force:
+        return []
+    return [(load - model.constant_force)[:, model.structure.free]]
+
+
+def _refuse_other_load(model: Model, load: FloatArray) -> None:
+    """Refuse a load that the model neither has built in nor takes as an input."""
+    if model.has_external_force:
+        return
+    free = model.structure.free
+    off = np.abs(load - model.constant_force)[:, free]
+    if off.size and off.max() > 1e-9 * max(float(np.abs(load).max()), 1e-300):
+        node = int(free[off.max(axis=0).argmax()])
+        raise ValueError(
+            f"the operating point carries another load than the model: at node {node} "
+            f"{load[:, node]} N against {model.constant_force[:, node]} N. Build the model with "
+            "this load, Model(structure, external_force=..., gravity=...), or find the prestress "
+            "under external_force=model.constant_force"
+        )
+
+
+def _refuse_kink(model: Model, gamma: FloatArray) -> None:
+    structure = model.structure
+    moving = ~np.isin(structure.strings, structure.fixed).all(axis=1)
+    slack = np.flatnonzero(moving & (gamma <= _SLACK_TOLERANCE * gamma.max(initial=0.0)))
+    if len(slack):
+        raise ValueError(
+            f"string {slack[0]} has γ = {gamma[slack[0]]:g} N/m, at the border between taut and "
+            "slack, where its force has no derivative by the rest length. Give it some "
+            "prestress, or use input='force_density'"
+        )

@@ -1,0 +1,279 @@
+"""Modes of a linear plant: frequencies, damping, shapes, and what kind of motion each is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linearize import in_coordinates
+from tenscontrol.structure import affine_motions, left_by_supports, rigid_motions
+from tenscontrol.validation import FloatArray, IntArray, frozen, instance
+
+# Stiffness eigenvalues below this fraction of the largest are zero: round-off is at 1e-15,
+# and a soft mechanism beside strings of 1e9 N/m is still at 1e-8.
+_ZERO = 1e-11
+
+# Eigenvalues this close to each other, relative to themselves, are one frequency.
+_EQUAL = 1e-7
+
+# A stiffness matrix this far from symmetric, relative to its size, is not that of a rest.
+_SYMMETRIC = 1e-9
+
+# A mode is named after a kind of motion that has at least this share of its kinetic energy.
+_SHARE = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Modes of a linear plant, in order of frequency. Made by :func:`modes`.
+
+    Attributes
+    ----------
+    frequency : ndarray, shape (k,)
+        Natural frequency ``|s|/2π`` of the pole s, Hz.
+    damping : ndarray, shape (k,)
+        Damping ratio ``−Re s/|s|``; 0 for a mode at zero frequency, −1 for one that runs away.
+    pole : ndarray of complex, shape (k,)
+        The pole s with Im s ≥ 0, 1/s.
+    shape : ndarray, shape (3, n, k)
+        Node displacements, scaled so that the largest is 1. Complex where
+        damping makes the nodes move out of step.
+    label : tuple of str, length k
+        The kind of motion that has at least 95 % of the kinetic energy.
+        ``"rigid"``: the structure moves as one body. ``"affine"``: it is
+        stretched or sheared as a whole, at no cost when γ is held.
+        ``"mechanism"``: no string changes its length to first order.
+        ``"constraint"``: a bar changes its length (``"nodes"`` coordinates
+        only; not a motion of the structure). ``"elastic"``: anything else.
+    """
+
+    frequency: FloatArray
+    damping: FloatArray
+    pole: np.ndarray
+    shape: np.ndarray
+    label: tuple[str, ...]
+
+    def table(self) -> str:
+        """Return the modes as text, one a line.
+
+        Returns
+        -------
+        str
+        """
+        lines = ["mode  frequency Hz  damping  kind"]
+        for i, label in enumerate(self.label):
+            lines.append(f"{i:4d}  {self.frequency[i]:12.5f}  {self.damping[i]:7.4f}  {label}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return (
+            f"Modes({len(self.label)}, {self.frequency.min():.3g} to {self.frequency.max():.3g} Hz)"
+        )
+
+
+def modes(plant: LinearPlant) -> Modes:
+    """Return the modes of a linear plant.
+
+    Motions that meet neither stiffness nor damping are set apart first, so
+    that their zero frequencies are exact. Where several modes share a
+    frequency, the shapes are chosen so that rigid, affine and mechanism
+    motions show unmixed.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+
+    Returns
+    -------
+    Modes
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``plant`` is not a linear plant, or has no coordinates.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> print(tc.modes(tc.linearize(tc.Model(prism), rest)).table())
+    mode  frequency Hz  damping  kind
+       0       0.00000   0.0000  affine
+       1       0.00000   0.0000  affine
+       2       0.00000   0.0000  affine
+       3       2.27321   0.0000  elastic
+       4       2.27321   0.0000  elastic
+       5       2.33655   0.0000  mechanism
+       6       2.44339   0.0000  elastic
+       7       2.44339   0.0000  elastic
+       8       2.44339   0.0000  elastic
+    """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    if plant.degrees_of_freedom == 0:
+        raise ValueError(
+            f"plant has no {plant.coordinates.kind} coordinates, so there are no modes; "
+            "'minimal' coordinates hold the motions as one body"
+        )
+    r = plant.degrees_of_freedom
+    stiffness, friction = -plant.A[r:, :r], -plant.A[r:, r:]
+    if plant.coordinates.kind == "nodes":
+        poles, vectors, labels = _node_modes(plant)
+    elif not friction.any() and _is_symmetric(stiffness):
+        poles, vectors, labels = _undamped(stiffness, _kinds(plant))
+    else:
+        poles, vectors, labels = _general(stiffness, friction, _kinds(plant))
+    order = np.lexsort([_rank(labels), np.round(np.abs(poles), 9)])
+    poles, vectors = poles[order], vectors[:, order]
+    size = np.abs(poles)
+    shape = (plant.basis @ vectors).reshape(-1, 3, len(order)).swapaxes(0, 1)
+    shape = shape / np.linalg.norm(shape, axis=0).max(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        damping = np.where(size > 0, -poles.real / size, 0.0)
+    return Modes(
+        frequency=frozen(size / (2 * np.pi)),
+        damping=frozen(damping + 0.0),
+        pole=frozen(poles),
+        shape=frozen(shape),
+        label=tuple(labels[i] for i in order),
+    )
+
+
+def _rank(labels: list[str]) -> IntArray:
+    names = ["constraint", "rigid", "affine", "mechanism", "elastic"]
+    return np.array([names.index(label) for label in labels], dtype=np.int64)
+
+
+def _kinds(plant: LinearPlant) -> dict[str, FloatArray]:
+    """Return orthonormal bases of the rigid, affine and mechanism motions in q."""
+    frame, structure = plant.coordinates, plant.model.structure
+    tangent = frame.basis
+    strings = structure.strings
+    S = structure.string_vectors(plant.nodes)
+    moves = tangent.reshape(-1, 3, frame.count)
+    change = moves[strings[:, 1]] - moves[strings[:, 0]]
+    stretch = np.einsum("ia,aij->aj", S / np.maximum(np.linalg.norm(S, axis=0), 1e-300), change)
+    bar_stretch = _bar_stretch_of(tangent, plant)
+    # Affine motions count only as far as they keep the bar lengths.
+    affine = left_by_supports(structure, affine_motions(plant.nodes))
+    affine_bars = _bar_stretch_of(affine, plant)
+    return {
+        "rigid": _span(plant, left_by_supports(structure, rigid_motions(plant.nodes))),
+        "affine": _span(plant, affine @ _null(affine_bars)),
+        "mechanism": _null(np.vstack([stretch, bar_stretch])),
+    }
+
+
+def _bar_stretch_of(fields: FloatArray, plant: LinearPlant) -> FloatArray:
+    structure = plant.model.structure
+    moves = fields.reshape(len(fields) // 3, 3, fields.shape[1])
+    change = moves[structure.bars[:, 1]] - moves[structure.bars[:, 0]]
+    along = structure.bar_vectors(plant.nodes) / structure.bar_length
+    return np.asarray(np.einsum("ib,bij->bj", along, change))
+
+
+def _undamped(
+    stiffness: FloatArray, kinds: dict[str, FloatArray]
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Modes of q̈ + K q = 0 with symmetric K: real shapes, sorted within equal frequencies."""
+    values, vectors = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+    values[np.abs(values) < _ZERO * np.abs(values).max(initial=0.0)] = 0.0
+    labels: list[str] = []
+    for first, last in _clusters(values):
+        vectors[:, first:last], found = _unmixed(vectors[:, first:last], kinds)
+        labels += found
+    poles = np.sqrt((-values).astype(complex))
+    return poles, vectors, labels
+
+
+def _is_symmetric(matrix: FloatArray) -> bool:
+    return bool(np.abs(matrix - matrix.T).max() <= _SYMMETRIC * np.abs(matrix).max())
+
+
+def _general(
+    stiffness: FloatArray, friction: FloatArray, kinds: dict[str, FloatArray]
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Modes of q̈ + D q̇ + K q = 0, the motions free of both set apart."""
+    sizes = (max(float(np.abs(part).max()), 1e-300) for part in (stiffness, friction))
+    scaled = [part / size for part, size in zip((stiffness, friction), sizes, strict=True)]
+    free = _null(np.vstack(scaled))
+    held = _null(free.T) if free.shape[1] else np.eye(len(stiffness))
+    size = held.shape[1]
+    A = np.zeros((2 * size, 2 * size))
+    A[:size, size:] = np.eye(size)
+    A[size:, :size], A[size:, size:] = -held.T @ stiffness @ held, -held.T @ friction @ held
+    poles, vectors = np.linalg.eig(A)
+    keep = poles.imag >= 0
+    shapes = held @ vectors[:size, keep]
+    free, free_labels = _unmixed(free, kinds)
+    labels = free_labels + [_label(shape, kinds) for shape in shapes.T]
+    return np.r_[np.zeros(free.shape[1], complex), poles[keep]], np.hstack([free, shapes]), labels
+
+
+def _node_modes(plant: LinearPlant) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Modes in node coordinates: those of the minimal ones, and one zero for each bar length."""
+    inner = modes(in_coordinates(plant, "minimal"))
+    count = plant.nodes.shape[1]
+    shapes = inner.shape.swapaxes(0, 1).reshape(3 * count, -1)
+    structure = plant.model.structure
+    moving = np.concatenate([structure.free_bars, structure.swinging_bars])
+    bars = structure.bars[moving]
+    stretched = np.zeros((count, 3, len(bars)))
+    half = structure.bar_vectors(plant.nodes).T[moving] / 2
+    stretched[bars[:, 0], :, np.arange(len(bars))] = -half
+    stretched[bars[:, 1], :, np.arange(len(bars))] = half
+    stretched[structure.fixed] = 0.0
+    return (
+        np.r_[np.zeros(len(bars), complex), inner.pole],
+        np.hstack([stretched.reshape(3 * count, -1), shapes]),
+        ["constraint"] * len(bars) + list(inner.label),
+    )
+
+
+def _clusters(values: FloatArray) -> list[tuple[int, int]]:
+    """Return the runs of equal values in a sorted array."""
+    breaks = np.flatnonzero(np.diff(values) > _EQUAL * np.abs(values[1:])) + 1
+    edges = [0, *breaks.tolist(), len(values)]
+    return list(pairwise(edges))
+
+
+def _unmixed(vectors: np.ndarray, kinds: dict[str, FloatArray]) -> tuple[np.ndarray, list[str]]:
+    """Turn a basis of a space of equal modes so that each kind shows unmixed."""
+    sorted_parts, labels = [], []
+    rest = vectors
+    for kind, basis in kinds.items():
+        if rest.shape[1] == 0 or basis.shape[1] == 0:
+            continue
+        U, cosines, _ = np.linalg.svd(rest.T @ basis)
+        inside = int(np.count_nonzero(cosines**2 >= _SHARE))
+        turned = rest @ U
+        sorted_parts.append(turned[:, :inside])
+        labels += [kind] * inside
+        rest = turned[:, inside:]
+    return np.hstack([*sorted_parts, rest]), labels + ["elastic"] * rest.shape[1]
+
+
+def _label(shape: np.ndarray, kinds: dict[str, FloatArray]) -> str:
+    whole = float(np.linalg.norm(shape)) ** 2
+    for kind, basis in kinds.items():
+        if float(np.linalg.norm(basis.T @ shape)) ** 2 >= _SHARE * whole:
+            return kind
+    return "elastic"
+
+
+def _span(plant: LinearPlant, fields: FloatArray) -> FloatArray:
+    """Return an orthonormal basis, in q, of displacement fields."""
+    # What the coordinates leave out is round-off beside the fields themselves.
+    if fields.shape[1] == 0:
+        return np.zeros((plant.degrees_of_freedom, 0))
+    U, sizes, _ = np.linalg.svd(plant.coordinates.project(fields), full_matrices=False)
+    whole = np.linalg.norm(fields, 2) * np.sqrt(plant.model.mass_matrix().sum())
+    return np.asarray(U[:, sizes > 1e-9 * whole])
+
+
+def _null(matrix: FloatArray) -> FloatArray:
+    _, sizes, Vt = np.linalg.svd(matrix)
+    return np.asarray(Vt[int(np.count_nonzero(sizes > _ZERO * sizes.max(initial=0.0))) :].T)

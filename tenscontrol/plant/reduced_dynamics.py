@@ -1,0 +1,235 @@
+"""The nonlinear equations of motion in reduced coordinates, one sample at a time."""
+
+from __future__ import annotations
+
+from math import ceil
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.plant import LinearPlant
+from tenscontrol.plant.string_outputs import spreading, string_forces
+from tenscontrol.validation import FloatArray
+
+# Radians of the fastest vibration in a step of RK4: its error is then about 1e-4 of it.
+_RADIANS = 0.35
+
+# More steps of RK4 in a sample than this are refused.
+_MOST_SUBSTEPS = 1000
+
+
+def reduced_acceleration(plant: LinearPlant, taut: bool = False) -> ca.Function:
+    """Return ``(z, u) -> q̈``, exact while nothing moves as one body.
+
+    Bars keep their lengths in every shape of q, so that no state stands for them. Since q is
+    linear in the node positions, ``q̈ = Tᵀ M vec(N̈)``.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        In internal or minimal coordinates; its operating point is the reference shape.
+    taut : bool
+        Whether strings of held rest lengths push where they would be slack, as in the linear
+        plant: smooth, so that Newton's method converges however stiff they are.
+    """
+    z, u = (ca.SX.sym(name, size) for name, size in zip("zu", plant.B.shape, strict=True))
+    moved = _motion(plant, z, u, taut)[2]
+    rows = plant.model.structure.free_rows
+    project = plant.coordinates.project(np.eye(plant.nodes.size))[:, rows]
+    project = np.where(np.abs(project) > 1e-14 * np.abs(project).max(), project, 0.0)
+    acceleration = ca.mtimes(ca.sparsify(ca.DM(project)), moved)
+    return ca.Function("reduced", [z, u], [ca.densify(acceleration)], ["z", "u"], ["qdd"])
+
+
+def tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
+    """Return ``z -> (y, ẏ, ÿ at zero γ, ∂ÿ/∂γ)`` of combinations ``y = C vec(N)``.
+
+    Exact as :func:`reduced_acceleration` is. ÿ is affine in γ, so that the last two say
+    all of it.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        In internal or minimal coordinates, with γ as the input.
+    matrix : ndarray, shape (p, 3n)
+        C, node by node.
+    """
+    z, gamma = (ca.SX.sym(name, size) for name, size in zip("zg", plant.B.shape, strict=True))
+    N, V, moved = _motion(plant, z, gamma)
+    C = ca.sparsify(ca.DM(matrix))
+    acceleration = ca.mtimes(C[:, plant.model.structure.free_rows.tolist()], moved)
+    outputs = [
+        ca.mtimes(C, ca.vec(N)),
+        ca.mtimes(C, ca.vec(V)),
+        ca.substitute(acceleration, gamma, ca.SX.zeros(gamma.shape)),
+        ca.jacobian(acceleration, gamma),
+    ]
+    return ca.Function("tracked", [z], ca.cse([ca.densify(each) for each in outputs]))
+
+
+def _motion(plant: LinearPlant, z: Any, u: Any, taut: bool = False) -> tuple[Any, Any, Any]:
+    """Return all nodes and velocities, and the accelerations of the free nodes, node by node."""
+    model, structure = plant.model, plant.model.structure
+    N, V = reduced_motion(plant, z)
+    free = structure.free.tolist()
+    x = ca.vertcat(ca.vec(N[:, free]), ca.vec(V[:, free]))
+    loads = []
+    if model.has_external_force:
+        loads.append(ca.DM((plant.external_force - model.constant_force)[:, free]))
+    held, equation = spreading(plant, u), model.state_equation(plant.input)
+    if taut and plant.input == "rest_length":
+        held, equation = string_forces(plant, plant.input, N, V, held)[0], model.dynamics
+    slope = equation(x, held, *loads)
+    return N, V, slope[slope.shape[0] // 2 :]
+
+
+def sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Function, ca.Function]:
+    """Return the motion over a sample, and the same with its derivatives.
+
+    By RK4 in steps that resolve the fastest vibration. The derivatives are those of the
+    RK4 steps themselves.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    sample_time : float
+        Sample time, s.
+
+    Returns
+    -------
+    motion : casadi.Function
+        ``(z, u) -> z⁺``.
+    linearized : casadi.Function
+        ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
+
+    Raises
+    ------
+    ValueError
+        If there are more steps than can be meant.
+    """
+    count = explicit_substeps(plant, sample_time)
+    if count > _MOST_SUBSTEPS:
+        raise ValueError(
+            f"plant vibrates with up to {_fastest(plant):.3g} rad/s: a sample of {sample_time:g} s "
+            f"takes {count} steps of RK4 to predict, expected at most {_MOST_SUBSTEPS}; give a "
+            "shorter sample_time, or take what predicts by the linear plant"
+        )
+    s, a = plant.B.shape
+    motion, linearized = _rk4(plant, sample_time / count)
+    if count > 1:
+        z, u = ca.MX.sym("z", s), ca.MX.sym("u", a)
+        held = ca.repmat(u, 1, count)
+        motion = ca.Function("motion", [z, u], [motion.fold(count)(z, held)])
+        chain = _chained(linearized).fold(count)
+        start = ca.horzcat(z, ca.DM.eye(s), ca.DM.zeros(s, a))
+        end = chain(ca.densify(start), held)
+        columns = end[:, 0], end[:, 1 : 1 + s], end[:, 1 + s :]
+        linearized = ca.Function("linearized", [z, u], list(columns))
+    return motion, linearized
+
+
+def explicit_substeps(plant: LinearPlant, sample_time: float) -> int:
+    """Return how many RK4 steps a sample takes.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    sample_time : float
+        Sample time, s.
+    """
+    return max(1, ceil(sample_time * _fastest(plant) / _RADIANS))
+
+
+def _fastest(plant: LinearPlant) -> float:
+    return float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0))
+
+
+def _rk4(plant: LinearPlant, h: float) -> tuple[ca.Function, ca.Function]:
+    """Return a step of the classic Runge-Kutta method, and the same with its derivatives."""
+    r, (s, a) = plant.degrees_of_freedom, plant.B.shape
+    acceleration = reduced_acceleration(plant)
+    derivatives = acceleration_slopes(acceleration)
+    z, u = ca.MX.sym("z", s), ca.MX.sym("u", a)
+    stages = list(zip((1.0, 2.0, 2.0, 1.0), (0.0, 0.5 * h, 0.5 * h, h), strict=True))
+    slope, end = ca.DM.zeros(s), z
+    for weight, ahead in stages:
+        at = z + ahead * slope
+        slope = ca.vertcat(at[r:], acceleration(at, u))
+        end += h / 6 * weight * slope
+    motion = ca.Function("motion", [z, u], [end])
+
+    # The same, and the derivatives of speeds and accelerations by q, q̇ and u side by side. What
+    # starts as the identity is put in its place, not multiplied out.
+    one, beside = ca.DM.eye(r), ca.DM.zeros(r, a)
+    start = ca.horzcat(ca.DM.zeros(r, r), one, beside)  # of the speed at the start
+    slope, end, total, rates = ca.DM.zeros(s), z, ca.horzcat(one, ca.DM.zeros(r, r + a)), start
+    speeds, accelerations = start, None
+    for weight, ahead in stages:
+        at = z + ahead * slope
+        qdd, by_q, by_v, by_u = derivatives(at, u)
+        by_all = ca.horzcat(by_q, by_v, by_u)
+        if accelerations is not None:
+            # Positions at this stage went ahead at the speeds of the stage before.
+            moved = (
+                ca.horzcat(ca.DM.zeros(r, r), by_q, beside)
+                if speeds is start
+                else ca.mtimes(by_q, speeds)
+            )
+            by_all += ahead * (moved + ca.mtimes(by_v, accelerations))
+            speeds = start + ahead * accelerations
+        accelerations = by_all
+        slope = ca.vertcat(at[r:], qdd)
+        end += h / 6 * weight * slope
+        total += h / 6 * weight * speeds
+        rates += h / 6 * weight * accelerations
+    whole = ca.vertcat(total, rates)
+    parts = [end, ca.densify(whole[:, :s]), ca.densify(whole[:, s:])]
+    return motion, ca.Function("linearized", [z, u], parts)
+
+
+def _chained(linearized: ca.Function) -> ca.Function:
+    """Return ``([z, ∂z/∂z_0, ∂z/∂u], u) -> `` the same a step later."""
+    s, a = linearized.size1_in(0), linearized.size1_in(1)
+    carried, u = ca.MX.sym("carried", s, 1 + s + a), ca.MX.sym("u", a)
+    end, by_z, by_u = linearized(carried[:, 0], u)
+    inner = ca.mtimes(by_z, carried[:, 1:]) + ca.horzcat(ca.DM.zeros(s, s), by_u)
+    return ca.Function("chained", [carried, u], [ca.densify(ca.horzcat(end, inner))])
+
+
+def acceleration_slopes(acceleration: ca.Function) -> ca.Function:
+    """Return ``(z, u) -> (q̈, ∂q̈/∂q, ∂q̈/∂q̇, ∂q̈/∂u)``, dense, from ``(z, u) -> q̈``."""
+    z, u = (ca.SX.sym(acceleration.name_in(i), acceleration.size1_in(i)) for i in range(2))
+    qdd = acceleration(z, u)
+    r = qdd.shape[0]
+    by_z, by_u = (ca.densify(ca.jacobian(qdd, by)) for by in (z, u))
+    return ca.Function("derivatives", [z, u], ca.cse([qdd, by_z[:, :r], by_z[:, r:], by_u]))
+
+
+def reduced_motion(plant: LinearPlant, z: Any) -> tuple[Any, Any]:
+    """Return expressions of node positions and velocities, shape (3, n), of a state z (SX)."""
+    r, n = plant.degrees_of_freedom, plant.nodes.shape[1]
+    T = ca.sparsify(ca.DM(np.where(np.abs(plant.basis) > 1e-14, plant.basis, 0.0)))
+    N = ca.DM(plant.nodes) + ca.reshape(ca.mtimes(T, z[:r]), 3, n)
+    return _with_bar_lengths(plant, N, ca.reshape(ca.mtimes(T, z[r:]), 3, n))
+
+
+def _with_bar_lengths(plant: LinearPlant, N: Any, V: Any) -> tuple[Any, Any]:
+    """Return nodes and velocities moved along the bars of the reference until lengths are kept."""
+    structure = plant.model.structure
+    axes = structure.bar_vectors(plant.nodes)
+    axes = axes / np.linalg.norm(axes, axis=0)
+    share = structure.end_share
+    N, V = ca.SX(N), ca.SX(V)
+    for bar, (start, end) in enumerate(structure.bars.tolist()):
+        axis = ca.DM(axes[:, bar])
+        vector, change = N[:, end] - N[:, start], V[:, end] - V[:, start]
+        along = ca.dot(vector, axis)
+        across = vector - along * axis
+        reach = ca.sqrt(structure.bar_length[bar] ** 2 - ca.dot(across, across))
+        whole = across + reach * axis
+        stretch, rate = reach - along, -ca.dot(whole, change) / reach
+        for node, part in ((start, -share[bar, 0]), (end, share[bar, 1])):
+            N[:, node] += part * stretch * axis
+            V[:, node] += part * rate * axis
+    return N, V
