@@ -10,7 +10,7 @@ from tenscontrol.dynamics import Model, StringLaw
 from tenscontrol.scene.document import Document
 from tenscontrol.scene.members import whole
 from tenscontrol.statics import Prestress, prestress
-from tenscontrol.structure import Structure, spread_force_density
+from tenscontrol.structure import Structure, to_segments, to_strings
 from tenscontrol.validation import FloatArray
 
 
@@ -51,10 +51,8 @@ def _at_rest(structure: Structure, gamma: FloatArray, model: Model) -> Prestress
     """Return the prestress of the whole strings, or raise if they are not at rest."""
     design = model.structure
     if design is not structure:
-        parent = structure.string_parent
-        assert parent is not None  # a subdivision
-        together = np.bincount(parent, weights=gamma) / np.bincount(parent) ** 2
-        if not np.allclose(spread_force_density(structure, together), gamma):
+        together = to_strings(structure, "force_density", gamma)
+        if not np.allclose(to_segments(structure, "force_density", together), gamma):
             raise ValueError("force_density differs between the segments of a string")
         gamma = together
     return prestress(design, gamma, external_force=model.constant_force)

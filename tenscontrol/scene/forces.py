@@ -9,7 +9,7 @@ from tenscontrol.scene.document import Document, Table
 from tenscontrol.scene.keys import ELASTIC, FORCE, LINEAR
 from tenscontrol.scene.members import is_cut, per_string, whole
 from tenscontrol.statics import prestress
-from tenscontrol.structure import Structure, segment_counts, spread_force_density
+from tenscontrol.structure import Structure, spread_force_density, to_segments, to_strings
 from tenscontrol.validation import FloatArray, non_negative
 
 # What a value "per" refers to where strings are cut: the whole string, or each segment.
@@ -40,25 +40,9 @@ def build_law(document: Document, structure: Structure) -> tuple[StringLaw, Stri
         law: StringLaw = make(**values)
         if not is_cut(structure):
             return law, law
-        other = {}
-        for name, value in values.items():
-            in_series = name != "axial_rigidity"
-            if by_string:
-                parent = structure.string_parent
-                count = segment_counts(structure) if in_series else 1
-                other[name] = value[parent] * count
-            else:
-                other[name] = _in_series(structure, value, in_series)
+        mapped = to_segments if by_string else to_strings
+        other = {name: mapped(structure, name, value) for name, value in values.items()}
         return (make(**other), law) if by_string else (law, make(**other))
-
-
-def _in_series(structure: Structure, values: FloatArray, in_series: bool) -> FloatArray:
-    """Return what whole strings have: of segments in series, or the mean of a material's."""
-    parent = structure.string_parent
-    assert parent is not None  # a subdivision
-    with np.errstate(divide="ignore"):
-        total = 1 / np.bincount(parent, weights=1 / values)
-    return np.asarray(total if in_series else np.bincount(parent) * total)
 
 
 def build_loads(document: Document, structure: Structure) -> tuple[object, FloatArray | None]:

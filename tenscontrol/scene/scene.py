@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller
 from tenscontrol.dynamics import Model
@@ -13,7 +11,7 @@ from tenscontrol.estimation import KalmanFilter
 from tenscontrol.plant import LinearPlant, linearize
 from tenscontrol.simulation import Fault, Trajectory, simulate
 from tenscontrol.statics import prestress
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, to_strings
 from tenscontrol.validation import FloatArray, frozen
 
 
@@ -138,8 +136,7 @@ class Scene:
         assert self.rest_length is not None  # the caller saw
         if len(design.strings) == len(self.structure.strings):
             return self.rest_length
-        assert self.structure.string_parent is not None  # the design is on the parent
-        return np.asarray(np.bincount(self.structure.string_parent, weights=self.rest_length))
+        return to_strings(self.structure, "rest_length", self.rest_length)
 
     def linearize(self, input: str | None = None, coordinates: str = "internal") -> LinearPlant:
         """Return the linear plant about the shape of the structure, which must be at rest.

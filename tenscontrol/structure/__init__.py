@@ -16,15 +16,16 @@ from tenscontrol.structure.motions import (
 from tenscontrol.structure.net import net
 from tenscontrol.structure.prestretch import skin_rest_length
 from tenscontrol.structure.prism import prism, prism_radius
-from tenscontrol.structure.skin import skin
-from tenscontrol.structure.structure import Structure
-from tenscontrol.structure.subdivide import (
-    same_members,
+from tenscontrol.structure.segments import (
     segment_counts,
     spread_force_density,
     spread_rest_length,
-    subdivide,
+    to_segments,
+    to_strings,
 )
+from tenscontrol.structure.skin import skin
+from tenscontrol.structure.structure import Structure, same_members
+from tenscontrol.structure.subdivide import subdivide
 from tenscontrol.structure.tower import prism_tower
 
 __all__ = [
@@ -51,4 +52,6 @@ __all__ = [
     "spread_force_density",
     "spread_rest_length",
     "subdivide",
+    "to_segments",
+    "to_strings",
 ]

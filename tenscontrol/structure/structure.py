@@ -408,6 +408,25 @@ class Structure:
         return self.C_s[:, self.string_nodes]
 
 
+def same_members(one: Structure, other: Structure | None) -> bool:
+    """Return whether nodes, bars, strings and supports go together.
+
+    Masses and lengths may differ.
+
+    Parameters
+    ----------
+    one, other : Structure
+    """
+    return (
+        other is not None
+        and one.nodes.shape == other.nodes.shape
+        and all(
+            np.array_equal(getattr(one, what), getattr(other, what))
+            for what in ("bars", "strings", "fixed")
+        )
+    )
+
+
 def _members(name: str, pairs: Any, count: int) -> IntArray:
     """Check index pairs: shape (·, 2), whole numbers, in range, not from a node to itself."""
     array = float_array(name, pairs)

@@ -1,4 +1,4 @@
-"""Strings cut into segments with point masses between, and values of strings spread over them."""
+"""Strings cut into segments, with point masses between them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from tenscontrol.structure.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
-    frozen,
     instance,
-    non_negative,
     per_member,
     positive_number,
 )
@@ -127,126 +125,6 @@ def subdivide(
     )
 
 
-def segment_counts(structure: Structure) -> IntArray:
-    """Return, for each segment, how many segments its string was cut into.
-
-    Stiffness and damping of a string times this number are those that a
-    segment needs for the chain to act as the whole string did: segments act in
-    series.
-
-    Parameters
-    ----------
-    structure : Structure
-        Made by :func:`subdivide`.
-
-    Returns
-    -------
-    ndarray of int, shape (α,)
-        One number for each string of ``structure``.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If ``structure`` was not made by :func:`subdivide`.
-
-    Examples
-    --------
-    >>> import tenscontrol as tc
-    >>> massive = tc.subdivide(tc.prism(), [2, 2, 2, 2, 2, 2, 3, 3, 3], string_mass=0.04)
-    >>> tc.structure.segment_counts(massive)[[0, 1, -1]]
-    array([2, 2, 3])
-    >>> strings = tc.LinearStrings(stiffness=100.0 * tc.structure.segment_counts(massive))
-    """
-    string_parent = _subdivided(structure)[1]
-    return frozen(np.bincount(string_parent)[string_parent])
-
-
-def spread_force_density(structure: Structure, force_density: object) -> FloatArray:
-    """Return the force densities of segments under the tension that their strings had whole.
-
-    A segment has the tension of its string on 1/s of the length, so γ is s
-    times that of the string.
-
-    Parameters
-    ----------
-    structure : Structure
-        Made by :func:`subdivide`.
-    force_density : float or array_like, shape (α,)
-        γ of each string of ``structure.parent``, N/m, at least 0.
-
-    Returns
-    -------
-    ndarray, shape (α′,)
-        γ of each string of ``structure``, N/m.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If ``structure`` was not made by :func:`subdivide`, or
-        ``force_density`` does not fit its parent or is negative.
-
-    Examples
-    --------
-    A prism at rest is at rest with its strings cut:
-
-    >>> import tenscontrol as tc
-    >>> rest = tc.prestress(tc.prism(), force_density=17.3205)
-    >>> massive = tc.subdivide(rest.structure, segments=4, node_mass=0.01)
-    >>> cut = tc.prestress(massive, tc.structure.spread_force_density(massive, rest.force_density))
-    >>> round(float(cut.force_density[0]), 4), cut.residual < 1e-12
-    (69.282, True)
-    """
-    parent, string_parent = _subdivided(structure)
-    gamma = per_member("force_density", force_density, len(parent.strings), "string of the parent")
-    non_negative("force_density", gamma, "a string can only pull")
-    return np.asarray((gamma * np.bincount(string_parent))[string_parent])
-
-
-def spread_rest_length(structure: Structure, rest_length: object) -> FloatArray:
-    """Return the rest lengths of segments that make up the rest lengths of their strings.
-
-    Parameters
-    ----------
-    structure : Structure
-        Made by :func:`subdivide`.
-    rest_length : float or array_like, shape (α,)
-        l0 of each string of ``structure.parent``, m, at least 0.
-
-    Returns
-    -------
-    ndarray, shape (α′,)
-        l0 of each string of ``structure``, m: l0/s of the string that it is a segment of.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If ``structure`` was not made by :func:`subdivide`, or ``rest_length``
-        does not fit its parent or is negative.
-
-    Examples
-    --------
-    >>> import tenscontrol as tc
-    >>> massive = tc.subdivide(tc.prism(), segments=4, node_mass=0.01)
-    >>> tc.structure.spread_rest_length(massive, 0.8)[:2]
-    array([0.2, 0.2])
-    """
-    parent, string_parent = _subdivided(structure)
-    length = per_member("rest_length", rest_length, len(parent.strings), "string of the parent")
-    non_negative("rest_length", length, "it is a length")
-    return np.asarray((length / np.bincount(string_parent))[string_parent])
-
-
-def _subdivided(structure: Structure) -> tuple[Structure, IntArray]:
-    """Return parent and string parents, or refuse a structure that has none."""
-    instance("structure", structure, Structure, "make one by subdivide(...)")
-    if structure.parent is None or structure.string_parent is None:
-        raise ValueError(
-            "structure has no string_parent, expected a structure made by subdivide(...); "
-            "segments=1 leaves the strings as they are"
-        )
-    return structure.parent, structure.string_parent
-
-
 def _counts(segments: object, count: int) -> IntArray:
     """Return the number of segments of each string."""
     if isinstance(segments, bool):
@@ -283,22 +161,3 @@ def _point_masses(counts: IntArray, node_mass: object, string_mass: object) -> F
         if points > 0 and m <= 0:
             raise ValueError(f"string_mass[{i}] is {m:g}, expected a positive mass in kg")
     return np.repeat(mass / np.maximum(new, 1), new)
-
-
-def same_members(one: Structure, other: Structure | None) -> bool:
-    """Return whether nodes, bars, strings and supports go together.
-
-    Masses and lengths may differ.
-
-    Parameters
-    ----------
-    one, other : Structure
-    """
-    return (
-        other is not None
-        and one.nodes.shape == other.nodes.shape
-        and all(
-            np.array_equal(getattr(one, what), getattr(other, what))
-            for what in ("bars", "strings", "fixed")
-        )
-    )

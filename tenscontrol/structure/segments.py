@@ -1,0 +1,254 @@
+"""Whole strings and their segments: the only map between values of the one and of the other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tenscontrol.structure.structure import Structure
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    choice,
+    frozen,
+    instance,
+    non_negative,
+    per_member,
+)
+
+# A string of s segments in series, all with the same tension. The value of each segment is that of
+# the whole string times s to this power.
+_POWER = {
+    "force_density": 1,
+    "rest_length": -1,
+    "length": -1,
+    "tension": 0,
+    "stiffness": 1,
+    "damping": 1,
+    "axial_rigidity": 0,
+}
+
+
+def to_segments(structure: Structure, what: str, values: FloatArray) -> FloatArray:
+    """Return the values of segments from those of the whole strings.
+
+    Parameters
+    ----------
+    structure : Structure
+        With s segments a string if made by :func:`subdivide`; of any other
+        structure each string is its own segment.
+    what : str
+        ``"force_density"``, ``"stiffness"`` or ``"damping"``, of which a segment
+        has s times that of its string; ``"rest_length"`` or ``"length"``, of
+        which it has 1/s; ``"tension"`` or ``"axial_rigidity"``, which are the same.
+    values : ndarray, shape (…, α)
+        One for each whole string along the last axis, in any unit.
+
+    Returns
+    -------
+    ndarray, shape (…, α′)
+        One for each string of ``structure`` along the last axis.
+
+    Raises
+    ------
+    ValueError
+        If ``what`` is another word or the last axis does not fit.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> massive = tc.subdivide(tc.prism(), segments=4, node_mass=0.01)
+    >>> gamma = tc.structure.to_segments(massive, "force_density", np.full(9, 10.0))
+    >>> gamma[:2], tc.structure.to_strings(massive, "force_density", gamma)[:2]
+    (array([40., 40.]), array([10., 10.]))
+    """
+    power = _POWER[choice("what", what, _POWER)]
+    of, counts = _map(structure)
+    _refuse_misfit(what, values, len(counts), "whole string")
+    if structure.string_parent is None:
+        return values
+    if power:
+        values = values * counts if power > 0 else values / counts
+    return np.asarray(values[..., of])
+
+
+def to_strings(structure: Structure, what: str, values: FloatArray) -> FloatArray:
+    """Return the values of whole strings from those of their segments.
+
+    The inverse of :func:`to_segments`. Where the segments of a string differ,
+    lengths and rest lengths are added, stiffness, damping and axial rigidity
+    are those of segments in series, force density and tension the mean.
+
+    Parameters
+    ----------
+    structure : Structure
+    what : str
+        As for :func:`to_segments`.
+    values : ndarray, shape (…, α′)
+        One for each string of ``structure`` along the last axis, in any unit.
+
+    Returns
+    -------
+    ndarray, shape (…, α)
+        One for each whole string along the last axis.
+
+    Raises
+    ------
+    ValueError
+        If ``what`` is another word or the last axis does not fit.
+    """
+    choice("what", what, _POWER)
+    of, counts = _map(structure)
+    _refuse_misfit(what, values, len(of), "segment")
+    if structure.string_parent is None:
+        return values
+    if what in ("stiffness", "damping", "axial_rigidity"):
+        with np.errstate(divide="ignore"):
+            total = 1 / _sums(of, 1 / values, len(counts))
+        return np.asarray(counts * total if what == "axial_rigidity" else total)
+    total = _sums(of, values, len(counts))
+    if what == "force_density":
+        return np.asarray(total / counts**2)
+    return np.asarray(total / counts) if what == "tension" else total
+
+
+def segment_counts(structure: Structure) -> IntArray:
+    """Return, for each segment, how many segments its string was cut into.
+
+    Stiffness and damping of a string times this number are those that a
+    segment needs for the chain to act as the whole string did: segments act in
+    series.
+
+    Parameters
+    ----------
+    structure : Structure
+        Made by :func:`subdivide`.
+
+    Returns
+    -------
+    ndarray of int, shape (α,)
+        One number for each string of ``structure``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``structure`` was not made by :func:`subdivide`.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> massive = tc.subdivide(tc.prism(), [2, 2, 2, 2, 2, 2, 3, 3, 3], string_mass=0.04)
+    >>> tc.structure.segment_counts(massive)[[0, 1, -1]]
+    array([2, 2, 3])
+    >>> strings = tc.LinearStrings(stiffness=100.0 * tc.structure.segment_counts(massive))
+    """
+    parent = _whole(structure)
+    return frozen(to_segments(structure, "stiffness", np.ones(len(parent.strings), np.int64)))
+
+
+def spread_force_density(structure: Structure, force_density: object) -> FloatArray:
+    """Return the force densities of segments under the tension that their strings had whole.
+
+    A segment has the tension of its string on 1/s of the length, so γ is s
+    times that of the string.
+
+    Parameters
+    ----------
+    structure : Structure
+        Made by :func:`subdivide`.
+    force_density : float or array_like, shape (α,)
+        γ of each string of ``structure.parent``, N/m, at least 0.
+
+    Returns
+    -------
+    ndarray, shape (α′,)
+        γ of each string of ``structure``, N/m.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``structure`` was not made by :func:`subdivide`, or
+        ``force_density`` does not fit its parent or is negative.
+
+    Examples
+    --------
+    A prism at rest is at rest with its strings cut:
+
+    >>> import tenscontrol as tc
+    >>> rest = tc.prestress(tc.prism(), force_density=17.3205)
+    >>> massive = tc.subdivide(rest.structure, segments=4, node_mass=0.01)
+    >>> cut = tc.prestress(massive, tc.structure.spread_force_density(massive, rest.force_density))
+    >>> round(float(cut.force_density[0]), 4), cut.residual < 1e-12
+    (69.282, True)
+    """
+    parent = _whole(structure)
+    gamma = per_member("force_density", force_density, len(parent.strings), "string of the parent")
+    non_negative("force_density", gamma, "a string can only pull")
+    return to_segments(structure, "force_density", gamma)
+
+
+def spread_rest_length(structure: Structure, rest_length: object) -> FloatArray:
+    """Return the rest lengths of segments that make up the rest lengths of their strings.
+
+    Parameters
+    ----------
+    structure : Structure
+        Made by :func:`subdivide`.
+    rest_length : float or array_like, shape (α,)
+        l0 of each string of ``structure.parent``, m, at least 0.
+
+    Returns
+    -------
+    ndarray, shape (α′,)
+        l0 of each string of ``structure``, m: l0/s of the string that it is a segment of.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``structure`` was not made by :func:`subdivide`, or ``rest_length``
+        does not fit its parent or is negative.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> massive = tc.subdivide(tc.prism(), segments=4, node_mass=0.01)
+    >>> tc.structure.spread_rest_length(massive, 0.8)[:2]
+    array([0.2, 0.2])
+    """
+    parent = _whole(structure)
+    length = per_member("rest_length", rest_length, len(parent.strings), "string of the parent")
+    non_negative("rest_length", length, "it is a length")
+    return to_segments(structure, "rest_length", length)
+
+
+def _whole(structure: Structure) -> Structure:
+    """Return the parent of a subdivision, or refuse another structure."""
+    instance("structure", structure, Structure, "make one by subdivide(...)")
+    if structure.parent is None or structure.string_parent is None:
+        raise ValueError(
+            "structure has no string_parent, expected a structure made by subdivide(...); "
+            "segments=1 leaves the strings as they are"
+        )
+    return structure.parent
+
+
+def _map(structure: Structure) -> tuple[IntArray, IntArray]:
+    """Return the string that each segment belongs to, and how many segments each string has."""
+    if structure.string_parent is None:
+        each = np.arange(len(structure.strings))
+        return each, np.ones_like(each)
+    return structure.string_parent, np.bincount(structure.string_parent)
+
+
+def _sums(of: IntArray, values: FloatArray, count: int) -> FloatArray:
+    """Return the sums over the segments of each string, segment after segment."""
+    total = np.zeros((*values.shape[:-1], count))
+    np.add.at(total.T, of, values.T)
+    return total
+
+
+def _refuse_misfit(what: str, values: FloatArray, count: int, member: str) -> None:
+    if values.ndim == 0 or values.shape[-1] != count:
+        raise ValueError(
+            f"{what} has shape {values.shape}, expected (..., {count}): one per {member} along the "
+            "last axis"
+        )
