@@ -7,7 +7,12 @@ import numpy as np
 from tenscontrol.dynamics import Model
 from tenscontrol.shape.target import ShapeTarget
 from tenscontrol.statics import Prestress
-from tenscontrol.structure import refuse_moved_supports, refuse_wrong_bar_lengths
+from tenscontrol.structure import (
+    free_coordinates,
+    refuse_moved_supports,
+    refuse_wrong_bar_lengths,
+    same_members,
+)
 from tenscontrol.validation import instance
 
 
@@ -17,21 +22,15 @@ def path_end(model: Model, name: str, value: object) -> Prestress:
     instance(name, rest, Prestress, "make one by shape_target(model, ...) or prestress(...)")
     assert isinstance(rest, Prestress)  # just checked
     structure, ours = rest.structure, model.structure
-    same = (
-        structure.nodes.shape == ours.nodes.shape
-        and np.array_equal(structure.bars, ours.bars)
-        and np.array_equal(structure.strings, ours.strings)
-        and np.array_equal(structure.fixed, ours.fixed)
-    )
-    if not same:
+    if not same_members(structure, ours):
         raise ValueError(
             f"{name} is a prestress of {structure!r}, expected one of the structure of the model, "
             f"{ours!r}, with the same members and fixed nodes"
         )
     refuse_wrong_bar_lengths(name, ours, structure.nodes)
     refuse_moved_supports(name, ours, structure.nodes)
-    load = model.constant_force[:, ours.free]
-    off = float(np.abs(rest.external_force[:, ours.free] - load).max(initial=0.0))
+    load = free_coordinates(ours, model.constant_force)
+    off = float(np.abs(free_coordinates(ours, rest.external_force) - load).max(initial=0.0))
     if off > 1e-9 * max(float(np.abs(load).max(initial=0.0)), float(rest.force_density.max())):
         raise ValueError(
             f"{name} rests under loads that differ from those of the model by {off:.3g} N; "

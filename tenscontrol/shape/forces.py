@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.statics import equilibrium_matrix
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, free_coordinates, is_movable
 from tenscontrol.validation import FloatArray, IntArray
 
 # In units of the level: what counts as zero, and what a null space is made of.
@@ -50,12 +50,11 @@ def choose_force_density(
         None if nothing between the bounds balances. Both choices are unique, so
         that a symmetric shape gets symmetric forces.
     """
-    pairs = np.vstack([structure.strings, structure.bars])
-    live = np.asarray(~np.isin(pairs, structure.fixed).all(axis=1))
+    live = is_movable(structure, np.vstack([structure.strings, structure.bars]))
     alpha = len(structure.strings)
     pulls = live[:alpha]
     E = equilibrium_matrix(structure)[structure.free_rows][:, live]
-    w = load.ravel(order="F")[structure.free_rows] / scale
+    w = free_coordinates(structure, load) / scale
     rows, goal = E, w
     count = int(pulls.sum())
     U, sizes, Vt = np.linalg.svd(rows)

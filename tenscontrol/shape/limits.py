@@ -8,6 +8,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model
+from tenscontrol.structure import free_coordinates, is_movable
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -126,7 +127,7 @@ def checked_limits(
     group = structure.string_groups[0] if reference is None else reference
     strings = structure.strings_in(group)
     # A string between two fixed nodes is part of the support.
-    strings = strings[~np.isin(structure.strings[strings], structure.fixed).all(axis=1)]
+    strings = strings[is_movable(structure, structure.strings[strings])]
     if len(strings) == 0:
         raise ValueError(
             f"the {group!r} strings are held at both ends, so that their γ says nothing; "
@@ -142,7 +143,7 @@ def checked_limits(
             )
     elif reference is not None:
         raise ValueError(f"reference is {reference!r}, but it goes with force_density")
-    loaded = bool(model.constant_force[:, structure.free].any())
+    loaded = bool(free_coordinates(structure, model.constant_force).any())
     if level is None and prestress == "centred" and not np.isfinite(high).all():
         raise ValueError(
             "nothing bounds the level of the prestress: give force_density or "

@@ -7,6 +7,7 @@ import numpy as np
 
 from tenscontrol.dynamics import Model, kernel
 from tenscontrol.statics import Prestress
+from tenscontrol.structure import free_coordinates, with_supports
 from tenscontrol.validation import FloatArray
 
 # A string with less than this fraction of the largest γ is slack.
@@ -26,16 +27,13 @@ class Margin:
         if model.strings is None:
             return
         structure = model.structure
-        free = len(structure.free)
-        q = ca.SX.sym("q", 3 * free)
+        q = ca.SX.sym("q", len(structure.free_rows))
         lam = ca.SX.sym("lambda", len(structure.bars))
         rest_length = ca.SX.sym("rest_length", len(structure.strings))
-        at = ca.SX(3, structure.nodes.shape[1])
-        at[:, structure.fixed.tolist()] = ca.DM(structure.nodes[:, structure.fixed])
-        at[:, structure.free.tolist()] = ca.reshape(q, 3, free)
+        at = with_supports(structure, q)
         B = kernel.differences(at, structure.bars)
         squares = kernel.dots(B, B).T / 2
-        stored = model.elastic_energy(ca.vertcat(q, ca.SX.zeros(3 * free)), rest_length)
+        stored = model.elastic_energy(ca.vertcat(q, ca.SX.zeros(q.numel())), rest_length)
         hessian, _ = ca.hessian(stored - ca.dot(lam, squares), q)
         results = [hessian, ca.jacobian(squares, q)]
         self._evaluate = ca.Function("stiffness", [q, rest_length, lam], results)
@@ -63,7 +61,7 @@ class Margin:
         wound = law.rest_length(structure.string_length(), gamma)
         # At the brink of slackness the stiffness has two values; the smaller one counts.
         wound = np.where(gamma > _SLACK * gamma.max(initial=0.0), wound, 2 * wound)
-        place = structure.nodes[:, structure.free].ravel(order="F")
+        place = free_coordinates(structure, structure.nodes)
         K, J = (
             np.array(part.full()) for part in self._evaluate(place, wound, rest.bar_force_density)
         )

@@ -11,6 +11,7 @@ import numpy as np
 from tenscontrol.dynamics import Model, kernel
 from tenscontrol.shape.symmetry import RotationalSymmetry, reduction
 from tenscontrol.statics import equilibrium_matrix
+from tenscontrol.structure import free_coordinates, with_supports
 from tenscontrol.validation import FloatArray
 
 # Newton steps onto the equations; each doubles the digits, unless they are singular.
@@ -86,16 +87,13 @@ class ShapeProblem:
         moves = np.zeros(len(structure.bars), bool)
         moves[structure.free_bars], moves[structure.swinging_bars] = True, True
         self._bars = red.bars[:, red.bars[moves].any(axis=0)]
-        n, free = structure.nodes.shape[1], structure.free.tolist()
 
         y = ca.SX.sym("y", red.basis.shape[1])
         g = ca.SX.sym("g", red.strings.shape[1])
         lam = ca.SX.sym("l", self._bars.shape[1])
         w = ca.SX.sym("w", self.neutral.shape[1])
-        at = ca.SX(3, n)
-        at[:, structure.fixed.tolist()] = ca.DM(structure.nodes[:, structure.fixed])
         places = ca.mtimes(_sparse(red.basis), self.size * y) + ca.DM(red.offset)
-        at[:, free] = ca.reshape(places, 3, len(free))
+        at = with_supports(structure, places)
         self.unknowns = ca.vertcat(y, g, lam, w)
         self.positions, self.tensions, self.nodes = y, g, at
         self.gamma = level * ca.mtimes(_sparse(red.strings), g)
@@ -104,16 +102,17 @@ class ShapeProblem:
         F = kernel.node_forces(structure, at, self.gamma, W)
         F += _bar_push(structure.bars, at, bars)
         body = ca.mtimes(ca.DM(self.neutral), w)
-        arms = (at[:, free] - ca.repmat(ca.DM(red.centre), 1, len(free))) / self.size
-        F = F[:, free] / (level * self.size)
-        for j in range(len(free)):
+        arms = (at - ca.repmat(ca.DM(red.centre), 1, at.shape[1])) / self.size
+        F = F / (level * self.size)
+        for j in structure.free.tolist():
             F[:, j] += body[:3] + ca.cross(body[3:], arms[:, j])
+        unbalanced = ca.vec(F)[structure.free_rows.tolist()]
         moving = self._bars.argmax(axis=0)
         B = kernel.differences(at, structure.bars[moving])
         lengths = ca.DM(structure.bar_length[moving] ** 2)
         stretch = (ca.sum1(B * B).T - lengths) / (2 * self.size**2)
         # Equations that the symmetry makes equal are written once.
-        self.equations = ca.vertcat(ca.mtimes(_sparse(red.basis.T), ca.vec(F)), stretch)
+        self.equations = ca.vertcat(ca.mtimes(_sparse(red.basis.T), unbalanced), stretch)
         self._parts = ca.Function("parts", [self.unknowns], [ca.densify(at), self.gamma])
 
     def start(self, nodes: FloatArray, gamma: FloatArray) -> FloatArray:
@@ -121,12 +120,11 @@ class ShapeProblem:
         red, structure = self._reduced, self.model.structure
         E = equilibrium_matrix(structure, nodes)[structure.free_rows]
         alpha = len(structure.strings)
-        load = self.model.constant_force.ravel(order="F")[structure.free_rows]
+        load = free_coordinates(structure, self.model.constant_force)
         lam = np.linalg.lstsq(E[:, alpha:], load - E[:, :alpha] @ gamma, rcond=None)[0]
-        places = nodes[:, structure.free].ravel(order="F")
         return np.concatenate(
             [
-                red.basis.T @ (places - red.offset) / self.size,
+                red.basis.T @ (free_coordinates(structure, nodes) - red.offset) / self.size,
                 _mean(red.strings, gamma) / self.level,
                 _mean(self._bars, np.asarray(lam, dtype=float)) / self.level,
                 np.zeros(self.neutral.shape[1]),
@@ -151,7 +149,7 @@ class ShapeProblem:
         motions = self._neutral_motions(np.eye(6))
         if motions.shape[1] == 0:
             return np.zeros((len(self.model.structure.free_rows), 0))
-        return self._fields(nodes[:, self.model.structure.free], motions)
+        return self._fields(nodes, motions)[self.model.structure.free_rows]
 
     @property
     def tension_rows(self) -> slice:
@@ -227,18 +225,20 @@ class ShapeProblem:
     def _neutral_motions(self, motions: FloatArray) -> FloatArray:
         """Return what of motions as one body the supports leave and the loads do not notice."""
         red, structure = self._reduced, self.model.structure
-        if len(structure.fixed):
-            motions = motions @ _null(self._fields(structure.nodes[:, structure.fixed], motions))
-        load = self.model.constant_force[:, structure.free]
+        if len(structure.fixed_rows):
+            held = self._fields(structure.nodes, motions)[structure.fixed_rows]
+            motions = motions @ _null(held)
+        load = free_coordinates(structure, self.model.constant_force)
         if not load.any() or motions.shape[1] == 0:
             return motions
         # The power of the load is linear in the positions: a few shapes tell it all.
         random = np.random.default_rng(0)
-        powers = []
-        for _ in range(3 * load.shape[1] + 3):
+        powers, places = [], structure.nodes.ravel(order="F").copy()
+        for _ in range(len(load) + 3):
             y = random.normal(size=red.basis.shape[1])
-            nodes = (red.offset + red.basis @ (self.size * y)).reshape(3, -1, order="F")
-            powers.append(load.ravel(order="F") @ self._fields(nodes, motions))
+            places[structure.free_rows] = red.offset + red.basis @ (self.size * y)
+            fields = self._fields(places.reshape(3, -1, order="F"), motions)
+            powers.append(load @ fields[structure.free_rows])
         return np.asarray(motions @ _null(np.array(powers)))
 
     def _fields(self, nodes: FloatArray, motions: FloatArray) -> FloatArray:

@@ -200,7 +200,7 @@ def reduction(
     _, sizes, Vt = np.linalg.svd((shift - turned)[:, rows])
     basis = Vt[np.count_nonzero(sizes > _TOLERANCE) :].T
     # Fixed nodes hold by themselves, so that the offset is the centre for all free ones.
-    offset = np.tile(symmetry.centre, len(rows) // 3)
+    offset = np.tile(symmetry.centre, count)[rows]
     d = symmetry.axis
     rigid = np.column_stack([np.r_[d, np.zeros(3)], np.r_[np.zeros(3), d]])
     return Reduction(basis, offset, strings, bars, rigid, symmetry.centre)

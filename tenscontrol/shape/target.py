@@ -18,6 +18,7 @@ from tenscontrol.statics import Prestress
 from tenscontrol.structure import (
     Structure,
     bar_distances,
+    refuse_load_without_support,
     refuse_moved_supports,
     restore_bar_lengths,
 )
@@ -245,13 +246,7 @@ def shape_target(
     place = structure.nodes if start is None else structure.checked_nodes("start", start)
     refuse_moved_supports("start", structure, place)
     place = restore_bar_lengths(structure, place)
-    load = model.constant_force
-    resultant = load.sum(axis=1)
-    if len(structure.fixed) == 0 and np.abs(resultant).max() > 1e-9 * np.abs(load).sum():
-        raise ValueError(
-            f"no equilibrium: nothing holds the structure, and its weights and loads add up to "
-            f"{resultant} N. Fix some nodes, Structure(..., fixed=[...])"
-        )
+    refuse_load_without_support(structure, model.constant_force)
     solved = solve_shape(model, tuple(wanted), limits, prestress, symmetry, place)
     if solved is None:
         raise ShapeError(

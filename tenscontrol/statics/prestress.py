@@ -10,7 +10,7 @@ import numpy as np
 from tenscontrol.statics.cone import nearest_in_cone
 from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
 from tenscontrol.statics.stability import Stability, stability
-from tenscontrol.structure import Structure, rigid_basis
+from tenscontrol.structure import Structure, free_coordinates, is_movable, rigid_basis
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -147,9 +147,9 @@ def prestress(
         load = shaped("external_force", external_force, (3, n), "one force per node, N")
     # Fixed nodes take any force; a member between two of them is part of the support.
     rows = structure.free_rows
-    live = _live_members(structure)
+    live = is_movable(structure, np.vstack([structure.strings, structure.bars]))
     E = equilibrium_matrix(structure)[rows][:, live]
-    w = load.ravel(order="F")[rows]
+    w = free_coordinates(structure, load)
     live_strings = live[:alpha]
     count = int(live_strings.sum())
     U, sizes, Vt = np.linalg.svd(E)
@@ -250,9 +250,3 @@ def _refuse_unbalanced(
             f"expected less than {_RESIDUAL_TOLERANCE * scale:.1e} N. "
             f"{hint}"
         )
-
-
-def _live_members(structure: Structure) -> np.ndarray:
-    """Return which strings, then bars, have a free end."""
-    pairs = np.vstack([structure.strings, structure.bars])
-    return np.asarray(~np.isin(pairs, structure.fixed).all(axis=1))

@@ -67,13 +67,13 @@ def stability(
     members = equilibrium_matrix(structure)[structure.free_rows][:, carrying]
     flexes = _null_space(members.T)
     flexes = flexes @ _null_space(rigid_basis(structure)[structure.free_rows].T @ flexes)
-    free = stress[np.ix_(structure.free, structure.free)]
     # vec(N) is node by node, so the energy ½ tr(N Ω Nᵀ) has the matrix Ω ⊗ I₃.
-    energy = flexes.T @ np.kron(free, np.eye(3)) @ flexes
+    rows = structure.free_rows
+    energy = flexes.T @ np.kron(stress, np.eye(3))[np.ix_(rows, rows)] @ flexes
     mechanism_stiffness = np.linalg.eigvalsh(0.5 * (energy + energy.T))
     is_stable = bool((mechanism_stiffness > _TOLERANCE * largest).all()) and largest > 0
 
-    eigenvalues = np.linalg.eigvalsh(free)
+    eigenvalues = np.linalg.eigvalsh(stress[np.ix_(structure.free, structure.free)])
     defect = int(np.count_nonzero(np.abs(eigenvalues) <= _TOLERANCE * largest))
     axes = _axes(structure)
     held = structure.nodes[:, structure.fixed]

@@ -1,20 +1,12 @@
 """What a tensegrity structure is: nodes, bars, strings, masses."""
 
-from tenscontrol.structure.clearance import BarDistances, bar_distances, crossing
-from tenscontrol.structure.lengths import (
-    refuse_moved_supports,
+from tenscontrol.structure.bar_distances import BarDistances, bar_distances, crossing
+from tenscontrol.structure.bar_lengths import (
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
     restore_bar_lengths,
 )
-from tenscontrol.structure.motions import (
-    affine_motions,
-    left_by_supports,
-    rigid_basis,
-    rigid_motions,
-)
 from tenscontrol.structure.net import net
-from tenscontrol.structure.prestretch import skin_rest_length
 from tenscontrol.structure.prism import prism, prism_radius
 from tenscontrol.structure.segments import (
     segment_counts,
@@ -23,9 +15,20 @@ from tenscontrol.structure.segments import (
     to_segments,
     to_strings,
 )
-from tenscontrol.structure.skin import skin
+from tenscontrol.structure.skin import skin, skin_rest_length
 from tenscontrol.structure.structure import Structure, same_members
 from tenscontrol.structure.subdivide import subdivide
+from tenscontrol.structure.supports import (
+    affine_motions,
+    free_coordinates,
+    is_movable,
+    left_by_supports,
+    refuse_load_without_support,
+    refuse_moved_supports,
+    rigid_basis,
+    rigid_motions,
+    with_supports,
+)
 from tenscontrol.structure.tower import prism_tower
 
 __all__ = [
@@ -34,11 +37,14 @@ __all__ = [
     "affine_motions",
     "bar_distances",
     "crossing",
+    "free_coordinates",
+    "is_movable",
     "left_by_supports",
     "net",
     "prism",
     "prism_radius",
     "prism_tower",
+    "refuse_load_without_support",
     "refuse_moved_supports",
     "refuse_strings_without_length",
     "refuse_wrong_bar_lengths",
@@ -54,4 +60,5 @@ __all__ = [
     "subdivide",
     "to_segments",
     "to_strings",
+    "with_supports",
 ]

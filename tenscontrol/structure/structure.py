@@ -232,12 +232,17 @@ class Structure:
     @cached_property
     def free(self) -> IntArray:
         """Indices of the nodes that are not fixed, ascending."""
-        return frozen(np.setdiff1d(np.arange(self.nodes.shape[1]), self.fixed))
+        return frozen(np.unique(self.free_rows // 3))
+
+    @cached_property
+    def fixed_rows(self) -> IntArray:
+        """Rows of ``vec(N)``, x1 y1 z1 x2 …, that supports hold, ascending."""
+        return frozen((3 * self.fixed[:, None] + np.arange(3)).ravel())
 
     @cached_property
     def free_rows(self) -> IntArray:
-        """Rows of ``vec(N)`` that belong to free nodes, ascending."""
-        return frozen((3 * self.free[:, None] + np.arange(3)).ravel())
+        """Rows of ``vec(N)`` that supports leave free, ascending, shape (f,)."""
+        return frozen(np.setdiff1d(np.arange(self.nodes.size), self.fixed_rows))
 
     @cached_property
     def free_bars(self) -> IntArray:

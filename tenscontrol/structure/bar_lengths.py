@@ -1,4 +1,4 @@
-"""Lengths in a shape: checked, and restored."""
+"""Lengths of bars and strings in a shape: checked, and those of bars restored."""
 
 from __future__ import annotations
 
@@ -77,16 +77,4 @@ def refuse_strings_without_length(name: str, structure: Structure, nodes: FloatA
         raise ValueError(
             f"in {name}, strings[{short[0]}] has no length: nodes {start} and {end} are at the "
             "same place, so that its force has no direction"
-        )
-
-
-def refuse_moved_supports(name: str, structure: Structure, nodes: FloatArray) -> None:
-    """Raise if a fixed node is not where the structure has it."""
-    off = np.linalg.norm(nodes - structure.nodes, axis=0)[structure.fixed]
-    size = float(np.ptp(structure.nodes, axis=1).max())
-    if off.size and off.max() > _TOLERANCE * size:
-        node = int(structure.fixed[off.argmax()])
-        raise ValueError(
-            f"in {name}, the fixed node {node} is {off.max():.3g} m from its place "
-            f"{structure.nodes[:, node]} m"
         )
