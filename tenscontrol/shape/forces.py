@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tenscontrol.statics import equilibrium_matrix
+from tenscontrol.statics import equilibrium_matrix, least_distance
 from tenscontrol.structure import Structure, free_coordinates, is_movable
 from tenscontrol.validation import FloatArray, IntArray
 
@@ -81,12 +81,7 @@ def choose_force_density(
 
 
 def _least(D: FloatArray, p: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray | None:
-    """Return ``p + D x`` of least norm between bounds: least distance programming.
-
-    Lawson & Hanson, *Solving Least Squares Problems*, chapter 23.
-    """
-    from scipy.optimize import nnls
-
+    """Return ``p + D x`` of least norm between bounds."""
     U, sizes, _ = np.linalg.svd(D, full_matrices=False)
     U = U[:, sizes > _ZERO]
     best = p - U @ (U.T @ p)
@@ -96,14 +91,8 @@ def _least(D: FloatArray, p: FloatArray, low: FloatArray, high: FloatArray) -> F
     G[np.abs(G) < 1e-12], h[np.abs(h) < 1e-12] = 0.0, 0.0
     if (h <= _ZERO).all():
         return np.asarray(best)
-    matrix = np.vstack([G.T, h[None, :]])
-    goal = np.zeros(len(matrix))
-    goal[-1] = 1.0
-    multipliers, _ = nnls(matrix, goal)
-    slack = matrix @ multipliers - goal
-    if slack[-1] > -_ZERO:
-        return None
-    return np.asarray(best - U @ (slack[:-1] / slack[-1]))
+    step = least_distance(G, h)
+    return None if step is None else np.asarray(best + U @ step)
 
 
 def _analytic_centre(

@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscontrol.dynamics import Model, kernel
 from tenscontrol.shape.symmetry import RotationalSymmetry, reduction
-from tenscontrol.statics import equilibrium_matrix
+from tenscontrol.statics import equilibrium_matrix, null_space
 from tenscontrol.structure import free_coordinates, with_supports
 from tenscontrol.validation import FloatArray
 
@@ -227,7 +227,7 @@ class ShapeProblem:
         red, structure = self._reduced, self.model.structure
         if len(structure.fixed_rows):
             held = self._fields(structure.nodes, motions)[structure.fixed_rows]
-            motions = motions @ _null(held)
+            motions = motions @ null_space(held)
         load = free_coordinates(structure, self.model.constant_force)
         if not load.any() or motions.shape[1] == 0:
             return motions
@@ -239,7 +239,7 @@ class ShapeProblem:
             places[structure.free_rows] = red.offset + red.basis @ (self.size * y)
             fields = self._fields(places.reshape(3, -1, order="F"), motions)
             powers.append(load @ fields[structure.free_rows])
-        return np.asarray(motions @ _null(np.array(powers)))
+        return np.asarray(motions @ null_space(np.array(powers)))
 
     def _fields(self, nodes: FloatArray, motions: FloatArray) -> FloatArray:
         """Return the displacements of nodes in motions as one body, shape (3k, m)."""
@@ -260,12 +260,6 @@ def _bar_push(bars: Any, at: Any, lam: Any) -> Any:
 
 def _mean(orbits: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray(orbits.T @ values / np.maximum(orbits.sum(axis=0), 1))
-
-
-def _null(matrix: FloatArray) -> FloatArray:
-    _, sizes, Vt = np.linalg.svd(matrix)
-    rank = int(np.count_nonzero(sizes > 1e-9 * sizes.max(initial=0.0)))
-    return np.asarray(Vt[rank:].T)
 
 
 def _sparse(matrix: FloatArray) -> ca.DM:

@@ -1,14 +1,17 @@
 """Forces at rest: self-stress, prestress, mechanisms, stability."""
 
-from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
-from tenscontrol.statics.prestress import Prestress, prestress
-from tenscontrol.statics.prism import prism_force_density
+from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, null_space
+from tenscontrol.statics.least_distance import least_distance, nearest_in_cone
+from tenscontrol.statics.prestress import Prestress, prestress, prism_force_density
 from tenscontrol.statics.stability import Stability, stress_matrix
 
 __all__ = [
     "Prestress",
     "Stability",
     "equilibrium_matrix",
+    "least_distance",
+    "nearest_in_cone",
+    "null_space",
     "prestress",
     "prism_force_density",
     "stress_matrix",

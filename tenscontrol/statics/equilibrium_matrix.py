@@ -7,6 +7,10 @@ import numpy as np
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray, instance
 
+# Singular values below this fraction of the largest count as zero: far above round-off, far below
+# what a real member contributes.
+_RANK_TOLERANCE = 1e-9
+
 
 def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray:
     """Return E with ``vec(N K_s) = E [γ; λ]``: what the members need as load to be at rest.
@@ -57,3 +61,10 @@ def _add_members(E: FloatArray, pairs: IntArray, vectors: FloatArray, offset: in
     columns = offset + np.arange(len(pairs))
     E[pairs[:, 0], :, columns] += vectors.T
     E[pairs[:, 1], :, columns] -= vectors.T
+
+
+def null_space(matrix: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of the null space, shape (columns, nullity)."""
+    _, sizes, Vt = np.linalg.svd(matrix)
+    rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
+    return np.asarray(Vt[rank:].T)

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from tenscontrol.statics.cone import nearest_in_cone
 from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
+from tenscontrol.statics.least_distance import nearest_in_cone
 from tenscontrol.statics.stability import Stability, stability
 from tenscontrol.structure import Structure, free_coordinates, is_movable, rigid_basis
 from tenscontrol.validation import (
@@ -20,6 +20,7 @@ from tenscontrol.validation import (
     non_negative,
     positive_number,
     shaped,
+    whole_number,
 )
 
 # Singular values below this fraction of the largest count as zero: far above
@@ -193,6 +194,58 @@ def prestress(
         self_stress_states=states.shape[1],
         mechanisms=len(rows) - rigid_basis(structure).shape[1] - rank,
     )
+
+
+def prism_force_density(
+    sides: int,
+    force_density: float,
+    radius: float = 1.0,
+    top_radius: float | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the force densities at which a prism rests, in the order of :func:`prism`.
+
+    With top radius a and bottom radius b::
+
+        γ_v = λ = 2 sin(π/q) γ_t a/b,    γ_b = γ_t a²/b²
+
+    so that for three bars and equal radii γ_v = √3 γ_t. The height plays no part.
+
+    Parameters
+    ----------
+    sides : int
+        Number q of bars, at least 3.
+    force_density : float
+        γ_t of the top strings, N/m.
+    radius, top_radius : float
+        Radii of bottom and top, m; only their ratio matters. Equal if
+        ``top_radius`` is not given.
+
+    Returns
+    -------
+    strings : ndarray, shape (3q,)
+        γ of top, bottom and vertical strings, N/m.
+    bars : ndarray, shape (q,)
+        λ of the bars, N/m, positive in compression.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a number is not positive and finite or ``sides`` is below 3.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> strings, bars = tc.statics.prism_force_density(3, 10.0)
+    >>> strings[[0, 3, 6]].round(4)
+    array([10.    , 10.    , 17.3205])
+    """
+    q = whole_number("sides", sides, least=3)
+    top = positive_number("force_density", force_density, "N/m")
+    b = positive_number("radius", radius, "m")
+    a = b if top_radius is None else positive_number("top_radius", top_radius, "m")
+    vertical = 2 * np.sin(np.pi / q) * top * a / b
+    bottom = top * (a / b) ** 2
+    return np.repeat([top, bottom, vertical], q), np.full(q, vertical)
 
 
 def _nearest_to_uniform(

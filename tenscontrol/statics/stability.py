@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
+from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, null_space
 from tenscontrol.structure import Structure, rigid_basis
 from tenscontrol.validation import FloatArray, frozen, instance, shaped
 
@@ -45,28 +45,15 @@ class Stability:
 def stability(
     structure: Structure, force_density: FloatArray, bar_force_density: FloatArray
 ) -> Stability:
-    """Test a balanced prestress; strings with γ = 0 are left out, since they may go slack.
-
-    Parameters
-    ----------
-    structure : Structure
-    force_density : ndarray, shape (α,)
-        γ, N/m, of a prestress in balance.
-    bar_force_density : ndarray, shape (β,)
-        λ, N/m.
-
-    Returns
-    -------
-    Stability
-    """
+    """Test a balanced prestress γ, λ; strings with γ = 0 are left out, since they may go slack."""
     taut = force_density > _TOLERANCE * np.abs(force_density).max(initial=0.0)
     stress = stress_matrix(structure, force_density, bar_force_density)
     largest = float(np.abs(stress).max(initial=0.0))
 
     carrying = np.concatenate([taut, np.ones(len(structure.bars), bool)])
     members = equilibrium_matrix(structure)[structure.free_rows][:, carrying]
-    flexes = _null_space(members.T)
-    flexes = flexes @ _null_space(rigid_basis(structure)[structure.free_rows].T @ flexes)
+    flexes = null_space(members.T)
+    flexes = flexes @ null_space(rigid_basis(structure)[structure.free_rows].T @ flexes)
     # vec(N) is node by node, so the energy ½ tr(N Ω Nᵀ) has the matrix Ω ⊗ I₃.
     rows = structure.free_rows
     energy = flexes.T @ np.kron(stress, np.eye(3))[np.ix_(rows, rows)] @ flexes
@@ -143,12 +130,6 @@ def stress_matrix(
     return stress
 
 
-def _null_space(matrix: FloatArray) -> FloatArray:
-    _, sizes, Vt = np.linalg.svd(matrix)
-    rank = int(np.count_nonzero(sizes > _TOLERANCE * sizes.max(initial=0.0)))
-    return np.asarray(Vt[rank:].T)
-
-
 def _affine_motions_keeping_length(structure: Structure, taut: FloatArray, axes: FloatArray) -> int:
     """Return how many independent symmetric G have ``vᵀ G v = 0`` for every member vector v."""
     strings = structure.string_vectors(structure.nodes)[:, taut]
@@ -156,7 +137,7 @@ def _affine_motions_keeping_length(structure: Structure, taut: FloatArray, axes:
     vectors = vectors / np.linalg.norm(vectors, axis=0)
     rows, columns = np.triu_indices(axes.shape[1])
     conic = (vectors[rows] * vectors[columns]).T
-    return int(_null_space(conic).shape[1])
+    return int(null_space(conic).shape[1])
 
 
 def _axes(structure: Structure) -> FloatArray:

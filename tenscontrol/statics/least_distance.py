@@ -1,9 +1,10 @@
-"""The point of a polyhedral set nearest to a target."""
+"""Least distance programming: the point of a polyhedral set nearest to a target."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from tenscontrol.statics.equilibrium_matrix import null_space
 from tenscontrol.validation import FloatArray
 
 # In the scaled problem every quantity is of order one; round-off stays far below this.
@@ -11,29 +12,32 @@ _TOLERANCE = 1e-9
 _ROUND_OFF = 1e-12
 
 
+def least_distance(G: FloatArray, h: FloatArray) -> FloatArray | None:
+    """Return the y of least norm with ``G y ≥ h``, shape (k,), or None if there is none.
+
+    By non-negative least squares (Lawson & Hanson, *Solving Least Squares
+    Problems*, chapter 23): exact up to round-off. G and h are of order one.
+    """
+    from scipy.optimize import nnls
+
+    matrix = np.vstack([G.T, h[None, :]])
+    goal = np.zeros(len(matrix))
+    goal[-1] = 1.0
+    multipliers, _ = nnls(matrix, goal)
+    slack = matrix @ multipliers - goal
+    if slack[-1] > -_TOLERANCE:
+        return None
+    return np.asarray(-slack[:-1] / slack[-1])
+
+
 def nearest_in_cone(
     directions: FloatArray, offset: FloatArray, target: FloatArray
 ) -> FloatArray | None:
-    """Return x that minimizes ``‖D x + o − target‖`` subject to ``D x + o ≥ 0``.
+    """Return x, shape (k,), that minimizes ``‖D x + o − target‖`` subject to ``D x + o ≥ 0``.
 
-    Parameters
-    ----------
-    directions : ndarray, shape (m, k)
-        D.
-    offset, target : ndarray, shape (m,)
-        o and the target.
-
-    Returns
-    -------
-    ndarray, shape (k,), or None
-        None if no x is feasible.
-
-    Notes
-    -----
-    Least distance programming by non-negative least squares (Lawson & Hanson,
-    *Solving Least Squares Problems*, chapter 23): exact up to round-off, and
-    unique in ``D x``, so that a symmetric structure gets a symmetric answer.
-    Entries that are zero in the whole set are found first by a linear program.
+    D are the ``directions``, shape (m, k), o the ``offset``. ``D x`` is unique,
+    so that a symmetric structure gets a symmetric answer. Entries that are zero
+    in the whole set are found first by a linear program. None if no x is feasible.
     """
     scale = max(float(np.abs(offset).max()), float(np.abs(target).max()))
     best = _nearest(directions, offset / scale, target / scale)
@@ -55,40 +59,24 @@ def _nearest(D: FloatArray, offset: FloatArray, target: FloatArray) -> FloatArra
         start = _least_squares(D[~free], -offset[~free])
         if np.abs(offset[~free] + D[~free] @ start).max() > _TOLERANCE:
             return None
-        along = _null_space(D[~free])
+        along = null_space(D[~free])
         moved = offset + D @ start
         rest = _nearest(D[free] @ along, moved[free], target[free])
         return None if rest is None else np.asarray(start + along @ rest)
-    return _least_distance(D, offset, target)
-
-
-def _least_distance(D: FloatArray, offset: FloatArray, target: FloatArray) -> FloatArray | None:
-    """Solve it by non-negative least squares, where the feasible set has an interior."""
-    from scipy.optimize import nnls
-
+    # The feasible set has an interior.
     U, sizes, Vt = np.linalg.svd(D, full_matrices=False)
     keep = sizes > _TOLERANCE
     U, sizes, Vt = U[:, keep], sizes[keep], Vt[keep]
     best = U.T @ (target - offset)
-    # Minimal ‖y‖ with U y ≥ −(offset + U best), the step from the free optimum.
-    matrix = np.vstack([U.T, -(offset + U @ best)[None, :]])
-    goal = np.zeros(len(matrix))
-    goal[-1] = 1.0
-    multipliers, _ = nnls(matrix, goal)
-    slack = matrix @ multipliers - goal
-    if slack[-1] > -_TOLERANCE:
-        return None
-    step = -slack[:-1] / slack[-1]
-    return np.asarray(Vt.T @ ((best + step) / sizes))
+    step = least_distance(U, -(offset + U @ best))  # from the optimum without bounds
+    return None if step is None else np.asarray(Vt.T @ ((best + step) / sizes))
 
 
 def _can_be_positive(D: FloatArray, offset: FloatArray) -> np.ndarray | None:
-    """Return which entries of ``D x + o`` are positive somewhere in the set; None if it is empty.
-
-    One linear program: the most entries of at least 1 in the cone over the set.
-    """
+    """Return which entries of ``D x + o`` can be positive, or None if the set is empty."""
     from scipy.optimize import linprog
 
+    # The most entries of at least 1 in the cone over the set.
     m, k = D.shape
     answer = linprog(
         c=np.concatenate([np.zeros(k + 1), -np.ones(m)]),
@@ -106,9 +94,3 @@ def _can_be_positive(D: FloatArray, offset: FloatArray) -> np.ndarray | None:
 
 def _least_squares(A: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(A, b, rcond=_TOLERANCE)[0])
-
-
-def _null_space(A: FloatArray) -> FloatArray:
-    _, sizes, Vt = np.linalg.svd(A)
-    rank = int(np.count_nonzero(sizes > _TOLERANCE * sizes.max(initial=0.0)))
-    return np.asarray(Vt[rank:].T)
