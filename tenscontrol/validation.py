@@ -97,6 +97,30 @@ def per_member(name: str, value: object, count: int, member: str) -> FloatArray:
     return array
 
 
+def one_or_per_string(name: str, array: FloatArray, count: int) -> None:
+    """Refuse an array that is neither one number nor one per string."""
+    if array.shape not in ((), (count,)):
+        raise ValueError(
+            f"{name} has shape {array.shape}, expected () or ({count},): one number, or one per "
+            "string"
+        )
+
+
+def refuse_fractions(name: str, array: FloatArray) -> None:
+    """Refuse an array, shape (k,), with an entry that is not a whole number."""
+    bad = np.flatnonzero(array != np.floor(array))
+    if len(bad):
+        raise TypeError(f"{name}[{bad[0]}] is {array[bad[0]]:g}, expected a whole number")
+
+
+def direction(name: str, value: object) -> FloatArray:
+    """Return a direction in space as a vector of length 1, shape (3,)."""
+    vector = shaped(name, value, (3,), "a direction")
+    if not vector.any():
+        raise ValueError(f"{name} is 0, expected a direction")
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
 def positive(name: str, array: FloatArray, what: str) -> FloatArray:
     """Refuse an array with an entry that is not greater than zero."""
     bad = np.flatnonzero(array <= 0)

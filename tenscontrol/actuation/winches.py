@@ -13,6 +13,7 @@ from tenscontrol.validation import (
     float_array,
     frozen,
     member_parameters,
+    one_or_per_string,
     positive,
     positive_number,
     truth,
@@ -177,11 +178,8 @@ class Winches:
         positive("wanted", goal, "rest length in m")
         for name, _ in _UNITS:
             value = getattr(self, name)
-            if value is not None and value.shape not in ((), start.shape):
-                raise ValueError(
-                    f"{name} has shape {value.shape}, expected () or {start.shape}: "
-                    "one number, or one per string"
-                )
+            if value is not None:
+                one_or_per_string(name, value, len(start))
         low = -np.inf if self.shortest is None else self.shortest
         high = np.inf if self.longest is None else self.longest
         within = np.clip(goal, low, high)

@@ -20,7 +20,7 @@ from tenscontrol.scene import keys
 from tenscontrol.scene.document import Document, Table
 from tenscontrol.scene.members import per_string, whole
 from tenscontrol.scene.reference import build_outputs, build_reference, build_tracked
-from tenscontrol.shape.along import plants_along
+from tenscontrol.shape import plants_along
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import Structure
 from tenscontrol.validation import positive_number, whole_number

@@ -1,11 +1,10 @@
 """Shapes as a control engineer needs them: targets in equilibrium and paths between them."""
 
-from tenscontrol.shape.constraints import Demand, NodesAt, PointAt
-from tenscontrol.shape.measures import Height, Twist
-from tenscontrol.shape.path import ShapePath, shape_path
+from tenscontrol.shape.demands import Demand, Height, NodesAt, PointAt, Twist
+from tenscontrol.shape.path_timing import PathError
+from tenscontrol.shape.shape_path import ShapePath, plants_along, shape_path
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.shape.target import DemandCheck, ShapeError, ShapeTarget, shape_target
-from tenscontrol.shape.timed import PathError
 
 __all__ = [
     "Demand",
@@ -19,6 +18,7 @@ __all__ = [
     "ShapePath",
     "ShapeTarget",
     "Twist",
+    "plants_along",
     "shape_path",
     "shape_target",
 ]

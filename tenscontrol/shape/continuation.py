@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.shape.problem import EXACT, ShapeProblem
+from tenscontrol.shape.nonlinear_program import EXACT, ShapeProblem
 from tenscontrol.validation import FloatArray
 
 # Weight of γ against positions, both in their units.
@@ -23,22 +23,12 @@ _LONGEST, _SHORTEST, _OFF = 1 / 32, 1 / 8192, 0.01
 
 @dataclass(frozen=True, eq=False)
 class Waypoint:
-    """An equilibrium on the way.
+    """An equilibrium on the way."""
 
-    Attributes
-    ----------
-    place : float
-        s, from 0 to 1.
-    values, slope : ndarray
-        The unknowns of the problem, and their derivative with respect to s.
-    multipliers : ndarray
-        Of the equations.
-    """
-
-    place: float
-    values: FloatArray
-    slope: FloatArray
-    multipliers: FloatArray
+    place: float  # s, from 0 to 1
+    values: FloatArray  # the unknowns of the problem
+    slope: FloatArray  # their derivative with respect to s
+    multipliers: FloatArray  # of the equations
 
 
 class Continuation:
@@ -47,15 +37,8 @@ class Continuation:
     At each s the squared distance ``‖y − y(s)‖² + w ‖g − g(s)‖²`` from the point
     between start and goal is least among the equilibria with γ in its bounds. Its
     conditions (Karush, Kuhn and Tucker) are solved by Newton steps with an active
-    set, from a prediction along the tangent.
-
-    Parameters
-    ----------
-    problem : ShapeProblem
-    start, goal : ndarray
-        Unknowns of two equilibria.
-    low, high : ndarray, shape (α,)
-        Bounds of γ in units of the level.
+    set, from a prediction along the tangent. ``start`` and ``goal`` are unknowns of
+    the problem; ``low`` and ``high`` bound γ in units of the level.
     """
 
     def __init__(

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.shape.checks import node_list
+from tenscontrol.shape.demands import node_list
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray, frozen, shaped, whole_number
+from tenscontrol.validation import FloatArray, IntArray, direction, frozen, shaped, whole_number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,10 +83,7 @@ class RotationalSymmetry:
                 )
         node_list("cycles", np.concatenate(cycles))
         put(self, "cycles", cycles)
-        axis = shaped("axis", self.axis, (3,), "a direction")
-        if not axis.any():
-            raise ValueError("axis is 0, expected a direction")
-        put(self, "axis", frozen(axis / np.linalg.norm(axis)))
+        put(self, "axis", frozen(direction("axis", self.axis)))
         put(self, "centre", frozen(shaped("centre", self.centre, (3,), "a point")))
         whole_number("turns", self.turns, least=1 - self.order)
         if self.turns % self.order == 0:
@@ -121,52 +118,23 @@ class RotationalSymmetry:
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """Coordinates of the shapes that are searched.
+    """Coordinates y of the shapes that are searched: all, or those with a symmetry.
 
-    Attributes
-    ----------
-    basis : ndarray, shape (3n, r)
-        Orthonormal: free nodes are ``vec(N) = offset + basis y``.
-    offset : ndarray, shape (3n,)
-        m.
-    strings, bars : ndarray, shape (α, ·), (β, ·)
-        Which members share one unknown: a 1 in each row.
-    rigid : ndarray, shape (6, m)
-        Motions as one body that the symmetry allows: three of translation,
-        three of rotation about the centre.
-    centre : ndarray, shape (3,)
-        m.
+    The free coordinates are ``offset + basis y``, m; ``basis`` is orthonormal.
     """
 
-    basis: FloatArray
-    offset: FloatArray
-    strings: FloatArray
-    bars: FloatArray
-    rigid: FloatArray
-    centre: FloatArray
+    basis: FloatArray  # (f, r)
+    offset: FloatArray  # (f,)
+    strings: FloatArray  # (α, ·): which of them share one unknown, a 1 in each row
+    bars: FloatArray  # (β, ·)
+    rigid: FloatArray  # (6, m): translations and rotations about the centre that are allowed
+    centre: FloatArray  # (3,)
 
 
 def reduction(
     structure: Structure, load: FloatArray, symmetry: RotationalSymmetry | None
 ) -> Reduction:
-    """Return the coordinates of all shapes, or of those with a symmetry.
-
-    Parameters
-    ----------
-    structure : Structure
-    load : ndarray, shape (3, n)
-        N; must have the symmetry.
-    symmetry : RotationalSymmetry or None
-
-    Returns
-    -------
-    Reduction
-
-    Raises
-    ------
-    ValueError
-        If the structure or the load has not the symmetry.
-    """
+    """Return the coordinates, or raise if structure or load, N, (3, n), have not the symmetry."""
     count, rows = structure.nodes.shape[1], structure.free_rows
     if symmetry is None:
         nothing = np.zeros(len(rows))

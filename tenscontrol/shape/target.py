@@ -10,9 +10,9 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model
-from tenscontrol.shape.constraints import Demand
-from tenscontrol.shape.limits import HealthLimits, checked_limits
-from tenscontrol.shape.solve import MET, STIFF, Solved, solve_shape
+from tenscontrol.shape.demands import Demand
+from tenscontrol.shape.force_bounds import ForceLimits, checked_limits
+from tenscontrol.shape.shape_search import MET, STIFF, Solved, solve_shape
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import (
@@ -278,7 +278,7 @@ def shape_target(
 
 
 def _target(
-    model: Model, demands: tuple[Demand, ...], limits: HealthLimits, solved: Solved
+    model: Model, demands: tuple[Demand, ...], limits: ForceLimits, solved: Solved
 ) -> ShapeTarget:
     structure, rest = model.structure, solved.rest
     nodes, gamma = rest.structure.nodes, rest.force_density
@@ -297,7 +297,7 @@ def _target(
     )
 
 
-def _checks(demands: tuple[Demand, ...], limits: HealthLimits, solved: Solved) -> list[DemandCheck]:
+def _checks(demands: tuple[Demand, ...], limits: ForceLimits, solved: Solved) -> list[DemandCheck]:
     rows = []
     at = 0
     for demand in demands:

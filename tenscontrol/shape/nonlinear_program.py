@@ -1,8 +1,9 @@
-"""Equilibrium shapes as the solutions of equations, and the search among them."""
+"""Equilibrium shapes as a nonlinear program: unknowns, equations, search and stiffness."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -10,7 +11,7 @@ import numpy as np
 
 from tenscontrol.dynamics import Model, kernel
 from tenscontrol.shape.symmetry import RotationalSymmetry, reduction
-from tenscontrol.statics import equilibrium_matrix, null_space
+from tenscontrol.statics import Prestress, equilibrium_matrix, null_space
 from tenscontrol.structure import free_coordinates, with_supports
 from tenscontrol.validation import FloatArray
 
@@ -26,26 +27,16 @@ _FLAT = 1e-10
 # Keeps the search from wandering where several force densities do.
 _TIE = 1e-10
 
+# A string with less than this fraction of the largest γ is slack.
+_SLACK = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a search ended with.
-
-    Attributes
-    ----------
-    values : ndarray
-        The unknowns.
-    multipliers : ndarray
-        Of the equations.
-    success : bool
-    status : str
-        In the words of the optimizer.
-    """
+    """What a search ended with: the unknowns, and whether the optimizer is content."""
 
     values: FloatArray
-    multipliers: FloatArray
     success: bool
-    status: str
 
 
 class ShapeProblem:
@@ -60,15 +51,8 @@ class ShapeProblem:
     Forces between nodes have no resultant, so that w vanishes. It stands for the
     equations that say nothing new, and keeps the others independent.
 
-    Parameters
-    ----------
-    model : Model
-    start : ndarray, shape (3, n)
-        Gives the size.
-    level : float
-        Scale of the force densities, N/m.
-    symmetry : RotationalSymmetry, optional
-        Only shapes that have it.
+    The nodes of ``start``, shape (3, n), give the size; ``level`` is the scale of the
+    force densities, N/m. With a ``symmetry``, only shapes that have it are solutions.
     """
 
     def __init__(
@@ -194,13 +178,7 @@ class ShapeProblem:
         problem = {"x": v, "f": objective + tie, "g": rows}
         solver = ca.nlpsol("shape", "ipopt", problem, options)
         answer = solver(x0=guess, lbx=least, ubx=most, lbg=low, ubg=high)
-        status = solver.stats()
-        return Found(
-            np.array(answer["x"].full()).ravel(),
-            np.array(answer["lam_g"].full()).ravel(),
-            bool(status["success"]),
-            str(status["return_status"]),
-        )
+        return Found(np.array(answer["x"].full()).ravel(), bool(solver.stats()["success"]))
 
     def polish(self, values: FloatArray, rows: Any = None) -> tuple[FloatArray, FloatArray]:
         """Return the unknowns nearest by that solve the equations, and what is left of them.
@@ -221,6 +199,44 @@ class ShapeProblem:
             best, least, left = point, worst, residual
             point = point - np.linalg.lstsq(jacobian, residual, rcond=_FLAT)[0]
         return best, left
+
+    def stability_margin(self, rest: Prestress) -> float:
+        """Return the smallest eigenvalue of the stiffness at rest of what can move, N/m.
+
+        With a string law: rest lengths held, bars rigid, motions as one body that
+        nothing resists left out. Without: taut strings rigid as well, so that
+        only the prestress stiffens, and infinite if there is no mechanism.
+        """
+        from scipy.linalg import null_space as kernel_of
+
+        law = self.model.strings
+        if law is None:
+            return float(rest.stability.mechanism_stiffness.min(initial=np.inf))
+        structure, gamma = rest.structure, rest.force_density
+        wound = law.rest_length(structure.string_length(), gamma)
+        # At the brink of slackness the stiffness has two values; the smaller one counts.
+        wound = np.where(gamma > _SLACK * gamma.max(initial=0.0), wound, 2 * wound)
+        place = free_coordinates(structure, structure.nodes)
+        found = self._stiffness(place, wound, rest.bar_force_density)
+        K, J = (np.array(part.full()) for part in found)
+        held = np.vstack([J, self.neutral_fields(structure.nodes).T])
+        Z = kernel_of(held, rcond=1e-9) if held.size else np.eye(len(place))
+        return float(np.linalg.eigvalsh(Z.T @ K @ Z)[0]) if Z.shape[1] else float("inf")
+
+    @cached_property
+    def _stiffness(self) -> ca.Function:
+        """Stiffness with rest lengths held, and rows of the bars, by the free coordinates."""
+        structure = self.model.structure
+        q = ca.SX.sym("q", len(structure.free_rows))
+        lam = ca.SX.sym("lambda", len(structure.bars))
+        rest_length = ca.SX.sym("rest_length", len(structure.strings))
+        B = kernel.differences(with_supports(structure, q), structure.bars)
+        squares = kernel.dots(B, B).T / 2
+        state = ca.vertcat(q, ca.SX.zeros(q.numel()))
+        stored = self.model.elastic_energy(state, rest_length)
+        hessian, _ = ca.hessian(stored - ca.dot(lam, squares), q)
+        results = [hessian, ca.jacobian(squares, q)]
+        return ca.Function("stiffness", [q, rest_length, lam], results)
 
     def _neutral_motions(self, motions: FloatArray) -> FloatArray:
         """Return what of motions as one body the supports leave and the loads do not notice."""

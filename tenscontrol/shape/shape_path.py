@@ -8,26 +8,33 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model
-from tenscontrol.plant import LinearPlant
+from tenscontrol.plant import LinearPlant, OperatingPoint, linearize
 from tenscontrol.plant.reference import Reference
-from tenscontrol.shape.along import plants_along
 from tenscontrol.shape.continuation import Continuation, Waypoint
-from tenscontrol.shape.ends import path_end, refuse_same
-from tenscontrol.shape.limits import checked_bounds
-from tenscontrol.shape.margin import Margin
-from tenscontrol.shape.problem import ShapeProblem
-from tenscontrol.shape.solve import STIFF
+from tenscontrol.shape.force_bounds import checked_bounds
+from tenscontrol.shape.nonlinear_program import ShapeProblem
+from tenscontrol.shape.path_timing import PathError, Timed, rest_at
+from tenscontrol.shape.shape_search import STIFF
 from tenscontrol.shape.target import ShapeTarget
-from tenscontrol.shape.timed import PathError, Timed, rest_at
 from tenscontrol.statics import Prestress
-from tenscontrol.structure import bar_distances, crossing, restore_bar_lengths
+from tenscontrol.structure import (
+    bar_distances,
+    crossing,
+    free_coordinates,
+    refuse_moved_supports,
+    refuse_wrong_bar_lengths,
+    restore_bar_lengths,
+    same_members,
+)
 from tenscontrol.validation import (
     FloatArray,
     float_array,
     frozen,
     instance,
+    one_or_per_string,
     positive_number,
     truth,
+    whole_number,
 )
 
 
@@ -147,6 +154,29 @@ class ShapePath:
         )
 
 
+def plants_along(
+    model: Model,
+    nodes: FloatArray,
+    force_density: FloatArray,
+    count: int,
+    input: str,
+) -> tuple[LinearPlant, ...]:
+    """Return linear plants at some of T equilibria, evenly by the distance that nodes travel.
+
+    Nodes have the shape (3, n, T), γ has (α, T). See :meth:`ShapePath.plants`.
+    """
+    count = whole_number("count", count, least=1)
+    travel = np.linalg.norm(np.diff(nodes, axis=2), axis=(0, 1))
+    gone = np.concatenate([[0.0], np.cumsum(travel)])
+    shares = np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
+    places = [int(np.argmin(np.abs(gone - share * gone[-1]))) for share in shares]
+    load = model.constant_force
+    return tuple(
+        linearize(model, OperatingPoint(nodes[:, :, k], force_density[:, k], load), input=input)
+        for k in places
+    )
+
+
 def shape_path(
     model: Model,
     start: ShapeTarget | Prestress,
@@ -223,7 +253,7 @@ def shape_path(
     """
     instance("model", model, Model, "make one by Model(structure)")
     truth("require_stable", require_stable, "whether a path through shapes that buckle is refused")
-    begin, end = path_end(model, "start", start), path_end(model, "goal", goal)
+    begin, end = _path_end(model, "start", start), _path_end(model, "goal", goal)
     step = positive_number("step", step, "s")
     ramp = positive_number("ramp", ramp, "shares of the duration")
     if ramp > 0.5:
@@ -232,22 +262,19 @@ def shape_path(
     bounds.refuse_outside("start", begin.force_density)
     bounds.refuse_outside("goal", end.force_density)
     rate = None if winches is None else winches.rate
-    if rate is not None and rate.shape not in ((), (len(model.structure.strings),)):
-        raise ValueError(
-            f"winches.rate has shape {rate.shape}, expected () or "
-            f"({len(model.structure.strings)},): one number, or one per string"
-        )
+    if rate is not None:
+        one_or_per_string("winches.rate", rate, len(model.structure.strings))
     if duration is not None:
         duration = positive_number("duration", duration, "s")
     elif rate is None:
         raise ValueError("expected duration, or winches with a rate, which settle the time")
-    refuse_same(begin, end)
+    _refuse_same(begin, end)
 
     # Equal where all strings are slack.
     level = max(float(rest.force_density.max()) for rest in (begin, end)) or 1.0
     problem = ShapeProblem(model, begin.structure.nodes, level)
     sides = [problem.start(rest.structure.nodes, rest.force_density) for rest in (begin, end)]
-    low, high = bounds.low / level, np.minimum(bounds.high, bounds.largest) / level
+    low, high = bounds.low / level, bounds.highest / level
     way = Continuation(problem, sides[0], sides[1], low, high)
     waypoints, complete = way.waypoints()
     if not complete:
@@ -284,12 +311,46 @@ def shape_path(
     )
 
 
+def _path_end(model: Model, name: str, value: object) -> Prestress:
+    """Return an end of the path as an equilibrium of this model."""
+    rest = value.prestress if isinstance(value, ShapeTarget) else value
+    instance(name, rest, Prestress, "make one by shape_target(model, ...) or prestress(...)")
+    assert isinstance(rest, Prestress)  # just checked
+    structure, ours = rest.structure, model.structure
+    if not same_members(structure, ours):
+        raise ValueError(
+            f"{name} is a prestress of {structure!r}, expected one of the structure of the model, "
+            f"{ours!r}, with the same members and fixed nodes"
+        )
+    refuse_wrong_bar_lengths(name, ours, structure.nodes)
+    refuse_moved_supports(name, ours, structure.nodes)
+    load = free_coordinates(ours, model.constant_force)
+    off = float(np.abs(free_coordinates(ours, rest.external_force) - load).max(initial=0.0))
+    if off > 1e-9 * max(float(np.abs(load).max(initial=0.0)), float(rest.force_density.max())):
+        raise ValueError(
+            f"{name} rests under loads that differ from those of the model by {off:.3g} N; "
+            "make it by shape_target(model, ...), or by prestress(..., "
+            "external_force=model.constant_force)"
+        )
+    return rest
+
+
+def _refuse_same(start: Prestress, goal: Prestress) -> None:
+    """Raise if there is no way to go."""
+    travel = np.linalg.norm(goal.structure.nodes - start.structure.nodes, axis=0).max()
+    change = np.abs(goal.force_density - start.force_density).max()
+    level = max(float(rest.force_density.max()) for rest in (start, goal))
+    size = float(np.ptp(start.structure.nodes, axis=1).max())
+    if travel <= 1e-9 * size and change <= 1e-9 * level:
+        raise ValueError("start and goal are the same shape with the same γ: there is no way to go")
+
+
 def _least_margin(problem: ShapeProblem, waypoints: list[Waypoint], require_stable: bool) -> float:
     """Return the least stability margin on the way, or raise where a shape buckles."""
-    margin, least = Margin(problem.model), np.inf
+    least = np.inf
     for point in waypoints:
         rest = rest_at(problem, point)
-        now = margin.of(rest, problem.neutral_fields(rest.structure.nodes))
+        now = problem.stability_margin(rest)
         if require_stable and now <= STIFF * float(rest.force_density.max()):
             raise PathError(
                 f"the path leads through a shape that gives way to a push, "

@@ -10,14 +10,12 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Model, kernel
-from tenscontrol.shape.clearance import signed_distances
-from tenscontrol.shape.constraints import Demand
-from tenscontrol.shape.forces import choose_force_density
-from tenscontrol.shape.limits import HealthLimits
-from tenscontrol.shape.margin import Margin
-from tenscontrol.shape.problem import EXACT, ShapeProblem
+from tenscontrol.shape.demands import Demand
+from tenscontrol.shape.force_bounds import ForceLimits, choose_force_density
+from tenscontrol.shape.nonlinear_program import EXACT, ShapeProblem
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics import Prestress, prestress
+from tenscontrol.structure import Structure, bar_distances
 from tenscontrol.validation import FloatArray
 
 # What a miss costs against distance from the start: first, and where only misses count.
@@ -49,26 +47,14 @@ _NUDGES, _NUDGE = 3, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """An equilibrium and how it stands to the demands.
-
-    Attributes
-    ----------
-    rest : Prestress
-    rest_length : ndarray, shape (α,), or None
-    misses, scales : ndarray, shape (k,)
-        Found less wanted, and its unit of size.
-    margin : float
-        N/m.
-    outside : float
-        How far the rows of the wishes are outside their bounds.
-    """
+    """An equilibrium and how far it is from the demands."""
 
     rest: Prestress
     rest_length: FloatArray | None
-    misses: FloatArray
-    scales: FloatArray
-    margin: float
-    outside: float
+    misses: FloatArray  # found less wanted
+    scales: FloatArray  # the unit of size of each miss
+    margin: float  # N/m
+    outside: float  # how far the rows of the demands are outside their bounds
 
     @property
     def is_stable(self) -> bool:
@@ -76,14 +62,14 @@ class Solved:
         return self.margin > STIFF * float(self.rest.force_density.max(initial=0.0))
 
 
-class _Wishes:
+class _DemandRows:
     """Demands and bounds as rows ``low ≤ expression ≤ high``, in units of the size."""
 
     def __init__(
         self,
         problem: ShapeProblem,
         demands: tuple[Demand, ...],
-        limits: HealthLimits,
+        limits: ForceLimits,
         size: float,
         start: FloatArray,
     ) -> None:
@@ -107,15 +93,16 @@ class _Wishes:
             rows.append(problem.gamma[capped.tolist()] / problem.level)
             low.append(np.full(len(capped), -np.inf))
             high.append(limits.bounds.high[capped] / problem.level)
-        if limits.bounds.shortest is not None and limits.bounds.longest is not None:
+        if limits.bounds.rest_length is not None:
             assert model.strings is not None  # checked with the winches
             S = kernel.differences(at, model.structure.strings)
             length = ca.sqrt(kernel.dots(S, S)).T
             rows.append(model.strings.taut_rest_length(length, problem.gamma) / size)
-            low.append(limits.bounds.shortest / size)
-            high.append(limits.bounds.longest / size)
+            shortest, longest = limits.bounds.rest_length
+            low.append(shortest / size)
+            high.append(longest / size)
         if limits.clearance:
-            apart = signed_distances(model.structure, start, at)
+            apart = _signed_distances(model.structure, start, at)
             rows.append(apart / size)
             low.append(np.full(apart.numel(), limits.clearance / size))
             high.append(np.full(apart.numel(), np.inf))
@@ -147,17 +134,34 @@ class _Wishes:
         return self.rows[rows.tolist()] - ca.DM(bound[rows])
 
 
+def _signed_distances(structure: Structure, nodes: FloatArray, N: Any) -> Any:
+    """Return the distances, m, of bars that pass one another in a shape, in terms of N.
+
+    Positive on the side where they are in that shape: a smooth function, unlike the
+    distance itself. Pairs that are nearest at an end are left out.
+    """
+    found = bar_distances(structure, nodes)
+    rows = []
+    for (i, j), side in zip(found.pairs.tolist(), found.side.tolist(), strict=True):
+        if side:
+            u, v = (N[:, end] - N[:, start] for start, end in structure.bars[[i, j]].tolist())
+            across = ca.cross(u, v)
+            gap = N[:, int(structure.bars[i, 0])] - N[:, int(structure.bars[j, 0])]
+            rows.append(side * ca.dot(across, gap) / ca.norm_2(across))
+    return ca.vertcat(*rows) if rows else ca.SX(0, 1)
+
+
 def solve_shape(
     model: Model,
     demands: tuple[Demand, ...],
-    limits: HealthLimits,
+    limits: ForceLimits,
     kind: str,
     symmetry: RotationalSymmetry | None,
     start: FloatArray,
 ) -> Solved | None:
     """Return the equilibrium nearest to the start that meets the demands, or misses them least."""
     problem = ShapeProblem(model, start, limits.scale, symmetry)
-    wishes = _Wishes(problem, demands, limits, problem.size, start)
+    demanded = _DemandRows(problem, demands, limits, problem.size, start)
     level = []
     if limits.level is not None:
         mean = ca.sum1(problem.gamma[limits.reference.tolist()]) / len(limits.reference)
@@ -171,9 +175,9 @@ def solve_shape(
     S = kernel.differences(problem.nodes, model.structure.strings)
     squares = kernel.dots(S, S).T / problem.size**2
     shortest = (_SHORT * model.structure.string_length(start) / problem.size) ** 2
-    e = ca.SX.sym("e", wishes.rows.numel())
+    e = ca.SX.sym("e", demanded.rows.numel())
     bounds = [
-        (wishes.rows - e, wishes.low, wishes.high),
+        (demanded.rows - e, demanded.low, demanded.high),
         (fixed, np.zeros(len(level)), np.zeros(len(level))),
         (squares, shortest, np.full(len(shortest), np.inf)),
     ]
@@ -188,7 +192,7 @@ def solve_shape(
                 found = problem.search(objective, bounds, e, low, high, guess)
                 if not found.success:
                     break
-                values = _polished(problem, wishes, fixed, (low, high), found.values)
+                values = _polished(problem, demanded, fixed, (low, high), found.values)
                 if values is not None:
                     yield values
                 guess = found.values
@@ -201,9 +205,9 @@ def solve_shape(
     for k in range(1 + _NUDGES):
         aside = _NUDGE * problem.size * random.uniform(-1.0, 1.0, size=start.shape)
         for values in search(start if k == 0 else start + aside):
-            outside = float(np.linalg.norm(wishes.outside(values)))
+            outside = float(np.linalg.norm(demanded.outside(values)))
             if best is None or outside < max(best.outside, MET):
-                found = _finished(problem, wishes, limits, kind, values, outside)
+                found = _finished(problem, demanded, limits, kind, values, outside)
                 better = best is None or best.outside > MET or found.margin > best.margin
                 if better:
                     best = found
@@ -214,7 +218,7 @@ def solve_shape(
     return best
 
 
-def _prestress_cost(problem: ShapeProblem, limits: HealthLimits, kind: str) -> Any:
+def _prestress_cost(problem: ShapeProblem, limits: ForceLimits, kind: str) -> Any:
     """Return what the forces cost where no level is given: their size, or how far off centre."""
     if kind == "least":
         return ca.sumsqr(problem.gamma / problem.level) / len(limits.bounds.low)
@@ -224,7 +228,7 @@ def _prestress_cost(problem: ShapeProblem, limits: HealthLimits, kind: str) -> A
     return ca.sumsqr(off / ca.DM(room[wide])) / len(limits.bounds.low)
 
 
-def _orbit_bounds(problem: ShapeProblem, limits: HealthLimits) -> tuple[FloatArray, FloatArray]:
+def _orbit_bounds(problem: ShapeProblem, limits: ForceLimits) -> tuple[FloatArray, FloatArray]:
     """Return hard bounds of γ in units of the level, for each set of strings that share one."""
     orbits = problem.string_orbits > 0
     low = np.array([limits.bounds.low[column].max() for column in orbits.T]) / problem.level
@@ -234,7 +238,7 @@ def _orbit_bounds(problem: ShapeProblem, limits: HealthLimits) -> tuple[FloatArr
 
 def _polished(
     problem: ShapeProblem,
-    wishes: _Wishes,
+    demanded: _DemandRows,
     fixed: Any,
     bounds: tuple[FloatArray, FloatArray],
     values: FloatArray,
@@ -243,7 +247,7 @@ def _polished(
     values = values[: problem.unknowns.numel()]
     low, high = bounds
     # All that is asked for, if Newton gets there; else what is nearly met; else equilibrium only.
-    for rows in (wishes.at_bound(values, np.inf), wishes.at_bound(values, _CLOSE), ca.SX(0, 1)):
+    for rows in (demanded.at_bound(values, np.inf), demanded.at_bound(values, _CLOSE), ca.SX(0, 1)):
         g = values[problem.tension_rows]
         for _ in range(_PINNINGS):
             at_low, at_high = g - low < _CLOSE, high - g < _CLOSE
@@ -262,39 +266,28 @@ def _polished(
 
 def _finished(
     problem: ShapeProblem,
-    wishes: _Wishes,
-    limits: HealthLimits,
+    demanded: _DemandRows,
+    limits: ForceLimits,
     kind: str,
     values: FloatArray,
     outside: float,
 ) -> Solved:
-    """Choose the forces in the shape that was found, and look at it from all sides."""
+    """Choose the forces in the shape that was found, and measure it."""
     model = problem.model
     nodes, gamma = problem.read(values)
     structure = replace(model.structure, nodes=nodes)
     length = structure.string_length()
-    low, high = limits.bounds.low, np.minimum(limits.bounds.high, limits.bounds.largest)
-    if limits.bounds.shortest is not None and limits.bounds.longest is not None:
+    low, high = limits.bounds.low, limits.bounds.highest
+    if limits.bounds.rest_length is not None:
         assert model.strings is not None  # checked with the winches
-        law = model.strings
-        tight = limits.bounds.shortest > 0
-        high = high.copy()
-        high[tight] = np.minimum(
-            high, law.force_density(length, np.where(tight, limits.bounds.shortest, length))
-        )[tight]
-        loose = np.isfinite(limits.bounds.longest)
-        low = np.where(
-            loose,
-            np.maximum(
-                low, law.force_density(length, np.where(loose, limits.bounds.longest, length))
-            ),
-            low,
-        )
+        law, (shortest, longest) = model.strings, limits.bounds.rest_length
+        tight, loose = shortest > 0, np.isfinite(longest)
+        most = law.force_density(length, np.where(tight, shortest, length))
+        least = law.force_density(length, np.where(loose, longest, length))
+        high = np.where(tight, np.minimum(high, most), high)
+        low = np.where(loose, np.maximum(low, least), low)
     if (low <= high).all():
-        chosen = choose_force_density(
-            structure, model.constant_force, low, high, kind,
-            limits.level, limits.reference, limits.scale,
-        )  # fmt: skip
+        chosen = choose_force_density(structure, model.constant_force, limits, low, high, kind)
         gamma = gamma if chosen is None else chosen
     rest = prestress(
         structure, np.maximum(gamma, limits.bounds.low), external_force=model.constant_force
@@ -305,8 +298,8 @@ def _finished(
     return Solved(
         rest=rest,
         rest_length=rest_length,
-        misses=np.array(wishes.misses(values).full()).ravel(),
-        scales=wishes.scales,
-        margin=Margin(model).of(rest, problem.neutral_fields(nodes)),
+        misses=np.array(demanded.misses(values).full()).ravel(),
+        scales=demanded.scales,
+        margin=problem.stability_margin(rest),
         outside=outside,
     )

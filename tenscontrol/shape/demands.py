@@ -1,0 +1,425 @@
+"""What a shape is asked for: places of nodes and points, a height, a twist."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, final
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.structure import Structure
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    direction,
+    float_array,
+    frozen,
+    refuse_fractions,
+    shaped,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike
+
+
+class Demand(ABC):
+    """One thing that a shape is asked for. A tolerance of 0 asks for it exactly.
+
+    Attributes
+    ----------
+    tolerance : float
+        How far off the numbers may be.
+    unit : str
+        Of the numbers and the tolerance, ``"m"`` or ``"rad"``.
+    """
+
+    tolerance: float
+    unit: ClassVar[str] = "m"
+    _node_lists: ClassVar[tuple[str, ...]]  # the fields that name nodes
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__  # the dataclasses are frozen for everyone else
+        for name in self._node_lists:
+            put(self, name, node_list(name, getattr(self, name)))
+        for name, value in self._checked().items():
+            put(self, name, value)
+        tolerance = float_array("tolerance", self.tolerance)
+        if tolerance.ndim or tolerance < 0:
+            raise ValueError(
+                f"tolerance is {self.tolerance!r}, expected one number in {self.unit}, at least 0"
+            )
+        put(self, "tolerance", float(tolerance))
+
+    @abstractmethod
+    def _checked(self) -> dict[str, object]:
+        """Return the fields beside node lists and tolerance, checked."""
+
+    @property
+    @abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """A name for each number that is asked for."""
+
+    @property
+    @abstractmethod
+    def wanted(self) -> FloatArray:
+        """The numbers asked for, shape (k,)."""
+
+    @abstractmethod
+    def miss(self, N: Any) -> Any:
+        """Return by how much the numbers differ from those asked for, shape (k, 1).
+
+        Parameters
+        ----------
+        N : casadi.SX, shape (3, n)
+            Node positions, m.
+        """
+
+    def refuse_other_nodes(self, name: str, structure: Structure) -> None:
+        """Raise if a node that is named is not one of the structure.
+
+        Parameters
+        ----------
+        name : str
+            What the message calls the demand.
+        structure : Structure
+        """
+        count = structure.nodes.shape[1]
+        for field in self._node_lists:
+            nodes = getattr(self, field)
+            if nodes.max() >= count:
+                i = int(nodes.argmax())
+                raise ValueError(
+                    f"{name}.{field}[{i}] is {nodes[i]}, expected 0 to {count - 1}: "
+                    f"there are {count} nodes, counted from 0"
+                )
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class NodesAt(Demand):
+    """Nodes at given places.
+
+    Parameters
+    ----------
+    nodes : sequence of int, length k
+        The nodes.
+    positions : array_like, shape (d, k)
+        Where they are to be, m: a row for each of the directions.
+    directions : str
+        Which coordinates are asked for: letters out of ``"xyz"``.
+    tolerance : float
+        How far off each coordinate may be, m.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit.
+
+    Examples
+    --------
+    The bottom of a prism on the ground, wherever it stands there:
+
+    >>> import tenscontrol as tc
+    >>> tc.NodesAt([3, 4, 5], [[0, 0, 0]], directions="z").names
+    ('z[3]', 'z[4]', 'z[5]')
+    """
+
+    nodes: IntArray
+    positions: FloatArray
+    directions: str = "xyz"
+    tolerance: float = 0.0
+    _node_lists = ("nodes",)
+
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            nodes: Sequence[int],
+            positions: ArrayLike,
+            directions: str = "xyz",
+            tolerance: float = 0.0,
+        ) -> None: ...
+
+    def _checked(self) -> dict[str, object]:
+        shape = (len(_axis_rows(self.directions)), len(self.nodes))
+        meaning = "a row per direction, a column per node"
+        return {"positions": frozen(shaped("positions", self.positions, shape, meaning))}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """``"x[0]"`` and so on, node by node."""
+        return tuple(f"{axis}[{i}]" for i in self.nodes for axis in self.directions)
+
+    @property
+    def wanted(self) -> FloatArray:
+        """The coordinates asked for, m, node by node."""
+        return self.positions.ravel(order="F")
+
+    def miss(self, N: Any) -> Any:
+        """Return found less wanted coordinates."""
+        found = N[_axis_rows(self.directions), self.nodes.tolist()]
+        return ca.vec(found) - ca.DM(self.wanted)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PointAt(Demand):
+    """A point of the structure at a given place: the mean of some nodes.
+
+    Parameters
+    ----------
+    nodes : sequence of int, length k
+        Nodes whose weighted mean the point is: the two ends of a bar for its
+        centre, the top nodes of a prism for the centre of its top.
+    position : array_like, shape (d,)
+        Where it is to be, m.
+    weights : array_like, shape (k,), optional
+        Weight of each node; equal if not given. Their sum must not be 0.
+    directions : str
+        Which coordinates are asked for: letters out of ``"xyz"``.
+    tolerance : float
+        How far off each coordinate may be, m.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> tc.PointAt([0, 1, 2], [0.1, 0.0], directions="xy").names
+    ('x of point', 'y of point')
+    """
+
+    nodes: IntArray
+    position: FloatArray
+    weights: FloatArray = None  # type: ignore[assignment]  # replaced in __post_init__
+    directions: str = "xyz"
+    tolerance: float = 0.0
+    _node_lists = ("nodes",)
+
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            nodes: Sequence[int],
+            position: ArrayLike,
+            weights: ArrayLike | None = None,
+            directions: str = "xyz",
+            tolerance: float = 0.0,
+        ) -> None: ...
+
+    def _checked(self) -> dict[str, object]:
+        shape = (len(_axis_rows(self.directions)),)
+        place = shaped("position", self.position, shape, "one number per direction")
+        given: Any = self.weights
+        weights = np.ones(len(self.nodes)) if given is None else given
+        weights = shaped("weights", weights, (len(self.nodes),), "one per node")
+        if abs(weights.sum()) <= 1e-12 * np.abs(weights).sum():
+            raise ValueError(f"weights add up to {weights.sum():g}, expected another sum than 0")
+        return {"position": frozen(place), "weights": frozen(weights / weights.sum())}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """``"x of point"`` and so on."""
+        return tuple(f"{axis} of point" for axis in self.directions)
+
+    @property
+    def wanted(self) -> FloatArray:
+        """The place asked for, m."""
+        return self.position
+
+    def miss(self, N: Any) -> Any:
+        """Return found less wanted place."""
+        point = ca.mtimes(N[:, self.nodes.tolist()], ca.DM(self.weights))
+        return point[_axis_rows(self.directions)] - ca.DM(self.position)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Height(Demand):
+    """A distance between the centres of two sets of nodes, measured along an axis.
+
+    Parameters
+    ----------
+    height : float
+        m; from ``bottom`` to ``top`` along the axis.
+    top, bottom : sequence of int
+        The nodes whose means are the centres.
+    axis : array_like, shape (3,)
+        Direction; its length plays no part.
+    tolerance : float
+        m.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> low = tc.Height(0.85, top=[0, 1, 2], bottom=[3, 4, 5])
+    >>> target = tc.shape_target(tc.Model(tc.prism()), low, force_density=17.3205)
+    >>> target.nodes[2].round(3)
+    array([0.925, 0.925, 0.925, 0.075, 0.075, 0.075])
+    """
+
+    height: float
+    top: IntArray
+    bottom: IntArray
+    axis: FloatArray = (0.0, 0.0, 1.0)  # type: ignore[assignment]  # replaced in __post_init__
+    tolerance: float = 0.0
+    _node_lists = ("top", "bottom")
+
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            height: float,
+            top: Sequence[int],
+            bottom: Sequence[int],
+            axis: ArrayLike = (0.0, 0.0, 1.0),
+            tolerance: float = 0.0,
+        ) -> None: ...
+
+    def _checked(self) -> dict[str, object]:
+        return {
+            "height": _one_number("height", self.height, "m"),
+            "axis": frozen(direction("axis", self.axis)),
+        }
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """``("height",)``."""
+        return ("height",)
+
+    @property
+    def wanted(self) -> FloatArray:
+        """The height, m, shape (1,)."""
+        return np.array([self.height])
+
+    def miss(self, N: Any) -> Any:
+        """Return found less wanted height."""
+        apart = _centre(N, self.top) - _centre(N, self.bottom)
+        return ca.dot(ca.DM(self.axis), apart) - ca.DM(self.height)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Twist(Demand):
+    """A turn of one set of nodes against another, about the line through their centres.
+
+    Positive as a right-handed screw, whichever set is called top:
+    :func:`prism` has ``π/2 − π/q`` if right-handed, and the opposite if
+    left-handed.
+
+    Parameters
+    ----------
+    angle : float
+        rad.
+    top, bottom : sequence of int, length k
+        Nodes in pairs: the turn that brings the k-th of ``bottom`` in line
+        with the k-th of ``top``, in the mean of least squares.
+    tolerance : float
+        rad.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> turned = tc.Twist(np.radians(-25.0), top=[0, 1, 2], bottom=[3, 4, 5])
+    >>> turned.names, turned.unit
+    (('twist',), 'rad')
+    """
+
+    angle: float
+    top: IntArray
+    bottom: IntArray
+    tolerance: float = 0.0
+    unit = "rad"
+    _node_lists = ("top", "bottom")
+
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            angle: float,
+            top: Sequence[int],
+            bottom: Sequence[int],
+            tolerance: float = 0.0,
+        ) -> None: ...
+
+    def _checked(self) -> dict[str, object]:
+        if len(self.top) != len(self.bottom) or len(self.top) < 2:
+            raise ValueError(
+                f"top has {len(self.top)} nodes and bottom {len(self.bottom)}, "
+                "expected as many of each, two at least: they are compared in pairs"
+            )
+        return {"angle": _one_number("angle", self.angle, "rad")}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """``("twist",)``."""
+        return ("twist",)
+
+    @property
+    def wanted(self) -> FloatArray:
+        """The angle, rad, shape (1,)."""
+        return np.array([self.angle])
+
+    def miss(self, N: Any) -> Any:
+        """Return found less wanted angle, between −π and π."""
+        upper, lower = _centre(N, self.top), _centre(N, self.bottom)
+        line = (upper - lower) / ca.norm_2(upper - lower)
+        sine, cosine = ca.SX(0), ca.SX(0)
+        for i, j in zip(self.top.tolist(), self.bottom.tolist(), strict=True):
+            t, b = N[:, i] - upper, N[:, j] - lower
+            sine += ca.dot(line, ca.cross(b, t))
+            cosine += ca.dot(b, t) - ca.dot(line, b) * ca.dot(line, t)
+        s, c = float(np.sin(self.angle)), float(np.cos(self.angle))
+        # Turned back by the wanted angle, so that no jump is near.
+        return ca.atan2(c * sine - s * cosine, c * cosine + s * sine)
+
+
+def node_list(name: str, nodes: object) -> IntArray:
+    """Return node indices, at least one and each once."""
+    array = float_array(name, nodes)
+    if array.ndim != 1 or len(array) == 0:
+        raise ValueError(f"{name} has shape {array.shape}, expected (k,): indices of nodes")
+    refuse_fractions(name, array)
+    for i, node in enumerate(array.tolist()):
+        if node < 0:
+            raise ValueError(f"{name}[{i}] is {node:g}, expected 0 or more: nodes count from 0")
+    indices, counts = np.unique(array, return_counts=True)
+    if (counts > 1).any():
+        raise ValueError(f"{name} has node {indices[counts.argmax()]:g} twice")
+    return frozen(array.astype(np.int64))
+
+
+def _axis_rows(directions: str) -> list[int]:
+    """Return the rows of N that the letters name, or raise if they are not out of "xyz"."""
+    fits = isinstance(directions, str) and directions and not set(directions) - set("xyz")
+    if not fits or len(set(str(directions))) < len(str(directions)):
+        raise ValueError(f"directions is {directions!r}, expected letters out of 'xyz', each once")
+    return ["xyz".index(axis) for axis in directions]
+
+
+def _one_number(name: str, value: object, unit: str) -> float:
+    number = float_array(name, value)
+    if number.ndim:
+        raise ValueError(f"{name} has shape {number.shape}, expected one number in {unit}")
+    return float(number)
+
+
+def _centre(N: Any, nodes: IntArray) -> Any:
+    return ca.sum2(N[:, nodes.tolist()]) / len(nodes)

@@ -1,0 +1,350 @@
+"""Level and bounds of the forces in a shape, and the forces chosen between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tenscontrol.actuation import Winches
+from tenscontrol.dynamics import Model
+from tenscontrol.statics import equilibrium_matrix, least_distance
+from tenscontrol.structure import Structure, free_coordinates, is_movable
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    instance,
+    non_negative,
+    one_or_per_string,
+    per_member,
+    positive,
+    positive_number,
+)
+
+# γ is kept below what a string can have by this fraction.
+_SHORT_OF_LIMIT = 1e-6
+
+# In units of the level: what counts as zero, and what a null space is made of.
+_ZERO, _RANK = 1e-9, 1e-9
+# The linear program is good to this.
+_STUCK = 1e-6
+_NEWTON_STEPS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Bounds of γ, N/m, and of rest lengths, m, shape (α,) each."""
+
+    low: FloatArray
+    high: FloatArray
+    largest: FloatArray  # γ that the string law allows
+    rest_length: tuple[FloatArray, FloatArray] | None  # shortest and longest, if winches bound them
+
+    @property
+    def highest(self) -> FloatArray:
+        """What the user and the string law allow, N/m."""
+        return np.minimum(self.high, self.largest)
+
+    def refuse_outside(self, name: str, gamma: FloatArray) -> None:
+        """Raise if γ of an end of a path is outside."""
+        slack = 1e-9 * float(gamma.max(initial=0.0))
+        out = np.flatnonzero((gamma < self.low - slack) | (gamma > self.high + slack))
+        if len(out):
+            i = out[0]
+            raise ValueError(
+                f"{name} has γ = {gamma[i]:g} N/m in string {i}, expected {self.low[i]:g} to "
+                f"{self.high[i]:g} N/m: min_force_density and max_force_density bound the ends too"
+            )
+
+    def refuse_rest_lengths(self, rest_length: FloatArray, time: FloatArray) -> None:
+        """Raise if a rest length, shape (α, T), leaves the range of its winch on the way."""
+        if self.rest_length is None:
+            return
+        low, high = self.rest_length
+        below = rest_length < low[:, None] * (1 - 1e-9)
+        out = np.argwhere(below | (rest_length > high[:, None] * (1 + 1e-9)))
+        if len(out):
+            i, k = out[out[:, 1].argmin()]
+            raise ValueError(
+                f"on the way, at {time[k]:.4g} s, string {i} needs a rest length of "
+                f"{rest_length[i, k]:.6g} m, expected {low[i]:g} to {high[i]:g} m: "
+                "the range of the winches"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class ForceLimits:
+    """Level and bounds of the forces, and the least distance of bars."""
+
+    bounds: Bounds
+    clearance: float  # m, 0 if not asked for
+    level: float | None  # mean γ of the reference strings, N/m
+    reference: IntArray
+    scale: float  # size of the force densities, N/m
+
+    @property
+    def level_text(self) -> str:
+        """The level in words."""
+        return "" if self.level is None else f", {self.level:g} N/m in the reference strings"
+
+    def bounded(
+        self, gamma: FloatArray, rest_length: FloatArray | None
+    ) -> list[tuple[str, str, FloatArray, FloatArray, FloatArray]]:
+        """Return name, unit, values and bounds of what the user bounds."""
+        rows, b = [], self.bounds
+        if b.low.any() or np.isfinite(b.high).any():
+            rows.append(("force_density", "N/m", gamma, b.low, b.high))
+        if rest_length is not None and b.rest_length is not None:
+            rows.append(("rest_length", "m", rest_length, *b.rest_length))
+        return rows
+
+
+def checked_limits(
+    model: Model,
+    force_density: object,
+    reference: str | None,
+    min_force_density: object,
+    max_force_density: object,
+    winches: Winches | None,
+    prestress: str,
+    min_clearance: object,
+) -> ForceLimits:
+    """Return level and bounds, or raise naming the argument."""
+    bounds = checked_bounds(model, min_force_density, max_force_density, winches)
+    structure, low, high = model.structure, bounds.low, bounds.high
+    clearance = 0.0
+    if min_clearance is not None:
+        clearance = positive_number("min_clearance", min_clearance, "m")
+    group = structure.string_groups[0] if reference is None else reference
+    strings = structure.strings_in(group)
+    # A string between two fixed nodes is part of the support.
+    strings = strings[is_movable(structure, structure.strings[strings])]
+    if len(strings) == 0:
+        raise ValueError(
+            f"the {group!r} strings are held at both ends, so that their γ says nothing; "
+            "refer to another group by reference=..."
+        )
+    level = None
+    if force_density is not None:
+        level = positive_number("force_density", force_density, "N/m")
+        if level < low[strings].mean() or level > high[strings].mean():
+            raise ValueError(
+                f"force_density is {level:g} N/m, but the bounds leave the {group!r} strings "
+                f"{low[strings].mean():g} to {high[strings].mean():g} N/m in the mean"
+            )
+    elif reference is not None:
+        raise ValueError(f"reference is {reference!r}, but it goes with force_density")
+    loaded = bool(free_coordinates(structure, model.constant_force).any())
+    if level is None and prestress == "centred" and not np.isfinite(high).all():
+        raise ValueError(
+            "nothing bounds the level of the prestress: give force_density or "
+            "max_force_density, or ask for prestress='least'"
+        )
+    if level is None and not low.any() and not loaded and not np.isfinite(high).all():
+        raise ValueError(
+            "without load γ = 0 balances in every shape: give force_density or "
+            "min_force_density, N/m"
+        )
+    candidates = [level, float(low.max())]
+    if np.isfinite(high).all():
+        candidates.append(float((low + high).mean() / 2))
+    if loaded:
+        size = float(np.ptp(structure.nodes, axis=1).max())
+        candidates.append(float(np.abs(model.constant_force).max()) / size)
+    scale = max(value for value in candidates if value)
+    return ForceLimits(bounds, clearance, level, strings, scale)
+
+
+def checked_bounds(
+    model: Model, min_force_density: object, max_force_density: object, winches: Winches | None
+) -> Bounds:
+    """Return the bounds, or raise naming the argument."""
+    structure = model.structure
+    count = len(structure.strings)
+    if count == 0:
+        raise ValueError("the structure has no strings, so there is nothing to balance")
+    low = per_member("min_force_density", min_force_density, count, "string")
+    non_negative("min_force_density", low, "a string can only pull")
+    high = np.full(count, np.inf)
+    if max_force_density is not None:
+        high = per_member("max_force_density", max_force_density, count, "string")
+        positive("max_force_density", high, "force density in N/m")
+    over = np.flatnonzero(low > high)
+    if len(over):
+        i = over[0]
+        raise ValueError(
+            f"min_force_density[{i}] is {low[i]:g} N/m, more than max_force_density[{i}] = "
+            f"{high[i]:g} N/m"
+        )
+    largest = np.full(count, np.inf)
+    if model.strings is not None:
+        largest = model.strings.largest_force_density * (1 - _SHORT_OF_LIMIT) * np.ones(count)
+        soft = np.flatnonzero(low > largest)
+        if len(soft):
+            i = soft[0]
+            raise ValueError(
+                f"min_force_density[{i}] is {low[i]:g} N/m, but string {i} stays below "
+                f"{largest[i]:g} N/m by its law"
+            )
+    return Bounds(low, high, largest, _rest_length_range(model, winches))
+
+
+def _rest_length_range(
+    model: Model, winches: Winches | None
+) -> tuple[FloatArray, FloatArray] | None:
+    if winches is None:
+        return None
+    instance("winches", winches, Winches, "make them by Winches(shortest=...)")
+    if model.strings is None:
+        raise ValueError(
+            "winches bound rest lengths, but the model has no string law; "
+            "build it as Model(structure, strings=LinearStrings(stiffness=...))"
+        )
+    count = len(model.structure.strings)
+    low = 0.0 if winches.shortest is None else winches.shortest
+    high = np.inf if winches.longest is None else winches.longest
+    for name, value in (("shortest", low), ("longest", high)):
+        one_or_per_string(f"winches.{name}", np.asarray(value), count)
+    if winches.shortest is None and winches.longest is None:
+        return None
+    return np.full(count, low), np.full(count, high)
+
+
+# ---- the forces chosen between the bounds ----
+
+
+def choose_force_density(
+    structure: Structure,
+    load: FloatArray,
+    limits: ForceLimits,
+    low: FloatArray,
+    high: FloatArray,
+    kind: str,
+) -> FloatArray | None:
+    """Return γ, shape (α,), that balances in the shape of a structure, or None if none does.
+
+    ``kind`` is "centred", the analytic centre of the bounds (Boyd & Vandenberghe,
+    *Convex Optimization*, section 8.5.3), or "least", the least sum of squares.
+    Both are unique, so that a symmetric shape gets symmetric forces. ``low`` and
+    ``high``, N/m, replace the bounds of γ in ``limits``; ``high`` may be infinite.
+    """
+    live = is_movable(structure, np.vstack([structure.strings, structure.bars]))
+    alpha = len(structure.strings)
+    pulls = live[:alpha]
+    E = equilibrium_matrix(structure)[structure.free_rows][:, live]
+    w = free_coordinates(structure, load) / limits.scale
+    count = int(pulls.sum())
+    U, sizes, Vt = np.linalg.svd(E)
+    rank = int(np.count_nonzero(sizes > _RANK * sizes.max(initial=0.0)))
+    at = Vt[:rank].T @ ((U[:, :rank].T @ w) / sizes[:rank])
+    D, p = Vt[rank:].T[:count], at[:count]
+    if limits.level is not None:
+        mine = np.flatnonzero(np.isin(np.flatnonzero(pulls), limits.reference))
+        mean = D[mine].mean(axis=0)
+        weight = float(mean @ mean)
+        short = limits.level / limits.scale - p[mine].mean()
+        if weight >= _ZERO**2:
+            p = p + D @ mean * short / weight
+            D = D @ np.linalg.svd(mean[None, :])[2][1:].T
+        elif abs(short) > _ZERO:
+            return None
+    least, most = low[pulls] / limits.scale, high[pulls] / limits.scale
+    chosen = (_analytic_centre if kind == "centred" else _least)(D, p, least, most)
+    if chosen is None:
+        return None
+    gamma = low.copy()
+    gamma[pulls] = np.clip(limits.scale * chosen, low[pulls], high[pulls])
+    return gamma
+
+
+def _least(D: FloatArray, p: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray | None:
+    """Return ``p + D x`` of least norm between bounds."""
+    U, sizes, _ = np.linalg.svd(D, full_matrices=False)
+    U = U[:, sizes > _ZERO]
+    best = p - U @ (U.T @ p)
+    capped = np.isfinite(high)
+    G = np.vstack([U, -U[capped]])
+    h = np.concatenate([low - best, (best - high)[capped]])
+    G[np.abs(G) < 1e-12], h[np.abs(h) < 1e-12] = 0.0, 0.0
+    if (h <= _ZERO).all():
+        return np.asarray(best)
+    step = least_distance(G, h)
+    return None if step is None else np.asarray(best + U @ step)
+
+
+def _analytic_centre(
+    D: FloatArray, p: FloatArray, low: FloatArray, high: FloatArray
+) -> FloatArray | None:
+    """Return the ``p + D x`` that is farthest from the bounds in the sense of the product."""
+    x = _inside(D, p, low, high)
+    if x is None:
+        return None
+    p, x = p + D @ x, np.zeros(D.shape[1])
+    # Entries that stand on a bound in all of the set tell nothing.
+    at_low, at_high = p - low <= _STUCK, high - p <= _STUCK
+    open_ = ~(at_low | at_high)
+    if not open_.all():
+        stuck, bound = D[~open_], np.where(at_low, low, high)[~open_]
+        _, sizes, Vt = np.linalg.svd(stuck)
+        p = p + D @ np.linalg.lstsq(stuck, bound - p[~open_], rcond=_RANK)[0]
+        D = D @ Vt[np.count_nonzero(sizes > _RANK) :].T
+        x = np.zeros(D.shape[1])
+    capped = open_ & np.isfinite(high)
+
+    def barrier(x: FloatArray) -> float:
+        gamma = p + D @ x
+        down, up = (gamma - low)[open_], (high - gamma)[capped]
+        if (down <= 0).any() or (up <= 0).any():
+            return np.inf
+        return float(-np.log(down).sum() - np.log(up).sum())
+
+    for _ in range(_NEWTON_STEPS):
+        gamma = p + D @ x
+        down, up = 1 / (gamma - low)[open_], 1 / (high - gamma)[capped]
+        slope = -D[open_].T @ down + D[capped].T @ up
+        curve = (D[open_].T * down**2) @ D[open_] + (D[capped].T * up**2) @ D[capped]
+        step = np.linalg.lstsq(curve, -slope, rcond=1e-14)[0]
+        gain = float(-slope @ step)
+        if gain < 1e-24:
+            break
+        length, now = 1.0, barrier(x)
+        while length > 1e-10 and barrier(x + length * step) > now - 0.1 * length * gain:
+            length /= 2
+        if length <= 1e-10:
+            break
+        x = x + length * step
+    return np.asarray(p + D @ x)
+
+
+def _inside(D: FloatArray, p: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray | None:
+    """Return x at which ``p + D x`` is as far inside the bounds as it can be, or None."""
+    from scipy.optimize import linprog
+
+    m, k = D.shape
+    capped = np.isfinite(high)
+    A = np.vstack([-D, D[capped]])
+    b = np.concatenate([p - low, (high - p)[capped]])
+
+    def farthest(weights: FloatArray) -> FloatArray | None:
+        """Maximize the room t of the weighted entries, at most one level."""
+        depth = np.concatenate([weights, weights[capped]])
+        answer = linprog(
+            c=np.r_[np.zeros(k), -1.0],
+            A_ub=np.column_stack([A, depth]),
+            b_ub=b,
+            bounds=[(None, None)] * k + [(0.0, 1.0)],
+            method="highs",
+        )
+        if answer.status == 2:
+            return None
+        if answer.status != 0:
+            raise ArithmeticError(f"the linear program of the force densities: {answer.message}")
+        return np.asarray(answer.x)
+
+    found = farthest(np.ones(m))
+    if found is None or found[-1] > _STUCK:
+        return None if found is None else found[:-1]
+    # No point is inside all bounds: take the mean of those that are inside one each.
+    each = [farthest(row) for row in np.eye(m)]
+    points = [x[:-1] for x in each if x is not None]
+    return np.asarray(np.mean(points, axis=0))

@@ -1,0 +1,207 @@
+"""A path through equilibria laid out in time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import ceil
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.dynamics import kernel
+from tenscontrol.shape.continuation import Continuation, Waypoint
+from tenscontrol.shape.nonlinear_program import ShapeProblem
+from tenscontrol.statics import Prestress, prestress
+from tenscontrol.validation import FloatArray
+
+# More shapes than a step needs, for a clock that has to be slowed down; and what rounds off a rate.
+_SPARE, _ROUND_OFF = 1.02, 1e-12
+
+# Where a path stands still but for round-off, it goes as if this much faster.
+_LEAST_PACE = 1e-6
+
+
+class PathError(ValueError):
+    """No path through equilibria was found between two shapes.
+
+    Attributes
+    ----------
+    reached : Prestress
+        The last equilibrium on the way.
+    """
+
+    def __init__(self, message: str, reached: Prestress) -> None:
+        super().__init__(message)
+        self.reached = reached
+
+
+class Timed:
+    """A path laid out in time, each shape solved anew at its time.
+
+    ``rate`` is the limit of the winches, m/s, ``duration`` and ``step``, the largest time
+    between shapes, are in s; without duration, the shortest that the winches allow.
+    """
+
+    def __init__(
+        self,
+        way: Continuation,
+        waypoints: list[Waypoint],
+        rate: FloatArray | None,
+        duration: float | None,
+        step: float,
+        ramp: float,
+    ) -> None:
+        self._way, self._waypoints = way, waypoints
+        reading = Reading(way.problem)
+        places = np.array([point.place for point in waypoints])
+        pace = np.array([reading.pace(point, rate) for point in waypoints])
+        clock = Clock(places, pace, ramp)
+        total = clock.shortest if duration is None else duration
+        # A little more than needed: the clock is slowed down below.
+        count = max(3, ceil(_SPARE * total / step) + 1)
+        share = np.linspace(0.0, 1.0, count)
+        at, speed = clock.at(share)
+        points = self._solved(places, at)
+        rows = [reading.motion(*pair) for pair in zip(points, speed, strict=True)]
+        self.nodes, moves, self.force_density = (
+            np.stack([r[i] for r in rows], -1) for i in (0, 1, 2)
+        )
+        self.rest_length: FloatArray | None = None
+        self.rest_length_rate: FloatArray | None = None
+        self.shortest: float | None = None
+        if way.problem.model.strings is not None:
+            self.rest_length, winding = (np.stack([r[i] for r in rows], -1) for i in (3, 4))
+            if rate is not None:
+                limit = np.broadcast_to(rate, (len(winding),))[:, None]
+                jumps = np.diff(self.rest_length, axis=1) * (count - 1)
+                fastest = [float((np.abs(each) / limit).max()) for each in (winding, jumps)]
+                # Between waypoints the pace was a guess; this is what the shapes need.
+                self.shortest = max(fastest) * (1 + _ROUND_OFF)
+                if duration is not None and duration < self.shortest:
+                    raise ValueError(
+                        f"duration is {duration:g} s, expected at least {self.shortest:.6g} s: the "
+                        "winches are not faster"
+                    )
+                total = self.shortest if duration is None else duration
+            self.rest_length_rate = winding / total
+        self.time = total * share
+        self.velocities = moves / total
+        self.residual = max(reading.unbalanced(point) for point in points)
+
+    def _solved(self, places: FloatArray, at: FloatArray) -> list[Waypoint]:
+        """Return equilibria at these places, from guesses between the waypoints."""
+        from scipy.interpolate import CubicHermiteSpline
+
+        values = np.array([point.values for point in self._waypoints])
+        slopes = np.array([point.slope for point in self._waypoints])
+        guesses = CubicHermiteSpline(places, values, slopes)(at)
+        points = []
+        for s, guess in zip(at.tolist(), guesses, strict=True):
+            before = self._waypoints[int(np.searchsorted(places, s, side="right")) - 1]
+            found = self._way.at(s, guess, before.multipliers)
+            if found is None:
+                raise PathError(
+                    f"no equilibrium found {100 * s:.4g} % of the way to the goal, though there "
+                    "are some before and after. Go by shapes in between",
+                    rest_at(self._way.problem, before),
+                )
+            points.append(found)
+        return points
+
+
+class Clock:
+    """The place on a path at any time.
+
+    The pace p(s) is the time that a unit of the path takes at full speed. The
+    speed, as a share of the full one, rises over a ramp by ``3τ² − 2τ³``, stays,
+    and falls again; acceleration is zero at both ends of a ramp. ``pace`` is p at
+    ``places`` from 0 to 1, straight in between; a ramp takes the share ``ramp`` of the
+    duration, at most 1/2.
+    """
+
+    def __init__(self, places: FloatArray, pace: FloatArray, ramp: float) -> None:
+        self._places = places
+        self._pace = np.maximum(pace, _LEAST_PACE * pace.max())
+        parts = np.diff(places) * (self._pace[1:] + self._pace[:-1]) / 2
+        self._passed = np.concatenate([[0.0], np.cumsum(parts)])
+        self._ramp = ramp
+
+    @property
+    def shortest(self) -> float:
+        """The duration at which the full speed is just reached."""
+        return float(self._passed[-1] / (1 - self._ramp))
+
+    def at(self, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return s and ds/dτ at shares τ of the duration, from 0 to 1."""
+        r = self._ramp
+        begun = np.clip(share / r, 0.0, 1.0)
+        left = np.clip((1 - share) / r, 0.0, 1.0)
+        speed = _step(begun) * _step(left) / (1 - r)
+        travelled = r * _integral(begun) - r * _integral(left) + r / 2
+        travelled = travelled + np.clip(share - r, 0.0, 1 - 2 * r)
+        passed = np.clip(travelled / (1 - r), 0.0, 1.0) * self._passed[-1]
+        k = np.clip(np.searchsorted(self._passed, passed, side="right") - 1, 0, len(self._pace) - 2)
+        # Within a piece the pace is p + c x: passed = p x + c x²/2, solved for x.
+        p, length = self._pace[k], self._places[k + 1] - self._places[k]
+        c = (self._pace[k + 1] - p) / length
+        rest = passed - self._passed[k]
+        x = np.clip(2 * rest / (p + np.sqrt(np.maximum(p**2 + 2 * c * rest, 0.0))), 0.0, length)
+        return self._places[k] + x, speed * self._passed[-1] / (p + c * x)
+
+
+def _step(x: FloatArray) -> FloatArray:
+    return x * x * (3 - 2 * x)
+
+
+def _integral(x: FloatArray) -> FloatArray:
+    return x**3 - x**4 / 2
+
+
+class Reading:
+    """Positions, forces and rest lengths of waypoints, and their rates."""
+
+    def __init__(self, problem: ShapeProblem) -> None:
+        self._problem = problem
+        model = problem.model
+        v, dv = problem.unknowns, ca.SX.sym("dv", problem.unknowns.numel())
+        N, gamma = problem.nodes, problem.gamma
+        rows = [ca.vec(ca.densify(N)), gamma]
+        if model.strings is not None:
+            S = kernel.differences(N, model.structure.strings)
+            length = ca.sqrt(kernel.dots(S, S)).T
+            rows.append(model.strings.taut_rest_length(length, gamma))
+        rates = [ca.densify(ca.jtimes(row, v, dv)) for row in rows]
+        self._read = ca.Function("read", [v, dv], [*rows, *rates])
+        self._equations = ca.Function("equations", [v], [problem.equations])
+
+    def motion(self, point: Waypoint, speed: float) -> list[FloatArray]:
+        """Return nodes, velocities, γ, and rest lengths with their rates, at ds/dt."""
+        parts = [np.array(part.full()).ravel() for part in self._read(point.values, point.slope)]
+        half = len(parts) // 2
+        nodes, moves = (part.reshape(3, -1, order="F") for part in (parts[0], parts[half]))
+        found = [nodes, speed * moves, parts[1]]
+        if half == 3:
+            found += [parts[2], speed * parts[5]]
+        return found
+
+    def pace(self, point: Waypoint, rate: FloatArray | None) -> float:
+        """Return the time that a unit of the path takes; without a rate, its length in space."""
+        found = self.motion(point, 1.0)
+        if rate is None:
+            return float(np.linalg.norm(found[1], axis=0).max())
+        return float((np.abs(found[4]) / rate).max())
+
+    def unbalanced(self, point: Waypoint) -> float:
+        """Return the largest unbalanced force, N."""
+        problem = self._problem
+        left = np.array(self._equations(point.values).full()).ravel()
+        forces = left[: problem.positions.numel()]
+        return float(np.abs(forces).max(initial=0.0) * problem.level * problem.size)
+
+
+def rest_at(problem: ShapeProblem, point: Waypoint) -> Prestress:
+    """Return a waypoint as an equilibrium of the structure."""
+    nodes, gamma = problem.read(point.values)
+    structure = replace(problem.model.structure, nodes=nodes)
+    gamma = np.maximum(gamma, 0.0)
+    return prestress(structure, gamma, external_force=problem.model.constant_force)
