@@ -113,6 +113,18 @@ def refuse_fractions(name: str, array: FloatArray) -> None:
         raise TypeError(f"{name}[{bad[0]}] is {array[bad[0]]:g}, expected a whole number")
 
 
+def indices(name: str, value: FloatArray, count: int, of: str, noun: str = "") -> IntArray:
+    """Return whole numbers from 0 to ``count - 1``, shape (k,), or say which one is not."""
+    refuse_fractions(name, value)
+    bad = np.flatnonzero((value < 0) | (value >= count))
+    if len(bad):
+        raise ValueError(
+            f"{name}[{bad[0]}] is {noun}{value[bad[0]]:g}, expected 0 to {count - 1}: {of}, "
+            "counted from 0"
+        )
+    return value.astype(np.int64)
+
+
 def direction(name: str, value: object) -> FloatArray:
     """Return a direction in space as a vector of length 1, shape (3,)."""
     vector = shaped(name, value, (3,), "a direction")

@@ -16,6 +16,7 @@ from tenscontrol.validation import (
     direction,
     float_array,
     frozen,
+    indices,
     refuse_fractions,
     shaped,
 )
@@ -89,13 +90,7 @@ class Demand(ABC):
         """
         count = structure.nodes.shape[1]
         for field in self._node_lists:
-            nodes = getattr(self, field)
-            if nodes.max() >= count:
-                i = int(nodes.argmax())
-                raise ValueError(
-                    f"{name}.{field}[{i}] is {nodes[i]}, expected 0 to {count - 1}: "
-                    f"there are {count} nodes, counted from 0"
-                )
+            indices(f"{name}.{field}", getattr(self, field), count, f"there are {count} nodes")
 
 
 @final
@@ -400,9 +395,9 @@ def node_list(name: str, nodes: object) -> IntArray:
     for i, node in enumerate(array.tolist()):
         if node < 0:
             raise ValueError(f"{name}[{i}] is {node:g}, expected 0 or more: nodes count from 0")
-    indices, counts = np.unique(array, return_counts=True)
+    known, counts = np.unique(array, return_counts=True)
     if (counts > 1).any():
-        raise ValueError(f"{name} has node {indices[counts.argmax()]:g} twice")
+        raise ValueError(f"{name} has node {known[counts.argmax()]:g} twice")
     return frozen(array.astype(np.int64))
 
 

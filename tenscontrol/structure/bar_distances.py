@@ -12,25 +12,18 @@ from tenscontrol.validation import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class BarDistances:
-    """Distances between the axes of all pairs of bars.
+    """Distances between the axes of all p pairs of bars.
 
-    Attributes
-    ----------
-    pairs : ndarray of int, shape (p, 2)
-    distance : ndarray, shape (p,)
-        m.
-    side : ndarray, shape (p,)
-        Sign of the volume that the two bars span; 0 where they are nearest at an
-        end, so that one can go around the other.
-    nearest : ndarray, shape (p, 2)
-        Where along its length each of the two lines is nearest to the other: 0 at the
-        start of the bar, 1 at its end. Of parallel bars, anywhere.
+    ``side`` is the sign of the volume that two bars span; 0 where they are nearest at
+    an end, so that one can go around the other. ``nearest`` is where along its length
+    each of two lines is nearest to the other, 0 at the start of the bar and 1 at its
+    end; of parallel bars, anywhere.
     """
 
-    pairs: IntArray
-    distance: FloatArray
-    side: FloatArray
-    nearest: FloatArray
+    pairs: IntArray  # (p, 2)
+    distance: FloatArray  # (p,), m
+    side: FloatArray  # (p,)
+    nearest: FloatArray  # (p, 2)
 
     @property
     def least(self) -> float:

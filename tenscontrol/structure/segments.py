@@ -112,26 +112,15 @@ def to_strings(structure: Structure, what: str, values: FloatArray) -> FloatArra
 
 
 def segment_counts(structure: Structure) -> IntArray:
-    """Return, for each segment, how many segments its string was cut into.
+    """Return, for each segment, how many segments its string was cut into, shape (α′,).
 
-    Stiffness and damping of a string times this number are those that a
-    segment needs for the chain to act as the whole string did: segments act in
-    series.
+    Stiffness and damping of a string times this number are those that a segment needs
+    for the chain to act as the whole string did: segments act in series.
 
     Parameters
     ----------
     structure : Structure
-        Made by :func:`subdivide`.
-
-    Returns
-    -------
-    ndarray of int, shape (α,)
-        One number for each string of ``structure``.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If ``structure`` was not made by :func:`subdivide`.
+        Made by :func:`subdivide`, or ValueError.
 
     Examples
     --------
@@ -146,28 +135,14 @@ def segment_counts(structure: Structure) -> IntArray:
 
 
 def spread_force_density(structure: Structure, force_density: object) -> FloatArray:
-    """Return the force densities of segments under the tension that their strings had whole.
-
-    A segment has the tension of its string on 1/s of the length, so γ is s
-    times that of the string.
+    """Return the γ of segments, N/m, shape (α′,), under the tension that their strings had whole.
 
     Parameters
     ----------
     structure : Structure
-        Made by :func:`subdivide`.
+        Made by :func:`subdivide`, or ValueError.
     force_density : float or array_like, shape (α,)
         γ of each string of ``structure.parent``, N/m, at least 0.
-
-    Returns
-    -------
-    ndarray, shape (α′,)
-        γ of each string of ``structure``, N/m.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If ``structure`` was not made by :func:`subdivide`, or
-        ``force_density`` does not fit its parent or is negative.
 
     Examples
     --------
@@ -187,25 +162,14 @@ def spread_force_density(structure: Structure, force_density: object) -> FloatAr
 
 
 def spread_rest_length(structure: Structure, rest_length: object) -> FloatArray:
-    """Return the rest lengths of segments that make up the rest lengths of their strings.
+    """Return the rest lengths of segments, m, shape (α′,), that make up those of their strings.
 
     Parameters
     ----------
     structure : Structure
-        Made by :func:`subdivide`.
+        Made by :func:`subdivide`, or ValueError.
     rest_length : float or array_like, shape (α,)
         l0 of each string of ``structure.parent``, m, at least 0.
-
-    Returns
-    -------
-    ndarray, shape (α′,)
-        l0 of each string of ``structure``, m: l0/s of the string that it is a segment of.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If ``structure`` was not made by :func:`subdivide`, or ``rest_length``
-        does not fit its parent or is negative.
 
     Examples
     --------

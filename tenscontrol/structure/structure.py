@@ -14,6 +14,7 @@ from tenscontrol.validation import (
     IntArray,
     float_array,
     frozen,
+    indices,
     instance,
     per_member,
     positive,
@@ -137,8 +138,7 @@ class Structure:
         _refuse_repeats(bars, strings)
         _refuse_shared_bar_nodes(bars)
         _refuse_untouched_nodes(bars, strings, count)
-        _refuse_vast(nodes)
-        _refuse_short_bars(nodes, bars)
+        _refuse_bad_sizes(nodes, bars)
         put = object.__setattr__  # the dataclass is frozen for everyone else
         put(self, "nodes", frozen(nodes))
         put(self, "bars", frozen(bars))
@@ -197,21 +197,14 @@ class Structure:
             raise ValueError("string_parent is given without parent, whose strings it counts")
         count = len(self.parent.strings)
         array = shaped("string_parent", self.string_parent, (len(self.strings),), "one per string")
-        for i, string in enumerate(array.tolist()):
-            if not string.is_integer():
-                raise TypeError(f"string_parent[{i}] is {string:g}, expected a whole number")
-            if not 0 <= string < count:
-                raise ValueError(
-                    f"string_parent[{i}] is {string:g}, expected 0 to {count - 1}: "
-                    f"the parent has {count} strings, counted from 0"
-                )
-        missing = np.setdiff1d(np.arange(count), array)
+        parent = indices("string_parent", array, count, f"the parent has {count} strings")
+        missing = np.setdiff1d(np.arange(count), parent)
         if len(missing):
             raise ValueError(
                 f"string_parent leaves out string {missing[0]} of the parent, "
                 "expected at least one segment of each"
             )
-        return array.astype(np.int64)
+        return parent
 
     def __repr__(self) -> str:
         return (
@@ -273,46 +266,28 @@ class Structure:
         return frozen(np.linalg.norm(self.bar_vectors(self.nodes), axis=0))
 
     def bar_vectors(self, nodes: object) -> FloatArray:
-        """Return the bar vectors B = N C_nbᵀ C_bᵀ from start to end node.
+        """Return the bar vectors B = N C_nbᵀ C_bᵀ, shape (3, β), from start to end node.
 
         Parameters
         ----------
         nodes : array_like, shape (3, n)
-            Node positions, m, or velocities, m/s.
-
-        Returns
-        -------
-        ndarray, shape (3, β)
-            m, or m/s.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If ``nodes`` does not fit.
+            Node positions, m, or velocities, m/s; the result has the same unit.
         """
-        N = self.checked_nodes("nodes", nodes)
-        return np.asarray(N[:, self.bars[:, 1]] - N[:, self.bars[:, 0]])
+        return self._vectors(self.bars, nodes)
 
     def string_vectors(self, nodes: object) -> FloatArray:
-        """Return the string vectors S = N C_sᵀ from start to end node.
+        """Return the string vectors S = N C_sᵀ, shape (3, α), from start to end node.
 
         Parameters
         ----------
         nodes : array_like, shape (3, n)
-            Node positions, m, or velocities, m/s.
-
-        Returns
-        -------
-        ndarray, shape (3, α)
-            m, or m/s.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If ``nodes`` does not fit.
+            Node positions, m, or velocities, m/s; the result has the same unit.
         """
+        return self._vectors(self.strings, nodes)
+
+    def _vectors(self, pairs: IntArray, nodes: object) -> FloatArray:
         N = self.checked_nodes("nodes", nodes)
-        return np.asarray(N[:, self.strings[:, 1]] - N[:, self.strings[:, 0]])
+        return np.asarray(N[:, pairs[:, 1]] - N[:, pairs[:, 0]])
 
     def string_length(self, nodes: object = None) -> FloatArray:
         """Return the string lengths, m, shape (α,), of the reference shape or of ``nodes``.
@@ -328,22 +303,17 @@ class Structure:
         >>> tc.prism().string_length().round(4)
         array([0.866, 0.866, 0.866, 0.866, 0.866, 0.866, 1.033, 1.033, 1.033])
         """
-        at = self.nodes if nodes is None else self.checked_nodes("nodes", nodes)
-        length: FloatArray = np.linalg.norm(self.string_vectors(at), axis=0)
+        vectors = self.string_vectors(self.nodes if nodes is None else nodes)
+        length: FloatArray = np.linalg.norm(vectors, axis=0)
         return length
 
     def strings_in(self, group: str) -> IntArray:
-        """Return the indices of the strings of one group.
+        """Return the indices of the strings of one group, or raise and list the groups.
 
         Parameters
         ----------
         group : str
             A name from ``string_groups``.
-
-        Raises
-        ------
-        ValueError
-            If there is no such group; the message lists those there are.
         """
         found = np.array([i for i, name in enumerate(self.string_groups) if name == group])
         if len(found) == 0:
@@ -352,22 +322,13 @@ class Structure:
         return found
 
     def checked_nodes(self, name: str, nodes: object) -> FloatArray:
-        """Return node positions or velocities as an array, or raise naming the argument.
+        """Return positions or velocities as an array, shape (3, n), or raise naming the argument.
 
         Parameters
         ----------
         name : str
             What the message calls them.
         nodes : array_like, shape (3, n)
-
-        Returns
-        -------
-        ndarray, shape (3, n)
-
-        Raises
-        ------
-        TypeError, ValueError
-            If an entry is not a finite number, or the shape does not fit.
         """
         shape = self.nodes.shape
         return shaped(name, nodes, (3, shape[1]), "one column of x, y, z per node of the structure")
@@ -414,14 +375,7 @@ class Structure:
 
 
 def same_members(one: Structure, other: Structure | None) -> bool:
-    """Return whether nodes, bars, strings and supports go together.
-
-    Masses and lengths may differ.
-
-    Parameters
-    ----------
-    one, other : Structure
-    """
+    """Return whether bars, strings and supports are the same; masses and lengths may differ."""
     return (
         other is not None
         and one.nodes.shape == other.nodes.shape
@@ -460,18 +414,11 @@ def _fixed_nodes(nodes: Any, count: int) -> IntArray:
     array = np.atleast_1d(float_array("fixed", nodes))
     if array.ndim != 1:
         raise ValueError(f"fixed has shape {array.shape}, expected a sequence of node indices")
-    for i, node in enumerate(array.tolist()):
-        if not node.is_integer():
-            raise TypeError(f"fixed[{i}] is {node:g}, expected a whole number")
-        if not 0 <= node < count:
-            raise ValueError(
-                f"fixed[{i}] is node {node:g}, expected 0 to {count - 1}: "
-                f"there are {count} nodes, counted from 0"
-            )
-    indices, counts = np.unique(array.astype(np.int64), return_counts=True)
+    given = indices("fixed", array, count, f"there are {count} nodes", "node ")
+    nodes, counts = np.unique(given, return_counts=True)
     if (counts > 1).any():
-        raise ValueError(f"fixed names node {indices[counts.argmax()]} twice")
-    return np.asarray(indices)
+        raise ValueError(f"fixed names node {nodes[counts.argmax()]} twice")
+    return np.asarray(nodes)
 
 
 def _refuse_repeats(bars: IntArray, strings: IntArray) -> None:
@@ -512,16 +459,14 @@ def _refuse_untouched_nodes(bars: IntArray, strings: IntArray, count: int) -> No
         )
 
 
-def _refuse_vast(nodes: FloatArray) -> None:
+def _refuse_bad_sizes(nodes: FloatArray, bars: IntArray) -> None:
+    """Raise if coordinates would overflow, or a bar has no length."""
     largest = float(np.abs(nodes).max())
     if largest > _LARGEST:
         raise ValueError(
             f"nodes has entries up to {largest:g} m, expected at most {_LARGEST:g} m: "
             "squares of lengths would overflow"
         )
-
-
-def _refuse_short_bars(nodes: FloatArray, bars: IntArray) -> None:
     size = float(np.ptp(nodes, axis=1).max())
     length = np.linalg.norm(nodes[:, bars[:, 1]] - nodes[:, bars[:, 0]], axis=0)
     short = np.flatnonzero(length <= _ZERO_LENGTH * size)
