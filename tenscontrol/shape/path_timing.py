@@ -14,7 +14,8 @@ from tenscontrol.shape.nonlinear_program import ShapeProblem
 from tenscontrol.statics import Prestress, prestress
 from tenscontrol.validation import FloatArray
 
-# More shapes than a step needs, for a clock that has to be slowed down; and what rounds off a rate.
+# More shapes than a step needs, for a time scaling that has to be slowed down; and what rounds off a
+# rate.
 _SPARE, _ROUND_OFF = 1.02, 1e-12
 
 # Where a path stands still but for round-off, it goes as if this much faster.
@@ -35,7 +36,7 @@ class PathError(ValueError):
         self.reached = reached
 
 
-class Timed:
+class TimedPath:
     """A path laid out in time, each shape solved anew at its time.
 
     ``rate`` is the limit of the winches, m/s, ``duration`` and ``step``, the largest time
@@ -52,17 +53,17 @@ class Timed:
         ramp: float,
     ) -> None:
         self._way, self._waypoints = way, waypoints
-        reading = Reading(way.problem)
+        motion_of = PathMotion(way.problem)
         places = np.array([point.place for point in waypoints])
-        pace = np.array([reading.pace(point, rate) for point in waypoints])
-        clock = Clock(places, pace, ramp)
-        total = clock.shortest if duration is None else duration
-        # A little more than needed: the clock is slowed down below.
+        pace = np.array([motion_of.pace(point, rate) for point in waypoints])
+        scaling = TimeScaling(places, pace, ramp)
+        total = scaling.shortest if duration is None else duration
+        # A little more than needed: the path is slowed down below.
         count = max(3, ceil(_SPARE * total / step) + 1)
         share = np.linspace(0.0, 1.0, count)
-        at, speed = clock.at(share)
+        at, speed = scaling.at(share)
         points = self._solved(places, at)
-        rows = [reading.motion(*pair) for pair in zip(points, speed, strict=True)]
+        rows = [motion_of.motion(*pair) for pair in zip(points, speed, strict=True)]
         self.nodes, moves, self.force_density = (
             np.stack([r[i] for r in rows], -1) for i in (0, 1, 2)
         )
@@ -86,7 +87,7 @@ class Timed:
             self.rest_length_rate = winding / total
         self.time = total * share
         self.velocities = moves / total
-        self.residual = max(reading.unbalanced(point) for point in points)
+        self.residual = max(motion_of.unbalanced(point) for point in points)
 
     def _solved(self, places: FloatArray, at: FloatArray) -> list[Waypoint]:
         """Return equilibria at these places, from guesses between the waypoints."""
@@ -109,7 +110,7 @@ class Timed:
         return points
 
 
-class Clock:
+class TimeScaling:
     """The place on a path at any time.
 
     The pace p(s) is the time that a unit of the path takes at full speed. The
@@ -157,7 +158,7 @@ def _integral(x: FloatArray) -> FloatArray:
     return x**3 - x**4 / 2
 
 
-class Reading:
+class PathMotion:
     """Positions, forces and rest lengths of waypoints, and their rates."""
 
     def __init__(self, problem: ShapeProblem) -> None:

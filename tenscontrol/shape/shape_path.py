@@ -13,7 +13,7 @@ from tenscontrol.plant.reference import Reference
 from tenscontrol.shape.continuation import Continuation, Waypoint
 from tenscontrol.shape.force_bounds import checked_bounds
 from tenscontrol.shape.nonlinear_program import ShapeProblem
-from tenscontrol.shape.path_timing import PathError, Timed, rest_at
+from tenscontrol.shape.path_timing import PathError, TimedPath, rest_at
 from tenscontrol.shape.shape_search import STIFF
 from tenscontrol.shape.target import ShapeTarget
 from tenscontrol.statics import Prestress
@@ -29,7 +29,7 @@ from tenscontrol.structure import (
 from tenscontrol.validation import (
     FloatArray,
     float_array,
-    frozen,
+    freeze_arrays,
     instance,
     one_or_per_string,
     positive_number,
@@ -77,6 +77,9 @@ class ShapePath:
     stability_margin: float
     clearance: float
     shortest_duration: float | None
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
     def reference(self, times: object = None) -> Reference:
         """Return the path as a controller takes it, for example ``MPC(..., reference=...)``.
@@ -288,21 +291,20 @@ def shape_path(
         )
     margin = _least_margin(problem, waypoints, require_stable)
     clearance = _least_clearance(problem, waypoints)
-    timed = Timed(way, waypoints, rate, duration, step, ramp)
+    timed = TimedPath(way, waypoints, rate, duration, step, ramp)
     if timed.rest_length is not None:
         bounds.refuse_rest_lengths(timed.rest_length, timed.time)
     structure = model.structure
     bars = timed.nodes[:, structure.bars[:, 1]] - timed.nodes[:, structure.bars[:, 0]]
     length = np.linalg.norm(bars, axis=0) / structure.bar_length[:, None]
-    wound, wind = timed.rest_length, timed.rest_length_rate
     return ShapePath(
         model=model,
-        time=frozen(timed.time),
-        nodes=frozen(timed.nodes),
-        velocities=frozen(timed.velocities),
-        force_density=frozen(timed.force_density),
-        rest_length=None if wound is None else frozen(wound),
-        rest_length_rate=None if wind is None else frozen(wind),
+        time=timed.time,
+        nodes=timed.nodes,
+        velocities=timed.velocities,
+        force_density=timed.force_density,
+        rest_length=timed.rest_length,
+        rest_length_rate=timed.rest_length_rate,
         residual=timed.residual,
         bar_length_error=float(np.abs(length - 1).max(initial=0.0)),
         stability_margin=margin,

@@ -62,6 +62,10 @@ class Solved:
         return self.margin > STIFF * float(self.rest.force_density.max(initial=0.0))
 
 
+# An expression with its lower and upper bounds.
+Rows = tuple[Any, FloatArray, FloatArray]
+
+
 class _DemandRows:
     """Demands and bounds as rows ``low ≤ expression ≤ high``, in units of the size."""
 
@@ -70,62 +74,52 @@ class _DemandRows:
         problem: ShapeProblem,
         demands: tuple[Demand, ...],
         limits: ForceLimits,
-        size: float,
         start: FloatArray,
     ) -> None:
-        model = problem.model
-        at = problem.nodes
-        rows: list[Any] = []
-        low: list[FloatArray] = []
-        high: list[FloatArray] = []
-        scales = []
-        for demand in demands:
-            scale = size if demand.unit == "m" else 1.0
-            miss = demand.miss(at)
-            rows.append(miss / scale)
-            off = np.full(miss.numel(), demand.tolerance / scale)
-            low.append(-off)
-            high.append(off)
-            scales += [scale] * miss.numel()
-        self.scales = np.array(scales)
-        capped = np.flatnonzero(np.isfinite(limits.bounds.high))
+        model, size, bounds = problem.model, problem.size, limits.bounds
+        misses = [demand.miss(problem.nodes) for demand in demands]
+        units = [size if demand.unit == "m" else 1.0 for demand in demands]
+        counts = [miss.numel() for miss in misses]
+        self.scales = np.repeat(units, counts)
+        parts: list[Rows] = [(ca.SX(0, 1), np.zeros(0), np.zeros(0))]
+        for demand, miss, unit in zip(demands, misses, units, strict=True):
+            off = np.full(miss.numel(), demand.tolerance / unit)
+            parts.append((miss / unit, -off, off))
+        capped = np.flatnonzero(np.isfinite(bounds.high))
         if len(capped):
-            rows.append(problem.gamma[capped.tolist()] / problem.level)
-            low.append(np.full(len(capped), -np.inf))
-            high.append(limits.bounds.high[capped] / problem.level)
-        if limits.bounds.rest_length is not None:
+            gamma = problem.gamma[capped.tolist()] / problem.level
+            most = bounds.high[capped] / problem.level
+            parts.append((gamma, np.full(len(capped), -np.inf), most))
+        if bounds.rest_length is not None:
             assert model.strings is not None  # checked with the winches
-            S = kernel.differences(at, model.structure.strings)
+            S = kernel.differences(problem.nodes, model.structure.strings)
             length = ca.sqrt(kernel.dots(S, S)).T
-            rows.append(model.strings.taut_rest_length(length, problem.gamma) / size)
-            shortest, longest = limits.bounds.rest_length
-            low.append(shortest / size)
-            high.append(longest / size)
+            rest_length = model.strings.taut_rest_length(length, problem.gamma)
+            shortest, longest = bounds.rest_length
+            parts.append((rest_length / size, shortest / size, longest / size))
         if limits.clearance:
-            apart = _signed_distances(model.structure, start, at)
-            rows.append(apart / size)
-            low.append(np.full(apart.numel(), limits.clearance / size))
-            high.append(np.full(apart.numel(), np.inf))
-        self.rows = ca.vertcat(*rows) if rows else ca.SX(0, 1)
-        self.low = np.concatenate(low) if low else np.zeros(0)
-        self.high = np.concatenate(high) if high else np.zeros(0)
-        self.evaluate = ca.Function("rows", [problem.unknowns], [ca.densify(self.rows)])
-        self.misses = ca.Function(
-            "misses",
-            [problem.unknowns],
-            [ca.densify(ca.vertcat(*[demand.miss(at) for demand in demands]))]
-            if demands
-            else [ca.DM.zeros(0, 1)],
-        )
+            apart = _signed_distances(model.structure, start, problem.nodes)
+            least = np.full(apart.numel(), limits.clearance / size)
+            parts.append((apart / size, least, np.full(apart.numel(), np.inf)))
+        self.rows = ca.vertcat(*(rows for rows, _, _ in parts))
+        self.low = np.concatenate([low for _, low, _ in parts])
+        self.high = np.concatenate([high for _, _, high in parts])
+        self._evaluate = ca.Function("rows", [problem.unknowns], [ca.densify(self.rows)])
+        every = ca.densify(ca.vertcat(ca.SX(0, 1), *misses))
+        self._misses = ca.Function("misses", [problem.unknowns], [every])
+
+    def misses(self, values: FloatArray) -> FloatArray:
+        """Return found less wanted numbers, m or rad."""
+        return np.array(self._misses(values).full()).ravel()
 
     def outside(self, values: FloatArray) -> FloatArray:
         """Return by how much each row is outside its bounds."""
-        found = np.array(self.evaluate(values).full()).ravel()
+        found = np.array(self._evaluate(values).full()).ravel()
         return np.asarray(np.maximum(np.maximum(self.low - found, found - self.high), 0.0))
 
     def at_bound(self, values: FloatArray, reach: float) -> Any:
         """Return the rows at a bound or beyond, by ``reach`` at most, less the bound."""
-        found = np.array(self.evaluate(values).full()).ravel()
+        found = np.array(self._evaluate(values).full()).ravel()
         bound = np.where(np.abs(found - self.low) <= np.abs(found - self.high), self.low, self.high)
         inside = np.minimum(found - self.low, self.high - found)
         rows = np.flatnonzero((inside < _CLOSE) & (inside >= -reach))
@@ -161,24 +155,21 @@ def solve_shape(
 ) -> Solved | None:
     """Return the equilibrium nearest to the start that meets the demands, or misses them least."""
     problem = ShapeProblem(model, start, limits.scale, symmetry)
-    demanded = _DemandRows(problem, demands, limits, problem.size, start)
-    level = []
+    demanded = _DemandRows(problem, demands, limits, start)
+    level = ca.SX(0, 1)  # the equation of the level, if it is given
     if limits.level is not None:
         mean = ca.sum1(problem.gamma[limits.reference.tolist()]) / len(limits.reference)
-        level.append(mean / limits.level - 1)
-    fixed = ca.vertcat(*level) if level else ca.SX(0, 1)
+        level = mean / limits.level - 1
     low, high = _orbit_bounds(problem, limits)
-    gamma = np.clip(
-        np.full(len(limits.bounds.low), limits.scale), limits.bounds.low, limits.bounds.high
-    )
-    forces = ca.SX(0) if level else _FORCES * _prestress_cost(problem, limits, kind)
+    gamma = np.clip(limits.scale, limits.bounds.low, limits.bounds.high)
+    forces = ca.SX(0) if level.numel() else _FORCES * _prestress_cost(problem, limits, kind)
     S = kernel.differences(problem.nodes, model.structure.strings)
     squares = kernel.dots(S, S).T / problem.size**2
     shortest = (_SHORT * model.structure.string_length(start) / problem.size) ** 2
     e = ca.SX.sym("e", demanded.rows.numel())
     bounds = [
         (demanded.rows - e, demanded.low, demanded.high),
-        (fixed, np.zeros(len(level)), np.zeros(len(level))),
+        (level, np.zeros(level.numel()), np.zeros(level.numel())),
         (squares, shortest, np.full(len(shortest), np.inf)),
     ]
 
@@ -192,7 +183,7 @@ def solve_shape(
                 found = problem.search(objective, bounds, e, low, high, guess)
                 if not found.success:
                     break
-                values = _polished(problem, demanded, fixed, (low, high), found.values)
+                values = _polished(problem, demanded, level, (low, high), found.values)
                 if values is not None:
                     yield values
                 guess = found.values
@@ -239,7 +230,7 @@ def _orbit_bounds(problem: ShapeProblem, limits: ForceLimits) -> tuple[FloatArra
 def _polished(
     problem: ShapeProblem,
     demanded: _DemandRows,
-    fixed: Any,
+    level: Any,
     bounds: tuple[FloatArray, FloatArray],
     values: FloatArray,
 ) -> FloatArray | None:
@@ -254,7 +245,7 @@ def _polished(
             pinned = np.flatnonzero(at_low | at_high)
             bound = np.where(at_low, low, high)
             at_bound = problem.tensions[pinned.tolist()] - ca.DM(bound[pinned])
-            point, left = problem.polish(values, ca.vertcat(fixed, at_bound, rows))
+            point, left = problem.polish(values, ca.vertcat(level, at_bound, rows))
             if np.abs(left).max(initial=0.0) > EXACT:
                 break
             g = point[problem.tension_rows]
@@ -298,7 +289,7 @@ def _finished(
     return Solved(
         rest=rest,
         rest_length=rest_length,
-        misses=np.array(demanded.misses(values).full()).ravel(),
+        misses=demanded.misses(values),
         scales=demanded.scales,
         margin=problem.stability_margin(rest),
         outside=outside,

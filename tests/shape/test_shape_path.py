@@ -8,7 +8,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.control import Controller
 from tenscontrol.shape import Height, PathError, PointAt, Twist, shape_path, shape_target
-from tenscontrol.shape.path_timing import Clock
+from tenscontrol.shape.path_timing import TimeScaling
 from tenscontrol.structure import bar_distances
 
 TOP, BOTTOM = [0, 1, 2], [3, 4, 5]
@@ -171,7 +171,7 @@ def test_without_a_string_law_the_path_is_one_of_force_densities():
 def test_the_clock_keeps_the_pace():
     places = np.linspace(0.0, 1.0, 7)
     pace = np.array([1.0, 2.0, 0.5, 3.0, 3.0, 0.8, 1.0])
-    clock = Clock(places, pace, ramp=0.2)
+    clock = TimeScaling(places, pace, ramp=0.2)
     share = np.linspace(0.0, 1.0, 4001)
     at, speed = clock.at(share)
     np.testing.assert_allclose(at[[0, -1]], [0.0, 1.0], atol=1e-12)
