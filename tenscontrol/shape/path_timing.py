@@ -14,7 +14,7 @@ from tenscontrol.shape.nonlinear_program import ShapeProblem
 from tenscontrol.statics import Prestress, prestress
 from tenscontrol.validation import FloatArray
 
-# More shapes than a step needs, for a time scaling that has to be slowed down; and what rounds off a
+# More shapes than a step needs, since the path is slowed down in the end; and what rounds off a
 # rate.
 _SPARE, _ROUND_OFF = 1.02, 1e-12
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model
-from tenscontrol.plant import LinearPlant, OperatingPoint, linearize
-from tenscontrol.plant.reference import Reference
+from tenscontrol.plant import LinearPlant, OperatingPoint, Reference, linearize
 from tenscontrol.shape.continuation import Continuation, Waypoint
 from tenscontrol.shape.force_bounds import checked_bounds
 from tenscontrol.shape.nonlinear_program import ShapeProblem
