@@ -122,7 +122,7 @@ class Winches:
             raise ValueError(f"shortest {self.shortest} m exceeds longest {self.longest} m")
 
     def refuse_out_of_range(self, name: str, rest_length: FloatArray) -> None:
-        """Raise if winches cannot stand at these rest lengths, shape (α,), m.
+        """Raise if a rest length is out of the range of its winch, and name the string.
 
         Parameters
         ----------
@@ -130,11 +130,6 @@ class Winches:
             What the message calls them.
         rest_length : ndarray, shape (α,)
             m.
-
-        Raises
-        ------
-        ValueError
-            Naming the first string out of range.
         """
         low = 0.0 if self.shortest is None else self.shortest
         high = np.inf if self.longest is None else self.longest
@@ -156,15 +151,6 @@ class Winches:
             Rest lengths, m.
         sample_time : float
             Sample time, s.
-
-        Returns
-        -------
-        WinchMove
-
-        Raises
-        ------
-        TypeError, ValueError
-            If an argument is not finite or does not fit.
         """
         start = float_array("current", current)
         goal = float_array("wanted", wanted)

@@ -1,7 +1,7 @@
 """Forces at rest: self-stress, prestress, mechanisms, stability."""
 
 from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, null_space
-from tenscontrol.statics.least_distance import least_distance, nearest_in_cone
+from tenscontrol.statics.least_distance import least_distance
 from tenscontrol.statics.prestress import Prestress, prestress, prism_force_density
 from tenscontrol.statics.stability import Stability, stress_matrix
 
@@ -10,7 +10,6 @@ __all__ = [
     "Stability",
     "equilibrium_matrix",
     "least_distance",
-    "nearest_in_cone",
     "null_space",
     "prestress",
     "prism_force_density",

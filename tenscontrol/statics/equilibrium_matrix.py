@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray, instance
+from tenscontrol.validation import FloatArray, instance
 
 # Singular values below this fraction of the largest count as zero: far above round-off, far below
 # what a real member contributes.
@@ -52,15 +52,12 @@ def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray
     alpha, beta = len(structure.strings), len(structure.bars)
     E = np.zeros((N.shape[1], 3, alpha + beta))
     # A string pulls its ends together, a bar pushes them apart.
-    _add_members(E, structure.strings, -structure.string_vectors(N), offset=0)
-    _add_members(E, structure.bars, structure.bar_vectors(N), offset=alpha)
+    vectors = np.hstack([-structure.string_vectors(N), structure.bar_vectors(N)]).T
+    start, end = np.vstack([structure.strings, structure.bars]).T
+    members = np.arange(alpha + beta)
+    E[start, :, members] += vectors
+    E[end, :, members] -= vectors
     return E.reshape(-1, alpha + beta)
-
-
-def _add_members(E: FloatArray, pairs: IntArray, vectors: FloatArray, offset: int) -> None:
-    columns = offset + np.arange(len(pairs))
-    E[pairs[:, 0], :, columns] += vectors.T
-    E[pairs[:, 1], :, columns] -= vectors.T
 
 
 def null_space(matrix: FloatArray) -> FloatArray:

@@ -36,9 +36,7 @@ _RESIDUAL_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Prestress:
-    """A structure at rest: node positions, force densities and load in balance.
-
-    Made by :func:`prestress`.
+    """A structure at rest: nodes, force densities and load in balance. Made by :func:`prestress`.
 
     Attributes
     ----------
@@ -299,7 +297,5 @@ def _refuse_unbalanced(
         worst = int(size.argmax())
         raise ValueError(
             f"{what}: node {structure.free[worst]} is left with an unbalanced force of "
-            f"{size[worst]:.3g} N, "
-            f"expected less than {_RESIDUAL_TOLERANCE * scale:.1e} N. "
-            f"{hint}"
+            f"{size[worst]:.3g} N, expected less than {_RESIDUAL_TOLERANCE * scale:.1e} N. {hint}"
         )

@@ -15,7 +15,7 @@ _TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Stability:
-    """Result of the stability tests of a prestress.
+    """What a prestress makes of the motions that the members leave free.
 
     Attributes
     ----------

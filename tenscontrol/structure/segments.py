@@ -57,9 +57,8 @@ def to_segments(structure: Structure, what: str, values: FloatArray) -> FloatArr
     --------
     >>> import numpy as np, tenscontrol as tc
     >>> massive = tc.subdivide(tc.prism(), segments=4, node_mass=0.01)
-    >>> gamma = tc.structure.to_segments(massive, "force_density", np.full(9, 10.0))
-    >>> gamma[:2], tc.structure.to_strings(massive, "force_density", gamma)[:2]
-    (array([40., 40.]), array([10., 10.]))
+    >>> tc.structure.to_segments(massive, "force_density", np.full(9, 10.0))[:2]
+    array([40., 40.])
     """
     power = _POWER[choice("what", what, _POWER)]
     of, counts = _map(structure)
@@ -95,6 +94,13 @@ def to_strings(structure: Structure, what: str, values: FloatArray) -> FloatArra
     ------
     ValueError
         If ``what`` is another word or the last axis does not fit.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> massive = tc.subdivide(tc.prism(), segments=4, node_mass=0.01)
+    >>> tc.structure.to_strings(massive, "rest_length", np.full(36, 0.2))[:2]
+    array([0.8, 0.8])
     """
     choice("what", what, _POWER)
     of, counts = _map(structure)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from tenscontrol.statics import nearest_in_cone
+from tenscontrol.statics.least_distance import nearest_in_cone
 
 
 @given(seed=st.integers(0, 10_000), rows=st.integers(2, 12), columns=st.integers(1, 4))
