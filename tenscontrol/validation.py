@@ -185,6 +185,13 @@ def choice(name: str, value: object, options: Iterable[str]) -> str:
     return value
 
 
+def identifier(name: str, value: object) -> str:
+    """Return a string that can be the name of a group."""
+    if not isinstance(value, str) or not value.isidentifier():
+        raise ValueError(f"{name} is {value!r}, expected a name of letters, digits and _")
+    return value
+
+
 def truth(name: str, value: object, meaning: str) -> bool:
     """Return True or False, and refuse what only looks like it."""
     if not isinstance(value, bool | np.bool_):

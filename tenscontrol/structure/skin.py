@@ -6,11 +6,12 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.structure import Structure, refuse_missing_node
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
     float_array,
+    identifier,
     instance,
     per_member,
     positive,
@@ -121,8 +122,7 @@ def skin(
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     count = whole_number("iterations", iterations, least=0)
-    if not isinstance(group, str) or not group.isidentifier():
-        raise ValueError(f"group is {group!r}, expected a name of letters, digits and _")
+    identifier("group", group)
     loops = _loops(structure, panels)
     density = _density(loops, structure.nodes, node_mass, panel_mass, areal_density)
     if count == 0:
@@ -311,11 +311,7 @@ def _given_loop(name: str, entry: object, count: int) -> Loop:
     for node in array.tolist():
         if not node.is_integer():
             raise TypeError(f"{name} names node {node:g}, expected whole numbers")
-        if not 0 <= node < count:
-            raise ValueError(
-                f"{name} names node {node:g}, expected 0 to {count - 1}: "
-                f"there are {count} nodes, counted from 0"
-            )
+        refuse_missing_node(name, node, count)
     if len(array) < 3:
         raise ValueError(f"{name} has {len(array)} nodes, expected at least 3 around a panel")
     indices, times = np.unique(array, return_counts=True)
@@ -367,10 +363,9 @@ def _sides(structure: Structure, named: dict[str, list[Loop]]) -> list[Loop]:
     rings = [named.get(name, []) for name in ("top", "bottom")]
     if any(len(ring) != 1 for ring in rings) or "vertical" not in structure.string_groups:
         return []
-    top, bottom = rings[0][0], rings[1][0]
-    below = {}
-    for a, b in structure.strings[structure.strings_in("vertical")].tolist():
-        below[a], below[b] = b, a
+    (top,), (bottom,) = rings
+    vertical = structure.strings[structure.strings_in("vertical")].tolist()
+    below = {node: other for pair in vertical for node, other in (pair, pair[::-1])}
     if set(below) != {*top, *bottom} or {below[i] for i in top} != set(bottom):
         return []
     bars = {frozenset(pair) for pair in structure.bars.tolist()}

@@ -14,6 +14,7 @@ from tenscontrol.validation import (
     IntArray,
     float_array,
     frozen,
+    identifier,
     indices,
     instance,
     per_member,
@@ -154,7 +155,8 @@ class Structure:
             put(self, "string_parent", frozen(self._checked_string_parent()))
 
     def _checked_string_node_mass(self) -> FloatArray:
-        if len(self.string_nodes) == 0:
+        count = len(self.string_nodes)
+        if count == 0:
             if self.string_node_mass is not None and np.size(self.string_node_mass) > 0:
                 raise ValueError(
                     "string_node_mass is given, but every node is on a bar or fixed; leave it out"
@@ -163,12 +165,9 @@ class Structure:
         if self.string_node_mass is None:
             raise ValueError(
                 f"node {self.string_nodes[0]} is on no bar, so it is a point mass and needs "
-                f"string_node_mass: one number, or one for each of the "
-                f"{len(self.string_nodes)} string nodes"
+                f"string_node_mass: one number, or one for each of the {count} string nodes"
             )
-        mass = per_member(
-            "string_node_mass", self.string_node_mass, len(self.string_nodes), "string node"
-        )
+        mass = per_member("string_node_mass", self.string_node_mass, count, "string node")
         return positive("string_node_mass", mass, "mass in kg")
 
     def _checked_groups(self) -> tuple[str, ...]:
@@ -185,12 +184,7 @@ class Structure:
                 f"string_groups has {len(groups)} names, "
                 f"expected {len(self.strings)}: one per string"
             )
-        for i, group in enumerate(groups):
-            if not isinstance(group, str) or not group.isidentifier():
-                raise ValueError(
-                    f"string_groups[{i}] is {group!r}, expected a name of letters, digits and _"
-                )
-        return groups
+        return tuple(identifier(f"string_groups[{i}]", group) for i, group in enumerate(groups))
 
     def _checked_string_parent(self) -> IntArray:
         if self.parent is None:
@@ -399,14 +393,19 @@ def _members(name: str, pairs: Any, count: int) -> IntArray:
         for node in pair:
             if not node.is_integer():
                 raise TypeError(f"{name}[{i}] is {pair}, expected two whole numbers")
-            if not 0 <= node < count:
-                raise ValueError(
-                    f"{name}[{i}] names node {node:g}, expected 0 to {count - 1}: "
-                    f"there are {count} nodes, counted from 0"
-                )
+            refuse_missing_node(f"{name}[{i}]", node, count)
         if pair[0] == pair[1]:
             raise ValueError(f"{name}[{i}] joins node {pair[0]:g} to itself")
     return array.astype(np.int64)
+
+
+def refuse_missing_node(name: str, node: float, count: int) -> None:
+    """Raise if a member or a loop names a node that there is not."""
+    if not 0 <= node < count:
+        raise ValueError(
+            f"{name} names node {node:g}, expected 0 to {count - 1}: "
+            f"there are {count} nodes, counted from 0"
+        )
 
 
 def _fixed_nodes(nodes: Any, count: int) -> IntArray:
