@@ -1,4 +1,4 @@
-"""What a shape is asked for: places of nodes and points, a height, a twist."""
+"""Demands on a shape: places of nodes and points, a height, a twist."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Demand(ABC):
-    """One thing that a shape is asked for. A tolerance of 0 asks for it exactly.
+    """A demand on a shape; it is exact if the tolerance is 0.
 
     Attributes
     ----------
@@ -62,16 +62,16 @@ class Demand(ABC):
     @property
     @abstractmethod
     def names(self) -> tuple[str, ...]:
-        """A name for each number that is asked for."""
+        """A name for each demanded number."""
 
     @property
     @abstractmethod
     def wanted(self) -> FloatArray:
-        """The numbers asked for, shape (k,)."""
+        """The demanded numbers, shape (k,)."""
 
     @abstractmethod
     def miss(self, N: Any) -> Any:
-        """Return by how much the numbers differ from those asked for, shape (k, 1).
+        """Return found less demanded numbers, shape (k, 1).
 
         Parameters
         ----------

@@ -275,12 +275,12 @@ def _least(D: FloatArray, p: FloatArray, low: FloatArray, high: FloatArray) -> F
 def _analytic_centre(
     D: FloatArray, p: FloatArray, low: FloatArray, high: FloatArray
 ) -> FloatArray | None:
-    """Return the ``p + D x`` that is farthest from the bounds in the sense of the product."""
+    """Return the ``p + D x`` for which the product of distances from the bounds is largest."""
     x = _inside(D, p, low, high)
     if x is None:
         return None
     p, x = p + D @ x, np.zeros(D.shape[1])
-    # Entries that stand on a bound in all of the set tell nothing.
+    # Entries that are at a bound in all of the set are left out.
     at_low, at_high = p - low <= _STUCK, high - p <= _STUCK
     open_ = ~(at_low | at_high)
     if not open_.all():

@@ -24,7 +24,7 @@ EXACT = 1e-12
 # Directions in which the equations are flatter than this are left alone by Newton.
 _FLAT = 1e-10
 
-# Keeps the search from wandering where several force densities do.
+# Weight of a cost of γ that makes the solution unique where several force densities balance.
 _TIE = 1e-10
 
 # A string with less than this fraction of the largest γ is slack.
@@ -33,7 +33,7 @@ _SLACK = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a search ended with: the unknowns, and whether the optimizer is content."""
+    """Result of a search: the unknowns, and whether the optimizer converged."""
 
     values: FloatArray
     success: bool
@@ -48,8 +48,8 @@ class ShapeProblem:
         F(N, γ, λ) + w₁ + w₂ × (n − c) = 0     at the free nodes
         (‖b‖² − l²)/2 = 0                      for the bars that move
 
-    Forces between nodes have no resultant, so that w vanishes. It stands for the
-    equations that say nothing new, and keeps the others independent.
+    Forces between nodes have no resultant, so that w is zero. It makes up for the
+    redundant equations and keeps the Jacobian regular.
 
     The nodes of ``start``, shape (3, n), give the size; ``level`` is the scale of the
     force densities, N/m. With a ``symmetry``, only shapes that have it are solutions.
@@ -126,9 +126,9 @@ class ShapeProblem:
         return self._reduced.strings
 
     def neutral_fields(self, nodes: FloatArray) -> FloatArray:
-        """Return the displacements of free nodes in motions that nothing resists, shape (3f, m).
+        """Return the displacements, shape (f, m), in rigid motions that nothing resists.
 
-        All of them, also those that break the symmetry.
+        They include those that break the symmetry.
         """
         motions = self._neutral_motions(np.eye(6))
         if motions.shape[1] == 0:
@@ -137,7 +137,7 @@ class ShapeProblem:
 
     @property
     def tension_rows(self) -> slice:
-        """Where γ stands among the unknowns."""
+        """Indices of γ in the unknowns."""
         first = self.positions.numel()
         return slice(first, first + self.tensions.numel())
 
@@ -183,8 +183,7 @@ class ShapeProblem:
     def polish(self, values: FloatArray, rows: Any = None) -> tuple[FloatArray, FloatArray]:
         """Return the unknowns nearest by that solve the equations, and what is left of them.
 
-        ``rows`` are further expressions to be brought to zero. Newton steps of
-        least length: what is not asked for changes as little as possible.
+        ``rows`` are further expressions to be brought to zero, by Newton steps of least length.
         """
         every = self.equations if rows is None else ca.vertcat(self.equations, rows)
         newton = ca.Function("newton", [self.unknowns], [every, ca.jacobian(every, self.unknowns)])
@@ -239,7 +238,7 @@ class ShapeProblem:
         return ca.Function("stiffness", [q, rest_length, lam], results)
 
     def _neutral_motions(self, motions: FloatArray) -> FloatArray:
-        """Return what of motions as one body the supports leave and the loads do not notice."""
+        """Return the rigid motions, shape (6, m), that supports permit and that take no work."""
         red, structure = self._reduced, self.model.structure
         if len(structure.fixed_rows):
             held = self._fields(structure.nodes, motions)[structure.fixed_rows]
@@ -247,7 +246,7 @@ class ShapeProblem:
         load = free_coordinates(structure, self.model.constant_force)
         if not load.any() or motions.shape[1] == 0:
             return motions
-        # The power of the load is linear in the positions: a few shapes tell it all.
+        # The power of the load is linear in the positions: a few shapes determine it.
         random = np.random.default_rng(0)
         powers, places = [], structure.nodes.ravel(order="F").copy()
         for _ in range(len(load) + 3):

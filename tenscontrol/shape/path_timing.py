@@ -18,7 +18,7 @@ from tenscontrol.validation import FloatArray
 # rate.
 _SPARE, _ROUND_OFF = 1.02, 1e-12
 
-# Where a path stands still but for round-off, it goes as if this much faster.
+# Least pace, as a fraction of the largest: no division by zero where the nodes do not move.
 _LEAST_PACE = 1e-6
 
 
@@ -45,15 +45,15 @@ class TimedPath:
 
     def __init__(
         self,
-        way: Continuation,
+        continuation: Continuation,
         waypoints: list[Waypoint],
         rate: FloatArray | None,
         duration: float | None,
         step: float,
         ramp: float,
     ) -> None:
-        self._way, self._waypoints = way, waypoints
-        motion_of = PathMotion(way.problem)
+        self._continuation, self._waypoints = continuation, waypoints
+        motion_of = PathMotion(continuation.problem)
         places = np.array([point.place for point in waypoints])
         pace = np.array([motion_of.pace(point, rate) for point in waypoints])
         scaling = TimeScaling(places, pace, ramp)
@@ -70,7 +70,7 @@ class TimedPath:
         self.rest_length: FloatArray | None = None
         self.rest_length_rate: FloatArray | None = None
         self.shortest: float | None = None
-        if way.problem.model.strings is not None:
+        if continuation.problem.model.strings is not None:
             self.rest_length, winding = (np.stack([r[i] for r in rows], -1) for i in (3, 4))
             if rate is not None:
                 limit = np.broadcast_to(rate, (len(winding),))[:, None]
@@ -99,12 +99,12 @@ class TimedPath:
         points = []
         for s, guess in zip(at.tolist(), guesses, strict=True):
             before = self._waypoints[int(np.searchsorted(places, s, side="right")) - 1]
-            found = self._way.at(s, guess, before.multipliers)
+            found = self._continuation.at(s, guess, before.multipliers)
             if found is None:
                 raise PathError(
                     f"no equilibrium found {100 * s:.4g} % of the way to the goal, though there "
                     "are some before and after. Go by shapes in between",
-                    rest_at(self._way.problem, before),
+                    rest_at(self._continuation.problem, before),
                 )
             points.append(found)
         return points

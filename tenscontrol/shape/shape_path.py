@@ -277,8 +277,8 @@ def shape_path(
     problem = ShapeProblem(model, begin.structure.nodes, level)
     sides = [problem.start(rest.structure.nodes, rest.force_density) for rest in (begin, end)]
     low, high = bounds.low / level, bounds.highest / level
-    way = Continuation(problem, sides[0], sides[1], low, high)
-    waypoints, complete = way.waypoints()
+    continuation = Continuation(problem, sides[0], sides[1], low, high)
+    waypoints, complete = continuation.waypoints()
     if not complete:
         last = rest_at(problem, waypoints[-1])
         off = np.linalg.norm(last.structure.nodes - end.structure.nodes, axis=0).max()
@@ -290,7 +290,7 @@ def shape_path(
         )
     margin = _least_margin(problem, waypoints, require_stable)
     clearance = _least_clearance(problem, waypoints)
-    timed = TimedPath(way, waypoints, rate, duration, step, ramp)
+    timed = TimedPath(continuation, waypoints, rate, duration, step, ramp)
     if timed.rest_length is not None:
         bounds.refuse_rest_lengths(timed.rest_length, timed.time)
     structure = model.structure
@@ -337,7 +337,7 @@ def _path_end(model: Model, name: str, value: object) -> Prestress:
 
 
 def _refuse_same(start: Prestress, goal: Prestress) -> None:
-    """Raise if there is no way to go."""
+    """Raise if start and goal are the same equilibrium."""
     travel = np.linalg.norm(goal.structure.nodes - start.structure.nodes, axis=0).max()
     change = np.abs(goal.force_density - start.force_density).max()
     level = max(float(rest.force_density.max()) for rest in (start, goal))

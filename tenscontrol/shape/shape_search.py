@@ -1,4 +1,4 @@
-"""The search for a shape that meets demands, or for the nearest to it."""
+"""The search for an equilibrium shape that meets demands, or misses them least."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from tenscontrol.statics import Prestress, prestress
 from tenscontrol.structure import Structure, bar_distances
 from tenscontrol.validation import FloatArray
 
-# What a miss costs against distance from the start: first, and where only misses count.
-# A long way is gone in more steps, if it cannot be gone in these.
+# Weights of misses against distance from the start, one search after the other; the longer list is
+# for starts from which the first fails.
 _WEIGHTS = ((1e5, 1e7), (1.0, 1e2, 1e5, 1e7))
 
-# What the forces cost against distance from the start, where no level is given.
+# Weight of the forces against distance from the start, where no level is given.
 _FORCES = 1e-2
 
 # Strings keep this fraction of their length at the start: without length, no direction.
@@ -174,7 +174,7 @@ def solve_shape(
     ]
 
     def search(nodes: FloatArray) -> Iterator[FloatArray]:
-        """Yield equilibria, each nearer to what is asked for, until there are no more."""
+        """Yield equilibria, each nearer to the demands than the one before."""
         for weights in _WEIGHTS:
             guess = np.concatenate([problem.start(nodes, gamma), np.zeros(e.numel())])
             for weight in weights:
@@ -210,7 +210,7 @@ def solve_shape(
 
 
 def _prestress_cost(problem: ShapeProblem, limits: ForceLimits, kind: str) -> Any:
-    """Return what the forces cost where no level is given: their size, or how far off centre."""
+    """Return the cost of the forces without a level: their size, or distance from the centre."""
     if kind == "least":
         return ca.sumsqr(problem.gamma / problem.level) / len(limits.bounds.low)
     room = limits.bounds.high - limits.bounds.low
@@ -237,7 +237,7 @@ def _polished(
     """Return the unknowns with equations, and demands that can be met, at round-off."""
     values = values[: problem.unknowns.numel()]
     low, high = bounds
-    # All that is asked for, if Newton gets there; else what is nearly met; else equilibrium only.
+    # All demands if Newton converges; else those that are nearly met; else equilibrium only.
     for rows in (demanded.at_bound(values, np.inf), demanded.at_bound(values, _CLOSE), ca.SX(0, 1)):
         g = values[problem.tension_rows]
         for _ in range(_PINNINGS):

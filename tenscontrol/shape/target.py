@@ -1,4 +1,4 @@
-"""A shape asked for in a user's words, solved to an equilibrium or refused with the nearest one."""
+"""Equilibrium shapes that meet demands; if there is none, the nearest one goes with the error."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ CHOICES = ("centred", "least")
 
 @dataclass(frozen=True, eq=False)
 class DemandCheck:
-    """One number that a shape was asked for, and what came of it.
+    """One demanded number, and the number found.
 
     Attributes
     ----------
     name : str
         ``"height"``, ``"x[0]"``, ``"rest_length[4]"`` and the like.
     low, high : float
-        What was asked for; the same number twice if exactly.
+        The demand; the same number twice if it is exact.
     found : float
         What the shape has.
     missed : float
@@ -85,7 +85,7 @@ class ShapeTarget:
     clearance : float
         Smallest distance between the axes of two bars, m.
     demands : tuple of DemandCheck
-        What was asked for, number by number.
+        One for each demanded number.
     """
 
     model: Model
@@ -148,9 +148,9 @@ def shape_target(
     start: object = None,
     require_stable: bool = True,
 ) -> ShapeTarget:
-    """Return an equilibrium shape that has what is asked for.
+    """Return an equilibrium shape that meets demands.
 
-    Of the shapes that have it, the one nearest to ``start`` is taken (least sum
+    Of the shapes that meet them, the one nearest to ``start`` is taken (least sum
     of squares of the node displacements). Weights and the built-in load of the
     model act. Members have no thickness: ``clearance`` says how near bars come. No
     string shrinks to less than a hundredth of its length in ``start``.
