@@ -206,7 +206,7 @@ class ShapeProblem:
         nothing resists left out. Without: taut strings rigid as well, so that
         only the prestress stiffens, and infinite if there is no mechanism.
         """
-        from scipy.linalg import null_space as kernel_of
+        from scipy import linalg
 
         law = self.model.strings
         if law is None:
@@ -219,7 +219,7 @@ class ShapeProblem:
         found = self._stiffness(place, wound, rest.bar_force_density)
         K, J = (np.array(part.full()) for part in found)
         held = np.vstack([J, self.neutral_fields(structure.nodes).T])
-        Z = kernel_of(held, rcond=1e-9) if held.size else np.eye(len(place))
+        Z = linalg.null_space(held, rcond=1e-9) if held.size else np.eye(len(place))
         return float(np.linalg.eigvalsh(Z.T @ K @ Z)[0]) if Z.shape[1] else float("inf")
 
     @cached_property
