@@ -11,13 +11,15 @@ from tenscontrol.control.controller import Command, Controller
 from tenscontrol.control.input_bounds import input_bounds, largest_change
 from tenscontrol.control.status import Status
 from tenscontrol.control.weights import energy_weights, weight_matrix
-from tenscontrol.dynamics import coordinates
-from tenscontrol.plant import LinearPlant, controllability, lost_poles
+from tenscontrol.plant import (
+    LinearPlant,
+    refuse_empty,
+    refuse_unreachable,
+    regulator_riccati,
+    state_units,
+)
 from tenscontrol.plant.sampling import sampled
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number
-
-# A Riccati residual above this fraction of its terms means that the solution is wrong.
-_RESIDUAL_TOLERANCE = 1e-6
 
 
 @final
@@ -175,129 +177,7 @@ def lqr(
     held = len(A) - states  # entries of what winches hold, where they wind: without a weight
     state_weight = np.pad(state_weight, (0, held))
     units = np.concatenate([units, np.full(held, level)])
-    feedback = regulate(A, B, state_weight, input_weight, units, level, sample_time is not None)
+    feedback = regulator_riccati(
+        A, B, state_weight, input_weight, units, level, discrete=sample_time is not None
+    )
     return LQR(plant, sample_time, bounds, *feedback, change)
-
-
-def regulate(
-    A: FloatArray,
-    B: FloatArray,
-    state_weight: FloatArray,
-    input_weight: FloatArray,
-    unit: FloatArray,
-    level: float,
-    discrete: bool,
-) -> tuple[FloatArray, np.ndarray, FloatArray, float]:
-    """Return gain, poles, cost and Riccati residual of the regulator, checked.
-
-    Solved with states and inputs in units of the same energy: a stiff plant is out of reach else.
-
-    Parameters
-    ----------
-    A, B : ndarray, shapes (s, s) and (s, α)
-    state_weight, input_weight : ndarray, shapes (s, s) and (α, α)
-        Q and R.
-    unit : ndarray, shape (s,)
-        Units of the states.
-    level : float
-        Unit of the inputs.
-    discrete : bool
-        Whether A and B are of samples.
-    """
-    import control
-
-    scaled = (
-        A * unit / unit[:, None],
-        level * B / unit[:, None],
-        unit[:, None] * state_weight * unit,
-        level**2 * input_weight,
-    )
-    try:
-        K, P, poles = (control.dlqr if discrete else control.lqr)(*scaled)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise ValueError(
-            f"the Riccati equation has no stabilizing solution: {error}. An undamped mode without "
-            "weight in Q is one reason; weights that differ by many powers of ten are another"
-        ) from error
-    residual = _riccati_residual(*scaled, P, discrete=discrete)
-    _refuse_bad_solution(poles, residual, discrete=discrete)
-    return level * K / unit, poles, P / unit[:, None] / unit, residual
-
-
-def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:
-    """Return units of the state, shape (s,), and of the input: of one speed and acceleration."""
-    r = plant.degrees_of_freedom
-    highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
-    push = float(np.linalg.norm(plant.B, 2)) or 1.0
-    return frozen(np.r_[np.full(r, 1 / highest), np.ones(r)]), highest / push
-
-
-def _riccati_residual(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, P: FloatArray, discrete: bool
-) -> float:
-    if discrete:
-        PB = A.T @ P @ B
-        terms = [A.T @ P @ A, -P, -PB @ np.linalg.solve(R + B.T @ P @ B, PB.T), Q]
-    else:
-        PB = P @ B
-        terms = [A.T @ P, P @ A, -PB @ np.linalg.solve(R, PB.T), Q]
-    largest = max(float(np.linalg.norm(term)) for term in terms)
-    return float(np.linalg.norm(sum(terms))) / max(largest, 1e-300)
-
-
-def _refuse_bad_solution(poles: np.ndarray, residual: float, discrete: bool) -> None:
-    if not residual <= _RESIDUAL_TOLERANCE:
-        raise ValueError(
-            f"the Riccati equation is left with a residual of {residual:.1e}, expected at most "
-            f"{_RESIDUAL_TOLERANCE:.0e}: its solution is not to be trusted. Bring the weights "
-            "Q and R closer together"
-        )
-    margin = float(1 - np.abs(poles).max()) if discrete else float(-poles.real.max())
-    if not margin > 0:
-        raise ValueError(
-            f"the closed loop is not stable by {-margin:.1e}. Give every mode some weight in Q"
-        )
-
-
-def refuse_empty(plant: LinearPlant) -> None:
-    """Raise if there is nothing to control."""
-    states, inputs = plant.B.shape
-    if states == 0 or inputs == 0:
-        raise ValueError(
-            f"plant has {states} states and {inputs} inputs, so there is nothing to control"
-        )
-
-
-def refuse_unreachable(plant: LinearPlant) -> None:
-    """Raise if a pole that does not decay is out of reach, saying which and what to do."""
-    lost = lost_poles(plant)
-    if len(lost) == 0:
-        return
-    kind, unreachable = plant.coordinates.kind, controllability(plant).unreachable
-    counts = {
-        each: coordinates(plant.model, plant.nodes, each).count
-        for each in ("nodes", "minimal", "internal")
-    }
-    what = []
-    if kind == "nodes":
-        what.append(
-            (2 * (counts["nodes"] - counts["minimal"]), "are lengths of bars and their rates")
-        )
-    if kind != "internal":
-        rigid = 2 * (counts["minimal"] - counts["internal"])
-        what.append((rigid, "are motions of the structure as one body"))
-    inner = unreachable - sum(count for count, _ in what)
-    if inner:
-        poles = ", ".join(f"{pole:.4g}" for pole in lost)
-        what.append((inner, f"are changes of shape, at the poles {poles} 1/s"))
-    advice = (
-        "Damping, other strings or another prestress would mend that; controllability(plant) "
-        "says more"
-        if inner
-        else "Internal forces change neither: linearize with coordinates='internal'"
-    )
-    listed = " and ".join(f"{count} {meaning}" for count, meaning in what if count)
-    raise ValueError(
-        f"{unreachable} of the {len(plant.A)} states of the plant in {kind!r} coordinates are out "
-        f"of reach of the strings, and do not decay by themselves: {listed}. {advice}"
-    )
