@@ -1,4 +1,4 @@
-"""The linear-quadratic regulator, checked before and after."""
+"""Linear-quadratic regulator."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from tenscontrol.validation import FloatArray, frozen, instance, positive_number
 class LQR(Controller):
     """The state feedback ``u = u₀ − K z``, kept within bounds. Made by :func:`lqr`.
 
-    Winches that wind through a sample start where they stand, which is fed back too:
-    ``u = u₀ − K z − H (u_held − u₀)``.
+    With a ramp input the state at the end of a sample depends on the previous input too:
+    ``u = u₀ − K z − H (u_previous − u₀)``.
 
-    Where the wish is beyond the bounds, or farther from what the actuators hold
-    (:meth:`applied`) than a change may be, the status is ``"saturated"``. Without a
-    measurement that the structure can have, γ of the operating point is commanded,
-    or the rest lengths that stand.
+    If the desired input is beyond the bounds, or farther from the previous input
+    (:meth:`applied`) than a change may be, the status is ``"saturated"``. If the structure
+    cannot have the measurement, γ of the operating point is commanded, or the previous
+    rest lengths.
 
     Attributes
     ----------
     gain : ndarray, shape (α, 2r)
         K.
-    held_gain : ndarray, shape (α, α), or None
-        H, where winches wind.
+    previous_input_gain : ndarray, shape (α, α), or None
+        H, for a ramp input.
     poles : ndarray of complex, shape (2r,)
-        Closed-loop poles: of the s-plane, 1/s, or with a sample time of the z-plane. Where
-        winches wind, 2r + α of them.
+        Closed-loop poles: of the s-plane, 1/s, or with a sample time of the z-plane. For a ramp
+        input there are 2r + α.
     cost : ndarray, shape (2r, 2r)
-        Solution P of the Riccati equation: ``zᵀ P z`` is the cost to go. Where winches wind, of
-        ``[z; u_held − u₀]``.
+        Solution P of the Riccati equation: ``zᵀ P z`` is the cost to go. For a ramp input, of
+        ``[z; u_previous − u₀]``.
     riccati_residual : float
         Residual of the Riccati equation relative to its largest term.
     """
@@ -65,24 +65,18 @@ class LQR(Controller):
         states = len(plant.A)
         ramp = gain.shape[1] > states
         self.gain = frozen(gain[:, :states])
-        self.held_gain = frozen(gain[:, states:]) if ramp else None
+        self.previous_input_gain = frozen(gain[:, states:]) if ramp else None
         self.poles = frozen(poles)
         self.cost = frozen(cost)
         self.riccati_residual = riccati_residual
 
-    def reset(self) -> None:
-        """Forget what the actuators hold: the feedback remembers nothing else."""
-        super().reset()
-
     def _decide(self, time: float, state: FloatArray) -> Command:
-        wish = self.plant.equilibrium_input - self.gain @ state
-        if self.held_gain is not None and self._previous_input is not None:
-            wish -= self.held_gain @ (self._previous_input - self.plant.equilibrium_input)
-        reached = np.array_equal(self._within_reach(wish), wish)
-        return Command(wish, Status.OK if reached else Status.SATURATED)
-
-    def _fall_back(self, status: Status) -> Command:
-        return self._hold(status)
+        equilibrium = self.plant.equilibrium_input
+        desired = equilibrium - self.gain @ state
+        if self.previous_input_gain is not None and self._previous_input is not None:
+            desired -= self.previous_input_gain @ (self._previous_input - equilibrium)
+        reached = np.array_equal(self._within_bounds(desired), desired)
+        return Command(desired, Status.OK if reached else Status.SATURATED)
 
     def __repr__(self) -> str:
         kind = "continuous" if self.sample_time is None else f"every {self.sample_time:g} s"
@@ -121,7 +115,7 @@ def lqr(
         Largest change of the command from sample to sample, N/m or m.
     winches : Winches, optional
         Speed and range that bound rest lengths. The feedback is designed for how they move, by
-        their ``substeps``: with a jump at the start of a sample, or winding through it.
+        their ``substeps``: a jump at the start of a sample, or a ramp over it.
 
     Returns
     -------
@@ -132,12 +126,12 @@ def lqr(
     TypeError, ValueError
         If an argument does not fit; if an unstable pole cannot be reached (the
         message says which and what to do); if the solution of the Riccati
-        equation does not stand the check of its residual and poles.
+        equation fails the check of its residual and poles.
 
     Notes
     -----
-    The Riccati equation is solved by python-control. Its answer is checked,
-    since it can be wrong without a word where an undamped mode is out of reach.
+    The Riccati equation is solved by python-control. Its answer is checked, since it
+    can be wrong without an error if an undamped mode is not controllable.
 
     Examples
     --------
@@ -164,7 +158,7 @@ def lqr(
     change = largest_change(plant, max_change, winches, sample_time)
     if sample_time is None and winches is not None and winches.substeps > 1:
         raise ValueError(
-            f"winches.substeps is {winches.substeps}: they wind through samples, so "
+            f"winches.substeps is {winches.substeps}: rest lengths are ramps over samples, so "
             "give sample_time, s"
         )
     refuse_unreachable(plant)
@@ -174,9 +168,9 @@ def lqr(
         A, B = plant.A, plant.B
     else:
         A, B = sampled(plant, sample_time, 1 if winches is None else winches.substeps).augmented
-    held = len(A) - states  # entries of what winches hold, where they wind: without a weight
-    state_weight = np.pad(state_weight, (0, held))
-    units = np.concatenate([units, np.full(held, level)])
+    added = len(A) - states  # the previous input, for a ramp input: without a weight
+    state_weight = np.pad(state_weight, (0, added))
+    units = np.concatenate([units, np.full(added, level)])
     feedback = regulator_riccati(
         A, B, state_weight, input_weight, units, level, discrete=sample_time is not None
     )

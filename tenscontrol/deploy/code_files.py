@@ -88,17 +88,17 @@ def _data(controller: Controller, parts: Parts, functions: list[ca.Function]) ->
         f"CASADI_{what.upper()}": max(1, *(getattr(each, f"sz_{what}")() for each in functions))
         for what in ("arg", "res", "iw", "w")
     }
-    change, plausible = controller.largest_change, controller.plausible
+    change, check = controller.largest_change, controller.measurement_check
     constants: dict[str, float | int] = {
         "STATES": 2 * controller.plant.degrees_of_freedom,
         "HOLDS_LAST": int(controller.input == "rest_length"),
-        "BARS": plausible.bars.shape[1],
-        "FIXED": len(plausible.fixed),
-        "FARTHEST": float(plausible.farthest),
-        "SPREAD": float(plausible.spread),
-        "FASTEST": float(plausible.fastest),
-        "FASTEST_SEEN": float(plausible.fastest_seen),
-        "OFF": float(plausible.off),
+        "BARS": check.bars.shape[1],
+        "FIXED": len(check.fixed),
+        "FARTHEST": float(check.farthest),
+        "SPREAD": float(check.spread),
+        "FASTEST": float(check.fastest),
+        "FASTEST_SEEN": float(check.largest_velocity),
+        "OFF": float(check.support_distance),
         **room,
         **parts.constants,
     }
@@ -107,12 +107,12 @@ def _data(controller: Controller, parts: Parts, functions: list[ca.Function]) ->
         "high": high,
         "change": np.full(len(low), np.inf) if change is None else change,
         "equilibrium": controller.plant.equilibrium_input,
-        "bar_start": plausible.bars[0],
-        "bar_end": plausible.bars[1],
-        "shortest_square": plausible.squares[0],
-        "longest_square": plausible.squares[1],
-        "fixed_node": plausible.fixed,
-        "place": plausible.places.ravel(order="F"),
+        "bar_start": check.bars[0],
+        "bar_end": check.bars[1],
+        "shortest_square": check.squares[0],
+        "longest_square": check.squares[1],
+        "fixed_node": check.fixed,
+        "place": check.places.ravel(order="F"),
         **parts.arrays,
     }
     if parts.table is not None:

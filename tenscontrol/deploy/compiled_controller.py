@@ -111,7 +111,7 @@ class CompiledController(Controller):
         self.reset()
         self.applied(command)
 
-    def _perceived(
+    def _measure(
         self, nodes: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, Status | None]:
         # The code judges and measures for itself.

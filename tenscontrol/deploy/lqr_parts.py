@@ -20,7 +20,7 @@ def lqr_parts(controller: LQR) -> Parts:
             "make it by lqr(plant, Q, R, step=...)"
         )
     matrices = {"feedback": -controller.gain}
-    if controller.held_gain is not None:
-        matrices["held_feedback"] = -controller.held_gain
-    ramp = int(controller.held_gain is not None)
+    if controller.previous_input_gain is not None:
+        matrices["held_feedback"] = -controller.previous_input_gain
+    ramp = int(controller.previous_input_gain is not None)
     return Parts(("lqr.c",), {"WINDS": ramp}, {}, matrices)
