@@ -55,27 +55,7 @@ class Command:
 
 
 class MeasurementCheck:
-    """Which measurements a structure can have; a controller does not use any other.
-
-    Attributes
-    ----------
-    farthest : float
-        Largest coordinate of a node, m.
-    largest_velocity : float
-        Largest velocity of a node along an axis, m/s.
-    spread, fastest : float
-        Largest difference of positions, m, and of velocities, m/s, of two nodes along an axis.
-    support_distance : float
-        Largest distance of a fixed node from its place, m.
-    bars : ndarray of int, shape (2, b)
-        Ends of bars.
-    squares : tuple of ndarray, shape (b,) each
-        Least and largest square of their lengths, m².
-    fixed : ndarray of int, shape (f,)
-        Fixed nodes.
-    places : ndarray, shape (3, f)
-        Their places, m.
-    """
+    """Which measurements a structure can have; a controller does not use any other."""
 
     def __init__(self, plant: LinearPlant, sample_time: float | None) -> None:
         structure = plant.model.structure
@@ -83,13 +63,16 @@ class MeasurementCheck:
         rate = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0))
         if sample_time is not None:
             rate = max(rate, 1 / sample_time)
-        # A plant without stiffness, run at any sample time, gives no limit of speed.
+        # Largest difference of velocities of two nodes along an axis, m/s. A plant without
+        # stiffness, run at any sample time, gives no limit.
         self.fastest = _SPEED * size * rate if rate > 0 else np.finfo(float).max / _FAR
-        self.largest_velocity = _FAR * self.fastest
-        self.farthest, self.spread = _FAR * size, _SPREAD * size
-        self.support_distance = _SUPPORT * size
-        self.bars, self.fixed = structure.bars.T, structure.fixed
-        self.places = plant.nodes[:, structure.fixed]
+        self.spread = _SPREAD * size  # the same of positions, m
+        # Largest velocity, m/s, and coordinate, m, of a node along an axis.
+        self.largest_velocity, self.farthest = _FAR * self.fastest, _FAR * size
+        self.support_distance = _SUPPORT * size  # of a fixed node from its place, m
+        self.fixed, self.places = structure.fixed, plant.nodes[:, structure.fixed]
+        self.bars = structure.bars.T
+        # Least and largest square of the lengths of bars, m².
         self.squares = (
             ((1 - _BAR) * structure.bar_length) ** 2, ((1 + _BAR) * structure.bar_length) ** 2
         )  # fmt: skip
@@ -282,12 +265,18 @@ class Controller(ABC):
         # Bounds come before the limit of change, wherever the actuators are.
         return np.clip(previous, self._low, self._high)
 
+    @property
+    def _sample_bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Least and largest command of this sample, the limit of change included."""
+        if self._change is None:
+            return self._low, self._high
+        previous = self._previous_within_bounds
+        low, high = previous - self._change, previous + self._change
+        return np.maximum(self._low, low), np.minimum(self._high, high)
+
     def _within_bounds(self, desired: FloatArray) -> FloatArray:
-        """Return a desired input within the change allowed and the bounds."""
-        if self._change is not None:
-            previous = self._previous_within_bounds
-            desired = np.clip(desired, previous - self._change, previous + self._change)
-        return np.clip(desired, self._low, self._high)
+        """Return the nearest input within the bounds of this sample."""
+        return np.clip(desired, *self._sample_bounds)
 
     def reset(self) -> None:
         """Forget everything that was measured, planned or applied."""

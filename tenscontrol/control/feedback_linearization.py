@@ -50,7 +50,7 @@ class FeedbackLinearizationStatistics:
         Residual of the applied γ: largest entry of ``Ë + a Ė + b E``, m/s².
         NaN for a fallback, for which no residual is defined.
     unbounded_residual : ndarray, shape (K,)
-        The same without bounds on γ, m/s²: no string pulls in such a direction.
+        Residual if γ had no bounds, m/s²: above 0 where no string acts in that direction.
         NaN for a fallback too.
     at_bound : ndarray of int, shape (K,)
         Strings commanded at a bound of γ or of its change; 0 for a fallback.
@@ -277,14 +277,13 @@ class FeedbackLinearization(Controller):
         d = wanted_acceleration - a * (rate - wanted_rate) - b * (y - wanted) - free
         if not (np.isfinite(d).all() and np.isfinite(J).all()):
             return self._fall_back(Status.BAD_DATA)  # a bar turned beyond the coordinates
-        low, high = self._sample_bounds()
+        low, high = self._sample_bounds
         # In units of the largest γ and of the acceleration that it gives.
         level, unit, preferred = self._level, self._unit, self.plant.force_density
         system = J * (level / unit), d / unit, preferred / level
         answer = self._squares.solve(*system, low / level, high / level)
         if answer.x is None:
-            self._records.append((np.nan, np.nan, 0, answer.iterations))
-            return self._forget_and_hold(answer.status)
+            return self._fall_back(answer.status, answer.iterations)
         gamma = np.clip(level * answer.x[: len(preferred)], low, high)
         residual, unbounded = (
             float(np.abs(J @ each - d).max())
@@ -296,22 +295,9 @@ class FeedbackLinearization(Controller):
             return Command(gamma)
         return Command(gamma, Status.UNREACHED, detail=f"off by up to {rounded_up(residual)} m/s²")
 
-    def _sample_bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Return the bounds of this sample, the limit of change included."""
-        if self._change is None:
-            return self._low, self._high
-        previous = self._previous_within_bounds
-        return (
-            np.maximum(self._low, previous - self._change),
-            np.minimum(self._high, previous + self._change),
-        )
-
-    def _fall_back(self, status: Status) -> Command:
-        self._records.append((np.nan, np.nan, 0, 0))
-        return self._forget_and_hold(status)
-
-    def _forget_and_hold(self, status: Status) -> Command:
+    def _fall_back(self, status: Status, iterations: int = 0) -> Command:
         """Return γ of the operating point; a limit of change allows a step towards it."""
+        self._records.append((np.nan, np.nan, 0, iterations))
         self._squares.forget()
         return self._hold(status)
 

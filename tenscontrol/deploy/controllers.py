@@ -75,18 +75,18 @@ class _Reader:
 
     def vectors(self, time: float, given: FloatArray) -> FloatArray:
         """Return q, l and u, end to end, for what is given."""
-        z, standing, reachable, load = self._split(given, *self.sizes)
-        return np.concatenate(self._law.vectors(self._ahead(time, load), z, standing, reachable))
+        z, previous, bounded, load = self._split(given, *self.sizes)
+        return np.concatenate(self._law.vectors(self._ahead(time, load), z, previous, bounded))
 
     def inputs(self, time: float, known: FloatArray) -> FloatArray:
         """Return the planned inputs for solution and what is given."""
-        x, z, standing, _, load = self._split(known, self.unknowns, *self.sizes)
-        return self._law.inputs(x, self._ahead(time, load), z, standing).ravel()
+        x, z, previous, _, load = self._split(known, self.unknowns, *self.sizes)
+        return self._law.inputs(x, self._ahead(time, load), z, previous).ravel()
 
-    def coasting(self, time: float, given: FloatArray) -> FloatArray:
+    def free_response(self, time: float, given: FloatArray) -> FloatArray:
         """Return the state a sample later without the input to come, for what is given."""
-        z, standing, _, load = self._split(given, *self.sizes)
-        return self._law.coasting(self._ahead(time, load), z, standing)
+        z, previous, _, load = self._split(given, *self.sizes)
+        return self._law.coasting(self._ahead(time, load), z, previous)
 
     def row(self, time: float) -> FloatArray:
         """Return all that depends on time alone."""
@@ -97,7 +97,7 @@ class _Reader:
             self._ahead(time, np.zeros(self.loads)).before,
         ]
         if self.loads:
-            parts.append(self.coasting(time, point))
+            parts.append(self.free_response(time, point))
         return np.concatenate(parts)
 
     def _ahead(self, time: float, load: FloatArray) -> Ahead:
@@ -130,7 +130,7 @@ def mpc_code(controller: MPC) -> LawCode:
         "inputs": _read(reader.inputs, unknowns + given, times)[1],
     }
     if law.load is not None:
-        matrices["free_response"] = _read(reader.coasting, given, times)[1]
+        matrices["free_response"] = _read(reader.free_response, given, times)[1]
         matrices["by_input"] = sampled.by_input
         matrices["load_gain"] = law.load.gain
     x, y = law.form.shifted(np.arange(1.0, unknowns + 1), np.arange(1.0, rows + 1))
