@@ -53,14 +53,6 @@ def test_changes_are_limited_from_the_input_that_was_applied(plant):
     np.testing.assert_array_equal(law.command(0.02, plant.nodes, STILL).value, 4.0)
 
 
-def test_a_decision_that_is_not_finite_is_replaced(plant):
-    law = Constant(plant, 0.02, np.zeros(9), np.full(9, 30.0))
-    law.value = np.nan
-    command = law.command(0.0, plant.nodes, STILL)
-    assert command.status is Status.INPUT_NOT_FINITE
-    assert np.isfinite(command.value).all()
-
-
 def test_a_controller_without_a_decision_is_none(plant):
     with pytest.raises(TypeError, match="_decide"):
         Controller(plant, 0.02, np.zeros(9), np.ones(9))
