@@ -1,7 +1,10 @@
 """Controllers: LQR, MPC, nonlinear MPC, feedback linearization, gain schedules."""
 
 from tenscontrol.control.controller import Command, Controller
-from tenscontrol.control.feedback_linearization import FeedbackLinearization
+from tenscontrol.control.feedback_linearization import (
+    FeedbackLinearization,
+    FeedbackLinearizationStatistics,
+)
 from tenscontrol.control.gain_schedule import GainSchedule
 from tenscontrol.control.held_loop import HeldLoop, held_loop
 from tenscontrol.control.lqr import LQR, lqr
@@ -13,7 +16,6 @@ from tenscontrol.control.mpc import (
     OutputLimit,
     clearance,
 )
-from tenscontrol.control.shape_statistics import FeedbackLinearizationStatistics
 from tenscontrol.control.status import Fallback, Status
 from tenscontrol.control.weights import energy_weights
 

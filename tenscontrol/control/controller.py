@@ -1,4 +1,4 @@
-"""The controller interface: measured motion in, commands within bounds out."""
+"""Controller interface, and the check of measurements that every controller makes."""
 
 from __future__ import annotations
 
@@ -9,28 +9,39 @@ from time import perf_counter
 
 import numpy as np
 
-from tenscontrol.control.measurement_check import Plausible
 from tenscontrol.control.status import Fallback, Status, merged_count
 from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray, float_array, frozen, measured, shaped
 
+# A bar may be measured longer or shorter by this part of its length, and a fixed node off its
+# place by this part of the size: far above sensor noise, far below a swapped or lost marker.
+_BAR, _SUPPORT = 0.1, 0.1
+
+# Largest distance of two nodes along an axis, and of a node from the origin (where too few digits
+# of the shape are left), in sizes of the structure.
+_SPREAD, _FAR = 10.0, 1e6
+
+# Largest relative motion of two nodes, in sizes, in a sample and in the time constant of the
+# fastest pole.
+_SPEED = 10.0
+
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """What a controller wants for one sample.
+    """Command of a controller for one sample.
 
     Attributes
     ----------
     value : ndarray, shape (α,)
         γ, N/m, or rest lengths, m, as the controller's ``input`` says. Finite
         and within the controller's bounds, always; where the change is limited,
-        no farther than that from what stands.
+        no farther than that from the previous input.
     status : Status
         ``Status.OK``, or why the command is not what the controller wanted.
     fallback : Fallback or None
-        What took the place of the decision; None where there was one.
+        What was commanded instead; None if the command is the controller's decision.
     detail : str
-        Figures to the status, for people.
+        Figures that explain the status.
     """
 
     value: FloatArray
@@ -43,20 +54,83 @@ class Command:
         return ": ".join(filter(None, (self.status, self.fallback, self.detail)))
 
 
+class MeasurementCheck:
+    """Which measurements a structure can have; a controller does not use any other."""
+
+    def __init__(self, plant: LinearPlant, sample_time: float | None) -> None:
+        structure = plant.model.structure
+        size = float(np.ptp(plant.nodes, axis=1).max())
+        rate = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0))
+        if sample_time is not None:
+            rate = max(rate, 1 / sample_time)
+        # Largest difference of velocities of two nodes along an axis, m/s. A plant without
+        # stiffness, run at any sample time, gives no limit.
+        self.fastest = _SPEED * size * rate if rate > 0 else np.finfo(float).max / _FAR
+        self.spread = _SPREAD * size  # the same of positions, m
+        # Largest velocity, m/s, and coordinate, m, of a node along an axis.
+        self.largest_velocity, self.farthest = _FAR * self.fastest, _FAR * size
+        self.support_distance = _SUPPORT * size  # of a fixed node from its place, m
+        self.fixed, self.places = structure.fixed, plant.nodes[:, structure.fixed]
+        self.bars = structure.bars.T
+        # Least and largest square of the lengths of bars, m².
+        self.squares = (
+            ((1 - _BAR) * structure.bar_length) ** 2, ((1 + _BAR) * structure.bar_length) ** 2
+        )  # fmt: skip
+
+    def fault(self, nodes: FloatArray, velocities: FloatArray) -> Status | None:
+        """Return a status for what is wrong with a measurement, shapes (3, n); None if nothing."""
+        # Comparisons with what is not finite are false; no square overflows after the first.
+        if not (
+            np.abs(nodes).max() <= self.farthest
+            and np.abs(velocities).max() <= self.largest_velocity
+        ):
+            finite = np.isfinite(nodes).all() and np.isfinite(velocities).all()
+            return Status.MEASUREMENT_NOT_PLAUSIBLE if finite else Status.MEASUREMENT_NOT_FINITE
+        start, end = self.bars
+        bars = nodes[:, end] - nodes[:, start]
+        square = (bars * bars).sum(axis=0)
+        plausible = (
+            np.ptp(nodes, axis=1).max() <= self.spread
+            and np.ptp(velocities, axis=1).max() <= self.fastest
+            and ((square >= self.squares[0]) & (square <= self.squares[1])).all()
+        )
+        if plausible and len(self.fixed):
+            off = np.linalg.norm(nodes[:, self.fixed] - self.places, axis=0)
+            plausible = bool(off.max() <= self.support_distance)
+        return None if plausible else Status.MEASUREMENT_NOT_PLAUSIBLE
+
+
 class Controller(ABC):
-    """Turns measured motion into commands, one a sample. Holds state; ``reset()`` clears it.
+    """Turns measured motion into commands, one a sample.
+
+    A controller of your own is a subclass with ``_decide``. Give it ``_fall_back`` if holding the
+    previous input is not safe, and ``reset`` if it has a memory.
 
     Parameters
     ----------
     plant : LinearPlant
-        What it was designed on.
+        The plant that it was designed on.
     sample_time : float or None
         Sample time, s. None for a law in continuous time, which is run at
         whatever sample time the simulation is given.
     low, high : ndarray, shape (α,)
         Least and largest command.
     change : ndarray, shape (α,), optional
-        Largest change from what the actuators hold; no limit if not given.
+        Largest change from the previous input; no limit if not given.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> from tenscontrol.control import Command, Controller
+    >>> class Damper(Controller):
+    ...     def _decide(self, time, state):
+    ...         rates = state[self.plant.degrees_of_freedom:]
+    ...         return Command(self.plant.equilibrium_input - self.plant.B[len(rates):].T @ rates)
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> damper = Damper(plant, 0.02, np.zeros(9), np.full(9, 60.0))
+    >>> str(damper.command(0.0, prism.nodes, np.zeros((3, 6))))
+    'ok'
     """
 
     def __init__(
@@ -71,9 +145,9 @@ class Controller(ABC):
         self._sample_time = sample_time
         self._low, self._high = frozen(low), frozen(high)
         self._change = None if change is None else frozen(change)
-        self._plausible = Plausible(plant, sample_time)
-        self._called = 0.0  # when a command was asked for, by perf_counter
-        # What the actuators hold: as told, else the last command; None before the first.
+        self._measurement_check = MeasurementCheck(plant, sample_time)
+        self._called = 0.0  # start of the last command, by perf_counter
+        # Input over the last sample: as applied() says, else the last command; None before.
         self._previous_input: FloatArray | None = None
         self._status_count: Counter[tuple[Status, Fallback | None]] = Counter()
 
@@ -99,13 +173,13 @@ class Controller(ABC):
 
     @property
     def largest_change(self) -> FloatArray | None:
-        """Largest change from what the actuators hold, shape (α,); None for any."""
+        """Largest change from the previous input, shape (α,); None for any."""
         return self._change
 
     @property
-    def plausible(self) -> Plausible:
-        """Which measurements are acted on."""
-        return self._plausible
+    def measurement_check(self) -> MeasurementCheck:
+        """Which measurements are used."""
+        return self._measurement_check
 
     def command(self, time: float, nodes: object, velocities: object) -> Command:
         """Return the command for the sample that starts now.
@@ -138,40 +212,37 @@ class Controller(ABC):
         time = float(float_array("time", time))
         shape = self._plant.nodes.shape
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
-        state, fault = self._perceived(N, V)
+        state, fault = self._measure(N, V)
         if fault is None:
-            wanted = self._decide(time, state)
-            if not np.isfinite(wanted.value).all():
-                wanted = self._fall_back(Status.INPUT_NOT_FINITE)
+            desired = self._decide(time, state)
+            if not np.isfinite(desired.value).all():
+                desired = self._fall_back(Status.INPUT_NOT_FINITE)
         else:
-            wanted = self._fall_back(fault)
-        return self._given(wanted)
+            desired = self._fall_back(fault)
+        return self._issue(desired)
 
-    def _perceived(
+    def _measure(
         self, nodes: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, Status | None]:
-        """Return what is decided on, and what is wrong with the measurement, None for nothing.
-
-        The first is the reduced state z, unless a subclass measures for itself.
-        """
-        fault = self._plausible.fault(nodes, velocities)
+        """Return the reduced state z for ``_decide``, and what is wrong with the measurement."""
+        fault = self._measurement_check.fault(nodes, velocities)
         if fault is not None:
             return np.zeros(0), fault
         return self._plant.measure(nodes, velocities), None
 
-    def _given(self, wanted: Command) -> Command:
-        """Return the command within bounds that comes nearest to what is wanted."""
-        self._previous_input = frozen(self._within_reach(wanted.value))
-        self._status_count[wanted.status, wanted.fallback] += 1
-        return replace(wanted, value=self._previous_input)
+    def _issue(self, desired: Command) -> Command:
+        """Return the nearest command within bounds; note it as the previous input and count it."""
+        self._previous_input = frozen(self._within_bounds(desired.value))
+        self._status_count[desired.status, desired.fallback] += 1
+        return replace(desired, value=self._previous_input)
 
     def applied(self, value: object) -> None:
-        """Tell what the actuators hold, where that may not be the last command.
+        """Set the previous input, where it may differ from the last command.
 
         A winch may be slow, at the end of its range or stuck. Changes are limited
-        from what is told here. A simulation tells it after each command, and where
-        the winches stand before the first. Without it the last command is taken
-        for what is held.
+        from the input given here. A simulation calls this after each command, and
+        before the first with the rest lengths at the start. Without it the last
+        command is the previous input.
 
         Parameters
         ----------
@@ -191,42 +262,47 @@ class Controller(ABC):
         previous = self._previous_input
         if previous is None:
             previous = self._plant.equilibrium_input
-        # Bounds come first: a command outside them is none, wherever the actuators stand.
+        # Bounds come before the limit of change, wherever the actuators are.
         return np.clip(previous, self._low, self._high)
 
-    def _within_reach(self, wish: FloatArray) -> FloatArray:
-        """Return the wish within the change allowed and the bounds."""
-        if self._change is not None:
-            before = self._previous_within_bounds
-            wish = np.clip(wish, before - self._change, before + self._change)
-        return np.clip(wish, self._low, self._high)
+    @property
+    def _sample_bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Least and largest command of this sample, the limit of change included."""
+        if self._change is None:
+            return self._low, self._high
+        previous = self._previous_within_bounds
+        low, high = previous - self._change, previous + self._change
+        return np.maximum(self._low, low), np.minimum(self._high, high)
 
-    @abstractmethod
+    def _within_bounds(self, desired: FloatArray) -> FloatArray:
+        """Return the nearest input within the bounds of this sample."""
+        return np.clip(desired, *self._sample_bounds)
+
     def reset(self) -> None:
         """Forget everything that was measured, planned or applied."""
         self._previous_input = None
         self._status_count = Counter()
 
     def take_over(self, command: FloatArray) -> None:
-        """Go on after another controller: what was planned from its own commands is void.
+        """Take over from another controller: plans from this one's own commands are dropped.
 
         Parameters
         ----------
         command : ndarray, shape (α,)
-            What stands, or the last command of that one.
+            The previous input.
         """
         self._previous_input = frozen(command)
 
     @abstractmethod
     def _decide(self, time: float, state: FloatArray) -> Command:
-        """Return what is wanted for what is perceived, bounds aside."""
+        """Return the desired input at a reduced state; it need not be within bounds."""
 
-    @abstractmethod
     def _fall_back(self, status: Status) -> Command:
-        """Return a safe input where there is nothing to decide on."""
+        """Return a safe input where there is no usable measurement or decision."""
+        return self._hold(status)
 
     def _hold(self, status: Status) -> Command:
-        """Return the rest lengths that the actuators hold, or γ of the operating point."""
+        """Return the previous rest lengths, or γ of the operating point."""
         if self.input == "rest_length" and self._previous_input is not None:
             return Command(self._previous_input, status, Fallback.PREVIOUS_INPUT_HELD)
         return Command(self._plant.equilibrium_input, status, Fallback.EQUILIBRIUM_HELD)

@@ -1,7 +1,9 @@
-"""Shape control: errors of node positions are made to decay as a spring and damper would."""
+"""Feedback linearization: errors of node positions decay as a damped oscillator."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from math import ceil, floor, log10, pi
 from typing import final
 
 import numpy as np
@@ -9,23 +11,18 @@ import numpy as np
 from tenscontrol.control.controller import Command, Controller
 from tenscontrol.control.held_loop import warn_of_slow_errors
 from tenscontrol.control.input_bounds import input_bounds, largest_change
-from tenscontrol.control.least_squares import BoundedLeastSquares
-from tenscontrol.control.shape_design import (
-    combinations,
-    error_rates,
-    refuse_other_plants,
-    rounded_up,
-)
-from tenscontrol.control.shape_statistics import FeedbackLinearizationStatistics, statistics
-from tenscontrol.control.status import Status
+from tenscontrol.control.mpc.osqp_adapter import QPSolution, QuadraticProgram
+from tenscontrol.control.status import Fallback, Status
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import LinearPlant
 from tenscontrol.plant.reduced_dynamics import tracked_motion
-from tenscontrol.plant.reduced_reference import checked_reference
+from tenscontrol.plant.reduced_reference import checked_reference, checked_tracked
 from tenscontrol.plant.reference import SmoothReference
 from tenscontrol.validation import (
     FloatArray,
+    choice,
     float_array,
+    frozen,
     instance,
     positive_number,
     whole_number,
@@ -39,6 +36,41 @@ _REACHED = 1e-4
 _CLOSE = 1e-7
 
 
+@dataclass(frozen=True, eq=False)
+class FeedbackLinearizationStatistics:
+    """Counts and residuals of the samples since the last reset.
+
+    Attributes
+    ----------
+    status_count : dict of Status to int
+        How often the error dynamics were reached (``Status.OK``), how often not.
+    fallback_count : dict of Fallback to int
+        How often each fallback was taken.
+    residual : ndarray, shape (K,)
+        Residual of the applied γ: largest entry of ``Ë + a Ė + b E``, m/s².
+        NaN for a fallback, for which no residual is defined.
+    unbounded_residual : ndarray, shape (K,)
+        Residual if γ had no bounds, m/s²: above 0 where no string acts in that direction.
+        NaN for a fallback too.
+    at_bound : ndarray of int, shape (K,)
+        Strings commanded at a bound of γ or of its change; 0 for a fallback.
+    iterations : ndarray of int, shape (K,)
+        OSQP iterations; 0 where no program was begun.
+    """
+
+    status_count: dict[Status, int]
+    fallback_count: dict[Fallback, int]
+    residual: FloatArray
+    unbounded_residual: FloatArray
+    at_bound: np.ndarray
+    iterations: np.ndarray
+
+    @property
+    def largest_residual(self) -> float:
+        """Largest residual, m/s²; zero where no sample has one."""
+        return float(np.nanmax(self.residual, initial=0.0))
+
+
 @final
 class FeedbackLinearization(Controller):
     """Impose ``Ë + a Ė + b E = 0`` on the error of chosen node coordinates, sample by sample.
@@ -46,12 +78,11 @@ class FeedbackLinearization(Controller):
     With ``y = C vec(N)`` and ``E = y − y_ref(t)``, node accelerations are affine in γ, so that
     the law is a linear system ``J γ = d`` at each measured state: exact, not linearized.
     Reference rates and accelerations are fed forward. It is solved as least squares within
-    ``0 ≤ γ ≤ max_force_density``; where several γ do equally well (self-stress), the one near
-    the operating point is taken. What is left is in the status and in :attr:`statistics`.
+    ``0 ≤ γ ≤ max_force_density``; of several γ that do equally well (self-stress), the one near
+    the operating point is taken. The residual is in the status and in :attr:`statistics`.
 
-    There is no look ahead, and nothing is said about motions that are not tracked: these are
-    free to swing. Strings must pull in every tracked direction; a mechanism answers only to
-    prestress, and leaves a residual.
+    There is no prediction, and motions that are not tracked are free to swing. Strings must pull
+    in every tracked direction; a mechanism responds only through prestress, and leaves a residual.
 
     If a program is not solved, or the measurement is not one that the structure can have, γ of
     the operating point is commanded.
@@ -59,8 +90,8 @@ class FeedbackLinearization(Controller):
     Parameters
     ----------
     plant : LinearPlant
-        With γ as the input, in internal or minimal coordinates. It says how motion is
-        measured and gives the preferred γ.
+        With γ as the input, in internal or minimal coordinates. Its operating point gives the
+        preferred γ.
     reference : Reference or array_like, shape (3, n), or None
         Shapes to follow, joined by cubic splines in y, at rest at both ends. The
         operating point if None.
@@ -89,13 +120,13 @@ class FeedbackLinearization(Controller):
     ------
     TypeError, ValueError
         If an argument does not fit, or the error would grow from sample to sample:
-        ``a step ≥ 2`` or ``b step ≥ 2 a``.
+        ``a sample_time ≥ 2`` or ``b sample_time ≥ 2 a``.
 
     Warns
     -----
     RuntimeWarning
-        If winches, which hold rest lengths between samples, would keep errors from decaying
-        at a quarter of the rate asked for or faster.
+        If winches, which hold rest lengths between samples, would make errors decay slower
+        than at a quarter of the given rate.
 
     Notes
     -----
@@ -133,7 +164,7 @@ class FeedbackLinearization(Controller):
         max_iterations: int = 4000,
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-        refuse_other_plants(plant)
+        _refuse_other_plants(plant)
         if max_force_density is None:
             raise TypeError("max_force_density is None, expected a positive number in N/m")
         sample_time = positive_number("sample_time", sample_time, "s")
@@ -142,11 +173,11 @@ class FeedbackLinearization(Controller):
             plant, sample_time, *bounds, largest_change(plant, max_change, None, sample_time)
         )
         self._rates = error_rates(frequency, damping, sample_time)
-        matrix = combinations(plant, tracked)
+        matrix = _combinations(plant, tracked)
         self._motion = Evaluator(tracked_motion(plant, matrix))
         self._level = float(plant.force_density.max()) or float(self._high.max())
-        push = self._moved(self._still(plant.nodes))[3]
-        self._unit = self._level * float(np.linalg.norm(push, 2))
+        response = self._tracked(self._at_rest(plant.nodes))[3]
+        self._unit = self._level * float(np.linalg.norm(response, 2))
         if not self._unit > 0:
             raise ValueError(
                 "tracked combinations are moved by no string at the operating point; expected "
@@ -154,7 +185,7 @@ class FeedbackLinearization(Controller):
             )
         size = float(np.ptp(plant.nodes, axis=1).max())
         self._unreached = _REACHED * size * self._rates[1]
-        rows, columns = push.shape
+        rows, columns = response.shape
         self._squares = BoundedLeastSquares(
             rows,
             columns,
@@ -174,8 +205,16 @@ class FeedbackLinearization(Controller):
 
     @property
     def statistics(self) -> FeedbackLinearizationStatistics:
-        """What became of the samples since the last reset."""
-        return statistics(self.status_count, self.fallback_count, self._records)
+        """Counts and residuals of the samples since the last reset."""
+        table = np.array(self._records).reshape(-1, 4)
+        return FeedbackLinearizationStatistics(
+            status_count=self.status_count,
+            fallback_count=self.fallback_count,
+            residual=frozen(table[:, 0]),
+            unbounded_residual=frozen(table[:, 1]),
+            at_bound=frozen(table[:, 2].astype(np.int64)),
+            iterations=frozen(table[:, 3].astype(np.int64)),
+        )
 
     def follow(self, reference: object) -> None:
         """Follow another reference from now on.
@@ -192,7 +231,7 @@ class FeedbackLinearization(Controller):
         """
         given = checked_reference(self.plant, reference)
         shapes = np.moveaxis(given.nodes, 2, 0)
-        values = [self._moved(self._still(each))[0].copy() for each in shapes]
+        values = [self._tracked(self._at_rest(each))[0].copy() for each in shapes]
         self._reference = SmoothReference(given.time, np.array(values))
 
     def error(
@@ -212,68 +251,53 @@ class FeedbackLinearization(Controller):
         TypeError, ValueError
             If an argument does not fit or is not finite.
         """
-        y, rate, _, _ = self._moved(self.plant.measure(nodes, velocities))
+        y, rate, _, _ = self._tracked(self.plant.measure(nodes, velocities))
         wanted, wanted_rate, _ = self._reference.at(float(float_array("time", time)))
         return y - wanted, rate - wanted_rate
 
     def reset(self) -> None:
-        """Forget what stands and the statistics."""
+        """Forget the previous input, the last solution and the statistics."""
         super().reset()
         self._squares.reset()
         self._records: list[tuple[float, ...]] = []
 
-    def _moved(self, state: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def _tracked(self, state: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return y, ẏ, ÿ without γ, and its derivative by γ, shape (p, α), until the next call."""
         y, rate, free, J = self._motion(state)
         return y, rate, free, J.reshape(len(free), -1)  # a single string gives a vector
 
-    def _still(self, nodes: FloatArray) -> FloatArray:
-        """Return z of a shape at rest."""
+    def _at_rest(self, nodes: FloatArray) -> FloatArray:
+        """Return z of a shape without motion."""
         return self.plant.measure(nodes, np.zeros_like(nodes))
 
     def _decide(self, time: float, state: FloatArray) -> Command:
-        y, rate, free, J = self._moved(state)
+        y, rate, free, J = self._tracked(state)
         wanted, wanted_rate, wanted_acceleration = self._reference.at(time)
         a, b = self._rates
         d = wanted_acceleration - a * (rate - wanted_rate) - b * (y - wanted) - free
         if not (np.isfinite(d).all() and np.isfinite(J).all()):
             return self._fall_back(Status.BAD_DATA)  # a bar turned beyond the coordinates
-        low, high = self._room()
+        low, high = self._sample_bounds
         # In units of the largest γ and of the acceleration that it gives.
-        level, unit, held = self._level, self._unit, self.plant.force_density
-        system = J * (level / unit), d / unit, held / level
+        level, unit, preferred = self._level, self._unit, self.plant.force_density
+        system = J * (level / unit), d / unit, preferred / level
         answer = self._squares.solve(*system, low / level, high / level)
         if answer.x is None:
-            self._records.append((np.nan, np.nan, 0, answer.iterations))
-            return self._safe(answer.status)
-        gamma = np.clip(level * answer.x[: len(held)], low, high)
-        left, unbounded = (
+            return self._fall_back(answer.status, answer.iterations)
+        gamma = np.clip(level * answer.x[: len(preferred)], low, high)
+        residual, unbounded = (
             float(np.abs(J @ each - d).max())
             for each in (gamma, level * self._squares.unbounded(*system))
         )
         at_bound = int(((gamma <= low + _CLOSE * level) | (gamma >= high - _CLOSE * level)).sum())
-        self._records.append((left, unbounded, at_bound, answer.iterations))
-        reached = left <= self._unreached
-        if reached:
+        self._records.append((residual, unbounded, at_bound, answer.iterations))
+        if residual <= self._unreached:
             return Command(gamma)
-        return Command(gamma, Status.UNREACHED, detail=f"off by up to {rounded_up(left)} m/s²")
+        return Command(gamma, Status.UNREACHED, detail=f"off by up to {rounded_up(residual)} m/s²")
 
-    def _room(self) -> tuple[FloatArray, FloatArray]:
-        """Return the bounds of this sample."""
-        if self._change is None:
-            return self._low, self._high
-        before = self._previous_within_bounds
-        return (
-            np.maximum(self._low, before - self._change),
-            np.minimum(self._high, before + self._change),
-        )
-
-    def _fall_back(self, status: Status) -> Command:
-        self._records.append((np.nan, np.nan, 0, 0))
-        return self._safe(status)
-
-    def _safe(self, status: Status) -> Command:
+    def _fall_back(self, status: Status, iterations: int = 0) -> Command:
         """Return γ of the operating point; a limit of change allows a step towards it."""
+        self._records.append((np.nan, np.nan, 0, iterations))
         self._squares.forget()
         return self._hold(status)
 
@@ -283,3 +307,97 @@ class FeedbackLinearization(Controller):
             f"FeedbackLinearization({self.plant!r}, a = {a:.4g} 1/s, b = {b:.4g} 1/s², "
             f"sample time {self.sample_time} s)"
         )
+
+
+class BoundedLeastSquares:
+    """``min ½ price |x − c|² + ½ |J x − d|²`` with ``low ≤ x ≤ high``, by OSQP.
+
+    The residual is a variable of the program, so that J is part of its constraints: a new J, of
+    shape (rows, columns), changes values in place. A price above 0 makes x unique.
+    """
+
+    def __init__(
+        self, rows: int, columns: int, price: float, tolerance: float, max_iterations: int
+    ) -> None:
+        from scipy.sparse import csc_array, diags_array, eye_array, hstack, vstack
+
+        self._price, self._columns = price, columns
+        P = csc_array(diags_array(np.r_[np.full(columns, price), np.ones(rows)]))
+        bounds = hstack([eye_array(columns), csc_array((columns, rows))])
+        law = hstack([csc_array(np.ones((rows, columns))), -eye_array(rows)])
+        A = csc_array(vstack([bounds, law]))
+        self._arguments = P, A, tolerance, max_iterations
+        self.reset()
+
+    def forget(self) -> None:
+        """Start the next solve from the centre."""
+        self._guess: tuple[FloatArray, FloatArray] | None = None
+
+    def reset(self) -> None:
+        """Forget the last answer, and what the solver adapted to it and to earlier matrices."""
+        self.forget()
+        # OSQP scales an updated A by the cost at that time: only a new program forgets.
+        self._program = QuadraticProgram(*self._arguments, polish=True)
+
+    def solve(
+        self, J: FloatArray, d: FloatArray, c: FloatArray, low: FloatArray, high: FloatArray
+    ) -> QPSolution:
+        """Return the answer: first x, then the residual ``J x − d``. J must be finite."""
+        # The nonzeros of A column by column: one bound and a column of J each, then −1.
+        by_x = np.vstack([np.ones(self._columns), J]).ravel(order="F")
+        self._program.update(np.concatenate([by_x, np.full(len(d), -1.0)]))
+        start = self._guess
+        if start is None:
+            start = np.r_[c, J @ c - d], np.zeros(len(c) + len(d))
+        answer = self._program.solve(
+            np.r_[-self._price * c, np.zeros(len(d))], np.r_[low, d], np.r_[high, d], start=start
+        )
+        self._guess = None
+        if answer.x is not None and answer.y is not None:
+            self._guess = answer.x, answer.y
+        return answer
+
+    def unbounded(self, J: FloatArray, d: FloatArray, c: FloatArray) -> FloatArray:
+        """Return x without bounds, by the normal equations."""
+        normal = J.T @ J + self._price * np.eye(self._columns)
+        return c + np.linalg.solve(normal, J.T @ (d - J @ c))
+
+
+def _refuse_other_plants(plant: LinearPlant) -> None:
+    """Raise if accelerations are not affine in the input, or the coordinates do not fit."""
+    if plant.input != "force_density":
+        raise ValueError(
+            f"plant has input={plant.input!r}, in which accelerations are not affine; linearize "
+            "with input='force_density'"
+        )
+    choice("plant.coordinates.kind", plant.coordinates.kind, ("internal", "minimal"))
+
+
+def error_rates(frequency: object, damping: object, sample_time: float) -> tuple[float, float]:
+    """Return a and b, or raise if the sampled error would grow."""
+    omega = 2 * pi * positive_number("frequency", frequency, "Hz")
+    a, b = 2 * positive_number("damping", damping, "no unit") * omega, omega**2
+    # With Ë held over a sample: det < 1 and trace > −1 − det of the map of (E, Ė).
+    if a * sample_time >= 2 or b * sample_time >= 2 * a:
+        raise ValueError(
+            f"frequency {omega / (2 * pi):g} Hz and damping {a / (2 * omega):g} give a = {a:g} 1/s "
+            f"and b = {b:g} 1/s²: in samples of {sample_time:g} s the error would grow; expected "
+            f"a·sample_time < 2 and b·sample_time < 2a. Lower the frequency or sample_time"
+        )
+    return a, b
+
+
+def _combinations(plant: LinearPlant, tracked: object) -> FloatArray:
+    """Return C, shape (p, 3n)."""
+    if tracked is not None:
+        return checked_tracked(plant, tracked)
+    # δN = T q, and T = (orthonormal) R: so R q measures the same displacement in m.
+    R = np.linalg.qr(plant.basis)[1]
+    return np.asarray(R @ plant.coordinates.project(np.eye(plant.nodes.size)))
+
+
+def rounded_up(value: float) -> str:
+    """Return a number rounded up to 1, 2 or 5 times a power of ten, so that few texts differ."""
+    power = 10.0 ** floor(log10(value))
+    digit = next(each for each in (1, 2, 5, 10) if ceil(value / power * 1e6) <= each * 10**6)
+    return f"{digit * power:g}"

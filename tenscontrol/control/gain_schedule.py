@@ -1,4 +1,4 @@
-"""Controllers in turn, each near the shape that it was designed at."""
+"""Gain schedule: several controllers, each used near the shape that it was designed at."""
 
 from __future__ import annotations
 
@@ -14,28 +14,31 @@ from tenscontrol.validation import FloatArray, instance
 
 @final
 class GainSchedule(Controller):
-    """Controllers designed at several shapes, of which the one nearest to the measured shape acts.
+    """Controllers designed at several shapes; the one nearest to the measured shape is used.
 
-    A linear plant is good near its operating point. On a way that leads far from
-    it, as from one height to another, take a plant every now and then along the
-    way, and design a controller at each.
+    A linear plant is accurate near its operating point. On a path that leads far from
+    it, as from one height to another, take several plants along the path and design
+    a controller at each.
+
+    The schedule counts its own commands in ``status_count`` and ``fallback_count``; each
+    controller counts those that it gave.
 
     Parameters
     ----------
     controllers : sequence of Controller
-        Of one structure, with the same input and sample time. Those that follow a
-        reference should follow the same one.
+        Of one structure, with the same input and sample time. If they follow a
+        reference, it should be the same one.
 
     Raises
     ------
     TypeError, ValueError
-        If there is none, one is no controller, or they do not go together.
+        If there is none, one is no controller, or they do not fit together.
 
     Notes
     -----
-    The distance of shapes is that of the masses, ``|q|``, motion as one body left
-    out. The command of the sample before is handed over, so that limits of the
-    change hold across a switch; a load that a controller has estimated is not.
+    The distance of shapes is ``|q|``, weighted by mass, without motion as one body. At a
+    switch the previous input is handed over, so that limits of change hold; an
+    estimated load is not.
 
     Examples
     --------
@@ -100,17 +103,17 @@ class GainSchedule(Controller):
         super().take_over(command)
         self._controllers[self._active].take_over(command)
 
-    def _perceived(
+    def _measure(
         self, nodes: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, Status | None]:
         # Each controller measures for itself: coordinates of one plant do not reach everywhere.
-        return np.stack([nodes, velocities]), self._plausible.fault(nodes, velocities)
+        return np.stack([nodes, velocities]), self._measurement_check.fault(nodes, velocities)
 
     def _decide(self, time: float, state: FloatArray) -> Command:
         r = self.plant.degrees_of_freedom
         N, V = state
-        off = [np.linalg.norm(each.plant.measure(N, V)[:r]) for each in self._controllers]
-        nearest = int(np.argmin(off))
+        distance = [np.linalg.norm(each.plant.measure(N, V)[:r]) for each in self._controllers]
+        nearest = int(np.argmin(distance))
         if nearest != self._active and self._previous_input is not None:
             self._controllers[nearest].take_over(self._previous_input)
         self._active = nearest
@@ -118,14 +121,14 @@ class GainSchedule(Controller):
 
     def _fall_back(self, status: Status) -> Command:
         active = self._controllers[self._active]
-        return active._given(active._fall_back(status))
+        return active._issue(active._fall_back(status))
 
     def __repr__(self) -> str:
         return f"GainSchedule({len(self._controllers)} controllers, {self._controllers[0]!r} …)"
 
 
 def _refuse_other(name: str, one: Controller, first: Controller) -> None:
-    """Raise if a controller does not go with the first one."""
+    """Raise if a controller does not fit the first one."""
     for what in ("input", "sample_time"):
         found, expected = getattr(one, what), getattr(first, what)
         if found != expected:

@@ -1,4 +1,4 @@
-"""What becomes of a law in force densities where winches hold the rest lengths between samples."""
+"""Stability of a law in force densities if winches hold the rest lengths between samples."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from tenscontrol.plant import LinearPlant, OperatingPoint, command_parents, line
 from tenscontrol.plant.string_outputs import gather_lengths, spread, string_map
 from tenscontrol.validation import FloatArray, instance, positive_number, shaped
 
-# γ given to slack strings, relative to the tautest: the loop is looked at from the taut side.
+# γ given to slack strings, relative to the tautest: they are taken as just taut.
 _TAUT = 1e-6
 
 # A loop that settles slower than this fraction of its design no longer follows: see
-# tests/control/test_held_loop.py, where loops on both sides of it are run on the nonlinear prism.
+# tests/control/test_held_loop.py, with nonlinear runs on both sides of the limit.
 SLOWEST = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class HeldLoop:
-    """A law in γ as winches make it. Made by :func:`held_loop`.
+    """Decay of a loop with rest lengths held between samples. Made by :func:`held_loop`.
 
     Attributes
     ----------
@@ -46,10 +46,10 @@ class HeldLoop:
 
 
 def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLoop:
-    """Return how a sampled law that wants γ does where winches hold rest lengths.
+    """Return how a sampled law in γ decays if winches hold rest lengths between samples.
 
-    At each sample the wanted ``γ₀ − K z`` is turned into rest lengths at the measured
-    shape; until the next these are held, so that γ moves with the structure:
+    At each sample the desired ``γ₀ − K z`` is converted to rest lengths at the measured
+    shape. These are held until the next sample, so that γ moves with the structure:
     ``z⁺ = Φ z + Γ L (−K z − G z)`` with Φ and Γ of the plant whose input is the rest length,
     G the change of γ with the shape and L that of the rest length with γ.
 
@@ -73,7 +73,7 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
 
     Examples
     --------
-    Stiff strings undo what was wanted long before the next sample:
+    The γ of stiff strings departs from the desired one long before the next sample:
 
     >>> import tenscontrol as tc
     >>> from tenscontrol.control import held_loop
@@ -105,15 +105,15 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     )
     strings = string_map(held, "rest_length")
     by_shape = strings.gamma_by_state.copy()
-    by_shape[:, states // 2 :] = 0.0  # the conversion knows no rates
+    by_shape[:, states // 2 :] = 0.0  # the conversion ignores rates
     by_length = np.diag(strings.gamma_by_input)[:, None]
-    wanted = np.column_stack([spread(plant, "force_density", column) for column in -K.T]) - by_shape
-    wound = gather_lengths(plant, (wanted / by_length).T).T
+    change = np.column_stack([spread(plant, "force_density", column) for column in -K.T]) - by_shape
+    length_gain = gather_lengths(plant, (change / by_length).T).T
     if plant.commanded is not plant.model.structure:
         held = command_parents(held)
     transition, input_matrix, _ = held.discretize(sample_time)
     designed_transition, designed_input, _ = plant.discretize(sample_time)
-    loops = (transition + input_matrix @ wound, designed_transition - designed_input @ K)
+    loops = (transition + input_matrix @ length_gain, designed_transition - designed_input @ K)
     return HeldLoop(*(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops))
 
 
@@ -126,15 +126,7 @@ def _softest(plant: LinearPlant) -> FloatArray:
 
 
 def warn_of_held_lengths(plant: LinearPlant, gain: FloatArray, sample_time: float) -> None:
-    """Warn the caller of the caller if winches would undo a law in γ.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-    gain : ndarray, shape (α, 2r)
-    sample_time : float
-        s.
-    """
+    """Warn the caller of the caller if a law in γ fails with rest lengths held."""
     loop = held_loop(plant, gain, sample_time=sample_time)
     if loop.holds:
         return
@@ -155,22 +147,12 @@ def warn_of_held_lengths(plant: LinearPlant, gain: FloatArray, sample_time: floa
 def held_error_rate(
     plant: LinearPlant, matrix: FloatArray, rates: tuple[float, float], sample_time: float
 ) -> float:
-    """Return how fast tracked errors decay where winches hold rest lengths, against the design.
+    """Return the decay rate of tracked errors with rest lengths held, relative to the design.
 
     Over a sample γ grows with the strings' lengths by ``∂γ/∂q q̇ t``. To first order in the
-    step that is a damping ``D = −step/2 J ∂γ/∂y`` beside a, with ``J = ∂ÿ/∂γ``; the slowest root of
-    ``s² + (a + D) s + b`` tells.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-        With γ as the input, of a model with a string law.
-    matrix : ndarray, shape (p, 3n)
-        What is tracked.
-    rates : tuple of float
-        a, 1/s, and b, 1/s².
-    sample_time : float
-        s.
+    sample time h that is a damping ``D = −h/2 J ∂γ/∂y`` beside a, with ``J = ∂ÿ/∂γ``; the rate is
+    that of the slowest root of ``s² + (a + D) s + b``. ``matrix`` is C, shape (p, 3n), of what is
+    tracked, and ``rates`` are a, 1/s, and b, 1/s².
     """
     r, (a, b) = plant.degrees_of_freedom, rates
     moved = matrix @ plant.basis
@@ -187,13 +169,7 @@ def held_error_rate(
 def warn_of_slow_errors(
     plant: LinearPlant, matrix: FloatArray, rates: tuple[float, float], sample_time: float
 ) -> None:
-    """Warn the caller of the caller if winches would keep tracked errors from decaying.
-
-    Parameters
-    ----------
-    plant, matrix, rates, step
-        As for :func:`held_error_rate`.
-    """
+    """Warn the caller of the caller if tracked errors would decay too slowly."""
     ratio = held_error_rate(plant, matrix, rates, sample_time)
     if ratio >= SLOWEST:
         return

@@ -15,25 +15,9 @@ _SHORTEST = 0.01
 def input_bounds(
     plant: LinearPlant, max_force_density: object, winches: Winches | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return least and largest command of a plant, shape (α,) each.
+    """Return least and largest command, shape (α,) each, of γ, N/m, or of rest lengths, m.
 
-    Parameters
-    ----------
-    plant : LinearPlant
-    max_force_density : float or array_like, shape (α,), or None
-        N/m.
-    winches : Winches, optional
-        Their range bounds rest lengths.
-
-    Returns
-    -------
-    low, high : ndarray, shape (α,)
-        ``0 ≤ γ ≤ max_force_density``, or a positive rest length.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the limit does not fit, or does not leave room for the operating point.
+    Raises TypeError or ValueError if a limit does not fit, or excludes the operating point.
     """
     count = plant.B.shape[1]
     if plant.input == "rest_length":
@@ -74,20 +58,7 @@ def largest_change(
 ) -> FloatArray | None:
     """Return the largest change of a command from sample to sample, shape (α,), None for any.
 
-    Parameters
-    ----------
-    plant : LinearPlant
-    max_change : float or array_like, shape (α,), or None
-        N/m or m.
-    winches : Winches or None
-        Their rate limits changes.
-    sample_time : float or None
-        Sample time, s.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a limit does not fit, or there is one but no sample time.
+    Raises TypeError or ValueError if a limit does not fit, or there is one but no sample time.
     """
     count = plant.B.shape[1]
     change = None

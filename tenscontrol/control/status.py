@@ -1,4 +1,4 @@
-"""Why a command is what it is: an enumerated status, and what took the place of the wish."""
+"""Status of a command, and the fallback that replaced a decision."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Status(StrEnum):
 
 
 class Fallback(StrEnum):
-    """What is commanded where there is no decision."""
+    """What is commanded if there is no decision."""
 
     PLAN_CONTINUED = "plan continued"
     PREVIOUS_INPUT_HELD = "previous input held"
@@ -39,7 +39,7 @@ class Fallback(StrEnum):
 
 
 def merged_count(counts: Iterable[tuple[_Kind, int]]) -> dict[_Kind, int]:
-    """Return the sum of counts by kind, in the order of their first coming."""
+    """Return the sum of counts by kind, in the order of first occurrence."""
     total: dict[_Kind, int] = {}
     for kind, count in counts:
         total[kind] = total.get(kind, 0) + count

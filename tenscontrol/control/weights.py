@@ -11,26 +11,10 @@ _TOLERANCE = 1e-12
 
 
 def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatArray:
-    """Return a symmetric weight matrix from a number, a diagonal or a matrix.
+    """Return a symmetric weight matrix, shape (size, size), of a number, a diagonal or a matrix.
 
-    Parameters
-    ----------
-    name : str
-        For messages.
-    value : float or array_like, shape (size,) or (size, size)
-    size : int
-    definite : bool
-        Whether the matrix must be positive definite, not only semidefinite.
-
-    Returns
-    -------
-    ndarray, shape (size, size)
-
-    Raises
-    ------
-    TypeError, ValueError
-        If it does not fit, is not symmetric, or has a negative (or, where
-        definite, zero) eigenvalue.
+    Raises TypeError or ValueError if it does not fit, is not symmetric, or has a negative (where
+    ``definite``, also a zero) eigenvalue.
     """
     array = float_array(name, value)
     if array.shape not in ((), (size,), (size, size)):
@@ -55,17 +39,16 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
     With ω the highest frequency of the plant (1 rad/s if all are zero) and b
     the largest acceleration that a unit input gives: ω² for displacements and
     1 for rates, so that a free vibration costs the same at any moment, and
-    b²/ω² for inputs, the cost of the displacement that the input would hold.
+    b²/ω² for inputs: the cost of the displacement at which a constant input balances.
 
     Parameters
     ----------
     plant : LinearPlant
     by_mode : bool
         Whether each displacement costs its own energy, ``qᵀ K q`` with K the
-        stiffness (unstable parts by size), in place of ω² for all. Where frequencies
-        lie far apart, as with stiff strings of held rest length, ω² for all asks
-        for soft motions to be moved as fast as the stiffest one, which slackens
-        the strings.
+        stiffness (unstable parts by absolute value), in place of ω² for all. If
+        frequencies lie far apart, as with stiff strings of held rest length, ω² for all
+        makes soft motions as fast as the stiffest one, which slackens the strings.
 
     Returns
     -------
@@ -89,10 +72,10 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     r = plant.degrees_of_freedom
     highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
-    push = float(np.linalg.norm(plant.B, 2))
+    largest = float(np.linalg.norm(plant.B, 2))
     Q = np.diag(np.r_[np.full(r, highest**2), np.ones(r)])
     if truth("by_mode", by_mode, "whether each displacement costs its own energy"):
         sizes, modes = np.linalg.eigh(-0.5 * (plant.A[r:, :r] + plant.A[r:, :r].T))
         stiffness = (modes * np.abs(sizes)) @ modes.T
         Q[:r, :r] = 0.5 * (stiffness + stiffness.T)
-    return Q, np.eye(plant.B.shape[1]) * (push / highest) ** 2
+    return Q, np.eye(plant.B.shape[1]) * (largest / highest) ** 2

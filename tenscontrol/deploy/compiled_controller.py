@@ -46,7 +46,7 @@ OPTIMIZATION = "-O1"
 
 @final
 class CompiledController(Controller):
-    """The C code of a controller, with the face of any other.
+    """The C code of a controller, used like any other controller.
 
     Give it to :func:`simulate` to run the code itself in the loop. Made by
     :meth:`GeneratedController.compile`.
@@ -69,8 +69,8 @@ class CompiledController(Controller):
                 "there is no C compiler: none of $CC, cc, gcc and clang is on the path, or it is "
                 "switched off by TENSCONTROL_COMPILER. The generated code can be compiled elsewhere"
             )
-        # A file of its own for each, so that none shares the memory of another. What is loaded
-        # stays when the file goes, except on Windows, where the file stays too.
+        # One file for each, so that none shares the memory of another. A loaded library stays when
+        # its file is deleted, except on Windows, where the file stays too.
         with TemporaryDirectory(prefix="tenscontrol-", ignore_cleanup_errors=True) as folder:
             library = found.link(sources, Path(folder), f"lib{name}", timeout, (OPTIMIZATION,))
             try:
@@ -81,12 +81,12 @@ class CompiledController(Controller):
                     "for another machine: see CC"
                 ) from None
         numbers = ctypes.POINTER(ctypes.c_double)
-        self._reset, self._run, self._tell, self._count = (
+        self._reset, self._run, self._set_applied, self._count = (
             getattr(loaded, f"{name}_{what}")
             for what in ("reset", "command", "applied", "iterations")
         )
         self._run.argtypes = [ctypes.c_double, numbers, numbers, numbers]
-        self._tell.argtypes = [numbers]
+        self._set_applied.argtypes = [numbers]
         self.reset()
 
     @property
@@ -102,19 +102,19 @@ class CompiledController(Controller):
     def applied(self, value: object) -> None:
         """See :meth:`Controller.applied`."""
         super().applied(value)
-        assert self._previous_input is not None  # just told
-        held = np.ascontiguousarray(self._previous_input)
-        self._tell(held.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
+        assert self._previous_input is not None  # just set
+        previous = np.ascontiguousarray(self._previous_input)
+        self._set_applied(previous.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
 
     def take_over(self, command: FloatArray) -> None:
         """See :meth:`Controller.take_over`; an estimated load is forgotten too."""
         self.reset()
         self.applied(command)
 
-    def _perceived(
+    def _measure(
         self, nodes: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, Status | None]:
-        # The code judges and measures for itself.
+        # The code checks and measures for itself.
         return np.concatenate([nodes.ravel(order="F"), velocities.ravel(order="F")]), None
 
     def _decide(self, time: float, state: FloatArray) -> Command:
@@ -125,7 +125,7 @@ class CompiledController(Controller):
         return Command(command, _STATUSES[status & 15], _FALLBACKS[status >> 4])
 
     def _fall_back(self, status: Status) -> Command:
-        # The code falls back for itself where a measurement is no number, and gives that reason.
+        # The code falls back for a measurement that is not finite, and returns that status.
         command = self._decide(0.0, np.full(2 * self.plant.nodes.size, np.nan))
         return replace(command, status=status)
 

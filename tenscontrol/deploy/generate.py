@@ -1,4 +1,4 @@
-"""A controller written as C code: one folder that a plain C compiler builds."""
+"""C code of a controller: one folder that a C compiler builds."""
 
 from __future__ import annotations
 
@@ -8,12 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tenscontrol.control import LQR, MPC, NMPC, Controller
-from tenscontrol.deploy.code_files import code_files
+from tenscontrol.deploy.code_text import code_files
 from tenscontrol.deploy.compiled_controller import CompiledController
-from tenscontrol.deploy.lqr_parts import lqr_parts
-from tenscontrol.deploy.mpc_parts import mpc_parts
-from tenscontrol.deploy.nmpc_parts import nmpc_parts
-from tenscontrol.deploy.parts import Parts
+from tenscontrol.deploy.controllers import LawCode, lqr_code, mpc_code, nmpc_code
 from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray, frozen
 
@@ -30,7 +27,7 @@ class GeneratedController:
     folder : Path
         Where the code is.
     name : str
-        What its functions begin with.
+        Prefix of its functions.
     kind : str
         ``"LQR"``, ``"MPC"`` or ``"NMPC"``.
     files : tuple of str
@@ -58,7 +55,7 @@ class GeneratedController:
     def compile(self, timeout: float = 600.0) -> CompiledController:
         """Compile the code, and return it as a controller for this process.
 
-        Every call makes one with a memory of its own.
+        Each call returns a controller with its own memory.
 
         Parameters
         ----------
@@ -108,12 +105,12 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     Parameters
     ----------
     controller : LQR, MPC or NMPC
-        An LQR must have a sample time. What it does afterwards, in particular
-        ``follow``, does not reach the code.
+        An LQR must have a sample time. Later changes, ``follow`` in particular, do not
+        reach the code.
     folder : path-like
-        Is made; must not be there, or be empty.
+        Is created; must not exist, or be empty.
     name : str
-        What files and functions begin with, in C.
+        Prefix of files and functions in C.
 
     Returns
     -------
@@ -126,9 +123,9 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
         is no path.
     ValueError
         If an argument does not fit, the controller has a ``time_limit``, an NMPC predicts stiff
-        strings or winches that wind, or the reference lasts too long for a table.
+        strings or ramp inputs, or the reference lasts too long for a table.
     FileExistsError
-        If there is something in the folder.
+        If the folder is not empty.
 
     Notes
     -----
@@ -148,7 +145,7 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     ...     made.kind, "controller.h" in made.files
     ('MPC', True)
     """
-    parts = _parts(controller)
+    law = _law_code(controller)
     name = _checked_name(name)
     if not isinstance(folder, str | os.PathLike):
         raise TypeError(f"folder is {folder!r}, expected a path")
@@ -159,10 +156,10 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
             "give a new one"
         )
     place.mkdir(parents=True, exist_ok=True)
-    texts = code_files(controller, parts, name)
+    texts = code_files(controller, law, name)
     for file, text in texts.items():
         (place / file).write_text(text, encoding="utf-8", newline="\n")
-    assert controller.sample_time is not None  # the parts have been made
+    assert controller.sample_time is not None  # checked with the law
     low, high = controller.bounds
     listed = sorted(texts)
     return GeneratedController(
@@ -178,13 +175,13 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     )
 
 
-def _parts(controller: object) -> Parts:
+def _law_code(controller: object) -> LawCode:
     if isinstance(controller, MPC):
-        return mpc_parts(controller)
+        return mpc_code(controller)
     if isinstance(controller, NMPC):
-        return nmpc_parts(controller)
+        return nmpc_code(controller)
     if isinstance(controller, LQR):
-        return lqr_parts(controller)
+        return lqr_code(controller)
     raise TypeError(
         f"controller is a {type(controller).__name__}, expected an LQR with a sample time, an "
         "MPC or an NMPC: only these can be written as C code"

@@ -18,26 +18,7 @@ def measurement(plant: LinearPlant) -> ca.Function:
     In internal coordinates the shape is laid over the reference by the rotation of
     Horn (1987), doi:10.1364/JOSAA.4.000629: that of the unit quaternion that
     belongs to the largest eigenvalue of a 4 x 4 matrix. Unlike a singular value
-    decomposition, that can be written as C code by CasADi.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-
-    Returns
-    -------
-    casadi.Function
-        Dense vectors of 3n, 3n and 2r entries.
-
-    Examples
-    --------
-    >>> import numpy as np, tenscontrol as tc
-    >>> from tenscontrol.deploy.measurement import measurement
-    >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
-    >>> z = measurement(plant)(prism.nodes.ravel(order="F"), np.zeros(18))
-    >>> bool(np.abs(z.full()).max() < 1e-14)
-    True
+    decomposition, that can be written as C code by CasADi. Dense vectors of 3n, 3n and 2r entries.
     """
     structure, count = plant.model.structure, plant.nodes.shape[1]
     positions, rates = ca.MX.sym("N", 3 * count), ca.MX.sym("V", 3 * count)

@@ -12,7 +12,7 @@ from tenscontrol.estimation.observability import refuse_unobservable, refuse_uns
 from tenscontrol.estimation.outputs import observed_plant, output_function, output_matrix
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.estimation.unknown_load import with_load
-from tenscontrol.plant import LinearPlant
+from tenscontrol.plant import LinearPlant, filter_riccati
 from tenscontrol.plant.reduced_dynamics import sampled_dynamics
 from tenscontrol.plant.reduced_reference import acceleration_response
 from tenscontrol.plant.sampling import sampled
@@ -31,9 +31,6 @@ PREDICTIONS = ("linear", "nonlinear")
 
 # Part of the size by which string lengths at the start may be off in the coordinates.
 _START_TOLERANCE = 1e-3
-
-# A Riccati residual above this fraction of its terms means that the solution is wrong.
-_RESIDUAL_TOLERANCE = 1e-6
 
 
 def kalman(
@@ -112,7 +109,7 @@ def kalman(
     is held over a sample; for winches that wind there from v_before, ``Γ_b v_before`` is added.
     The acceleration a by the unknown load has ``a⁺ = a + w'`` where it is estimated, and is 0
     else. The steady gain for ``C = ∂h/∂z`` at the operating point is that of python-control's
-    ``dlqe``, solved with whitened readings, and checked.
+    ``dlqr`` for the dual problem, solved with whitened readings, and checked.
 
     Examples
     --------
@@ -190,7 +187,7 @@ def kalman(
         push = np.block([[push, none], [none[:r], walk * pull * np.eye(r)]])
         C = np.hstack([C, np.zeros((len(C), r))])
     return KalmanFilter(
-        design, frozen(C), *_steady(design.sampled.transition, push, C, sensors.noise)
+        design, frozen(C), *filter_riccati(design.sampled.transition, push, C, sensors.noise)
     )
 
 
@@ -249,41 +246,3 @@ def _start(plant: LinearPlant, spread: float, pull: float) -> FloatArray:
     size = float(np.ptp(plant.nodes, axis=1).max())
     shift = spread * size * np.sqrt(n) / float(np.linalg.norm(plant.basis))
     return np.diag(np.r_[np.full(r, shift**2), np.full(r, 2 * pull * shift)])
-
-
-def _steady(
-    transition: FloatArray, push: FloatArray, C: FloatArray, noise: FloatArray
-) -> tuple[FloatArray, FloatArray, np.ndarray, float]:
-    """Return the steady gain, the covariance of predictions, the poles and the residual."""
-    import control
-
-    whitened = C / noise[:, None]
-    unit = 1 / float(np.linalg.norm(whitened, 2))
-    seen, driven = unit * whitened, push / unit
-    eye = np.eye(len(C))
-    try:
-        _, P, _ = control.dlqe(transition, driven, seen, np.eye(driven.shape[1]), eye)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise ValueError(
-            f"the Riccati equation of the filter has no stabilizing solution: {error}. A sample "
-            "time at which two vibrations look alike is one reason; process_noise that is "
-            "tiny against the noise of the sensors is another"
-        ) from error
-    # Φ (P − P Cᵀ S⁻¹ C P) Φᵀ − P + Ψ Ψᵀ = 0
-    gain = np.linalg.solve(seen @ P @ seen.T + eye, seen @ P).T
-    terms = [
-        transition @ P @ transition.T,
-        -transition @ gain @ seen @ P @ transition.T,
-        driven @ driven.T,
-        -P,
-    ]
-    largest = max(float(np.linalg.norm(term)) for term in terms)
-    residual = float(np.linalg.norm(sum(terms))) / largest
-    poles = np.linalg.eigvals(transition @ (np.eye(len(P)) - gain @ seen))
-    if not residual <= _RESIDUAL_TOLERANCE or not np.abs(poles).max() < 1:
-        raise ValueError(
-            f"the Riccati equation of the filter is left with a residual of {residual:.1e} and a "
-            f"pole of size {np.abs(poles).max():.9g}, expected at most {_RESIDUAL_TOLERANCE:.0e} "
-            "and below 1: bring process_noise and the noise of the sensors closer together"
-        )
-    return frozen(unit * gain / noise), frozen(unit**2 * P), frozen(poles), residual

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tenscontrol.dynamics import coordinates
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.validation import FloatArray, frozen, instance
 
@@ -110,6 +111,50 @@ def lost_poles(plant: LinearPlant) -> np.ndarray:
     slow = poles.real >= -_SAME_POLE * np.abs(poles).max(initial=0.0)
     lost = [pole for pole in poles[slow] if _margin(A, B, pole / highest) < _TOLERANCE]
     return np.array(lost, dtype=complex)
+
+
+def refuse_empty(plant: LinearPlant) -> None:
+    """Raise if there is nothing to control."""
+    states, inputs = plant.B.shape
+    if states == 0 or inputs == 0:
+        raise ValueError(
+            f"plant has {states} states and {inputs} inputs, so there is nothing to control"
+        )
+
+
+def refuse_unreachable(plant: LinearPlant) -> None:
+    """Raise if a pole that does not decay is out of reach, saying which and what to do."""
+    lost = lost_poles(plant)
+    if len(lost) == 0:
+        return
+    kind, unreachable = plant.coordinates.kind, controllability(plant).unreachable
+    counts = {
+        each: coordinates(plant.model, plant.nodes, each).count
+        for each in ("nodes", "minimal", "internal")
+    }
+    what = []
+    if kind == "nodes":
+        what.append(
+            (2 * (counts["nodes"] - counts["minimal"]), "are lengths of bars and their rates")
+        )
+    if kind != "internal":
+        rigid = 2 * (counts["minimal"] - counts["internal"])
+        what.append((rigid, "are motions of the structure as one body"))
+    inner = unreachable - sum(count for count, _ in what)
+    if inner:
+        poles = ", ".join(f"{pole:.4g}" for pole in lost)
+        what.append((inner, f"are changes of shape, at the poles {poles} 1/s"))
+    advice = (
+        "Damping, other strings or another prestress would mend that; controllability(plant) "
+        "says more"
+        if inner
+        else "Internal forces change neither: linearize with coordinates='internal'"
+    )
+    listed = " and ".join(f"{count} {meaning}" for count, meaning in what if count)
+    raise ValueError(
+        f"{unreachable} of the {len(plant.A)} states of the plant in {kind!r} coordinates are out "
+        f"of reach of the strings, and do not decay by themselves: {listed}. {advice}"
+    )
 
 
 def distinct_poles(A: FloatArray) -> np.ndarray:

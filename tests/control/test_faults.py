@@ -342,14 +342,8 @@ def test_a_decision_that_is_not_finite_is_not_given():
     class Broken(tc.control.Controller):
         """Decides on nothing."""
 
-        def reset(self):
-            super().reset()
-
         def _decide(self, time, state):
             return tc.control.Command(np.full(9, np.nan))
-
-        def _fall_back(self, status):
-            return self._hold(status)
 
     at = plant("force_density")
     command = Broken(at, STEP, np.zeros(9), np.full(9, 60.0)).command(0.0, at.nodes, STILL)

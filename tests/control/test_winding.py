@@ -209,7 +209,7 @@ def test_the_regulator_knows_winches_that_wind():
             rest_length=plant.rest_length, step=8e-4, output_step=SAMPLE,
         )  # fmt: skip
         least.append(run.force_density.min())
-        if law.held_gain is not None:
+        if law.previous_input_gain is not None:
             end = plant.measure(run.nodes[:, :, -1], run.velocities[:, :, -1])
             assert np.abs(end[:9]).max() < 1e-4
     assert least[0] > 14.0

@@ -56,9 +56,6 @@ class Pair(tc.control.Controller):
     def _decide(self, time, state):
         raise NotImplementedError
 
-    def _fall_back(self, reason):
-        raise NotImplementedError
-
     @property
     def commands(self):
         """Commands of both, shape (2, samples, strings)."""

@@ -14,7 +14,7 @@ def regulator(step=scenes.SAMPLE):
 
 
 def test_law_in_continuous_time(tmp_path):
-    with pytest.raises(ValueError, match=r"controller is an LQR in continuous time.*step="):
+    with pytest.raises(ValueError, match=r"controller is an LQR in continuous time.*sample_time="):
         tc.generate_c(regulator(None), tmp_path)
     assert not list(tmp_path.iterdir())
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.control.input_bounds import input_bounds, largest_change
-from tenscontrol.control.lqr import refuse_empty, refuse_unreachable, regulate, state_units
 from tenscontrol.control.mpc.constraints import (
     Constraints,
     OutputLimit,
@@ -19,7 +18,13 @@ from tenscontrol.control.mpc.constraints import (
 )
 from tenscontrol.control.mpc.problem import Horizon
 from tenscontrol.control.weights import energy_weights, weight_matrix
-from tenscontrol.plant import LinearPlant
+from tenscontrol.plant import (
+    LinearPlant,
+    refuse_empty,
+    refuse_unreachable,
+    regulator_riccati,
+    state_units,
+)
 from tenscontrol.plant.sampling import Sampled, sampled
 from tenscontrol.plant.string_outputs import gather_lengths, spread, string_map
 from tenscontrol.validation import (
@@ -121,7 +126,7 @@ def design(
     weight[:states, :states] = state_weight
     unit, size = state_units(plant)
     units = np.r_[unit, np.full(added, size)]
-    gain, _, cost, _ = regulate(
+    gain, _, cost, _ = regulator_riccati(
         transition, input_matrix, weight, input_weight, units, size, discrete=True
     )
     # The price is relative to the cost of an input one level off.

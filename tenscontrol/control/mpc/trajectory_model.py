@@ -8,14 +8,13 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import LoadObserver
-from tenscontrol.control.lqr import state_units
 from tenscontrol.control.mpc.constraints import Constraints
 from tenscontrol.control.mpc.implicit_shooting import ImplicitMotion
 from tenscontrol.control.mpc.problem import Rows
 from tenscontrol.control.mpc.shooting import ExplicitMotion, Motion, evaluator
 from tenscontrol.control.mpc.stage_jacobians import Tangents, evaluated
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.plant import LinearPlant
+from tenscontrol.plant import LinearPlant, state_units
 from tenscontrol.plant.reduced_dynamics import (
     acceleration_slopes,
     explicit_substeps,

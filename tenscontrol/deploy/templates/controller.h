@@ -14,8 +14,8 @@ extern "C" {
 
 @SIZES@
 
-/* Why a command is not what the controller would have wished: status & 15. */
-#define CONTROLLER_OK 0                     /* it is what the controller wished */
+/* Why a command is not the decision of the controller: status & 15. */
+#define CONTROLLER_OK 0                     /* it is the decision */
 #define CONTROLLER_SATURATED 1              /* cut off at a bound, or at the largest change */
 #define CONTROLLER_NOT_FINITE 2             /* time or measurement not finite */
 #define CONTROLLER_INACCURATE 3             /* the program was ... solved inaccurately */
@@ -28,12 +28,12 @@ extern "C" {
 #define CONTROLLER_UNSOLVED 10              /* ... not solved */
 #define CONTROLLER_BAD_DATA 11              /* ... made of data not finite or too large */
 #define CONTROLLER_NOT_PLAUSIBLE 12         /* a measurement that the structure cannot have */
-#define CONTROLLER_BAD_WISH 13              /* a decision that is not finite */
+#define CONTROLLER_INPUT_NOT_FINITE 13      /* a decision that is not finite */
 #define CONTROLLER_REASON(status) ((status) & 15)
 
-/* What was commanded then: status & 48; 0 if nothing took the place of the wish. */
+/* The fallback that was commanded: status & 48; 0 if the command is the decision. */
 #define CONTROLLER_PLAN_CONTINUED 16        /* the next input of the last plan */
-#define CONTROLLER_COMMAND_HELD 32          /* what the actuators hold */
+#define CONTROLLER_PREVIOUS_INPUT_HELD 32   /* what the actuators hold */
 #define CONTROLLER_EQUILIBRIUM_HELD 48      /* the input of the operating point */
 #define CONTROLLER_FALLBACK(status) ((status) & 48)
 
@@ -54,7 +54,7 @@ int controller_command(double time, const double *nodes, const double *velocitie
                        double *command);
 
 /*
- * Tell what the actuators hold, where that may not be the last command: before the first command,
+ * Set what the actuators hold, where that may not be the last command: before the first command,
  * or after any. Changes are limited from there. Need not be called.
  *
  *   value       CONTROLLER_COMMANDS numbers, @UNIT@

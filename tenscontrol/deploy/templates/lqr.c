@@ -1,33 +1,33 @@
 
-/* ---- linear-quadratic regulator: u = u0 - K z, less H (held - u0) where winches wind ---- */
+/* ---- linear-quadratic regulator: u = u0 - K z, less H (previous input - u0) for ramps ---- */
 
-static int iterations; /* none, ever */
+static int iterations; /* always 0 */
 
 static void forget(void)
 {
 }
 
-static int decide(double time, const double *state, double *wish)
+static int decide(double time, const double *state, double *desired_input)
 {
     int i;
     (void)time;
-    copy(wish, equilibrium, CONTROLLER_COMMANDS);
-    add_product(&feedback, state, wish);
-#if WINDS
-    if (has_standing) {
+    copy(desired_input, equilibrium, CONTROLLER_COMMANDS);
+    add_product(&feedback, state, desired_input);
+#if RAMP
+    if (has_previous_input) {
         double off[CONTROLLER_COMMANDS];
         for (i = 0; i < CONTROLLER_COMMANDS; i++)
-            off[i] = standing[i] - equilibrium[i];
-        add_product(&held_feedback, off, wish);
+            off[i] = previous_input[i] - equilibrium[i];
+        add_product(&previous_input_feedback, off, desired_input);
     }
 #endif
     for (i = 0; i < CONTROLLER_COMMANDS; i++)
-        if (within_reach(wish, i) != wish[i])
+        if (bounded_input(desired_input, i) != desired_input[i])
             return CONTROLLER_SATURATED;
     return CONTROLLER_OK;
 }
 
-static int fall_back(int reason, double *wish)
+static int fall_back(int reason, double *desired_input)
 {
-    return hold(reason, wish);
+    return hold(reason, desired_input);
 }

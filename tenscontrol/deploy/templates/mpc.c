@@ -5,10 +5,10 @@
 #define ROW_L UNKNOWNS
 #define ROW_U (ROW_L + ROWS)
 #define ROW_INPUTS (ROW_U + ROWS)
-#define ROW_BEFORE (ROW_INPUTS + PLANNED)
-#define ROW_COASTING (ROW_BEFORE + CONTROLLER_COMMANDS)
+#define ROW_PREVIOUS_INPUT (ROW_INPUTS + PLANNED)
+#define ROW_FREE_RESPONSE (ROW_PREVIOUS_INPUT + CONTROLLER_COMMANDS)
 
-/* What the program is affine in: [state; what stands; the same within bounds; load]. */
+/* What the program is affine in: [state; previous input; the same within bounds; load]. */
 #define MEASURED (STATES + CONTROLLER_COMMANDS)
 #define GIVEN (MEASURED + CONTROLLER_COMMANDS + LOADS)
 
@@ -16,8 +16,8 @@ static struct {
     double plan[PLANNED];
     int has_plan, used;
 #if LOADS > 0
-    double load[LOADS], coasting[STATES];
-    int has_coasting;
+    double load[LOADS], free_response[STATES];
+    int has_free_response;
 #endif
     double row[ROW_LENGTH];
 } memory;
@@ -28,55 +28,55 @@ static void forget(void)
     forget_program();
 }
 
-/* Go on without a new plan. */
-static int go_on(int reason, double *wish)
+/* Continue the last plan; after its end hold a safe input. */
+static int continue_plan(int reason, double *desired_input)
 {
     memory.used++;
     program.has_start = 0;
     if (memory.has_plan && memory.used < PLANNED / CONTROLLER_COMMANDS) {
-        copy(wish, memory.plan + memory.used * CONTROLLER_COMMANDS, CONTROLLER_COMMANDS);
+        copy(desired_input, memory.plan + memory.used * CONTROLLER_COMMANDS, CONTROLLER_COMMANDS);
         return reason | CONTROLLER_PLAN_CONTINUED;
     }
-    return hold(reason, wish);
+    return hold(reason, desired_input);
 }
 
-static int fall_back(int reason, double *wish)
+static int fall_back(int reason, double *desired_input)
 {
 #if LOADS > 0
-    memory.has_coasting = 0;
+    memory.has_free_response = 0;
 #endif
-    return go_on(reason, wish);
+    return continue_plan(reason, desired_input);
 }
 
-/* [state; what stands; the same within bounds; load] */
+/* [state; previous input; the same within bounds; load] */
 static void gather(const double *state, double *given)
 {
     int i;
     copy(given, state, STATES);
-    copy(given + STATES, standing, CONTROLLER_COMMANDS);
+    copy(given + STATES, previous_input, CONTROLLER_COMMANDS);
     for (i = 0; i < CONTROLLER_COMMANDS; i++)
-        given[MEASURED + i] = reachable(i);
+        given[MEASURED + i] = previous_within_bounds(i);
 #if LOADS > 0
     copy(given + MEASURED + CONTROLLER_COMMANDS, memory.load, LOADS);
 #endif
 }
 
 #if LOADS > 0
-/* Lay what the state did beyond the prediction to the load. */
+/* Attribute the error of the prediction to the load. */
 static void correct_load(const double *state)
 {
-    double surprise[STATES], pushed[STATES] = {0};
+    double error[STATES], response[STATES] = {0};
     int i;
-    if (!memory.has_coasting)
+    if (!memory.has_free_response)
         return;
-    add_product(&by_input, standing, pushed);
+    add_product(&by_input, previous_input, response);
     for (i = 0; i < STATES; i++)
-        surprise[i] = state[i] - (memory.coasting[i] + pushed[i]);
-    add_product(&load_gain, surprise, memory.load);
+        error[i] = state[i] - (memory.free_response[i] + response[i]);
+    add_product(&load_gain, error, memory.load);
 }
 #endif
 
-/* q, l and u: those of the row, moved by what is given. */
+/* q, l and u: those of the row, plus a linear function of what is given. */
 static void fill_program(const double *given, const double *row)
 {
     static double moved[UNKNOWNS + ROWS];
@@ -91,8 +91,8 @@ static void fill_program(const double *given, const double *row)
     }
 }
 
-/* The plan of an answer, kept within bounds: solved to a tolerance, it may leave them by as much. */
-static void keep_plan(const double *given, const double *row)
+/* Store the plan, clipped to the bounds: a solution satisfies them to a tolerance. */
+static void store_plan(const double *given, const double *row)
 {
     static double known[UNKNOWNS + GIVEN];
     int i;
@@ -101,16 +101,16 @@ static void keep_plan(const double *given, const double *row)
     copy(memory.plan, row + ROW_INPUTS, PLANNED);
     add_product(&inputs, known, memory.plan);
     for (i = 0; i < PLANNED; i++)
-        memory.plan[i] = within(memory.plan[i], low[i % CONTROLLER_COMMANDS],
-                                high[i % CONTROLLER_COMMANDS]);
+        memory.plan[i] = clamp(memory.plan[i], low[i % CONTROLLER_COMMANDS],
+                               high[i % CONTROLLER_COMMANDS]);
     memory.has_plan = 1;
     memory.used = 0;
-    move_on(source_of_x, controller_qp_solver.solution->x, program.x, UNKNOWNS);
-    move_on(source_of_y, controller_qp_solver.solution->y, program.y, ROWS);
+    shift_answer(source_of_x, controller_qp_solver.solution->x, program.x, UNKNOWNS);
+    shift_answer(source_of_y, controller_qp_solver.solution->y, program.y, ROWS);
     program.has_start = 1;
 }
 
-static int decide(double time, const double *state, double *wish)
+static int decide(double time, const double *state, double *desired_input)
 {
     const double *row = row_at(time, memory.row);
     double given[GIVEN];
@@ -118,19 +118,19 @@ static int decide(double time, const double *state, double *wish)
 #if LOADS > 0
     correct_load(state);
 #endif
-    if (!has_standing)
-        stand(row + ROW_BEFORE);
+    if (!has_previous_input)
+        set_previous_input(row + ROW_PREVIOUS_INPUT);
     gather(state, given);
 #if LOADS > 0
-    copy(memory.coasting, row + ROW_COASTING, STATES);
-    add_product(&coasting, given, memory.coasting);
-    memory.has_coasting = 1;
+    copy(memory.free_response, row + ROW_FREE_RESPONSE, STATES);
+    add_product(&free_response, given, memory.free_response);
+    memory.has_free_response = 1;
 #endif
     fill_program(given, row);
     reason = solve_program();
     if (reason != CONTROLLER_OK)
-        return go_on(reason, wish);
-    keep_plan(given, row);
-    copy(wish, memory.plan, CONTROLLER_COMMANDS);
+        return continue_plan(reason, desired_input);
+    store_plan(given, row);
+    copy(desired_input, memory.plan, CONTROLLER_COMMANDS);
     return CONTROLLER_OK;
 }

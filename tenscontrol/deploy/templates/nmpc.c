@@ -12,7 +12,7 @@
 static struct {
     double states[(HORIZON + 1) * STATES]; /* z_0 ... z_N of the plan */
     double inputs[PLANNED];
-    int has_plan, prepared, moved; /* linearized; moved on to this sample */
+    int has_plan, prepared, shifted; /* linearized; shifted to this sample */
     int followed;                  /* samples without a program that was solved */
     double slopes[SLOPES]; /* A_k, B_k, then E_k, G_k, F_k, by columns */
     double offset[HORIZON * STATES];
@@ -20,8 +20,8 @@ static struct {
     double limited[HORIZON * LIMITED]; /* d_k */
 #endif
 #if LOADS > 0
-    double load[LOADS], drift[STATES], seen[STATES];
-    int has_seen;
+    double load[LOADS], drift[STATES], last_state[STATES];
+    int has_last_state;
 #endif
     double row[ROW_LENGTH];
 } memory;
@@ -29,7 +29,7 @@ static struct {
 static void forget_plan(void)
 {
     memory.has_plan = memory.prepared = 0;
-    memory.moved = 1;
+    memory.shifted = 1;
     program.has_start = 0;
 }
 
@@ -55,14 +55,14 @@ static void keep_within_bounds(double *input)
 {
     int i;
     for (i = 0; i < CONTROLLER_COMMANDS; i++)
-        input[i] = within(input[i], low[i], high[i]);
+        input[i] = clamp(input[i], low[i], high[i]);
 }
 
-/* Move the plan on by a sample, once. */
-static void move_plan(void)
+/* Shift the plan by a sample, once. */
+static void shift_plan(void)
 {
     double *last = memory.inputs + PLANNED - CONTROLLER_COMMANDS;
-    if (memory.moved)
+    if (memory.shifted)
         return;
     memmove(memory.states, memory.states + STATES, HORIZON * STATES * sizeof(double));
     memmove(memory.inputs, memory.inputs + CONTROLLER_COMMANDS,
@@ -75,30 +75,30 @@ static void move_plan(void)
         static double x[UNKNOWNS], y[ROWS];
         copy(x, program.x, UNKNOWNS);
         copy(y, program.y, ROWS);
-        move_on(source_of_x, x, program.x, UNKNOWNS);
-        move_on(source_of_y, y, program.y, ROWS);
+        shift_answer(source_of_x, x, program.x, UNKNOWNS);
+        shift_answer(source_of_y, y, program.y, ROWS);
     }
-    memory.moved = 1;
+    memory.shifted = 1;
 }
 
-/* Plan with the law of the linear plant, kept within bounds, on the nonlinear one. */
-static void begin(const double *state, const double *row)
+/* Plan with the linear feedback within bounds, on the nonlinear plant. */
+static void initialize_plan(const double *state, const double *row)
 {
     int i, k;
     copy(memory.states, state, STATES);
     for (k = 0; k < HORIZON; k++) {
-        const double *aim = row + ROW_REFERENCE + (k > 0 ? k - 1 : 0) * STATES;
+        const double *reference = row + ROW_REFERENCE + (k > 0 ? k - 1 : 0) * STATES;
         double *now = memory.states + k * STATES, off[STATES];
         double *input = memory.inputs + k * CONTROLLER_COMMANDS;
         for (i = 0; i < STATES; i++)
-            off[i] = now[i] - aim[i];
+            off[i] = now[i] - reference[i];
         copy(input, row + ROW_ORIGIN + k * CONTROLLER_COMMANDS, CONTROLLER_COMMANDS);
         add_product(&feedback, off, input);
         keep_within_bounds(input);
         advance(now, input, now + STATES);
     }
     memory.has_plan = 1;
-    memory.moved = 1;
+    memory.shifted = 1;
     memory.prepared = 0;
 }
 
@@ -169,7 +169,7 @@ static void linearize(void)
 static void fill_program(const double *state, const double *row)
 {
     static double moved[ROWS];
-    double before[CONTROLLER_COMMANDS], motion[HORIZON * STATES];
+    double previous[CONTROLLER_COMMANDS], motion[HORIZON * STATES];
     int i;
 #if LIMITED > 0
     static double limited[HORIZON * LIMITED];
@@ -179,10 +179,10 @@ static void fill_program(const double *state, const double *row)
     subtract(E, state, STATES, limited, LIMITED);
 #endif
     for (i = 0; i < CONTROLLER_COMMANDS; i++)
-        before[i] = reachable(i);
+        previous[i] = previous_within_bounds(i);
     copy(program.q, row, UNKNOWNS);
     memset(moved, 0, sizeof moved);
-    add_product(&by_previous, before, moved);
+    add_product(&by_previous_input, previous, moved);
     for (i = 0; i < ROWS; i++) {
 #if LIMITED > 0
         if (limit_of_row[i] >= 0)
@@ -202,7 +202,7 @@ static void fill_program(const double *state, const double *row)
         program.l[i] = program.u[i] = -motion[i] / unit[i % STATES];
 }
 
-/* Take the answer for the plan. Returns the largest change of an input, in its unit. */
+/* Store the plan. Returns the largest change of an input, in its unit. */
 static double take_plan(const double *state)
 {
     const double *x = controller_qp_solver.solution->x;
@@ -222,52 +222,52 @@ static double take_plan(const double *state)
     return largest;
 }
 
-/* Follow the plan for another sample; after its end hold what is safe. */
-static int go_on(int reason, double *wish)
+/* Continue the last plan; after its end hold a safe input. */
+static int continue_plan(int reason, double *desired_input)
 {
     memory.followed++;
     if (memory.followed >= HORIZON)
         forget_plan();
     if (memory.has_plan) {
-        move_plan();
-        copy(wish, memory.inputs, CONTROLLER_COMMANDS);
+        shift_plan();
+        copy(desired_input, memory.inputs, CONTROLLER_COMMANDS);
         reason |= CONTROLLER_PLAN_CONTINUED;
     } else {
-        reason = hold(reason, wish);
+        reason = hold(reason, desired_input);
     }
-    memory.prepared = memory.moved = 0;
+    memory.prepared = memory.shifted = 0;
     program.has_start = 0;
     return reason;
 }
 
-static int fall_back(int reason, double *wish)
+static int fall_back(int reason, double *desired_input)
 {
 #if LOADS > 0
-    memory.has_seen = 0;
+    memory.has_last_state = 0;
 #endif
-    return go_on(reason, wish);
+    return continue_plan(reason, desired_input);
 }
 
 #if LOADS > 0
-/* Lay what the state did beyond the prediction to the load. */
+/* Attribute the error of the prediction to the load. */
 static void correct_load(const double *state)
 {
-    double surprise[STATES];
+    double error[STATES];
     int i;
-    if (memory.has_seen && has_standing) {
-        advance(memory.seen, standing, surprise);
+    if (memory.has_last_state && has_previous_input) {
+        advance(memory.last_state, previous_input, error);
         for (i = 0; i < STATES; i++)
-            surprise[i] = state[i] - (memory.drift[i] + surprise[i]);
-        if (all_finite(surprise, STATES))
-            add_product(&load_gain, surprise, memory.load);
+            error[i] = state[i] - (memory.drift[i] + error[i]);
+        if (all_finite(error, STATES))
+            add_product(&load_gain, error, memory.load);
     }
-    copy(memory.seen, state, STATES);
-    memory.has_seen = 1;
+    copy(memory.last_state, state, STATES);
+    memory.has_last_state = 1;
     memset(memory.drift, 0, sizeof memory.drift);
-    add_product(&load_push, memory.load, memory.drift);
+    add_product(&load_response, memory.load, memory.drift);
 }
 
-/* Move what a row asks for to where the plant rests under the load, by Newton's method. */
+/* Move references and origins to where the plant is at rest under the load, by Newton's method. */
 static void rest_under_load(double *row)
 {
     int i, k, step;
@@ -302,7 +302,7 @@ static void rest_under_load(double *row)
 }
 #endif
 
-static int decide(double time, const double *state, double *wish)
+static int decide(double time, const double *state, double *desired_input)
 {
     const double *row = row_at(time, memory.row);
     int total = 0, round;
@@ -310,14 +310,14 @@ static int decide(double time, const double *state, double *wish)
     correct_load(state);
     rest_under_load(memory.row);
 #endif
-    if (!has_standing)
-        stand(row + ROW_ORIGIN);
+    if (!has_previous_input)
+        set_previous_input(row + ROW_ORIGIN);
     if (!memory.has_plan)
-        begin(state, row);
-    move_plan();
+        initialize_plan(state, row);
+    shift_plan();
     linearize();
-    if (!memory.prepared) /* the plan led where the dynamics have no value */
-        begin(state, row);
+    if (!memory.prepared) /* the dynamics are not finite along the plan */
+        initialize_plan(state, row);
     for (round = 0; round < ROUNDS; round++) {
         int reason;
         if (!memory.prepared)
@@ -333,12 +333,12 @@ static int decide(double time, const double *state, double *wish)
         iterations = total;
         memory.prepared = 0;
         if (reason != CONTROLLER_OK)
-            return go_on(reason, wish);
+            return continue_plan(reason, desired_input);
         memory.followed = 0;
         if (take_plan(state) < CONVERGED)
             break;
     }
-    memory.moved = 0;
-    copy(wish, memory.inputs, CONTROLLER_COMMANDS);
+    memory.shifted = 0;
+    copy(desired_input, memory.inputs, CONTROLLER_COMMANDS);
     return CONTROLLER_OK;
 }

@@ -11,7 +11,7 @@ static int iterations; /* of the last solve */
 
 static struct {
     double q[UNKNOWNS], l[ROWS], u[ROWS];
-    double x[UNKNOWNS], y[ROWS]; /* where to start from */
+    double x[UNKNOWNS], y[ROWS]; /* start of the next solve */
     int has_start;
 } program;
 
@@ -80,13 +80,13 @@ static int solve_program(void)
     osqp_solve(&controller_qp_solver);
     iterations = (int)controller_qp_solver.info->iter;
     reason = reason_of(controller_qp_solver.info->status_val);
-    if (reason != CONTROLLER_OK) /* what is left in x may start nothing */
+    if (reason != CONTROLLER_OK) /* do not start from what is left in x */
         osqp_cold_start(&controller_qp_solver);
     return reason;
 }
 
-/* Move an answer on by a sample: entry i comes from entry source[i], or is zero if that is -1. */
-static void move_on(const int *source, const double *from, double *to, int count)
+/* Shift a solution by a sample: entry i comes from entry source[i], or is zero if that is -1. */
+static void shift_answer(const int *source, const double *from, double *to, int count)
 {
     int i;
     for (i = 0; i < count; i++)

@@ -1,9 +1,9 @@
 
-/* ---- the face ---- */
+/* ---- functions of controller.h ---- */
 
 int controller_reset(void)
 {
-    has_standing = 0;
+    has_previous_input = 0;
     forget();
     return CONTROLLER_OK;
 }
@@ -11,20 +11,20 @@ int controller_reset(void)
 int controller_command(double time, const double *nodes, const double *velocities,
                        double *command)
 {
-    double state[STATES], wish[CONTROLLER_COMMANDS];
+    double state[STATES], desired_input[CONTROLLER_COMMANDS];
     int i, status = fault_of(time, nodes, velocities);
     iterations = 0;
     if (status == CONTROLLER_OK) {
         measure(nodes, velocities, state);
-        status = decide(time, state, wish);
-        if (!all_finite(wish, CONTROLLER_COMMANDS))
-            status = fall_back(CONTROLLER_BAD_WISH, wish);
+        status = decide(time, state, desired_input);
+        if (!all_finite(desired_input, CONTROLLER_COMMANDS))
+            status = fall_back(CONTROLLER_INPUT_NOT_FINITE, desired_input);
     } else {
-        status = fall_back(status, wish);
+        status = fall_back(status, desired_input);
     }
     for (i = 0; i < CONTROLLER_COMMANDS; i++)
-        command[i] = within_reach(wish, i);
-    stand(command);
+        command[i] = bounded_input(desired_input, i);
+    set_previous_input(command);
     return status;
 }
 
@@ -32,7 +32,7 @@ int controller_applied(const double *value)
 {
     if (!all_finite(value, CONTROLLER_COMMANDS))
         return CONTROLLER_NOT_FINITE;
-    stand(value);
+    set_previous_input(value);
     return CONTROLLER_OK;
 }
 

@@ -191,6 +191,27 @@ def test_the_change_counts_from_what_winches_hold_across_a_switch():
     assert sum(sum(e.statistics.status_count.values()) for e in found.controllers) == 0
 
 
+def test_each_command_is_counted_once_by_the_schedule_and_once_by_its_controller():
+    plants = path().plants(2, "rest_length")
+    found = tc.GainSchedule([mpc_of(plant) for plant in plants])
+    absurd = plants[1].nodes + 20 * np.eye(3, 6)  # bars far too long
+    for nodes in (plants[0].nodes, plants[1].nodes, np.nan * STILL, absurd, plants[1].nodes):
+        found.command(0.0, nodes, STILL)
+    assert found.status_count == {
+        "ok": 3, "measurement not finite": 1, "measurement not plausible": 1,
+    }  # fmt: skip
+    assert found.fallback_count == {"plan continued": 2}
+    first, second = found.controllers
+    assert first.status_count == {"ok": 1}
+    assert first.fallback_count == {}
+    assert second.status_count == found.status_count | {"ok": 2}
+    assert second.fallback_count == found.fallback_count
+    assert second.statistics.status_count == second.status_count
+    assert (first.statistics.fallbacks, second.statistics.fallbacks) == (0, 2)
+    found.reset()
+    assert [each.status_count for each in (found, first, second)] == [{}, {}, {}]
+
+
 def test_each_controller_keeps_its_own_bounds():
     plants = path().plants(2, "rest_length")
     lows = [0.95 * plant.rest_length for plant in plants]

@@ -1,4 +1,4 @@
-/* The controller whose face is controller.h. Its numbers are in controller_data.h. */
+/* The controller declared in controller.h. Its numbers are in controller_data.h. */
 #include "controller.h"
 
 #include <math.h>
@@ -7,10 +7,11 @@
 #include "controller_casadi.h"
 #include "controller_data.h"
 
-/* ---- what every law needs ---- */
+/* ---- common to all laws ---- */
 
-static double standing[CONTROLLER_COMMANDS]; /* what the actuators hold: told, or the last command */
-static int has_standing;
+/* Input over the last sample: as controller_applied says, or the last command. */
+static double previous_input[CONTROLLER_COMMANDS];
+static int has_previous_input;
 
 static int all_finite(const double *values, int count)
 {
@@ -21,7 +22,7 @@ static int all_finite(const double *values, int count)
     return 1;
 }
 
-static double within(double value, double least, double most)
+static double clamp(double value, double least, double most)
 {
     return value < least ? least : value > most ? most : value;
 }
@@ -31,23 +32,24 @@ static void copy(double *to, const double *from, int count)
     memcpy(to, from, (size_t)count * sizeof *to);
 }
 
-static void stand(const double *value)
+static void set_previous_input(const double *value)
 {
-    copy(standing, value, CONTROLLER_COMMANDS);
-    has_standing = 1;
+    copy(previous_input, value, CONTROLLER_COMMANDS);
+    has_previous_input = 1;
 }
 
-/* What stands, within bounds: where the next change is counted from. */
-static double reachable(int i)
+/* The previous input within bounds: changes are limited from here. */
+static double previous_within_bounds(int i)
 {
-    return within(has_standing ? standing[i] : equilibrium[i], low[i], high[i]);
+    return clamp(has_previous_input ? previous_input[i] : equilibrium[i], low[i], high[i]);
 }
 
-/* The wish within the change allowed and the bounds. */
-static double within_reach(const double *wish, int i)
+/* The desired input within the change allowed and the bounds. */
+static double bounded_input(const double *desired_input, int i)
 {
-    double before = reachable(i);
-    return within(within(wish[i], before - change[i], before + change[i]), low[i], high[i]);
+    double previous = previous_within_bounds(i);
+    return clamp(clamp(desired_input[i], previous - change[i], previous + change[i]),
+                 low[i], high[i]);
 }
 
 /* y += M x, with M by rows. */
@@ -62,11 +64,11 @@ static void add_product(const Matrix *M, const double *x, double *y)
     }
 }
 
-/* What functions by CasADi work in. */
+/* Work space of functions by CasADi. */
 static casadi_int casadi_integers[CASADI_IW];
 static double casadi_numbers[CASADI_W];
 
-/* z = [q; q'] of a motion. */
+/* z = [q; q'] of a motion */
 static void measure(const double *nodes, const double *velocities, double *state)
 {
     const double *given[CASADI_ARG] = {0};
@@ -77,8 +79,8 @@ static void measure(const double *nodes, const double *velocities, double *state
     controller_measure(given, found, casadi_integers, casadi_numbers, 0);
 }
 
-/* Whether all numbers are at most so large, and along no axis farther from each other than that. */
-static int close_together(const double *values, double largest, double spread)
+/* Whether all numbers are at most so large, and along each axis at most so far apart. */
+static int within_spread(const double *values, double largest, double spread)
 {
     int axis, i;
     for (axis = 0; axis < 3; axis++) {
@@ -108,8 +110,8 @@ static int fault_of(double time, const double *nodes, const double *velocities)
     if (!isfinite(time) || !all_finite(nodes, CONTROLLER_COORDINATES) ||
         !all_finite(velocities, CONTROLLER_COORDINATES))
         return CONTROLLER_NOT_FINITE;
-    if (!close_together(nodes, FARTHEST, SPREAD) ||
-        !close_together(velocities, FASTEST_SEEN, FASTEST))
+    if (!within_spread(nodes, FARTHEST, SPREAD) ||
+        !within_spread(velocities, LARGEST_VELOCITY, FASTEST))
         return CONTROLLER_NOT_PLAUSIBLE;
     for (i = 0; i < BARS; i++) {
         double square = squared_distance(nodes + 3 * bar_start[i], nodes + 3 * bar_end[i]);
@@ -117,18 +119,19 @@ static int fault_of(double time, const double *nodes, const double *velocities)
             return CONTROLLER_NOT_PLAUSIBLE;
     }
     for (i = 0; i < FIXED; i++)
-        if (!(sqrt(squared_distance(nodes + 3 * fixed_node[i], place + 3 * i)) <= OFF))
+        if (!(sqrt(squared_distance(nodes + 3 * fixed_node[i], place + 3 * i)) <=
+              SUPPORT_DISTANCE))
             return CONTROLLER_NOT_PLAUSIBLE;
     return CONTROLLER_OK;
 }
 
-/* What is safe where there is nothing to go by. */
-static int hold(int reason, double *wish)
+/* A safe input where there is no decision. */
+static int hold(int reason, double *desired_input)
 {
-    if (HOLDS_LAST && has_standing) {
-        copy(wish, standing, CONTROLLER_COMMANDS);
-        return reason | CONTROLLER_COMMAND_HELD;
+    if (HOLDS_PREVIOUS_INPUT && has_previous_input) {
+        copy(desired_input, previous_input, CONTROLLER_COMMANDS);
+        return reason | CONTROLLER_PREVIOUS_INPUT_HELD;
     }
-    copy(wish, equilibrium, CONTROLLER_COMMANDS);
+    copy(desired_input, equilibrium, CONTROLLER_COMMANDS);
     return reason | CONTROLLER_EQUILIBRIUM_HELD;
 }

@@ -10,8 +10,8 @@ from scipy.optimize import lsq_linear
 
 import tenscontrol as tc
 from tenscontrol.control import Status
+from tenscontrol.control.feedback_linearization import error_rates, rounded_up
 from tenscontrol.control.held_loop import held_error_rate
-from tenscontrol.control.shape_design import error_rates, rounded_up
 from tenscontrol.plant.reduced_dynamics import tracked_motion
 
 FREE = 300.0  # N/m, never reached
@@ -356,7 +356,7 @@ def test_the_reference_is_followed_anew():
     np.testing.assert_allclose(rate, 0.1 * 1.875, rtol=1e-3)  # peak of the quintic: 15/8
 
 
-def test_numbers_arerounded_up_to_few():
+def test_numbers_are_rounded_up_to_few():
     assert [rounded_up(x) for x in (0.011, 0.02, 0.021, 0.0501, 3.0, 999.0)] == [
         "0.02", "0.02", "0.05", "0.1", "5", "1000",
     ]  # fmt: skip

@@ -1,13 +1,13 @@
 
 /* ---- what depends on time alone ---- */
 
-/* Put the row of the sample nearest to a time in its place. */
+/* Copy the row of the sample nearest to a time. */
 static const double *row_at(double time, double *row)
 {
     copy(row, first_row, ROW_LENGTH);
 #if VARYING > 0
     {
-        double nearest = within(floor(time / CONTROLLER_STEP + 0.5), FIRST_SAMPLE, LAST_SAMPLE);
+        double nearest = clamp(floor(time / CONTROLLER_STEP + 0.5), FIRST_SAMPLE, LAST_SAMPLE);
         const double *changed = table[(int)(nearest - FIRST_SAMPLE)];
         int i;
         for (i = 0; i < VARYING; i++)

@@ -1,0 +1,225 @@
+"""Text of the files of a generated controller."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from importlib.metadata import distribution
+from importlib.resources import files
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.control import Controller
+from tenscontrol.control.mpc.osqp_adapter import QuadraticProgram
+from tenscontrol.deploy.controllers import LawCode
+from tenscontrol.deploy.measurement import measurement
+from tenscontrol.validation import FloatArray
+
+# Numbers a line.
+_PER_LINE = 6
+
+_UNIT = {"force_density": "force densities, N/m", "rest_length": "rest lengths, m"}
+
+_MATRIX = """
+typedef struct {
+    int rows;
+    const int *start, *column; /* of the entries of each row */
+    const double *value;
+} Matrix;
+"""
+
+_SOLVER_WORDS = """
+The quadratic program is solved by OSQP, in controller_qp_workspace.c and the other files. It is
+under the licence in OSQP_LICENSE.txt, which has to go with it.
+"""
+
+
+def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str]:
+    """Return the texts of all files, by file name; names in C begin with ``name``.
+
+    Raises ValueError if the solver has a file of this name.
+    """
+    plant = controller.plant
+    functions = _named({"measure": measurement(plant)} | law.functions, name)
+    count = len(controller.bounds[0])
+    prefix = name.upper()
+    sizes = _constants({f"{prefix}_COORDINATES": plant.nodes.size, f"{prefix}_COMMANDS": count})
+    words = {
+        "UNIT": _UNIT[controller.input],
+        "SIZES": f"{sizes}\n#define {prefix}_STEP {controller.sample_time!r} /* sample time, s */",
+        "NODES": str(plant.nodes.shape[1]),
+        "COMMANDS": str(count),
+        "STEP": f"{controller.sample_time:g}",
+        "KIND": type(controller).__name__,
+        "SOLVER": "" if law.program is None else _SOLVER_WORDS.replace("controller", name),
+    }
+    code = "".join(
+        _template(file, name, {}) for file in ("common.c", *law.templates, "interface.c")
+    )
+    texts = {
+        f"{name}.h": _template("controller.h", name, words),
+        f"{name}.c": code,
+        f"{name}_data.h": _data(controller, law, functions),
+        "main.c": _template("main.c", name, {}),
+        "README.txt": _template("README.txt", name, words),
+        **_casadi(functions, name),
+    }
+    return texts if law.program is None else texts | _solver(law.program, name, set(texts))
+
+
+def _named(functions: dict[str, ca.Function], name: str) -> list[ca.Function]:
+    """Return functions under the names that they have in C."""
+    found = []
+    for what, function in functions.items():
+        symbols = [ca.MX.sym(f"x{i}", *function.size_in(i)) for i in range(function.n_in())]
+        found.append(ca.Function(f"{name}_{what}", symbols, function.call(symbols)))
+    return found
+
+
+def _data(controller: Controller, law: LawCode, functions: list[ca.Function]) -> str:
+    """Return the header of all numbers."""
+    low, high = controller.bounds
+    # Work space for the largest function by CasADi.
+    work = {
+        f"CASADI_{what.upper()}": max(1, *(getattr(each, f"sz_{what}")() for each in functions))
+        for what in ("arg", "res", "iw", "w")
+    }
+    change, check = controller.largest_change, controller.measurement_check
+    constants: dict[str, float | int] = {
+        "STATES": 2 * controller.plant.degrees_of_freedom,
+        "HOLDS_PREVIOUS_INPUT": int(controller.input == "rest_length"),
+        "BARS": check.bars.shape[1],
+        "FIXED": len(check.fixed),
+        "FARTHEST": float(check.farthest),
+        "SPREAD": float(check.spread),
+        "FASTEST": float(check.fastest),
+        "LARGEST_VELOCITY": float(check.largest_velocity),
+        "SUPPORT_DISTANCE": float(check.support_distance),
+        **work,
+        **law.constants,
+    }
+    arrays: dict[str, np.ndarray] = {
+        "low": low,
+        "high": high,
+        "change": np.full(len(low), np.inf) if change is None else change,
+        "equilibrium": controller.plant.equilibrium_input,
+        "bar_start": check.bars[0],
+        "bar_end": check.bars[1],
+        "shortest_square": check.squares[0],
+        "longest_square": check.squares[1],
+        "fixed_node": check.fixed,
+        "place": check.places.ravel(order="F"),
+        **law.arrays,
+    }
+    if law.table is not None:
+        first, table = law.table
+        varying = np.flatnonzero((table != table[0]).any(axis=0))
+        arrays["first_row"] = table[0]
+        constants |= {"ROW_LENGTH": table.shape[1], "VARYING": len(varying)}
+        if len(varying):
+            arrays |= {"varying": varying, "table": table[:, varying]}
+            constants |= {"FIRST_SAMPLE": first, "LAST_SAMPLE": first + len(table) - 1}
+    texts = [
+        "/* Numbers of the controller. Included once. */",
+        _constants(constants),
+        _MATRIX,
+        *(_array(name, values) for name, values in arrays.items()),
+        *(_matrix(name, values) for name, values in law.matrices.items()),
+    ]
+    return "\n".join(texts) + "\n"
+
+
+def _casadi(functions: list[ca.Function], name: str) -> dict[str, str]:
+    """Return the files that CasADi writes."""
+    code = ca.CodeGenerator(f"{name}_casadi", {"with_header": True})
+    for function in functions:
+        code.add(function)
+    with TemporaryDirectory(prefix="tenscontrol-") as folder:
+        code.generate(folder + os.sep)
+        return {path.name: path.read_text("utf-8") for path in Path(folder).iterdir()}
+
+
+def _solver(program: QuadraticProgram, name: str, others: set[str]) -> dict[str, str]:
+    """Return the files of OSQP, all side by side."""
+    with TemporaryDirectory(prefix="tenscontrol-") as folder:
+        inside = Path(folder) / "osqp"
+        program.write_c(str(inside), f"{name}_qp_")
+        found = [path for path in inside.rglob("*.[ch]") if path.name != "emosqp.c"]
+        texts = {path.name: path.read_text("utf-8") for path in found}
+    clash = sorted(others & set(texts))
+    if clash:
+        raise ValueError(f"name is {name!r}, but OSQP has a file {clash[0]!r}; give another")
+    return texts | {"OSQP_LICENSE.txt": _licence()}
+
+
+def _licence() -> str:
+    """Return the licence of OSQP, which has to go with its code."""
+    for path in distribution("osqp").files or []:
+        if path.name == "LICENSE":
+            return path.read_text("utf-8")
+    raise FileNotFoundError(
+        "the installed package osqp has no file LICENSE, which has to go with its code: "
+        "install osqp from PyPI"
+    )
+
+
+def _constants(values: Mapping[str, float | int]) -> str:
+    """Return numbers as ``#define`` lines."""
+    return "\n".join(f"#define {name} {_number(value)}" for name, value in values.items())
+
+
+def _array(name: str, values: np.ndarray) -> str:
+    """Return an array of one or two dimensions as a constant; one of no entries as a zero."""
+    kind = "int" if values.dtype.kind in "iu" else "double"
+    if values.size == 0:
+        values = np.zeros(1, dtype=values.dtype)
+    size = "".join(f"[{count}]" for count in values.shape)
+    rows = [_wrapped(row) for row in np.atleast_2d(values)]
+    inside = rows[0] if values.ndim == 1 else ",\n".join(f"{{\n{row}\n}}" for row in rows)
+    return f"static const {kind} {name}{size} = {{\n{inside}\n}};"
+
+
+def _matrix(name: str, values: FloatArray) -> str:
+    """Return a matrix as constants: entries that are not zero, by rows."""
+    from scipy.sparse import csr_array
+
+    rows = csr_array(values)
+    parts = {
+        f"{name}_start": rows.indptr.astype(np.int64),
+        f"{name}_column": rows.indices.astype(np.int64),
+        f"{name}_value": rows.data.astype(float),
+    }
+    record = f"static const Matrix {name} = {{{values.shape[0]}, {', '.join(parts)}}};"
+    return "\n".join([*(_array(*part) for part in parts.items()), record])
+
+
+def _template(file: str, name: str, words: Mapping[str, str]) -> str:
+    """Return a C file of the package.
+
+    ``controller`` is replaced by ``name`` where it begins a name, and ``@KEY@`` by its word.
+    """
+    text = (files("tenscontrol.deploy") / "templates" / file).read_text(encoding="utf-8")
+    text = re.sub(r"\bcontroller(?=_|\.[ch]\b)", name, text)
+    text = re.sub(r"\bCONTROLLER(?=_)", name.upper(), text)
+    for key, word in words.items():
+        text = text.replace(f"@{key}@", word)
+    return text
+
+
+def _wrapped(values: np.ndarray) -> str:
+    texts = [_number(value) for value in values.tolist()]
+    lines = [texts[i : i + _PER_LINE] for i in range(0, len(texts), _PER_LINE)]
+    return ",\n".join(", ".join(line) for line in lines)
+
+
+def _number(value: float) -> str:
+    """Return a number that C reads back to the last bit."""
+    if isinstance(value, int):
+        return str(value)
+    if np.isinf(value):
+        return "INFINITY" if value > 0 else "-INFINITY"
+    return repr(float(value))

@@ -1,0 +1,334 @@
+"""Numbers of a law in C code: LQR, linear MPC, nonlinear MPC.
+
+The vectors of the program of linear MPC are affine in the state, the previous input, the same
+within bounds, and the estimated load; the planned inputs also in the solution. Their matrices are
+read from the controller, by one evaluation a column. Their values at zero depend on time alone and
+become a table with a row a sample. In nonlinear MPC the motion over a sample, the limited rows and
+their derivatives are CasADi functions; the program gives the places of their values in its matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import ceil, floor
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.control import LQR, MPC, NMPC
+from tenscontrol.control.mpc.mpc_law import MPCLaw
+from tenscontrol.control.mpc.nonlinear import CONVERGED
+from tenscontrol.control.mpc.osqp_adapter import START_RHO, QuadraticProgram
+from tenscontrol.control.mpc.problem import Ahead, Horizon
+from tenscontrol.control.mpc.shooting import ExplicitMotion
+from tenscontrol.control.mpc.sparse import TrajectoryProgram
+from tenscontrol.control.mpc.stage_jacobians import Tangents
+from tenscontrol.control.mpc.trajectory_model import NEWTON_STEPS
+from tenscontrol.validation import FloatArray, IntArray
+
+# Maps read from a controller must agree with it at any other point, to this fraction.
+_AGREEMENT = 1e-9
+
+# Numbers that a table may have: some hundred megabytes of C text.
+_LARGEST = 5_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class LawCode:
+    """What one law adds to the code common to all."""
+
+    templates: tuple[str, ...]  # C files of the package with the law
+    constants: dict[str, int | float]  # of the preprocessor
+    arrays: dict[str, np.ndarray]  # of one or two dimensions
+    matrices: dict[str, FloatArray]  # written without their zeros
+    program: QuadraticProgram | None = None  # before its first solve
+    # Number of the first sample, and what depends on time alone, shape (K, m), a row a sample.
+    table: tuple[int, FloatArray] | None = None
+    functions: dict[str, ca.Function] = field(default_factory=dict)  # besides the measurement
+
+
+def lqr_code(controller: LQR) -> LawCode:
+    """Return the code of a regulator; raise ValueError if it acts in continuous time."""
+    if controller.sample_time is None:
+        raise ValueError(
+            "controller is an LQR in continuous time, and code runs in samples: "
+            "make it by lqr(plant, Q, R, sample_time=...)"
+        )
+    matrices = {"feedback": -controller.gain}
+    if controller.previous_input_gain is not None:
+        matrices["previous_input_feedback"] = -controller.previous_input_gain
+    ramp = int(controller.previous_input_gain is not None)
+    return LawCode(("lqr.c",), {"RAMP": ramp}, {}, matrices)
+
+
+class _Reader:
+    """Reads the maps of a law, at any time and for any load."""
+
+    def __init__(self, law: MPCLaw) -> None:
+        self._law = law
+        s, a = law.plant.B.shape
+        self.loads = 0 if law.load is None else law.plant.degrees_of_freedom
+        self.rows, self.unknowns = law.form.A.shape
+        # Of state, previous input, the same within bounds, and load.
+        self.sizes = s, a, a, self.loads
+
+    def vectors(self, time: float, given: FloatArray) -> FloatArray:
+        """Return q, l and u, end to end, for what is given."""
+        z, previous, bounded, load = self._split(given, *self.sizes)
+        return np.concatenate(self._law.vectors(self._ahead(time, load), z, previous, bounded))
+
+    def inputs(self, time: float, known: FloatArray) -> FloatArray:
+        """Return the planned inputs for solution and what is given."""
+        x, z, previous, _, load = self._split(known, self.unknowns, *self.sizes)
+        return self._law.inputs(x, self._ahead(time, load), z, previous).ravel()
+
+    def free_response(self, time: float, given: FloatArray) -> FloatArray:
+        """Return the state a sample later without the input to come, for what is given."""
+        z, previous, _, load = self._split(given, *self.sizes)
+        return self._law.coasting(self._ahead(time, load), z, previous)
+
+    def row(self, time: float) -> FloatArray:
+        """Return all that depends on time alone."""
+        point = np.zeros(sum(self.sizes))
+        parts = [
+            self.vectors(time, point),
+            self.inputs(time, np.zeros(self.unknowns + len(point))),
+            self._ahead(time, np.zeros(self.loads)).before,
+        ]
+        if self.loads:
+            parts.append(self.free_response(time, point))
+        return np.concatenate(parts)
+
+    def _ahead(self, time: float, load: FloatArray) -> Ahead:
+        return self._law.ahead(time, load if self.loads else None)
+
+    @staticmethod
+    def _split(given: FloatArray, *sizes: int) -> list[FloatArray]:
+        return np.split(given, np.cumsum(sizes)[:-1])
+
+
+def mpc_code(controller: MPC) -> LawCode:
+    """Return the code of a linear MPC.
+
+    Raises ValueError if it has a time limit, or its reference lasts too long for a table.
+    """
+    law = controller.law
+    _refuse_time_limit(law.time_limit)
+    reader = _Reader(law)
+    unknowns, rows = reader.unknowns, reader.rows
+    problem, sampled = law.design.problem, law.design.sampled
+    first, table = _time_table(law.path.span, law.sample_time, problem.length, reader.row)
+    times = first * law.sample_time, (first + len(table) - 1) * law.sample_time
+    given = sum(reader.sizes)
+    offset, slope = _read(reader.vectors, given, times)
+    # Upper and lower bounds move alike, where they are not infinite.
+    low, high = slope[unknowns : unknowns + rows], slope[unknowns + rows :]
+    moved = np.where(np.isfinite(offset[unknowns : unknowns + rows])[:, None], low, high)
+    matrices = {
+        "vectors": np.vstack([slope[:unknowns], moved]),
+        "inputs": _read(reader.inputs, unknowns + given, times)[1],
+    }
+    if law.load is not None:
+        matrices["free_response"] = _read(reader.free_response, given, times)[1]
+        matrices["by_input"] = sampled.by_input
+        matrices["load_gain"] = law.load.gain
+    x, y = law.form.shifted(np.arange(1.0, unknowns + 1), np.arange(1.0, rows + 1))
+    arrays = {"source_of_x": x.astype(np.int64) - 1, "source_of_y": y.astype(np.int64) - 1}
+    constants: dict[str, int | float] = {
+        "UNKNOWNS": unknowns,
+        "ROWS": rows,
+        "PLANNED": problem.input_count,
+        "LOADS": reader.loads,
+        "FIRST_RHO": START_RHO,
+    }
+    templates = "program.c", "time_table.c", "mpc.c"
+    # A new program: that of the controller may be in the middle of a run.
+    return LawCode(templates, constants, arrays, matrices, law.program(), (first, table))
+
+
+def _read(
+    function: Callable[[float, FloatArray], FloatArray], size: int, times: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Return value at zero and slope of an affine map, whose slope is the same at all times."""
+    offset = function(times[0], np.zeros(size))
+    finite = np.isfinite(offset)
+    slope = np.zeros((len(offset), size))
+    for i, unit in enumerate(np.eye(size)):
+        slope[finite, i] = function(times[0], unit)[finite] - offset[finite]
+    point = np.cos(np.arange(1.0, size + 1))
+    for time in times:
+        value = function(time, point)[finite]
+        rest = value - function(time, np.zeros(size))[finite] - slope[finite] @ point
+        error = float(np.abs(rest).max(initial=0.0))
+        if not error <= _AGREEMENT * max(1.0, float(np.abs(value).max(initial=0.0))):
+            raise ValueError(
+                f"controller is not affine in what it measures (off by {error:.1e} at {time:g} s), "
+                "so it cannot be written as C code"
+            )
+    return offset, slope
+
+
+def nmpc_code(controller: NMPC) -> LawCode:
+    """Return the code of a nonlinear MPC.
+
+    Raises ValueError if it predicts by implicit steps, has a time limit, or its reference lasts too
+    long for a table.
+    """
+    law = controller.law
+    _refuse_time_limit(law.time_limit)
+    problem, model = law.problem, law.model
+    if not isinstance(model.motion, ExplicitMotion):
+        raise ValueError(
+            "controller is an NMPC that predicts stiff strings or winches that wind, by implicit "
+            "steps, which are not written as C code: give a shorter step and winches that jump, "
+            "or take MPC, whose prediction is linear"
+        )
+    N, (s, a) = problem.length, problem.input_matrix.shape
+    p = 0 if problem.rows is None else len(problem.rows.scale)
+    # A new program: that of the controller may be in the middle of a run.
+    program = law.program()
+    fixed = program.pattern.data
+    still = _flat(N, s, s, a), None if p == 0 else _flat(N, p, s, a, s)
+    program.linearize(*still)
+    nothing = np.zeros(s), np.zeros((N, s)), np.zeros((N, a))
+
+    def row(time: float) -> FloatArray:
+        reference, origin = law.targets(time)
+        q, _, _ = program.vectors(nothing[0], reference, origin, np.zeros(a))
+        return np.concatenate([q, reference.ravel(), origin.ravel()])
+
+    first, table = _time_table(law.path.span, law.sample_time, N, row)
+    low, high = program.vectors(*nothing, np.zeros(a))[1:]
+    slopes = np.zeros((len(low), a))
+    # Rows of a change are bounded on both sides, and move alike; no others move.
+    bounded = np.isfinite(low)
+    for i, unit in enumerate(np.eye(a)):
+        slopes[bounded, i] = program.vectors(*nothing, unit)[1][bounded] - low[bounded]
+    source, factor = _places(program, fixed, (N, s, a, p))
+    limit_of_row, limit_scale = _limits(program, problem)
+    x, y = program.moved(np.arange(1.0, program.pattern.shape[1] + 1), np.arange(1.0, len(low) + 1))
+    functions = {"advance": model.motion.sampled, "linearize": model.motion.linearized}
+    if model.limited is not None:
+        functions["limited"] = model.limited
+    matrices = {"by_previous_input": slopes, "feedback": -problem.feedback}
+    loads = 0
+    if law.load is not None:
+        loads = len(law.load.gain)
+        functions["accelerate"] = model.acceleration
+        matrices |= {
+            "load_gain": law.load.gain,
+            "load_response": law.load.push,
+            "load_shift": law.load.shift,
+            "load_effort": law.load.effort,
+        } | _gradients(program, problem)
+    return LawCode(
+        templates=("program.c", "time_table.c", "nmpc.c"),
+        constants={
+            "UNKNOWNS": program.pattern.shape[1],
+            "ROWS": program.pattern.shape[0],
+            "ENTRIES": len(fixed),
+            "HORIZON": N,
+            "PLANNED": problem.input_count,
+            "LIMITED": p,
+            "LOADS": loads,
+            "NEWTON_STEPS": NEWTON_STEPS,
+            "LEVEL": float(problem.level),
+            "ROUNDS": law.rounds,
+            "CONVERGED": CONVERGED,
+            "FIRST_RHO": START_RHO,
+        },
+        arrays={
+            "unit": program.units,
+            "first_low": low,
+            "first_high": high,
+            "source_of_entry": source,
+            "entry": factor,
+            "limit_of_row": limit_of_row,
+            "limit_scale": limit_scale,
+            "source_of_x": x.astype(np.int64) - 1,
+            "source_of_y": y.astype(np.int64) - 1,
+        },
+        matrices=matrices,
+        program=law.program().quadratic,
+        table=(first, table),
+        functions=functions,
+    )
+
+
+def _flat(N: int, values: int, *arguments: int) -> Tangents:
+    """Return the tangents of functions that are zero."""
+    return Tangents(np.zeros((N, values)), tuple(np.zeros((N, j, values)) for j in arguments))
+
+
+def _places(
+    program: TrajectoryProgram, fixed: FloatArray, sizes: tuple[int, int, int, int]
+) -> tuple[IntArray, FloatArray]:
+    """Return which slope each entry of the matrix is, −1 for none, and its factor or its value.
+
+    Slopes are numbered as the C code has them: all A_k, then all B_k, E_k, G_k and F_k, by columns.
+    """
+    N, s, a, p = sizes
+    starts = np.cumsum([0, N * s * s, N * s * a, N * p * s, N * p * a])
+    source, factor = np.full(len(fixed), -1), fixed.copy()
+    motion, parts = program.places.motion, program.places.rows
+    for begin, slots in [
+        *zip(starts[:2], motion, strict=True),
+        *((begin, slots) for part in parts for begin, slots in zip(starts[2:], part, strict=True)),
+    ]:
+        source[slots.place], factor[slots.place] = begin + slots.source, slots.factor
+    return source, factor
+
+
+def _gradients(program: TrajectoryProgram, problem: Horizon) -> dict[str, FloatArray]:
+    """Return what references and origins of a sample do to q: that is −P times them, in units."""
+    N, (s, a) = problem.length, problem.input_matrix.shape
+    starts = {"by_reference": 0, "by_last": (N - 1) * s, "by_origin": N * s}
+    found = {}
+    for name, start in starts.items():
+        unit = np.full(a, problem.level) if name == "by_origin" else program.units
+        found[name] = -program.hessian[start:, start:][: len(unit), : len(unit)].toarray() / unit
+    return found
+
+
+def _limits(program: TrajectoryProgram, problem: Horizon) -> tuple[IntArray, FloatArray]:
+    """Return which of the N p limited values each row bounds, −1 for none, and its unit."""
+    count, N, rows = program.pattern.shape[0], problem.length, problem.rows
+    limit, unit = np.full(count, -1), np.ones(count)
+    for places, start in program.limits.parts:
+        assert rows is not None  # there are parts
+        found = N * len(program.units) + start + np.arange(N * len(places))
+        limit[found] = (len(rows.scale) * np.arange(N)[:, None] + places).ravel()
+        unit[found] = np.tile(rows.scale[places], N)
+    return limit, unit
+
+
+def _time_table(
+    span: tuple[float, float], step: float, horizon: int, row: Callable[[float], FloatArray]
+) -> tuple[int, FloatArray]:
+    """Return the number of the first sample, and a row of the table for each from there on.
+
+    ``span`` is the time in which the reference changes, s, and ``row`` gives what depends on a
+    time. Raises ValueError if the table were too large.
+    """
+    begin, end = span
+    if begin == end:
+        return 0, row(0.0)[None]
+    # Before the first and after the last nothing changes any more.
+    first, last = floor(begin / step) - horizon - 1, ceil(end / step) + 1
+    size = (last - first + 1) * len(row(first * step))
+    if size > _LARGEST:
+        raise ValueError(
+            f"controller follows a reference of {end - begin:g} s, {last - first + 1} samples: a "
+            f"table of {size:.1e} numbers, expected at most {_LARGEST:.0e}. Follow a shorter "
+            "one, or take a longer step"
+        )
+    return first, np.array([row(k * step) for k in range(first, last + 1)])
+
+
+def _refuse_time_limit(limit: float) -> None:
+    if np.isfinite(limit):
+        raise ValueError(
+            f"controller has time_limit={limit:g} s, and C code without an operating system has no "
+            "clock: make it without, and limit the work by max_iterations"
+        )

@@ -1,0 +1,53 @@
+"""Riccati equations of regulators and filters: residual, duality and the check of a solution."""
+
+import numpy as np
+import pytest
+
+from tenscontrol.plant import check_riccati, filter_riccati, regulator_riccati, riccati_residual
+
+TRANSITION = np.array([[1.0, 0.1], [-0.2, 0.95]])
+DRIVE = np.array([[0.01], [0.3]])
+OUTPUT = np.array([[1.0, 0.0]])
+NOISE = np.array([0.05])
+
+
+def test_filter_is_the_dual_of_the_regulator():
+    gain, P, poles, residual = filter_riccati(TRANSITION, DRIVE, OUTPUT, NOISE)
+    dual_gain, dual_poles, dual_P, _ = regulator_riccati(
+        TRANSITION.T, OUTPUT.T, DRIVE @ DRIVE.T, np.diag(NOISE**2), np.ones(2), 1.0, discrete=True
+    )
+    np.testing.assert_allclose(P, dual_P, rtol=1e-9)
+    # The regulator's gain predicts: Φ times that of a correction.
+    np.testing.assert_allclose(TRANSITION @ gain, dual_gain.T, rtol=1e-9)
+    np.testing.assert_allclose(np.sort(np.abs(poles)), np.sort(np.abs(dual_poles)), rtol=1e-9)
+    assert residual < 1e-12
+
+
+def test_residual_is_that_of_the_covariance_recursion():
+    _, P, _, _ = filter_riccati(TRANSITION, DRIVE, OUTPUT, NOISE)
+    R = np.diag(NOISE**2)
+    gain = P @ OUTPUT.T @ np.linalg.inv(OUTPUT @ P @ OUTPUT.T + R)
+    after = TRANSITION @ (P - gain @ OUTPUT @ P) @ TRANSITION.T + DRIVE @ DRIVE.T
+    np.testing.assert_allclose(after, P, rtol=1e-9)
+    dual = TRANSITION.T, OUTPUT.T, DRIVE @ DRIVE.T, R
+    assert riccati_residual(*dual, P, discrete=True) < 1e-12
+    assert riccati_residual(*dual, 1.01 * P, discrete=True) > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("residual", "pole", "discrete", "expected"),
+    [
+        (1e-3, 0.5, True, r"residual of 1\.0e-03, expected at most 1e-06"),
+        (np.nan, 0.5, True, "residual of nan"),
+        (0.0, 1.1, True, r"not stable by 1\.0e-01"),
+        (0.0, 0.0, False, "not stable by"),
+    ],
+)
+def test_a_bad_solution_is_refused(residual, pole, discrete, expected):
+    with pytest.raises(ValueError, match=expected):
+        check_riccati(residual, np.array([pole]), discrete)
+
+
+def test_what_no_reading_tells_of_is_named_a_problem_of_the_filter():
+    with pytest.raises(ValueError, match=r"of the filter .* process_noise"):
+        filter_riccati(np.diag([1.0, 0.5]), np.eye(2), np.array([[0.0, 1.0]]), NOISE)
