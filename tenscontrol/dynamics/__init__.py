@@ -7,13 +7,14 @@ from tenscontrol.dynamics.coordinates import (
     coordinates,
 )
 from tenscontrol.dynamics.equation import Equation, smooth_equation
-from tenscontrol.dynamics.evaluator import Evaluator, evaluate_columns
+from tenscontrol.dynamics.evaluator import ColumnEvaluator, Evaluator, evaluate_columns
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
 from tenscontrol.dynamics.prepared import Prepared
 from tenscontrol.dynamics.strings import ElasticStrings, LinearStrings, StringLaw
 
 __all__ = [
     "KINDS",
+    "ColumnEvaluator",
     "Compiled",
     "Coordinates",
     "ElasticStrings",

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.compiler import compiler
 from tenscontrol.dynamics.driver import driver_equation
 from tenscontrol.dynamics.equation import FORMS, Equation
 from tenscontrol.dynamics.forms import suitable_form
@@ -260,10 +261,16 @@ class Model:
             load = load + external_force
         if form == "auto":
             form = suitable_form(self._structure)
-        if form == "flat":
-            return self._flat_equation(law, load)
-        build = mapped_equation if form == "mapped" else driver_equation
-        return build(self._structure, law, load)
+
+        def build() -> Equation:
+            if form == "flat":
+                return self._flat_equation(law, load)
+            make = mapped_equation if form == "mapped" else driver_equation
+            return make(self._structure, law, load)
+
+        # Another compiler makes another library.
+        by = compiler() if form == "driver" else None
+        return self._prepared.get(("equation", input, load.tobytes(), form, by), build)
 
     def _flat_equation(self, law: StringLaw | None, load: FloatArray) -> Equation:
         structure = self._structure

@@ -23,8 +23,8 @@ import casadi as ca
 
 from tenscontrol.dynamics import Equation
 from tenscontrol.dynamics.kernel import Symbolic, dots, scale_columns
-from tenscontrol.integrate.bodies import Bodies
 from tenscontrol.integrate.fixed_step import FixedStep
+from tenscontrol.integrate.projection import Bodies
 
 # Largest turn of a bar in one flight, rad². From a right angle on, the quadratic that places the
 # bar has no real root or the wrong one; one radian leaves room for velocities along the bar.
