@@ -8,12 +8,12 @@ from typing import Any
 import casadi as ca
 
 from tenscontrol.dynamics.prepared import Prepared
-from tenscontrol.dynamics.strings import StringLaw
+from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray
 
 #: How the functions of an equation can be built.
-FORMS = ("flat", "mapped", "driver")
+FORMS = ("flat", "mapped", "loops")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Equation:
         The law of the strings where rest lengths are held; None where γ is.
     load : ndarray, shape (3, n), or None
         Constant force on every node, N; None for none.
-    form : {"flat", "mapped", "driver"}
+    form : {"flat", "mapped", "loops"}
         How the functions are built: one expression of all members (SX);
         operations on all members at once (MX); loops over the members in C.
     """

@@ -7,8 +7,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator
-from tenscontrol.dynamics.compiler import compiler
+from tenscontrol.dynamics import Equation, Evaluator, compiler
 from tenscontrol.integrate.events import crossing, landing, taut_strings
 from tenscontrol.integrate.integrator import (
     IntegrationError,

@@ -391,10 +391,9 @@ class _Motion:
         """Return nodes, bar vectors of true length, and the velocities as y has them."""
         structure = self._structure
         half = x.shape[0] // 2
-        N, Nd = ca.SX(3, structure.nodes.shape[1]), ca.SX(3, structure.nodes.shape[1])
-        N[:, structure.fixed.tolist()] = ca.DM(structure.nodes[:, structure.fixed])
-        N[:, self._free] = ca.reshape(x[:half], 3, -1)
-        Nd[:, self._free] = ca.reshape(x[half:], 3, -1)
+        # Copies: `_place` writes into the nodes, which may be entries of x.
+        N = ca.SX(kernel.all_nodes(structure, ca.reshape(x[:half], 3, -1), structure.nodes))
+        Nd = kernel.all_nodes(structure, ca.reshape(x[half:], 3, -1))
         tails, heads = self._starts + self._pivots, self._ends + self._tips
         B = _of_length(N[:, heads] - N[:, tails], self._length)
         # The start is put on the constraint as the end will be: no jump between the two.

@@ -9,8 +9,7 @@ from math import ceil
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator
-from tenscontrol.dynamics.compiler import compiler
+from tenscontrol.dynamics import Equation, Evaluator, compiler
 from tenscontrol.integrate.events import COUNTS, located, taut_strings
 from tenscontrol.integrate.integrator import (
     IntegrationError,

@@ -99,7 +99,7 @@ def in_machine_code(equation: Equation, step: ca.Function, wanted: bool) -> tupl
 
     Where the forces are compiled loops already, the steps around them stay with CasADi.
     """
-    if equation.form == "driver":
+    if equation.form == "loops":
         return step, "machine code for the forces"
     code = compiled(step) if wanted else None
     return (step, "virtual machine") if code is None else (code.function, "machine code")

@@ -95,7 +95,7 @@ class Loop:
             chosen = Choice(method.name, "tolerance", self.tolerance, "asked for")
         else:
             chosen = Choice(method.name, "step", self.step, "asked for")
-        if method.differentiates and equation.form == "driver":
+        if method.differentiates and equation.form == "loops":
             load = self.load - self.model.constant_force
             equation = self.model.equation(self.input, load, form="mapped")
         # Not what the user says of a method that he has not chosen, and that needs no projection.
