@@ -337,7 +337,8 @@ class Model:
         s = self._symbols()
         law = self._needed_strings()
         length = kernel.length(self._string_vectors(s)[0]).T
-        energy = ca.densify(ca.sum1(law.stored_energy(length, s["rest_length"])))
+        stored = law.as_expressions().stored_energy(length, s["rest_length"])
+        energy = ca.densify(ca.sum1(stored))
         return ca.Function(
             "elastic_energy",
             [s["x"], s["rest_length"]],

@@ -354,9 +354,10 @@ def _mean_force_density(equation: Equation, N0: Any, N1: Any, rest: Any, h: Any)
     change = after - before
     crossing = was != is_
     share = ca.if_else(crossing, (high - low) / ca.if_else(crossing, change, 1), was)
+    law = law.as_expressions()
     tension = law.tension((low + high) / 2, rest)
     if law.is_damped:
-        tension = ca.fmax(0, tension + ca.DM(law.damping) * change / h)
+        tension = ca.fmax(0, tension + law.damping * change / h)
     return 2 * share * tension / (before + after)
 
 
