@@ -241,13 +241,7 @@ class Cache:
     temporary: bool
 
     def find(self, key: str) -> Path | None:
-        """Return the library of a key, or None. One that is not whole is removed.
-
-        Raises
-        ------
-        PermissionError
-            If another user may have written it.
-        """
+        """Return the library of a key, or None. One that is not whole is removed."""
         for path in sorted(self.folder.glob(f"{key}-*{suffix()}")):
             _refuse_unsafe(path, "file", "remove it")
             if path == self._place(key, path.read_bytes()):
@@ -273,13 +267,7 @@ class Cache:
 
 
 def open_cache() -> Cache:
-    """Return the cache of the user, or a temporary one where that cannot be written.
-
-    Raises
-    ------
-    PermissionError
-        If another user may write into the folder.
-    """
+    """Return the cache of the user, or a temporary one where that cannot be written."""
     folder = _user_folder()
     if folder is None:
         return _temporary()

@@ -307,13 +307,7 @@ class StepEquations:
 
 
 def step_equations(equation: Equation) -> StepEquations:
-    """Return the equations of a step.
-
-    Parameters
-    ----------
-    equation : Equation
-        With a structure.
-    """
+    """Return the equations of a step."""
     structure = equation.structure
     assert structure is not None  # checked by the integrator
     motion = _Motion(equation)
@@ -490,13 +484,6 @@ def newton_solver(system: ca.Function, size: float) -> ca.Function:
 
     Convergence is quadratic: where the last change was small, what is left is
     far smaller.
-
-    Parameters
-    ----------
-    system : casadi.Function
-        ``(y, x, u, h) -> (residual, jacobian)``; y are velocities over a step h.
-    size : float
-        Size of the structure, m, against which changes are measured.
     """
     iterate = _iteration(system)
     z = ca.MX.sym("z", iterate.size1_in(0))

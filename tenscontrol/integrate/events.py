@@ -378,15 +378,6 @@ class EventIntegrator(Integrator):
     string can go slack nothing of this is done.
 
     A method integrates the state as part of its scale, ``y = x/scale``.
-
-    Parameters
-    ----------
-    equation : Equation
-    tolerance : float
-        Error allowed a step, as part of the size of the structure for
-        positions, and of its characteristic speed for velocities.
-    project : bool
-        Whether to make the bar lengths of the states returned exact.
     """
 
     def __init__(self, equation: Equation, tolerance: float, project: bool = True) -> None:

@@ -46,16 +46,6 @@ class FixedStep(Integrator):
     """A method with a fixed step; the loop over the steps runs inside CasADi (``mapaccum``).
 
     Where a string can go slack, every step ends at each switch and goes on from there.
-
-    Parameters
-    ----------
-    equation : Equation
-    step : float
-        Largest step, s. It is shortened so that a whole number fits between outputs.
-    project : bool
-        Whether to make the bar lengths exact after each step.
-    machine_code : bool
-        Whether to compile the steps, where there is a C compiler.
     """
 
     #: Evaluations of the right-hand side, or of the forces, in one step.

@@ -204,6 +204,23 @@ def choose(
     Where the user gives a step, the method is RK4. Else it is the one of order
     8 with steps of its own, unless the fastest string would force it to far more
     steps than the motion needs: then the implicit one.
+
+    Parameters
+    ----------
+    equation : Equation
+    state : ndarray, shape (states,)
+        x at the start.
+    held : ndarray, shape (inputs,)
+        u at the start.
+    duration : float
+        s.
+    tolerance : float
+    step : float or None
+        s.
+
+    Returns
+    -------
+    Choice
     """
     frequency = largest_frequency(equation, state, held)
     slack = "strings can go slack, each switch ends a step" if equation.switches else "no switches"

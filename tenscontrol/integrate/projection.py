@@ -22,16 +22,6 @@ def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
     Centres, string nodes and hinges stay, and linear and angular momentum with
     them, to round-off.
 
-    Parameters
-    ----------
-    structure : Structure
-    symbol : callable, optional
-        ``casadi.SX.sym``, or ``casadi.MX.sym`` for large structures.
-
-    Returns
-    -------
-    casadi.Function
-
     Examples
     --------
     >>> import numpy as np, tenscontrol as tc
@@ -78,20 +68,7 @@ class Projector:
 
 
 def projected(step: ca.Function, equation: Equation) -> ca.Function:
-    """Return a step that is followed by :func:`project`.
-
-    Parameters
-    ----------
-    step : casadi.Function
-        ``(x, u, taut, h) -> x1``.
-    equation : Equation
-        That of the step.
-
-    Returns
-    -------
-    casadi.Function
-        ``(x, u, taut, h) -> x1``; the step itself where there are no bars.
-    """
+    """Return a step that is followed by :func:`project`."""
     exact = projection(equation)
     if exact is None:
         return step
@@ -109,10 +86,6 @@ class Bodies:
     not move and are left out. In these coordinates the mass matrix is
     diagonal: m, m_s, m/12 and m/3. Expressions may be SX or MX, one column per
     node, point or vector.
-
-    Parameters
-    ----------
-    structure : Structure
     """
 
     def __init__(self, structure: Structure) -> None:
@@ -137,15 +110,7 @@ class Bodies:
         self._tip_mass = _row(hinged_mass / 3)
 
     def split(self, nodes: Symbolic, hinges: Symbolic = 0) -> tuple[Symbolic, Symbolic]:
-        """Return points and vectors, shape (3, ·) each, of positions or velocities.
-
-        Parameters
-        ----------
-        nodes : casadi.SX or MX, shape (3, n)
-            Free nodes.
-        hinges : casadi.DM, optional
-            :attr:`hinges` for positions; nothing for velocities, of which hinges have none.
-        """
+        """Return points and vectors, shape (3, ·) each, of positions or velocities."""
         start, end = nodes[:, self._start], nodes[:, self._end]
         points = ca.horzcat((start + end) / 2, nodes[:, self._string_nodes])
         return points, ca.horzcat(end - start, nodes[:, self._tip] - hinges)

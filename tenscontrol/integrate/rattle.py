@@ -114,13 +114,7 @@ def splitting(order: int) -> Splitting:
 
 
 def rattle_evaluations(equation: Equation, order: int) -> int:
-    """Return how often a step of :func:`rattle_step` evaluates the forces.
-
-    Parameters
-    ----------
-    equation : Equation
-    order : {2, 4, 6}
-    """
+    """Return how often a step of :func:`rattle_step` evaluates the forces."""
     return len(splitting(order).kicks) * (2 if equation.velocity_dependent else 1)
 
 
@@ -132,28 +126,6 @@ def rattle_step(
     Every step is of full order by itself, whatever its length, and takes no
     force over from the last one. Where the step is so long that a bar turns
     by more than one radian in a flight, entries of x1 are NaN.
-
-    Parameters
-    ----------
-    equation : Equation
-        That of a structure. With damped strings only order 2 is there.
-    order : {2, 4, 6}
-    symbols : type, optional
-        ``casadi.SX``: one flat list of instructions. ``casadi.MX``: calls of
-        the force function, for large structures.
-    called : bool
-        Whether flights and kicks are functions that the step calls: as fast
-        in machine code, and compiled in a fraction of the time.
-
-    Returns
-    -------
-    casadi.Function
-
-    Raises
-    ------
-    ValueError
-        If ``order`` is another number, the equation is not that of a structure,
-        or strings are damped and ``order`` is not 2.
 
     Notes
     -----

@@ -31,13 +31,6 @@ def loops_equation(structure: Structure, law: StringLaw | None, load: FloatArray
 
     Its functions have no derivatives. ``law`` is None where force densities are held; ``load``
     are constant forces on all nodes, N, shape (3, n).
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no C compiler.
-    CompilerError
-        If the compiler fails.
     """
     source = loops_source(structure, law, load)
     slope, gap, force = compiled_source(source, ("slope", "gap", "force"))
