@@ -8,7 +8,7 @@ from shutil import which
 
 import pytest
 
-from tenscontrol.dynamics.compiler import VARIABLE, compiler
+from tenscontrol.dynamics.machine_code import VARIABLE, compiler
 
 BENCHMARKS = Path(__file__).parent / "benchmarks"
 
@@ -93,6 +93,13 @@ def test_simulation(printed):
         assert "MuJoCo is not installed" in text
     else:
         assert row(text, "MuJoCo RK4, step 1e-3")[0] < 1e-5
+
+
+def test_repeated_runs(printed):
+    text = printed("repeated_runs", "--repeats 1")
+    for name in ("rk4 ", "rattle6 ", "dop853 ", "energy_momentum "):
+        first, second, ratio, _ = row(text, name)
+        assert ratio == pytest.approx(second / first, rel=0.1, abs=0.01)
 
 
 def test_stiff_strings(printed, nothing_compiled):

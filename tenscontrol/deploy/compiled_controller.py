@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 
 from tenscontrol.control import Command, Controller, Fallback, Status
-from tenscontrol.dynamics.compiler import CompilerError, compiler
+from tenscontrol.dynamics import CompilerError, compiler
 from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray, positive_number
 

@@ -1,20 +1,30 @@
 """The equations of motion as CasADi functions."""
 
-from tenscontrol.dynamics.compiled import Compiled, compiled
 from tenscontrol.dynamics.coordinates import (
     KINDS,
     Coordinates,
     coordinates,
 )
 from tenscontrol.dynamics.equation import Equation, smooth_equation
-from tenscontrol.dynamics.evaluator import Evaluator, evaluate_columns
+from tenscontrol.dynamics.evaluator import ColumnEvaluator, Evaluator, evaluate_columns
+from tenscontrol.dynamics.machine_code import (
+    Compiled,
+    Compiler,
+    CompilerError,
+    compiled,
+    compiled_library,
+    compiler,
+)
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
 from tenscontrol.dynamics.prepared import Prepared
-from tenscontrol.dynamics.strings import ElasticStrings, LinearStrings, StringLaw
+from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
 
 __all__ = [
     "KINDS",
+    "ColumnEvaluator",
     "Compiled",
+    "Compiler",
+    "CompilerError",
     "Coordinates",
     "ElasticStrings",
     "Equation",
@@ -24,6 +34,8 @@ __all__ = [
     "Prepared",
     "StringLaw",
     "compiled",
+    "compiled_library",
+    "compiler",
     "coordinates",
     "evaluate_columns",
     "pack_state",

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
 
-from tenscontrol.dynamics.strings import StringLaw
+from tenscontrol.dynamics.prepared import Prepared
+from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray
 
 #: How the functions of an equation can be built.
-FORMS = ("flat", "mapped", "driver")
+FORMS = ("flat", "mapped", "loops")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +42,7 @@ class Equation:
         The law of the strings where rest lengths are held; None where γ is.
     load : ndarray, shape (3, n), or None
         Constant force on every node, N; None for none.
-    form : {"flat", "mapped", "driver"}
+    form : {"flat", "mapped", "loops"}
         How the functions are built: one expression of all members (SX);
         operations on all members at once (MX); loops over the members in C.
     """
@@ -54,6 +55,8 @@ class Equation:
     law: StringLaw | None = None
     load: FloatArray | None = None
     form: str = "flat"
+    #: What integrators have built for this equation, for every later call; not for users.
+    prepared: Prepared = field(default_factory=Prepared, init=False, repr=False)
 
     @property
     def symbol(self) -> Any:
@@ -78,6 +81,9 @@ class Equation:
     @property
     def kinked_slope(self) -> ca.Function:
         """``(x, u) -> xdot``: the whole equation, with its kinks."""
+        return self.prepared.get("kinked_slope", self._kinked_slope)
+
+    def _kinked_slope(self) -> ca.Function:
         x, u = self.symbol("x", self.states), self.symbol("u", self.inputs)
         return ca.Function("kinked", [x, u], [self.slope(x, u, self.gap(x, u)[0] > 0)])
 

@@ -7,7 +7,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.dynamics.prepared import Prepared
 from tenscontrol.validation import FloatArray
+
+# Columns that are evaluated in one call, and functions mapped to so many.
+_CHUNK = 32
+_MAPPED = Prepared()
 
 
 class Evaluator:
@@ -48,6 +53,38 @@ class Evaluator:
         return self._outputs
 
 
+class ColumnEvaluator:
+    """A function of dense column vectors, evaluated at any number of them without building anew.
+
+    Columns are taken in chunks of one size, the last one filled up.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Kept with its map to a chunk, for the next evaluator of the same function.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._rows = [function.size1_out(i) for i in range(function.n_out())]
+        self._one = Evaluator(function)
+        self._chunk = Evaluator(_MAPPED.get(function, lambda: (function, function.map(_CHUNK)))[1])
+
+    def __call__(self, *columns: FloatArray) -> list[FloatArray]:
+        """Return arrays of shape (size of the output, T) for arrays (size of the input, T)."""
+        count = columns[0].shape[1]
+        results: list[FloatArray] = [np.empty((rows, count)) for rows in self._rows]
+        for start in range(0, count, _CHUNK):
+            if start + 1 == count:
+                parts = self._one(*(column[:, start] for column in columns))
+            else:
+                places = np.minimum(np.arange(start, start + _CHUNK), count - 1)
+                parts = self._chunk(*(column[:, places] for column in columns))
+            end = min(start + _CHUNK, count)
+            for result, part in zip(results, parts, strict=True):
+                result[:, start:end] = part.reshape(len(result), -1, order="F")[:, : end - start]
+        return results
+
+
 def evaluate_columns(function: ca.Function, *columns: FloatArray) -> list[FloatArray]:
     """Evaluate a function of column vectors at T of them, one a column of each argument.
 
@@ -61,14 +98,7 @@ def evaluate_columns(function: ca.Function, *columns: FloatArray) -> list[FloatA
     -------
     list of ndarray, shape (size of the output, T)
     """
-    count = columns[0].shape[1]
-    results = Evaluator(function.map(count))(*(_as_stored(column) for column in columns))
-    return [result.reshape(-1, count, order="F") for result in results]
-
-
-def _as_stored(column: FloatArray) -> FloatArray:
-    """Return a matrix in the shape in which an evaluator holds it."""
-    return column.ravel() if column.shape[1] == 1 else column
+    return ColumnEvaluator(function)(*columns)
 
 
 def _dense(sparsity: ca.Sparsity) -> FloatArray:

@@ -3,7 +3,7 @@
 Every function takes and returns symbolic matrices, SX or MX, with one column
 per node or member. Work and memory grow linearly with the members; nothing is
 factorised. The functions of columns below hold for any number of members, so
-also for one: the loops in C (:mod:`tenscontrol.dynamics.driver`) are made of them.
+also for one: the loops in C (:mod:`tenscontrol.dynamics.forms.loops`) are made of them.
 
 Sign convention::
 
@@ -27,6 +27,25 @@ _NO_LENGTH = 1e-12
 
 # CasADi expressions carry no types of their own.
 Symbolic = Any
+
+
+def all_nodes(structure: Structure, free: Symbolic, fixed: FloatArray | None = None) -> Symbolic:
+    """Return the columns of all nodes, shape (3, n), from those of the free ones.
+
+    The only place where supports are put into symbols: fixed nodes are constants, columns of
+    ``fixed`` of shape (3, n), or nothing (velocities, loads).
+    """
+    if len(structure.fixed) == 0:
+        return free
+    if isinstance(free, ca.MX):
+        rest = np.zeros((3, len(structure.fixed))) if fixed is None else fixed[:, structure.fixed]
+        order = np.argsort(np.concatenate([structure.free, structure.fixed]))
+        return ca.horzcat(free, ca.DM(rest))[:, order.tolist()]
+    columns = type(free)(3, structure.nodes.shape[1])
+    if fixed is not None:
+        columns[:, structure.fixed.tolist()] = ca.DM(fixed[:, structure.fixed])
+    columns[:, structure.free.tolist()] = free
+    return columns
 
 
 def differences(columns: Symbolic, pairs: IntArray) -> Symbolic:

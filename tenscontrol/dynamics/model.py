@@ -9,12 +9,11 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.driver import driver_equation
 from tenscontrol.dynamics.equation import FORMS, Equation
-from tenscontrol.dynamics.forms import suitable_form
-from tenscontrol.dynamics.mapped import mapped_equation
+from tenscontrol.dynamics.forms import loops_equation, mapped_equation, suitable_form
+from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.prepared import Prepared
-from tenscontrol.dynamics.strings import StringLaw
+from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped, truth
 
@@ -232,12 +231,12 @@ class Model:
         external_force : ndarray, shape (3, n), optional
             Load that acts all the time, N, beside what is built in; for a
             model built with ``external_force=True``.
-        form : {"auto", "flat", "mapped", "driver"}
+        form : {"auto", "flat", "mapped", "loops"}
             How the functions are built. ``"flat"``: one expression with every
             member written out, to be put into larger expressions.
-            ``"mapped"``: operations on all members at once. ``"driver"``:
+            ``"mapped"``: operations on all members at once. ``"loops"``:
             loops over the members in compiled C, without derivatives; needs a
-            compiler. ``"auto"``: flat up to 40 members, beyond them driver
+            compiler. ``"auto"``: flat up to 40 members, beyond them loops
             where there is a C compiler, else mapped. ``.form`` of the
             equation says which.
 
@@ -250,7 +249,7 @@ class Model:
         ValueError
             If ``input`` or ``form`` is another word, or the model has no string law for it.
         FileNotFoundError
-            If ``form`` is ``"driver"`` and there is no C compiler.
+            If ``form`` is ``"loops"`` and there is no C compiler.
         """
         choice("input", input, ("force_density", "rest_length"))
         choice("form", form, ("auto", *FORMS))
@@ -260,10 +259,16 @@ class Model:
             load = load + external_force
         if form == "auto":
             form = suitable_form(self._structure)
-        if form == "flat":
-            return self._flat_equation(law, load)
-        build = mapped_equation if form == "mapped" else driver_equation
-        return build(self._structure, law, load)
+
+        def build() -> Equation:
+            if form == "flat":
+                return self._flat_equation(law, load)
+            make = mapped_equation if form == "mapped" else loops_equation
+            return make(self._structure, law, load)
+
+        # Another compiler makes another library.
+        by = compiler() if form == "loops" else None
+        return self._prepared.get(("equation", input, load.tobytes(), form, by), build)
 
     def _flat_equation(self, law: StringLaw | None, load: FloatArray) -> Equation:
         structure = self._structure
@@ -332,7 +337,8 @@ class Model:
         s = self._symbols()
         law = self._needed_strings()
         length = kernel.length(self._string_vectors(s)[0]).T
-        energy = ca.densify(ca.sum1(law.stored_energy(length, s["rest_length"])))
+        stored = law.as_expressions().stored_energy(length, s["rest_length"])
+        energy = ca.densify(ca.sum1(stored))
         return ca.Function(
             "elastic_energy",
             [s["x"], s["rest_length"]],
@@ -359,13 +365,11 @@ class Model:
     def _symbols(self) -> dict[str, Any]:
         """Return fresh symbols, with N and Nd as parts of x."""
         structure = self._structure
-        free, alpha = structure.free.tolist(), len(structure.strings)
-        N, Nd, W = (ca.SX.sym(name, 3, len(free)) for name in ("N", "Nd", "W"))
-        at, velocity, load = (ca.SX(3, structure.nodes.shape[1]) for _ in range(3))
-        at[:, structure.fixed.tolist()] = ca.DM(structure.nodes[:, structure.fixed])
-        at[:, free], velocity[:, free] = N, Nd
+        free, alpha = len(structure.free), len(structure.strings)
+        N, Nd, W = (ca.SX.sym(name, 3, free) for name in ("N", "Nd", "W"))
+        load = ca.SX(3, structure.nodes.shape[1])
         if self._external_force:
-            load[:, free] = W
+            load = kernel.all_nodes(structure, W)
         if self._constant_force.any():
             load += ca.sparsify(ca.DM(self._constant_force))
         return {
@@ -376,8 +380,8 @@ class Model:
             "gamma": ca.SX.sym("gamma", alpha),
             "rest_length": ca.SX.sym("rest_length", alpha),
             # All nodes, the fixed ones as constants.
-            "nodes": at,
-            "velocities": velocity,
+            "nodes": kernel.all_nodes(structure, N, structure.nodes),
+            "velocities": kernel.all_nodes(structure, Nd),
             "load": load if load.nnz() else None,
         }
 

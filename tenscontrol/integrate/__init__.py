@@ -1,14 +1,13 @@
 """Integrators: one a file, one interface."""
 
-from tenscontrol.integrate.choose import Choice, choose
-from tenscontrol.integrate.cvodes import CVODES
+from tenscontrol.integrate.cvodes import CVODES, jacobian_weight, state_jacobian
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
 from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span, Work
-from tenscontrol.integrate.methods import METHODS, Method
-from tenscontrol.integrate.radau import Radau
-from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6
+from tenscontrol.integrate.methods import METHODS, Choice, Method, choose, method_of
+from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6, splitting
 from tenscontrol.integrate.rk4 import RK4
+from tenscontrol.integrate.scales import largest_frequency, state_scale
 
 __all__ = [
     "CVODES",
@@ -20,7 +19,6 @@ __all__ = [
     "IntegrationError",
     "Integrator",
     "Method",
-    "Radau",
     "Rattle",
     "Rattle4",
     "Rattle6",
@@ -28,4 +26,10 @@ __all__ = [
     "Span",
     "Work",
     "choose",
+    "jacobian_weight",
+    "largest_frequency",
+    "method_of",
+    "splitting",
+    "state_jacobian",
+    "state_scale",
 ]

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from threading import Lock
 from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Equation, Evaluator
+from tenscontrol.integrate.events import EventIntegrator, SmoothMotion, Step
 from tenscontrol.integrate.integrator import Work
-from tenscontrol.integrate.pieces import Piece, PiecewiseIntegrator, Step
-from tenscontrol.integrate.radau import jacobian_weight, state_jacobian
 from tenscontrol.validation import FloatArray
 
 # States that one call returns. Powers of two, so that outputs fall on them. Where strings can go
@@ -28,12 +28,12 @@ _SHORTEST = 1e-12
 
 
 @final
-class CVODES(PiecewiseIntegrator):
+class CVODES(EventIntegrator):
     """Implicit multistep method of orders 1 to 5 of SUNDIALS, by ``casadi.integrator``.
 
     Backward differentiation formulas with Newton's method, exact Jacobians and
-    a sparse direct solver. The loop over steps runs in C. Every piece ends
-    where a string goes slack or taut.
+    a sparse direct solver. The loop over steps runs in C. It ends where a
+    string goes slack or taut, and begins again.
 
     Parameters
     ----------
@@ -53,12 +53,22 @@ class CVODES(PiecewiseIntegrator):
 
     name = "cvodes"
 
-    def _prepare(self, equation: Equation) -> None:
+    def __init__(self, equation: Equation, tolerance: float, project: bool = True) -> None:
+        super().__init__(equation, tolerance, project)
         self._grid = _LOOKS if equation.switches else _OUTPUTS
-        self._long = _solver(equation, self._grid, self.tolerance)
-        self._hop = _solver(equation, 1, self.tolerance)
-        self._slopes = Evaluator(_slopes(equation, self._grid + 1))
-        self._weight = jacobian_weight(equation.slope, state_jacobian(equation.slope))
+        built = self._kept(self._build, self.tolerance)
+        self._long, self._hop, slopes, self._weight, self._calling = built
+        self._slopes = Evaluator(slopes)
+
+    def _build(self) -> tuple[ca.Function, ca.Function, ca.Function, int, Lock]:
+        scaled = _scaled(self._equation)
+        return (
+            _solver(scaled, self._equation, self._grid, self.tolerance),
+            _solver(scaled, self._equation, 1, self.tolerance),
+            scaled.map("slopes", "serial", self._grid + 1, [1, 2, 3], []),
+            jacobian_weight(scaled, state_jacobian(scaled)),
+            Lock(),
+        )
 
     def _begin(
         self,
@@ -67,14 +77,14 @@ class CVODES(PiecewiseIntegrator):
         held: FloatArray,
         taut: FloatArray,
         times: FloatArray,
-        before: Piece | None,
-    ) -> Piece:
-        window = before.window if isinstance(before, _CVODESPiece) else np.inf
-        return _CVODESPiece(self, now, state, held, taut, times, window)
+        before: SmoothMotion | None,
+    ) -> SmoothMotion:
+        window = before.window if isinstance(before, _Windows) else np.inf
+        return _Windows(self, now, state, held, taut, times, window)
 
 
-class _CVODESPiece:
-    """Calls of the solver with the strings' states fixed, each over one window."""
+class _Windows:
+    """Calls of the solver while no string switches, each over one window of time."""
 
     def __init__(
         self,
@@ -87,7 +97,7 @@ class _CVODESPiece:
         window: float,
     ) -> None:
         self._method, self._now, self._state, self._times = method, now, state, times
-        self._held, self._taut, self.window = held, taut, window
+        self._given, self.window = (held, taut, method._scale), window
         self._looked = len(taut) > 0
         self._done = Work()
 
@@ -133,7 +143,7 @@ class _CVODESPiece:
     def slopes(self, nodes: FloatArray) -> FloatArray:
         """Return ẋ at all states of a window."""
         self._done += Work(evaluations=nodes.shape[1])
-        return self._method._slopes(nodes, self._held, self._taut)[0].copy()
+        return self._method._slopes(nodes, *self._given)[0].copy()
 
     def _end(self) -> float:
         """Return where the next window ends: outputs must fall on its states, or end it."""
@@ -150,14 +160,15 @@ class _CVODESPiece:
         self, solver: ca.Function, state: FloatArray, span: float
     ) -> tuple[FloatArray | None, dict[str, Any]]:
         """Return the states over a span of time, None if the solver failed."""
-        parameters = np.concatenate([[span], self._held, self._taut])
-        try:
-            states = np.array(solver(x0=state, p=parameters)["xf"])
-        except RuntimeError as error:
-            if "CVode returned" not in str(error):
-                raise
-            states = None
-        stats = solver.stats()
+        parameters = np.concatenate([[span], *self._given])
+        with self._method._calling:  # the solver is shared, and keeps the figures of its last call
+            try:
+                states = np.array(solver(x0=state, p=parameters)["xf"])
+            except RuntimeError as error:
+                if "CVode returned" not in str(error):
+                    raise
+                states = None
+            stats = solver.stats()
         # After a failure the counts reach up to the last state that was good.
         self._done += Work(
             steps=0 if states is None else stats["nsteps"],
@@ -172,8 +183,8 @@ class _CVODESPiece:
 class _Hermite:
     """Cubic interpolation between the states of a window, exact in the states."""
 
-    def __init__(self, piece: _CVODESPiece, times: FloatArray, nodes: FloatArray) -> None:
-        self._piece, self._times, self._nodes = piece, times, nodes
+    def __init__(self, windows: _Windows, times: FloatArray, nodes: FloatArray) -> None:
+        self._windows, self._times, self._nodes = windows, times, nodes
         self._slopes: FloatArray | None = None
 
     def __call__(self, times: FloatArray) -> FloatArray:
@@ -184,7 +195,7 @@ class _Hermite:
         if (np.abs(times - self._times[nearest]) <= 4 * np.spacing(self._times[-1])).all():
             return self._nodes[:, nearest]
         if self._slopes is None:
-            self._slopes = self._piece.slopes(self._nodes)
+            self._slopes = self._windows.slopes(self._nodes)
         i = np.clip(place.astype(int), 0, last - 1)
         s = place - i
         x0, x1 = self._nodes[:, i], self._nodes[:, i + 1]
@@ -194,14 +205,23 @@ class _Hermite:
         return states
 
 
-def _solver(equation: Equation, outputs: int, tolerance: float) -> ca.Function:
-    """Return the solver over the unit of time; the true span is a parameter."""
-    x, span = equation.symbol("x", equation.states), equation.symbol("span")
-    u, taut = equation.symbol("u", equation.inputs), equation.symbol("taut", equation.switches)
+def _scaled(equation: Equation) -> ca.Function:
+    """Return ``(y, u, taut, scale) -> ydot`` for the state as part of its scale."""
+    y, u = equation.symbol("y", equation.states), equation.symbol("u", equation.inputs)
+    taut = equation.symbol("taut", equation.switches)
+    scale = equation.symbol("scale", equation.states)
+    slope = equation.slope(y * scale, u, taut) / scale
+    return ca.Function("slope", [y, u, taut, scale], [slope])
+
+
+def _solver(scaled: ca.Function, equation: Equation, outputs: int, tolerance: float) -> ca.Function:
+    """Return the solver over the unit of time; the true span and the scale are parameters."""
+    y, u, taut, scale = (equation.symbol(f"p{i}", scaled.size1_in(i)) for i in range(4))
+    span = equation.symbol("span")
     problem = {
-        "x": x,
-        "p": ca.vertcat(span, u, taut),
-        "ode": span * equation.slope(x, u, taut),
+        "x": y,
+        "p": ca.vertcat(span, u, taut, scale),
+        "ode": span * scaled(y, u, taut, scale),
     }
     options = {
         "reltol": tolerance,
@@ -215,5 +235,14 @@ def _solver(equation: Equation, outputs: int, tolerance: float) -> ca.Function:
     return ca.integrator("solver", "cvodes", problem, 0.0, grid, options)
 
 
-def _slopes(equation: Equation, count: int) -> ca.Function:
-    return equation.slope.map("slopes", "serial", count, [1, 2], [])
+def state_jacobian(slope: ca.Function) -> ca.Function:
+    """Return the derivative of a right-hand side by its first input, sparse; same inputs."""
+    inputs = slope.sx_in()
+    return ca.Function("jacobian", inputs, [ca.jacobian(slope(*inputs), inputs[0])])
+
+
+def jacobian_weight(slope: ca.Function, jacobian: ca.Function) -> int:
+    """Return how many evaluations of a right-hand side one of its Jacobian is worth."""
+    inputs = slope.sx_in()
+    written = ca.Function("written", inputs, [slope(*inputs)])  # in whatever form it comes
+    return max(1, round(int(jacobian.n_instructions()) / int(written.n_instructions())))

@@ -7,8 +7,8 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator
-from tenscontrol.integrate.dormand_prince import MORE_STAGES, POWERS, STAGES, DormandPrince
+from tenscontrol.dynamics import Equation, Evaluator, compiler
+from tenscontrol.integrate.events import crossing, landing, taut_strings
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     Integrator,
@@ -16,11 +16,17 @@ from tenscontrol.integrate.integrator import (
     Span,
     Work,
     checked_tolerance,
+    in_machine_code,
 )
-from tenscontrol.integrate.projection import Projector
+from tenscontrol.integrate.projection import Projector, projection
 from tenscontrol.integrate.scales import Frequency, state_scale
-from tenscontrol.integrate.switching import crossing, landing, taut_strings
 from tenscontrol.validation import FloatArray
+
+# Evaluations of a step whose first slope is known, and of its interpolant.
+_STAGES, _MORE_STAGES = 12, 3
+
+# Coefficients of the interpolant.
+_POWERS = 7
 
 # Turns (steps tried) per call into CasADi, and the most numbers that they may record.
 _TURNS = 32
@@ -72,7 +78,8 @@ class DOP853(Integrator):
 
     Notes
     -----
-    See :mod:`tenscontrol.integrate.dormand_prince` for the formulas.
+    E. Hairer, S. P. Nørsett & G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed.,
+    II.5 (coefficients, error estimate) and II.6 (interpolant).
     """
 
     name = "dop853"
@@ -83,13 +90,24 @@ class DOP853(Integrator):
         super().__init__(equation)
         self.tolerance = checked_tolerance(tolerance)
         self._projected = Projector(equation, project)
-        self._turns = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _TURNS))
-        turns = _Turn(equation, project).function().mapaccum(self._turns)
-        self._chunk = Evaluator(self._as_compiled(turns, machine_code))
+        self._frequency = Frequency(equation)
+        by = compiler() if machine_code else None
+        built = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
+        chunk, start, self._turns, self.back_end = built
+        self._chunk, self._start = Evaluator(chunk), Evaluator(start)
+
+    def _build(
+        self, project: bool, machine_code: bool
+    ) -> tuple[ca.Function, ca.Function, int, str]:
+        """Return many turns, taut and slope at the start, how many turns, and the back end."""
+        equation = self._equation
+        count = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _TURNS))
+        turns = _Turn(equation, project).function().mapaccum(count)
+        chunk, back_end = in_machine_code(equation, turns, machine_code)
         x, u = ca.MX.sym("x", equation.states), ca.MX.sym("u", equation.inputs)
         taut = taut_strings(equation, x, u)
-        self._frequency = Frequency(equation)
-        self._start = Evaluator(ca.Function("start", [x, u], [taut, equation.slope(x, u, taut)]))
+        start = ca.Function("start", [x, u], [taut, equation.slope(x, u, taut)])
+        return chunk, start, count, back_end
 
     def advance(
         self,
@@ -146,10 +164,10 @@ def _work(told: dict[str, float]) -> Work:
         steps=tries - round(told["rejections"]),
         rejections=round(told["rejections"]),
         evaluations=1
-        + STAGES * (tries + round(told["approaches"]))
+        + _STAGES * (tries + round(told["approaches"]))
         # A landing takes two slopes for its interpolant, its last step again, and a new start.
-        + (STAGES + 3) * landings
-        + MORE_STAGES * round(told["interpolants"]),
+        + (_STAGES + 3) * landings
+        + _MORE_STAGES * round(told["interpolants"]),
         switches=round(told["switches"]),
     )
 
@@ -167,7 +185,7 @@ def _interpolate(recorded: FloatArray, times: FloatArray, states: FloatArray, do
     within = recorded[:, np.minimum(np.searchsorted(ends, now), len(ends) - 1)]
     part = (now - within[0]) / within[1]
     value = np.zeros((n, len(now)))
-    for i, rows in enumerate(np.split(within[2 + n :], POWERS)[::-1]):
+    for i, rows in enumerate(np.split(within[2 + n :], _POWERS)[::-1]):
         value = (value + rows) * (part if i % 2 == 0 else 1 - part)
     states[:, done:reached] = value + within[2 : 2 + n]
     return reached
@@ -184,7 +202,7 @@ class _Turn:
 
     def __init__(self, equation: Equation, project: bool) -> None:
         self._equation = equation
-        self._method = DormandPrince(equation, project)
+        self._method = _DormandPrince(equation, project)
         self._tried, self._interpolant = self._method.tried(), self._method.interpolant()
         n = equation.states
         sizes = {"x": n, "f": n, "taut": equation.switches}
@@ -196,7 +214,7 @@ class _Turn:
         self._scale = ca.MX.sym("scale", n)
         # The step tried.
         self._h, self._x1, self._f1 = ca.MX.sym("h"), ca.MX.sym("x1", n), ca.MX.sym("f1", n)
-        self._error, self._K = ca.MX.sym("error"), ca.MX.sym("K", n, STAGES + 1)
+        self._error, self._K = ca.MX.sym("error"), ca.MX.sym("K", n, _STAGES + 1)
         self._inputs = [
             *self._state,
             *self._numbers,
@@ -206,7 +224,7 @@ class _Turn:
             self._longest,
             self._scale,
         ]
-        self._nothing = ca.DM.zeros(2 + n * (1 + POWERS))
+        self._nothing = ca.DM.zeros(2 + n * (1 + _POWERS))
 
     def function(self) -> ca.Function:
         """Return ``(z, given) -> (z, record)``, for ``mapaccum``.
@@ -339,3 +357,75 @@ class _Turn:
 
 def _ends(sizes: list[int]) -> list[int]:
     return [sum(sizes[:i]) for i in range(len(sizes) + 1)]
+
+
+class _DormandPrince:
+    """One step of the method for fixed ``taut``, as CasADi functions."""
+
+    def __init__(self, equation: Equation, project: bool = False) -> None:
+        from scipy.integrate import DOP853  # holds the coefficients
+
+        self._equation = equation
+        self._project = projection(equation) if project else None
+        self._method = DOP853
+        n = equation.states
+        names = {"x": n, "f": n, "u": equation.inputs, "taut": equation.switches, "h": 1}
+        self._inputs = [ca.MX.sym(name, size) for name, size in names.items()]
+
+    def _stages(self) -> tuple[Any, list[Any]]:
+        """Return x after the step, and the slopes of its stages."""
+        x, f, u, taut, h = self._inputs
+        slopes = [f]
+        for a in self._method.A[1:]:
+            slopes.append(self._equation.slope(x + h * _combined(slopes, a), u, taut))
+        x1 = x + h * _combined(slopes, self._method.B)
+        return x1 if self._project is None else self._project(x1), slopes
+
+    def plain(self) -> ca.Function:
+        """Return ``(x, u, taut, h) -> x1``: the step alone."""
+        x, _, u, taut, h = self._inputs
+        stages = ca.Function("stages", self._inputs, [self._stages()[0]])
+        x1 = stages(x, self._equation.slope(x, u, taut), u, taut, h)
+        return ca.Function("dop853", [x, u, taut, h], [x1])
+
+    def tried(self) -> ca.Function:
+        """Return ``(x, f, u, taut, h, scale) -> (x1, f1, error, K)``.
+
+        The error is the root mean square over the state, as part of ``scale``.
+        """
+        x, _, u, taut, h = self._inputs
+        scale = ca.MX.sym("scale", x.shape)
+        x1, slopes = self._stages()
+        f1 = self._equation.slope(x1, u, taut)
+        slopes.append(f1)
+        fifth, third = (
+            ca.sumsqr(_combined(slopes, e) / scale) for e in (self._method.E5, self._method.E3)
+        )
+        # Nothing moves: no error.
+        below = ca.sqrt((fifth + 0.01 * third) * x.shape[0])
+        error = ca.if_else(below > 0, h * fifth / below, below)
+        outputs = [x1, f1, error, ca.horzcat(*slopes)]
+        return ca.Function("tried", [*self._inputs, scale], outputs)
+
+    def interpolant(self) -> ca.Function:
+        """Return ``(x, x1, f, f1, K, u, taut, h) -> coefficients``, one column each."""
+        x, f, u, taut, h = self._inputs
+        x1, f1, K = (
+            ca.MX.sym("x1", x.shape),
+            ca.MX.sym("f1", x.shape),
+            ca.MX.sym("K", x.shape[0], _STAGES + 1),
+        )
+        slopes = ca.horzsplit(K)
+        for a in self._method.A_EXTRA:
+            slopes.append(self._equation.slope(x + h * _combined(slopes, a), u, taut))
+        step = x1 - x
+        first = [step, h * f - step, 2 * step - h * (f1 + f)]
+        rest = [h * _combined(slopes, d) for d in self._method.D]
+        inputs = [x, x1, f, f1, K, u, taut, h]
+        return ca.Function("interpolant", inputs, [ca.horzcat(*first, *rest)])
+
+
+def _combined(slopes: list[Any], weights: Any) -> Any:
+    """Return the sum of slopes with weights; many weights are zero."""
+    used = [i for i in range(len(slopes)) if weights[i] != 0]
+    return ca.mtimes(ca.horzcat(*(slopes[i] for i in used)), ca.DM(weights[used]))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import ceil
 from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator
-from tenscontrol.integrate.energy_momentum_step import step_equations
+from tenscontrol.dynamics import Equation, Evaluator, kernel
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     Integrator,
@@ -18,11 +18,10 @@ from tenscontrol.integrate.integrator import (
     Work,
     checked_tolerance,
 )
-from tenscontrol.integrate.newton import newton_solver
 from tenscontrol.validation import FloatArray, positive_number
 
-# Tried steps per call into CasADi, at most: those not needed cost next to nothing.
-_CHUNK = 64
+# Tried steps per call into CasADi: those not needed cost next to nothing.
+_CHUNKS = (1, 8, 64)
 
 # A step that fails is tried again with half its length, down to this part of the largest,
 # or of the duration.
@@ -138,8 +137,13 @@ class EnergyMomentum(Integrator):
         )
         self._size = float(np.ptp(equation.structure.nodes, axis=1).max())
         self._slope = Evaluator(equation.kinked_slope)
-        self._attempt = _attempt(equation, self._size, adaptive=step is None)
-        self._chunks: dict[int, Evaluator] = {}
+        chunks = self._kept(self._build, step is None)
+        self._chunks = {count: Evaluator(chunk) for count, chunk in chunks.items()}
+
+    def _build(self) -> dict[int, ca.Function]:
+        """Return ``(work, u, limits) -> work`` that tries so many steps."""
+        attempt = _attempt(self._equation, self._size, adaptive=self.step is None)
+        return {count: _chunk(attempt, count) for count in _CHUNKS}
 
     def advance(
         self,
@@ -164,9 +168,10 @@ class EnergyMomentum(Integrator):
         for output in range(outputs):
             work[left] = interval
             while work[left] > 0:
-                expected = ceil(min(work[left] / work[step], _CHUNK))
+                expected = ceil(min(work[left] / work[step], _CHUNKS[-1]))
+                chunk = next(count for count in _CHUNKS if count >= expected)
                 try:
-                    work = self._chunk(expected)(work, held, limits)[0].copy()
+                    work = self._chunks[chunk](work, held, limits)[0].copy()
                 except KeyboardInterrupt:
                     span = Span(states[:, :output], _work(work[-3:], evaluations))
                     raise IntegrationError("interrupted", interval * output, span, True) from None
@@ -196,16 +201,13 @@ class EnergyMomentum(Integrator):
             times.append(small * (self._size / accelerations) ** 0.5)
         return float(min(times))
 
-    def _chunk(self, expected: int) -> Evaluator:
-        """Return ``(work, u, limits) -> work`` that tries at least this many steps."""
-        count = 1 << (expected - 1).bit_length()
-        if count not in self._chunks:
-            inputs = [ca.MX.sym(f"a{i}", self._attempt.size1_in(i)) for i in range(3)]
-            # Held inputs are repeated: fold wants one column a step.
-            held = [ca.repmat(value, 1, count) for value in inputs[1:]]
-            tried = self._attempt.fold(count) if count > 1 else self._attempt
-            self._chunks[count] = Evaluator(ca.Function("chunk", inputs, [tried(inputs[0], *held)]))
-        return self._chunks[count]
+
+def _chunk(attempt: ca.Function, count: int) -> ca.Function:
+    inputs = [ca.MX.sym(f"a{i}", attempt.size1_in(i)) for i in range(3)]
+    # Held inputs are repeated: fold wants one column a step.
+    held = [ca.repmat(value, 1, count) for value in inputs[1:]]
+    tried = attempt.fold(count) if count > 1 else attempt
+    return ca.Function("chunk", inputs, [tried(inputs[0], *held)])
 
 
 def _work(counts: FloatArray, evaluations: int) -> Work:
@@ -279,3 +281,235 @@ def _doubled_step(equation: Equation, size: float, x: Any, u: Any, h: Any) -> tu
     error = ca.mmax(ca.fabs(difference)) / size
     good = ca.logic_and(ca.logic_and(good_1, good_2), good_3)
     return end, good, iterations_1 + iterations_2 + iterations_3, error
+
+
+@dataclass(frozen=True, eq=False)
+class StepEquations:
+    """The equations of a step of length h from x, in the mean velocities y over the step.
+
+    y holds, 3 entries each: the mean velocities of the centres of free bars,
+    the mean angular velocities of free bars and of bars that swing, times the
+    bar length, and the mean velocities of string nodes, all m/s.
+
+    Attributes
+    ----------
+    system : casadi.Function
+        ``(y, x, u, h) -> (residual, jacobian)``, kg m/s and kg; the Jacobian sparse.
+    guess : casadi.Function
+        ``(x) -> y`` of a motion without forces.
+    end : casadi.Function
+        ``(y, x, h) -> x`` at the end of the step.
+    """
+
+    system: ca.Function
+    guess: ca.Function
+    end: ca.Function
+
+
+def step_equations(equation: Equation) -> StepEquations:
+    """Return the equations of a step."""
+    structure = equation.structure
+    assert structure is not None  # checked by the integrator
+    motion = _Motion(equation)
+    x, u, h = ca.SX.sym("x", equation.states), ca.SX.sym("u", equation.inputs), ca.SX.sym("h")
+    y = ca.SX.sym("y", motion.size)
+    start = motion.start(x)
+    end, middle_bars = motion.moved(start, y, h)
+    gamma = u if equation.law is None else _mean_force_density(equation, start["N"], end, u, h)
+    middle = (start["N"] + end) / 2
+    load = None if equation.load is None else ca.sparsify(ca.DM(equation.load))
+    F = kernel.node_forces(structure, middle, gamma, load)
+    residual = motion.impulse_balance(start, y, h, middle_bars, F)
+    return StepEquations(
+        system=ca.Function("system", [y, x, u, h], [residual, ca.jacobian(residual, y)]),
+        guess=ca.Function("guess", [x], [motion.mean(start)]),
+        end=ca.Function("end", [y, x, h], [motion.end_state(start, y, h, end)]),
+    )
+
+
+def _mean_force_density(equation: Equation, N0: Any, N1: Any, rest: Any, h: Any) -> Any:
+    """Return 2 T̄/(l₀ + l₁), where T̄ is the mean of the tension over the lengths passed.
+
+    ``T̄ (l₁ − l₀)`` is then the change of the stored energy: a discrete gradient.
+    A string that is slack on a part of the way pulls on the other part only.
+    For laws in which the tension is linear in the length, the mean over the
+    taut part is the tension in its middle.
+    """
+    structure, law = equation.structure, equation.law
+    assert structure is not None  # as in step_equations
+    assert law is not None  # asked for only where there is a law
+    lengths = []
+    for N in (N0, N1):
+        S = kernel.differences(N, structure.strings)
+        lengths.append(ca.sqrt(kernel.dots(S, S)).T)
+    before, after = lengths
+    low, high = ca.fmax(before, rest), ca.fmax(after, rest)
+    was, is_ = before > rest, after > rest
+    change = after - before
+    crossing = was != is_
+    share = ca.if_else(crossing, (high - low) / ca.if_else(crossing, change, 1), was)
+    law = law.as_expressions()
+    tension = law.tension((low + high) / 2, rest)
+    if law.is_damped:
+        tension = ca.fmax(0, tension + law.damping * change / h)
+    return 2 * share * tension / (before + after)
+
+
+class _Motion:
+    """Bars as a centre and a vector that turns, string nodes as points.
+
+    Bars turn by the Cayley map of the mean angular velocity, which keeps the
+    length whatever that velocity is.
+    """
+
+    def __init__(self, equation: Equation) -> None:
+        structure = equation.structure
+        assert structure is not None  # as in step_equations
+        self._structure = structure
+        self._free = structure.free.tolist()
+        self._starts, self._ends = structure.bars[structure.free_bars].T.tolist()
+        self._pivots, self._tips = structure.hinged_pairs.T.tolist()
+        self._points = structure.string_nodes.tolist()
+        turning = np.concatenate([structure.free_bars, structure.swinging_bars])
+        self._length = ca.DM(structure.bar_length[turning]).T
+        self._bar_mass = ca.DM(structure.bar_mass[structure.free_bars]).T
+        self._swing_mass = ca.DM(structure.bar_mass[structure.swinging_bars]).T
+        self._point_mass = ca.DM(structure.string_node_mass).T
+        self._counts = [len(self._starts), len(turning), len(self._points)]
+        self.size = 3 * sum(self._counts)
+
+    def _split(self, y: Any) -> list[Any]:
+        parts = np.cumsum([0, *self._counts]).tolist()
+        return list(ca.horzsplit(ca.reshape(y, 3, -1), parts))
+
+    def start(self, x: Any) -> dict[str, Any]:
+        """Return nodes, bar vectors of true length, and the velocities as y has them."""
+        structure = self._structure
+        half = x.shape[0] // 2
+        # Copies: `_place` writes into the nodes, which may be entries of x.
+        N = ca.SX(kernel.all_nodes(structure, ca.reshape(x[:half], 3, -1), structure.nodes))
+        Nd = kernel.all_nodes(structure, ca.reshape(x[half:], 3, -1))
+        tails, heads = self._starts + self._pivots, self._ends + self._tips
+        B = _of_length(N[:, heads] - N[:, tails], self._length)
+        # The start is put on the constraint as the end will be: no jump between the two.
+        centres = (N[:, self._starts] + N[:, self._ends]) / 2
+        self._place(N, centres, B)
+        turn = kernel.scale_columns(_cross(B, Nd[:, heads] - Nd[:, tails]), 1 / self._length)
+        return {
+            "N": N,
+            "B": B,
+            "centres": centres,
+            "velocity": (Nd[:, self._starts] + Nd[:, self._ends]) / 2,
+            "turn": turn,
+            "points": Nd[:, self._points],
+        }
+
+    def mean(self, start: dict[str, Any]) -> Any:
+        """Return y where no force acts."""
+        return ca.vec(ca.horzcat(start["velocity"], start["turn"], start["points"]))
+
+    def moved(self, start: dict[str, Any], y: Any, h: Any) -> tuple[Any, Any]:
+        """Return the nodes at the end, and the bar vectors halfway between start and end."""
+        velocity, turn, points = self._split(y)
+        B0 = start["B"]
+        a = kernel.scale_columns(turn, h / 2 / self._length)
+        swept = _cross(a, B0)
+        swept += _cross(a, swept)
+        half = kernel.scale_columns(swept, 1 / (1 + kernel.dots(a, a)))
+        N = ca.SX(start["N"])
+        self._place(N, start["centres"] + h * velocity, _of_length(B0 + 2 * half, self._length))
+        N[:, self._points] = start["N"][:, self._points] + h * points
+        return N, B0 + half
+
+    def _place(self, N: Any, centres: Any, B: Any) -> None:
+        free = self._counts[0]
+        N[:, self._starts] = centres - B[:, :free] / 2
+        N[:, self._ends] = centres + B[:, :free] / 2
+        N[:, self._tips] = N[:, self._pivots] + B[:, free:]
+
+    def impulse_balance(self, start: dict[str, Any], y: Any, h: Any, B: Any, F: Any) -> Any:
+        """Return change of momentum less impulse of the forces F, with B halfway."""
+        velocity, turn, points = self._split(y)
+        at_start, at_end = F[:, self._starts], F[:, self._ends]
+        scale = kernel.scale_columns
+        parts = [scale(velocity - start["velocity"], 2 * self._bar_mass) - h * (at_start + at_end)]
+        # I = m l²/12 about the centre of a free bar, m l²/3 about the fixed end of one that swings.
+        inertia = ca.horzcat(self._bar_mass / 6, self._swing_mass * 2 / 3)
+        lever = ca.horzcat((at_end - at_start) / 2, F[:, self._tips])
+        torque = scale(_cross(B, lever), h / self._length)
+        parts.append(scale(turn - start["turn"], inertia) - torque)
+        parts.append(scale(points - start["points"], 2 * self._point_mass) - h * F[:, self._points])
+        return ca.vec(ca.densify(ca.horzcat(*parts)))
+
+    def end_state(self, start: dict[str, Any], y: Any, h: Any, N: Any) -> Any:
+        """Return x at the end: velocities there are twice the mean less those at the start."""
+        free = self._counts[0]
+        velocity, turn, points = self._split(2 * y - self.mean(start))
+        tails, heads = self._starts + self._pivots, self._ends + self._tips
+        Bd = _cross(kernel.scale_columns(turn, 1 / self._length), N[:, heads] - N[:, tails])
+        Nd = ca.SX(3, N.shape[1])
+        Nd[:, self._starts] = velocity - Bd[:, :free] / 2
+        Nd[:, self._ends] = velocity + Bd[:, :free] / 2
+        Nd[:, self._tips] = Bd[:, free:]
+        Nd[:, self._points] = points
+        return ca.vertcat(ca.vec(N[:, self._free]), ca.vec(ca.densify(Nd[:, self._free])))
+
+
+def _cross(a: Any, b: Any) -> Any:
+    """Return the cross products of the columns of two (3, k) matrices."""
+    return ca.vertcat(
+        a[1, :] * b[2, :] - a[2, :] * b[1, :],
+        a[2, :] * b[0, :] - a[0, :] * b[2, :],
+        a[0, :] * b[1, :] - a[1, :] * b[0, :],
+    )
+
+
+def _of_length(B: Any, length: Any) -> Any:
+    return kernel.scale_columns(B, length / ca.sqrt(kernel.dots(B, B)))
+
+
+# Steps of Newton's iteration before it counts as failed.
+_MOST = 12
+
+# Converged when the last change moves nothing by more than this part of the size, or of the
+# distance from the origin, whose round-off the lengths of strings have.
+_SMALL = 1e-11
+
+# Diverged when a change would move something by this many sizes.
+_LARGE = 1e3
+
+
+def newton_solver(system: ca.Function, size: float) -> ca.Function:
+    """Return ``(y, x, u, h) -> (y, converged, iterations)``: the root from a first guess.
+
+    Convergence is quadratic: where the last change was small, what is left is
+    far smaller.
+    """
+    iterate = _iteration(system)
+    z = ca.MX.sym("z", iterate.size1_in(0))
+    given = [ca.MX.sym(f"a{i}", system.size1_in(i)) for i in range(1, 4)]
+    idle = ca.Function("idle", [z, *given], [z])
+    choose = ca.Function.if_else("choose", iterate, idle)
+    guess = ca.MX.sym("guess", system.size1_in(0))
+    scale = size + ca.mmax(ca.fabs(given[0][: system.size1_in(1) // 2]))
+    # Change made last, m, and number of iterations follow the unknowns.
+    state = ca.vertcat(guess, scale, 0)
+    for _ in range(_MOST):
+        change = state[-2]
+        # A change that is not a number is neither: the iteration ends, not converged.
+        going_on = ca.logic_and(change > _SMALL * scale, change < _LARGE * scale)
+        state = choose(going_on, state, *given)
+    converged = state[-2] <= _SMALL * scale
+    return ca.Function("newton", [guess, *given], [state[:-2], converged, state[-1]])
+
+
+def _iteration(system: ca.Function) -> ca.Function:
+    """Return ``(z, x, u, h) -> z``, one iteration on z = [y; change; iterations]."""
+    z = ca.MX.sym("z", system.size1_in(0) + 2)
+    x, u, h = (ca.MX.sym(f"a{i}", system.size1_in(i)) for i in range(1, 4))
+    residual, jacobian = system(z[:-2], x, u, h)
+    # No pivot is too small for light nodes: what is singular gives no finite change.
+    change = ca.solve(jacobian, residual, "qr", {"eps": 0})
+    # The norm, not the largest entry: CasADi's largest of numbers passes over what is none.
+    new = ca.vertcat(z[:-2] - change, h * ca.norm_2(change), z[-1] + 1)
+    return ca.Function("iteration", [z, x, u, h], [new])

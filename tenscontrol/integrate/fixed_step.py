@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import dataclass
 from math import ceil
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator
-from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span, Work
+from tenscontrol.dynamics import Equation, Evaluator, compiler
+from tenscontrol.integrate.events import COUNTS, located, taut_strings
+from tenscontrol.integrate.integrator import (
+    IntegrationError,
+    Integrator,
+    Report,
+    Span,
+    Work,
+    in_machine_code,
+)
 from tenscontrol.integrate.projection import projected
-from tenscontrol.integrate.switching import COUNTS, located, taut_strings
 from tenscontrol.validation import FloatArray, positive_number
 
 # Steps in a block, and blocks in a call into CasADi: enough that the call costs nothing, few enough
@@ -22,20 +30,22 @@ _BLOCK, _MANY = 32, 16
 _MOST_NUMBERS = 1e6
 
 
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """What a method builds once for an equation."""
+
+    block: ca.Function
+    blocks: ca.Function
+    taut: ca.Function
+    size: int  # of what is carried from step to step
+    many: int  # blocks in a call of ``blocks``
+    back_end: str
+
+
 class FixedStep(Integrator):
     """A method with a fixed step; the loop over the steps runs inside CasADi (``mapaccum``).
 
     Where a string can go slack, every step ends at each switch and goes on from there.
-
-    Parameters
-    ----------
-    equation : Equation
-    step : float
-        Largest step, s. It is shortened so that a whole number fits between outputs.
-    project : bool
-        Whether to make the bar lengths exact after each step.
-    machine_code : bool
-        Whether to compile the steps, where there is a C compiler.
     """
 
     #: Evaluations of the right-hand side, or of the forces, in one step.
@@ -46,15 +56,23 @@ class FixedStep(Integrator):
     ) -> None:
         super().__init__(equation)
         self.step = positive_number("step", step, "s")
+        by = compiler() if machine_code else None
+        steps = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
+        self._size, self._many, self.back_end = steps.size, steps.many, steps.back_end
+        self._blocks = {1: Evaluator(steps.block), steps.many: Evaluator(steps.blocks)}
+        self._taut = Evaluator(steps.taut)
+
+    def _build(self, project: bool, machine_code: bool) -> _Steps:
+        equation = self._equation
         one = self.step_function(equation)
-        step_of_all = _carried(projected(one, equation) if project else one, equation)
-        self._size = int(step_of_all.size1_in(0))
-        block = self._as_compiled(_block(step_of_all), machine_code)
-        self._block = block
-        self._blocks = {1: Evaluator(block)}
-        self._many = int(np.clip(_MOST_NUMBERS / (_BLOCK * self._size), 1, _MANY))
+        step = _carried(projected(one, equation) if project else one, equation)
+        block, back_end = in_machine_code(equation, _block(step), machine_code)
+        size = int(step.size1_in(0))
+        many = int(np.clip(_MOST_NUMBERS / (_BLOCK * size), 1, _MANY))
         x, u = ca.MX.sym("x", equation.states), ca.MX.sym("u", equation.inputs)
-        self._taut = Evaluator(ca.Function("taut", [x, u], [taut_strings(equation, x, u)]))
+        taut = ca.Function("taut", [x, u], [taut_strings(equation, x, u)])
+        blocks = block if many == 1 else block.mapaccum(many)
+        return _Steps(block, blocks, taut, size, many, back_end)
 
     @abstractmethod
     def step_function(self, equation: Equation) -> ca.Function:
@@ -80,8 +98,6 @@ class FixedStep(Integrator):
         done = 0
         while done < total:
             blocks = self._many if total - done >= self._many * _BLOCK else 1
-            if blocks not in self._blocks:
-                self._blocks[blocks] = Evaluator(self._block.mapaccum(blocks))
             size = min(blocks * _BLOCK, total - done)
             steps: FloatArray = np.zeros(blocks * _BLOCK)
             steps[:size] = step

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Equation, compiled
 from tenscontrol.validation import FloatArray, positive_number
+
+_Built = TypeVar("_Built")
 
 # Told the time reached within the span, s.
 Report = Callable[[float], None]
@@ -91,6 +94,17 @@ def checked_tolerance(tolerance: object, least: float = 100 * float(np.finfo(flo
     return value
 
 
+def in_machine_code(equation: Equation, step: ca.Function, wanted: bool) -> tuple[ca.Function, str]:
+    """Return steps in machine code, if that is wanted and there is a compiler, and what runs them.
+
+    Where the forces are compiled loops already, the steps around them stay with CasADi.
+    """
+    if equation.form == "loops":
+        return step, "machine code for the forces"
+    code = compiled(step) if wanted else None
+    return (step, "virtual machine") if code is None else (code.function, "machine code")
+
+
 class Integrator(ABC):
     """Integrates ``ẋ = f(x, u)`` with u held.
 
@@ -109,17 +123,9 @@ class Integrator(ABC):
     def __init__(self, equation: Equation) -> None:
         self._equation = equation
 
-    def _as_compiled(self, function: ca.Function, wanted: bool) -> ca.Function:
-        """Return a function in machine code, if that is wanted and there is a compiler."""
-        if self._equation.form == "driver":
-            # The forces are machine code already; the steps around them stay with CasADi.
-            self.back_end = "machine code for the forces"
-            return function
-        code = compiled(function) if wanted else None
-        if code is None:
-            return function
-        self.back_end = "machine code"
-        return code.function
+    def _kept(self, build: Callable[[], _Built], *settings: Hashable) -> _Built:
+        """Return what is built once for the equation, this class and these settings."""
+        return self._equation.prepared.get((type(self), *settings), build)
 
     @abstractmethod
     def advance(

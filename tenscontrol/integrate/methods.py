@@ -1,4 +1,4 @@
-"""The integration methods by name."""
+"""The integration methods by name, and the choice of one for a scene."""
 
 from __future__ import annotations
 
@@ -11,19 +11,28 @@ from tenscontrol.integrate.cvodes import CVODES
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
 from tenscontrol.integrate.integrator import Integrator
-from tenscontrol.integrate.radau import Radau
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6
 from tenscontrol.integrate.rk4 import RK4
+from tenscontrol.integrate.scales import largest_frequency
+from tenscontrol.validation import FloatArray, choice
+
+# The largest step of an explicit method is about this over the largest frequency.
+_STABLE = 3.0
+
+# More steps than this are left to the implicit method.
+_MOST_STEPS = 2e5
 
 
 @dataclass(frozen=True)
 class Method:
-    """An integration method as users know it.
+    """An integration method: its class, and what can be set.
+
+    ``simulate(method=...)`` takes the name of one of :data:`METHODS`, or a record like this of
+    an :class:`Integrator` of your own.
 
     Attributes
     ----------
     name : str
-        As in ``simulate(method=...)``.
     settings : tuple of {"step", "tolerance"}
         What its accuracy can be set by; the first is the usual one.
     about : str
@@ -71,7 +80,7 @@ class Method:
         value : float
             Step, s, or tolerance.
         setting : {"step", "tolerance"}, optional
-            Which of the two it is; the usual one of the method if not given.
+            Which of the two; the usual one of the method if not given.
         project : bool, optional
             Whether to make bar lengths exact after each step; as
             :attr:`projects` if not given.
@@ -128,15 +137,6 @@ _ALL = (
         projects=True,
     ),
     Method(
-        "radau",
-        ("tolerance",),
-        "order 5, implicit, steps of its own in Python: stiff damped strings, and to check others",
-        Radau,
-        projects=True,
-        compiles=False,
-        differentiates=True,
-    ),
-    Method(
         "cvodes",
         ("tolerance",),
         "orders 1 to 5, implicit, steps of its own: stiff damped strings",
@@ -158,3 +158,81 @@ _ALL = (
 
 #: Every method by its name.
 METHODS: Mapping[str, Method] = MappingProxyType({method.name: method for method in _ALL})
+
+
+def method_of(method: object) -> Method | None:
+    """Return a method by its name, or as it is given; None for ``"auto"``."""
+    if isinstance(method, Method):
+        return method
+    name = choice("method", method, ("auto", *METHODS))
+    return METHODS.get(name)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A method, its setting, and why.
+
+    Attributes
+    ----------
+    method : str
+    setting : {"step", "tolerance"}
+        What its accuracy is set by.
+    value : float
+        The step, s, or the tolerance.
+    reason : str
+    back_end : str
+        What runs the steps.
+    """
+
+    method: str
+    setting: str
+    value: float
+    reason: str
+    back_end: str = "virtual machine"
+
+
+def choose(
+    equation: Equation,
+    state: FloatArray,
+    held: FloatArray,
+    duration: float,
+    tolerance: float,
+    step: float | None,
+) -> Choice:
+    """Return the method for a scene.
+
+    Where the user gives a step, the method is RK4. Else it is the one of order
+    8 with steps of its own, unless the fastest string would force it to far more
+    steps than the motion needs: then the implicit one.
+
+    Parameters
+    ----------
+    equation : Equation
+    state : ndarray, shape (states,)
+        x at the start.
+    held : ndarray, shape (inputs,)
+        u at the start.
+    duration : float
+        s.
+    tolerance : float
+    step : float or None
+        s.
+
+    Returns
+    -------
+    Choice
+    """
+    frequency = largest_frequency(equation, state, held)
+    slack = "strings can go slack, each switch ends a step" if equation.switches else "no switches"
+    scene = f"largest frequency {frequency:.3g} rad/s; {slack}"
+    if step is not None:
+        return Choice("rk4", "step", step, f"a step is given; {scene}")
+    needed = frequency * duration / _STABLE
+    if needed > _MOST_STEPS:
+        return Choice(
+            "energy_momentum",
+            "tolerance",
+            tolerance,
+            f"{scene}: an explicit method would need {needed:.1e} steps",
+        )
+    return Choice("dop853", "tolerance", tolerance, scene)

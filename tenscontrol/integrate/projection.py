@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator
-from tenscontrol.dynamics.kernel import dots, scale_columns
-from tenscontrol.integrate.bodies import Bodies
+from tenscontrol.dynamics import ColumnEvaluator, Equation
+from tenscontrol.dynamics.kernel import Symbolic, dots, scale_columns
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, IntArray
 
 
 def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
@@ -21,16 +21,6 @@ def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
     removed, and the rest is scaled by the inverse, so that ``b × ḃ`` stays.
     Centres, string nodes and hinges stay, and linear and angular momentum with
     them, to round-off.
-
-    Parameters
-    ----------
-    structure : Structure
-    symbol : callable, optional
-        ``casadi.SX.sym``, or ``casadi.MX.sym`` for large structures.
-
-    Returns
-    -------
-    casadi.Function
 
     Examples
     --------
@@ -59,55 +49,96 @@ def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
 
 def projection(equation: Equation) -> ca.Function | None:
     """Return :func:`project` for an equation, or None where there are no bars."""
-    if equation.structure is None or len(equation.structure.bars) == 0:
+    structure = equation.structure
+    if structure is None or len(structure.bars) == 0:
         return None
-    return project(equation.structure, equation.symbol)
+    return equation.prepared.get("project", lambda: project(structure, equation.symbol))
 
 
 class Projector:
-    """Makes the bar lengths of many states exact.
-
-    Parameters
-    ----------
-    equation : Equation
-    wanted : bool
-        Whether to do so; else, and where there are no bars, states stay as they are.
-    """
+    """Makes the bar lengths of states exact, one a column, if wanted and there are bars."""
 
     def __init__(self, equation: Equation, wanted: bool) -> None:
-        self._exact = projection(equation) if wanted else None
-        # By the number of states: a span is followed by others like it.
-        self._columns: dict[int, Evaluator] = {}
+        exact = projection(equation) if wanted else None
+        self._exact = None if exact is None else ColumnEvaluator(exact)
 
     def __call__(self, states: FloatArray) -> FloatArray:
-        """Return states, one a column."""
-        count = states.shape[1]
-        if self._exact is None or count == 0:
-            return states
-        if count not in self._columns:
-            self._columns[count] = Evaluator(self._exact.map(count))
-        given = states if count > 1 else states[:, 0]
-        return self._columns[count](given)[0].reshape(-1, count, order="F").copy()
+        """Return states of shape (states, count)."""
+        return states if self._exact is None else self._exact(states)[0]
 
 
 def projected(step: ca.Function, equation: Equation) -> ca.Function:
-    """Return a step that is followed by :func:`project`.
-
-    Parameters
-    ----------
-    step : casadi.Function
-        ``(x, u, taut, h) -> x1``.
-    equation : Equation
-        That of the step.
-
-    Returns
-    -------
-    casadi.Function
-        ``(x, u, taut, h) -> x1``; the step itself where there are no bars.
-    """
+    """Return a step that is followed by :func:`project`."""
     exact = projection(equation)
     if exact is None:
         return step
     symbols = ca.SX if step.is_a("SXFunction") else ca.MX
     arguments = [symbols.sym(step.name_in(i), step.size1_in(i)) for i in range(step.n_in())]
     return ca.Function(f"projected_{step.name()}", arguments, [exact(step(*arguments))])
+
+
+class Bodies:
+    """The map between free nodes and bodies, the same for positions, velocities and forces.
+
+    *Points* are the centres of the bars with two free ends, then the string
+    nodes. *Vectors* are those of the bars with two free ends, then of the bars
+    that swing, from the fixed to the free end. Bars with both ends fixed do
+    not move and are left out. In these coordinates the mass matrix is
+    diagonal: m, m_s, m/12 and m/3. Expressions may be SX or MX, one column per
+    node, point or vector.
+    """
+
+    def __init__(self, structure: Structure) -> None:
+        def columns(nodes: IntArray) -> list[int]:
+            """Places of free nodes in the state."""
+            return [int(i) for i in np.searchsorted(structure.free, nodes)]
+
+        free, swinging = structure.free_bars, structure.swinging_bars
+        start, end = structure.bars[free].T
+        hinge, tip = structure.hinged_pairs.T
+        self._start, self._end, self._tip = columns(start), columns(end), columns(tip)
+        self._string_nodes = columns(structure.string_nodes)
+        self._order = np.argsort(
+            self._start + self._end + self._tip + self._string_nodes, kind="stable"
+        ).tolist()
+        self.hinges = ca.DM(structure.nodes[:, hinge])
+        mass, hinged_mass = structure.bar_mass[free], structure.bar_mass[swinging]
+        self.length = _row(structure.bar_length[np.concatenate([free, swinging])])
+        self._centre_mass = _row(mass)
+        self._point_mass = _row(structure.string_node_mass)
+        self._vector_mass = _row(mass / 6)
+        self._tip_mass = _row(hinged_mass / 3)
+
+    def split(self, nodes: Symbolic, hinges: Symbolic = 0) -> tuple[Symbolic, Symbolic]:
+        """Return points and vectors, shape (3, ·) each, of positions or velocities."""
+        start, end = nodes[:, self._start], nodes[:, self._end]
+        points = ca.horzcat((start + end) / 2, nodes[:, self._string_nodes])
+        return points, ca.horzcat(end - start, nodes[:, self._tip] - hinges)
+
+    def join(self, points: Symbolic, vectors: Symbolic, hinges: Symbolic = 0) -> Symbolic:
+        """Return free nodes, shape (3, n), of points and vectors: :meth:`split` undone."""
+        bars = len(self._start)
+        centre, half = points[:, :bars], vectors[:, :bars] / 2
+        blocks = centre - half, centre + half, vectors[:, bars:] + hinges, points[:, bars:]
+        return ca.horzcat(*blocks)[:, self._order]
+
+    def accelerations(self, forces: Symbolic) -> tuple[Symbolic, Symbolic]:
+        """Return how forces on the free nodes accelerate points and vectors, bar forces left out.
+
+        ``r̈ = (f_start + f_end)/m`` (eq. 4), ``b̈ = 6/m (f_end − f_start)``
+        (eq. 5 with λ = 0), and 3/m times its force for the tip of a bar that swings.
+        """
+        start, end = forces[:, self._start], forces[:, self._end]
+        points = ca.horzcat(
+            scale_columns(start + end, 1 / self._centre_mass),
+            scale_columns(forces[:, self._string_nodes], 1 / self._point_mass),
+        )
+        vectors = ca.horzcat(
+            scale_columns(end - start, 1 / self._vector_mass),
+            scale_columns(forces[:, self._tip], 1 / self._tip_mass),
+        )
+        return points, vectors
+
+
+def _row(values: FloatArray) -> ca.DM:
+    return ca.DM(np.asarray(values)).T

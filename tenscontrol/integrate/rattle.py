@@ -23,8 +23,8 @@ import casadi as ca
 
 from tenscontrol.dynamics import Equation
 from tenscontrol.dynamics.kernel import Symbolic, dots, scale_columns
-from tenscontrol.integrate.bodies import Bodies
 from tenscontrol.integrate.fixed_step import FixedStep
+from tenscontrol.integrate.projection import Bodies
 
 # Largest turn of a bar in one flight, rad². From a right angle on, the quadratic that places the
 # bar has no real root or the wrong one; one radian leaves room for velocities along the bar.
@@ -114,13 +114,7 @@ def splitting(order: int) -> Splitting:
 
 
 def rattle_evaluations(equation: Equation, order: int) -> int:
-    """Return how often a step of :func:`rattle_step` evaluates the forces.
-
-    Parameters
-    ----------
-    equation : Equation
-    order : {2, 4, 6}
-    """
+    """Return how often a step of :func:`rattle_step` evaluates the forces."""
     return len(splitting(order).kicks) * (2 if equation.velocity_dependent else 1)
 
 
@@ -132,28 +126,6 @@ def rattle_step(
     Every step is of full order by itself, whatever its length, and takes no
     force over from the last one. Where the step is so long that a bar turns
     by more than one radian in a flight, entries of x1 are NaN.
-
-    Parameters
-    ----------
-    equation : Equation
-        That of a structure. With damped strings only order 2 is there.
-    order : {2, 4, 6}
-    symbols : type, optional
-        ``casadi.SX``: one flat list of instructions. ``casadi.MX``: calls of
-        the force function, for large structures.
-    called : bool
-        Whether flights and kicks are functions that the step calls: as fast
-        in machine code, and compiled in a fraction of the time.
-
-    Returns
-    -------
-    casadi.Function
-
-    Raises
-    ------
-    ValueError
-        If ``order`` is another number, the equation is not that of a structure,
-        or strings are damped and ``order`` is not 2.
 
     Notes
     -----

@@ -50,10 +50,6 @@ class Frequency:
     """The largest frequency of a motion whose input changes now and then.
 
     Found again only where an input has changed by more than a fifth.
-
-    Parameters
-    ----------
-    equation : Equation
     """
 
     def __init__(self, equation: Equation) -> None:

@@ -351,15 +351,20 @@ def _derivatives(
     load: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return ẋ, ∂ẋ/∂x and ∂ẋ/∂u by algorithmic differentiation of the model."""
-    equation = model.state_equation(held)
-    x, u = ca.SX.sym("x", equation.size1_in(0)), ca.SX.sym("u", equation.size1_in(1))
-    xdot = equation(x, u, *_loads(model, load))
-    function = ca.Function(
-        "derivatives", [x, u], [xdot, ca.jacobian(xdot, x), ca.jacobian(xdot, u)]
-    )
-    values = function(pack_state(model.structure, nodes, np.zeros_like(nodes)), value)
+    function = model.prepared.get(("derivatives", held), lambda: _derivative_function(model, held))
+    state = pack_state(model.structure, nodes, np.zeros_like(nodes))
+    values = function(state, value, *_loads(model, load))
     drift, A, B = (np.array(part.full()) for part in values)
     return drift.ravel(), A, B
+
+
+def _derivative_function(model: Model, held: str) -> ca.Function:
+    """Return ``(x, u[, W]) -> (xdot, A, B)``."""
+    equation = model.state_equation(held)
+    inputs = [ca.SX.sym(f"a{i}", equation.sparsity_in(i)) for i in range(equation.n_in())]
+    xdot = equation(*inputs)
+    derivatives = [ca.jacobian(xdot, each) for each in inputs[:2]]
+    return ca.Function("derivatives", inputs, [xdot, *derivatives])
 
 
 def _checked_point(

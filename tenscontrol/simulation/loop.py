@@ -9,11 +9,21 @@ from math import ceil
 import numpy as np
 
 from tenscontrol.dynamics import Model, evaluate_columns
-from tenscontrol.integrate import METHODS, Choice, IntegrationError, Integrator, Span, Work, choose
+from tenscontrol.integrate import (
+    METHODS,
+    Choice,
+    IntegrationError,
+    Integrator,
+    Method,
+    Span,
+    Work,
+    choose,
+    method_of,
+)
 from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.second_look import estimated_error
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory, build_trajectory
-from tenscontrol.validation import FloatArray, choice, positive_number
+from tenscontrol.validation import FloatArray, positive_number
 
 
 class SimulationError(ArithmeticError):
@@ -41,7 +51,7 @@ class Loop:
     input: str
     load: FloatArray
     duration: float
-    method: str
+    method: str | Method
     tolerance: float
     step: float | None
     faults: Faults
@@ -59,37 +69,37 @@ class Loop:
     choice: Choice | None = None
 
     def __post_init__(self) -> None:
-        choice("method", self.method, ("auto", *METHODS))
+        self._method = method_of(self.method)
         if self.step is not None:
             self.step = positive_number("step", self.step, "s")
         self._equation = self.model.equation(self.input, self.load - self.model.constant_force)
-        if self.method == "auto":
+        if self._method is None:
             return
-        settings = METHODS[self.method].settings
+        name, settings = self._method.name, self._method.settings
         if "tolerance" not in settings and self.step is None:
-            raise ValueError(f"method {self.method!r} needs a step, s; for example step=1e-3")
+            raise ValueError(f"method {name!r} needs a step, s; for example step=1e-3")
         if "step" not in settings and self.step is not None:
-            fixed = [name for name, method in METHODS.items() if "step" in method.settings]
+            fixed = [known for known, each in METHODS.items() if "step" in each.settings]
             raise ValueError(
-                f"step goes with the methods {fixed}; {self.method!r} chooses its own steps by "
-                "tolerance"
+                f"step goes with the methods {fixed}; {name!r} chooses its own steps by tolerance"
             )
 
     def _prepare(self, state: FloatArray, held: FloatArray) -> Integrator:
         """Return the integrator, chosen for the scene if the user has not."""
         equation = self._equation
-        if self.method == "auto":
+        method = self._method
+        if method is None:
             chosen = choose(equation, state, held, self.duration, self.tolerance, self.step)
+            method = METHODS[chosen.method]
         elif self.step is None:
-            chosen = Choice(self.method, "tolerance", self.tolerance, "asked for")
+            chosen = Choice(method.name, "tolerance", self.tolerance, "asked for")
         else:
-            chosen = Choice(self.method, "step", self.step, "asked for")
-        method = METHODS[chosen.method]
-        if method.differentiates and equation.form == "driver":
+            chosen = Choice(method.name, "step", self.step, "asked for")
+        if method.differentiates and equation.form == "loops":
             load = self.load - self.model.constant_force
             equation = self.model.equation(self.input, load, form="mapped")
         # Not what the user says of a method that he has not chosen, and that needs no projection.
-        project = self.project if method.drifts or self.method != "auto" else None
+        project = self.project if method.drifts or self._method is not None else None
         integrator = method.integrator(
             equation, chosen.value, chosen.setting, project, self.machine_code
         )

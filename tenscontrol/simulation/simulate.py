@@ -11,6 +11,7 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import Controller
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol.integrate import Method
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
 from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
@@ -42,7 +43,7 @@ def simulate(
     sample_time: float | None = None,
     faults: Sequence[Fault] = (),
     external_force: object = None,
-    method: str = "auto",
+    method: str | Method = "auto",
     tolerance: float = 1e-6,
     step: float | None = None,
     output_step: float | None = None,
@@ -91,10 +92,10 @@ def simulate(
         (:meth:`Controller.applied`).
     external_force : array_like, shape (3, n), optional
         Constant load W, N, for a model built with ``external_force=True``.
-    method : str
-        ``"auto"``, or one of :data:`METHODS`. ``"auto"`` is ``"rk4"`` where
-        ``step`` is given; else it chooses by the largest string frequency, and
-        says so in ``run.choice``.
+    method : str or Method
+        ``"auto"``, one of :data:`METHODS`, or a :class:`Method` of your own. ``"auto"`` is
+        ``"rk4"`` where ``step`` is given; else it chooses by the largest string frequency,
+        and says so in ``run.choice``.
     tolerance : float
         Error allowed a step of a method that chooses its own steps, as part of
         the size of the structure and of its characteristic speed.

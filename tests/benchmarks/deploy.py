@@ -18,7 +18,7 @@ from time import thread_time
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.dynamics.compiler import compiler
+from tenscontrol.dynamics.machine_code import compiler
 from tests.benchmarks.command_line import options
 from tests.deploy import scenes
 

@@ -21,10 +21,8 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.dynamics.compiled import compiled_library
-from tenscontrol.dynamics.compiler import compiler
-from tenscontrol.dynamics.driver import driver_source
-from tenscontrol.dynamics.forms import LARGEST_FLAT
+from tenscontrol.dynamics.forms import LARGEST_FLAT, loops_source
+from tenscontrol.dynamics.machine_code import compiled_library, compiler
 from tests.benchmarks.command_line import options
 
 BARS = (3, 30, 300, 3_000, 30_000)
@@ -84,7 +82,7 @@ def cost(
     repeats = max(3, evaluated // members)
     by_hand, expected = time_by_hand(yardstick, tower, law, (x, u, taut), repeats)
     began = perf_counter()
-    library = compiled_library(driver_source(tower, law, np.zeros_like(tower.nodes)))
+    library = compiled_library(loops_source(tower, law, np.zeros_like(tower.nodes)))
     built = [perf_counter() - began]
     compiled, found = time_compiled(yardstick, library, tower, (x, u, taut), repeats)
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()

@@ -8,7 +8,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.demo import tour as demo
-from tenscontrol.dynamics.compiler import compiler
+from tenscontrol.dynamics.machine_code import compiler
 from tests.deploy import scenes
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics.compiler import VARIABLE
+from tenscontrol.dynamics.machine_code import VARIABLE
 from tests.deploy import scenes
 
 

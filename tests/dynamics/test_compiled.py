@@ -16,8 +16,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.dynamics.compiled import compiled
-from tenscontrol.dynamics.compiler import CompilerError, compiler
+from tenscontrol.dynamics.machine_code import CompilerError, compiled, compiler
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
 PROJECT = Path(__file__).parents[2]
@@ -392,7 +391,7 @@ def test_nobody_else_can_read_or_write_the_cache(cache):
 PROGRAM = """
 import sys, time, pathlib
 import casadi as ca
-from tenscontrol.dynamics.compiled import compiled
+from tenscontrol.dynamics.machine_code import compiled
 x = ca.SX.sym("x", 2)
 function = ca.Function("square", [x], [{factor} * x**2], ["x"], ["y"])
 go = pathlib.Path({go!r})

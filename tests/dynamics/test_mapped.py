@@ -6,13 +6,12 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics import Evaluator, pack_state
-from tenscontrol.dynamics.compiler import compiler
-from tenscontrol.dynamics.driver import driver_source
-from tenscontrol.dynamics.forms import LARGEST_FLAT, suitable_form
+from tenscontrol.dynamics.forms import LARGEST_FLAT, loops_source, suitable_form
+from tenscontrol.dynamics.machine_code import compiler
 from tests.dynamics.scenes import any_motion, random_structure, side_by_side
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
-FORMS = ["mapped", pytest.param("driver", marks=needs_compiler)]
+FORMS = ["mapped", pytest.param("loops", marks=needs_compiler)]
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -188,7 +187,7 @@ def test_a_small_scene_is_flat(monkeypatch):
 
 @needs_compiler
 def test_a_large_scene_is_compiled_where_that_is_possible():
-    assert tc.Model(tc.prism_tower(3)).equation("force_density").form == "driver"
+    assert tc.Model(tc.prism_tower(3)).equation("force_density").form == "loops"
 
 
 def test_a_large_scene_goes_without_a_compiler_where_there_is_none(monkeypatch):
@@ -197,7 +196,7 @@ def test_a_large_scene_goes_without_a_compiler_where_there_is_none(monkeypatch):
     model = tc.Model(tc.prism_tower(3))
     assert model.equation("force_density").form == "mapped"
     with pytest.raises(FileNotFoundError, match="no C compiler"):
-        model.equation("force_density", form="driver")
+        model.equation("force_density", form="loops")
 
 
 def test_unknown_forms_are_refused(prism):
@@ -221,11 +220,11 @@ def test_the_graph_of_a_mapped_equation_does_not_grow(prism, law):
     assert len(counts) == 1
 
 
-def test_only_the_tables_of_the_driver_grow(prism):
+def test_only_the_tables_of_the_loops_grow(prism):
     def code(copies):
         structure = side_by_side(prism, copies)
         law = tc.LinearStrings(100.0).for_count(len(structure.strings))
-        source = driver_source(structure, law, np.zeros_like(structure.nodes))
+        source = loops_source(structure, law, np.zeros_like(structure.nodes))
         tables = [part.split("};")[0] for part in source.split("{\n")[1:] if "," in part[:4]]
         return sum(map(len, tables)), len(source) - sum(map(len, tables))
 
@@ -238,7 +237,7 @@ def test_shared_parameters_take_no_table():
     model, *_ = scene("tower", "linear")
     shared = tc.prism_tower(3)
     law, load = model.strings, np.zeros((3, 18))
-    assert "constant" not in driver_source(shared, law, load)
-    assert "constant" in driver_source(model.structure, law, load)
-    assert "load" not in driver_source(shared, law, load)
-    assert "places" not in driver_source(shared, law, load)
+    assert "constant" not in loops_source(shared, law, load)
+    assert "constant" in loops_source(model.structure, law, load)
+    assert "load" not in loops_source(shared, law, load)
+    assert "places" not in loops_source(shared, law, load)

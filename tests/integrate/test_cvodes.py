@@ -8,6 +8,7 @@ from tenscontrol.dynamics import pack_state, smooth_equation, unpack_states
 from tenscontrol.integrate.cvodes import CVODES
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 from tests.integrate.test_rk4 import oscillator
+from tests.oracle import HeldRestLength, RigidBars
 
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8, 1e-10, 1e-12])
@@ -68,3 +69,20 @@ def test_calls_that_cannot_reach_an_output_are_cut_short(prism):
     bars = unpack_states(prism, run.states)[0][:, prism.bars]
     length = np.linalg.norm(bars[:, :, 1] - bars[:, :, 0], axis=0)
     np.testing.assert_allclose(length[:, 0], prism.bar_length, rtol=1e-3)
+
+
+def test_massive_strings_follow_the_oracle():
+    structure = tc.subdivide(tc.prism(), segments=2, node_mass=0.05)
+    parent = rest_lengths(tc.prism(), paper_force_density(9.0), 100.0)
+    lengths = tc.structure.spread_rest_length(structure, parent)
+    times = np.linspace(0, 0.3, 4)
+    law = HeldRestLength(lengths, 200.0)
+    exact, switches = RigidBars(structure, law).integrate(
+        structure.nodes, np.zeros_like(structure.nodes), times
+    )
+    model = tc.Model(structure, strings=tc.LinearStrings(200.0))
+    state = pack_state(structure, structure.nodes, np.zeros_like(structure.nodes))
+    run = CVODES(model.equation("rest_length"), 1e-11).advance(state, lengths, 0.3, 3)
+    assert len(switches) > 0
+    assert run.work.switches > 0
+    assert np.abs(unpack_states(structure, run.states)[0] - exact[:, :, 1:]).max() < 1e-8

@@ -7,7 +7,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.dynamics import pack_state, smooth_equation
 from tenscontrol.integrate import DOP853, EnergyMomentum, IntegrationError
-from tenscontrol.integrate.energy_momentum_step import step_equations
+from tenscontrol.integrate.energy_momentum import step_equations
 from tests.dynamics.scenes import (
     paper_force_density,
     random_motion,
@@ -430,7 +430,7 @@ def test_the_loop_over_steps_can_be_written_as_c(prism, tmp_path):
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     method = EnergyMomentum(model.equation("rest_length"), step=1e-3)
     generator = ca.CodeGenerator("steps.c")
-    generator.add(method._attempt.fold(8))
+    generator.add(method._build()[8])
     generator.generate(f"{tmp_path}/")
     assert "casadi_qr" in (tmp_path / "steps.c").read_text()
 

@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol.accuracy.case import Case
 from tenscontrol.accuracy.peer import Peer, Solution
 from tenscontrol.dynamics import Evaluator, unpack_states
-from tenscontrol.integrate.radau import jacobian_weight, state_jacobian
+from tenscontrol.integrate import jacobian_weight, state_jacobian
 from tenscontrol.validation import FloatArray, choice
 
 _METHODS = ("DOP853", "RK45", "Radau", "LSODA")

@@ -29,10 +29,10 @@ _EVALUATIONS = {"rk4": 4, "rattle": 1, "rattle4": 4, "rattle6": 14, _STEPPED: 8}
 
 # About how many evaluations the others take for a radian of the fastest motion, where they follow
 # it. The energy-momentum method by tolerance does not follow what is smaller than its tolerance.
-_BY_RADIAN = {"dop853": 4.0, "radau": 20.0, "cvodes": 20.0}
+_BY_RADIAN = {"dop853": 4.0, "cvodes": 20.0}
 
-# What an evaluation of these costs, by that of the explicit ones: steps in Python, linear systems.
-_COST = {"radau": 10.0, _STEPPED: 3.0}
+# What an evaluation of this costs, by that of the explicit ones: it solves linear systems.
+_COST = {_STEPPED: 3.0}
 
 # Nodes for which the budget is meant.
 _NODES = 6

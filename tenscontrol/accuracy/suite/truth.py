@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscontrol.accuracy.suite.extreme import ASKED, Extreme
 from tenscontrol.dynamics import pack_state, unpack_states
-from tenscontrol.integrate import DOP853, EnergyMomentum, Integrator, Radau, Rattle6
+from tenscontrol.integrate import CVODES, DOP853, EnergyMomentum, Integrator, Rattle6
 from tenscontrol.structure import restore_bar_lengths
 from tenscontrol.validation import FloatArray, frozen
 
@@ -114,7 +114,7 @@ def _methods(extreme: Extreme) -> tuple[Integrator, Integrator, str]:
         )
     main = DOP853(equation, 1e-12, project=True)
     if equation.velocity_dependent:
-        return main, Radau(equation, 1e-9, project=True), "dop853 at 1e-12, radau at 1e-9"
+        return main, CVODES(equation, 1e-11, project=True), "dop853 at 1e-12, cvodes at 1e-11"
     step = 0.3 / extreme.frequency
     return main, Rattle6(equation, step), f"dop853 at 1e-12, rattle6 at {step:.1e} s"
 

@@ -9,8 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control.mpc.stage_jacobians import Tangents, evaluated
-from tenscontrol.dynamics import Evaluator
-from tenscontrol.dynamics.compiled import compiled
+from tenscontrol.dynamics import Evaluator, compiled
 from tenscontrol.plant import LinearPlant
 from tenscontrol.plant.reduced_dynamics import sampled_dynamics
 from tenscontrol.plant.reduced_reference import acceleration_response

@@ -12,9 +12,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.equation import Equation
-from tenscontrol.dynamics.passes import Pass, Read, body_passes, gap_pass, string_pass
-from tenscontrol.dynamics.strings import StringLaw
+from tenscontrol.dynamics.forms.passes import Pass, Read, body_passes, gap_pass, string_pass
+from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray, frozen
 
@@ -22,25 +23,16 @@ from tenscontrol.validation import FloatArray, IntArray, frozen
 def mapped_equation(structure: Structure, law: StringLaw | None, load: FloatArray) -> Equation:
     """Return the state equation, each operation a loop over all members.
 
-    Parameters
-    ----------
-    structure : Structure
-    law : StringLaw or None
-        None where the force densities are held.
-    load : ndarray, shape (3, n)
-        Constant forces on the nodes, N.
-
-    Returns
-    -------
-    Equation
+    ``law`` is None where force densities are held; ``load`` are constant forces on all nodes, N,
+    shape (3, n).
     """
     free = structure.free
     N, Nd = ca.MX.sym("N", 3, len(free)), ca.MX.sym("Nd", 3, len(free))
     u = ca.MX.sym("u", len(structure.strings))
     taut = ca.MX.sym("taut", 0 if law is None else len(structure.strings))
     arrays = {
-        "p": _all_nodes(structure, N, structure.nodes),
-        "v": _all_nodes(structure, Nd, np.zeros_like(structure.nodes)),
+        "p": kernel.all_nodes(structure, N, structure.nodes),
+        "v": kernel.all_nodes(structure, Nd),
         "u": u.T,
         "taut": taut.T,
     }
@@ -115,11 +107,3 @@ def _columns(read: Read, arrays: dict[str, Any], forces: _Forces | None) -> Any:
         assert forces is not None  # no pass reads the forces before they are there
         return forces.on(read.nodes)
     return arrays[read.array][:, read.nodes.tolist()]
-
-
-def _all_nodes(structure: Structure, free: Any, fixed: FloatArray) -> Any:
-    """Return the columns of all nodes, the fixed ones as constants."""
-    if len(structure.fixed) == 0:
-        return free
-    order = np.argsort(np.concatenate([structure.free, structure.fixed]))
-    return ca.horzcat(free, ca.DM(fixed[:, structure.fixed]))[:, order.tolist()]

@@ -13,12 +13,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import driver_text as text
-from tenscontrol.dynamics.compiled import compiled_source
 from tenscontrol.dynamics.equation import Equation
 from tenscontrol.dynamics.evaluator import evaluate_columns
-from tenscontrol.dynamics.passes import Pass, body_passes, gap_pass, string_pass
-from tenscontrol.dynamics.strings import StringLaw
+from tenscontrol.dynamics.forms.passes import Pass, body_passes, gap_pass, string_pass
+from tenscontrol.dynamics.machine_code import compiled_source
+from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, frozen
 
@@ -27,31 +26,13 @@ _WIDTH = {"p": 3, "v": 3, "f": 3, "a": 3, "u": 1, "taut": 1, "gap": 1, "rate": 1
 _WRITTEN = ("f", "a", "gap", "rate")
 
 
-def driver_equation(structure: Structure, law: StringLaw | None, load: FloatArray) -> Equation:
+def loops_equation(structure: Structure, law: StringLaw | None, load: FloatArray) -> Equation:
     """Return the state equation, with the loops over the members in compiled C.
 
-    Its functions have no derivatives.
-
-    Parameters
-    ----------
-    structure : Structure
-    law : StringLaw or None
-        None where the force densities are held.
-    load : ndarray, shape (3, n)
-        Constant forces on the nodes, N.
-
-    Returns
-    -------
-    Equation
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no C compiler.
-    CompilerError
-        If the compiler fails.
+    Its functions have no derivatives. ``law`` is None where force densities are held; ``load``
+    are constant forces on all nodes, N, shape (3, n).
     """
-    source = driver_source(structure, law, load)
+    source = loops_source(structure, law, load)
     slope, gap, force = compiled_source(source, ("slope", "gap", "force"))
     return Equation(
         slope=slope,
@@ -61,25 +42,12 @@ def driver_equation(structure: Structure, law: StringLaw | None, load: FloatArra
         structure=structure,
         law=law,
         load=frozen(load) if load.any() else None,
-        form="driver",
+        form="loops",
     )
 
 
-def driver_source(structure: Structure, law: StringLaw | None, load: FloatArray) -> str:
-    """Return the C text: the functions of :class:`Equation` with CasADi's interface.
-
-    Parameters
-    ----------
-    structure : Structure
-    law : StringLaw or None
-        None where the force densities are held.
-    load : ndarray, shape (3, n)
-        Constant forces on the nodes, N.
-
-    Returns
-    -------
-    str
-    """
+def loops_source(structure: Structure, law: StringLaw | None, load: FloatArray) -> str:
+    """Return the C text: the functions of :class:`Equation` with CasADi's interface."""
     strings, bodies = [string_pass(structure, law)], body_passes(structure)
     gaps = [] if law is None else [gap_pass(structure, law)]
     passes = [each for each in [*strings, *bodies, *gaps] if each.count]
@@ -104,18 +72,17 @@ def driver_source(structure: Structure, law: StringLaw | None, load: FloatArray)
 
     return "\n".join(
         [
-            text.HEAD,
+            _HEAD,
             kernels.dump(),
-            text.EXPORT,
+            _EXPORT,
             *(f"#define {name} {size}" for name, size in sizes.items()),
             *(_table(name, values) for name, values in tables.items()),
-            text.SUPPORTED if len(structure.fixed) else text.FREE,
+            _SUPPORTED if len(structure.fixed) else _FREE,
             *(loop.text for loop in loops),
-            text.FORCES
-            % {"start": text.LOADED if load.any() else text.UNLOADED, "calls": called(strings)},
-            text.SLOPE % {"calls": called(bodies)},
-            text.FORCE_FREE if len(structure.fixed) == 0 else text.FORCE_SUPPORTED,
-            text.GAP % {"calls": called(gaps)},
+            _FORCES % {"start": _LOADED if load.any() else _UNLOADED, "calls": called(strings)},
+            _SLOPE % {"calls": called(bodies)},
+            _FORCE_FREE if len(structure.fixed) == 0 else _FORCE_SUPPORTED,
+            _GAP % {"calls": called(gaps)},
             _interface("slope", [states, alpha, switches], [states]),
             _interface("gap", [states, alpha], [switches, switches]),
             _interface("force", [states // 2, states // 2, alpha, switches], [states // 2]),
@@ -142,7 +109,7 @@ class _Loop:
         )
         self.call = f"{over.name}({', '.join(arrays)});"
         body = "\n".join(f"    {line}" for line in lines)
-        self.text = text.LOOP % {
+        self.text = _LOOP % {
             "name": over.name, "arrays": declared, "count": over.count, "body": body
         }  # fmt: skip
 
@@ -233,10 +200,157 @@ def _interface(name: str, inputs: list[int], outputs: list[int]) -> str:
     tables = {
         side: ", ".join(f"{{{rows}, 1, 1}}" for rows in sizes) for side, sizes in shapes.items()
     }
-    return text.INTERFACE % {
+    return _INTERFACE % {
         "name": name,
         "inputs": len(inputs),
         "outputs": len(outputs),
         "shapes_in": tables["in"],
         "shapes_out": tables["out"],
     }
+
+
+# ---- the parts of the C text that are the same for every scene ----
+
+# CasADi's code of the kernels follows: for this file only, to be put into the loops.
+# Calls of the library's fmax and fmin would keep the loops from being fast; these give the same.
+_HEAD = """\
+#include <math.h>
+#include <string.h>
+static inline double larger(double x, double y) { return x > y || y != y ? x : y; }
+static inline double smaller(double x, double y) { return x < y || y != y ? x : y; }
+#undef fmax
+#undef fmin
+#define fmax larger
+#define fmin smaller
+#define CASADI_SYMBOL_EXPORT static inline
+"""
+
+_EXPORT = """\
+#if defined(_WIN32)
+#define EXPORTED __declspec(dllexport)
+#else
+#define EXPORTED __attribute__((visibility("default")))
+#endif
+"""
+
+# Every node is free: the state is the nodes. A null argument means zeros, as CasADi has it.
+_GIVEN = """\
+static double zeros[LARGEST];
+static const double *given(const double *array) { return array ? array : zeros; }
+"""
+_FREE = (
+    _GIVEN
+    + """\
+static const double *positions(const double *q, double *w) { (void)w; return q; }
+static const double *velocities(const double *v, double *w) { (void)w; return v; }
+"""
+)
+
+# Some nodes are fixed: all nodes are put together in the work memory.
+_SUPPORTED = (
+    _GIVEN
+    + """\
+static void spread(const double *from, double *to) {
+  for (int i = 0; i < FREE; ++i) memcpy(to + free_nodes[i], from + 3 * i, 3 * sizeof(double));
+}
+static const double *positions(const double *q, double *w) {
+  memcpy(w, places, sizeof(places));
+  spread(q, w);
+  return w;
+}
+static const double *velocities(const double *v, double *w) {
+  w += 3 * NODES;
+  memset(w, 0, 3 * NODES * sizeof(double));
+  spread(v, w);
+  return w;
+}
+"""
+)
+
+_LOOP = """\
+static void %(name)s(%(arrays)s) {
+  for (int i = 0; i < %(count)d; ++i) {
+%(body)s
+  }
+}
+"""
+
+_LOADED = "memcpy(f, load, sizeof(load));"
+_UNLOADED = "memset(f, 0, 3 * NODES * sizeof(double));"
+
+_FORCES = """\
+static void forces(const double *p, const double *v, const double *u, const double *taut,
+                   double *f) {
+  (void)v; (void)taut;
+  %(start)s
+%(calls)s
+}
+"""
+
+_SLOPE = """\
+EXPORTED int slope(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
+  const double *x = given(arg[0]), *u = given(arg[1]), *taut = given(arg[2]);
+  const double *p = positions(x, w), *v = velocities(x + 3 * FREE, w);
+  double *f = w + 6 * NODES, *a;
+  (void)iw; (void)mem;
+  if (!res[0]) return 0;
+  a = res[0] + 3 * FREE;
+  forces(p, v, u, taut, f);
+  memcpy(res[0], x + 3 * FREE, 3 * FREE * sizeof(double));
+%(calls)s
+  return 0;
+}
+"""
+
+_FORCE = """\
+EXPORTED int force(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
+  const double *p = positions(given(arg[0]), w), *v = velocities(given(arg[1]), w);
+  const double *u = given(arg[2]), *taut = given(arg[3]);
+  (void)iw; (void)mem;
+  if (!res[0]) return 0;
+%s
+  return 0;
+}
+"""
+_FORCE_FREE = _FORCE % "  forces(p, v, u, taut, res[0]);"
+_FORCE_SUPPORTED = (
+    _FORCE
+    % """\
+  forces(p, v, u, taut, w + 6 * NODES);
+  for (int i = 0; i < FREE; ++i)
+    memcpy(res[0] + 3 * i, w + 6 * NODES + free_nodes[i], 3 * sizeof(double));"""
+)
+
+_GAP = """\
+EXPORTED int gap(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
+  const double *x = given(arg[0]), *u = given(arg[1]);
+  const double *p = positions(x, w), *v = velocities(x + 3 * FREE, w);
+  double *gap = res[0] ? res[0] : w + 6 * NODES;
+  double *rate = res[1] ? res[1] : w + 6 * NODES + LARGEST;
+  (void)iw; (void)mem; (void)u; (void)p; (void)v; (void)gap; (void)rate;
+%(calls)s
+  return 0;
+}
+"""
+
+# The work memory holds positions, velocities, then forces, or what nobody asked for.
+_INTERFACE = """\
+static const casadi_int %(name)s_shapes_in[%(inputs)d][3] = {%(shapes_in)s};
+static const casadi_int %(name)s_shapes_out[%(outputs)d][3] = {%(shapes_out)s};
+EXPORTED casadi_int %(name)s_n_in(void) { return %(inputs)d; }
+EXPORTED casadi_int %(name)s_n_out(void) { return %(outputs)d; }
+EXPORTED const casadi_int *%(name)s_sparsity_in(casadi_int i) {
+  return i < %(inputs)d ? %(name)s_shapes_in[i] : 0;
+}
+EXPORTED const casadi_int *%(name)s_sparsity_out(casadi_int i) {
+  return i < %(outputs)d ? %(name)s_shapes_out[i] : 0;
+}
+EXPORTED int %(name)s_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_int *sz_iw,
+                           casadi_int *sz_w) {
+  if (sz_arg) *sz_arg = %(inputs)d;
+  if (sz_res) *sz_res = %(outputs)d;
+  if (sz_iw) *sz_iw = 0;
+  if (sz_w) *sz_w = 9 * NODES + 2 * LARGEST;
+  return 0;
+}
+"""

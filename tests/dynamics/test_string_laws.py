@@ -1,12 +1,18 @@
 """String laws: tension by hand, slackness, damping, and the inverse map."""
 
+from dataclasses import dataclass
+
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import tenscontrol as tc
+from tenscontrol.dynamics import compiler
 from tests.dynamics.scenes import any_motion, random_structure
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
 lengths = st.floats(0.01, 100.0)
 fractions = st.floats(0.01, 0.999)
@@ -84,3 +90,68 @@ def test_parameters_of_a_law_cannot_be_changed():
     law = tc.LinearStrings(stiffness=[100.0, 200.0])
     with pytest.raises(ValueError, match="read-only"):
         law.stiffness[0] = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class GreenStrings(tc.dynamics.StringLaw):
+    """A law of a user: tension by Green's strain, ``T = k l ((l/l0)² − 1)/2``."""
+
+    stiffness: np.ndarray
+    damping: np.ndarray = 0.0
+
+    def tension(self, length, rest_length):
+        return self.stiffness * length * ((length / rest_length) ** 2 - 1) / 2
+
+    def taut_rest_length(self, length, force_density):
+        return length / ca.sqrt(1 + 2 * force_density / self.stiffness)
+
+    def stored_energy(self, length, rest_length):
+        strain = ca.fmax(0, (length / rest_length) ** 2 - 1) / 2
+        return self.stiffness * rest_length**2 * strain**2 / 2
+
+    @property
+    def largest_force_density(self):
+        return np.full(np.shape(self.stiffness), np.inf)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.4])
+@pytest.mark.parametrize("form", ["mapped", pytest.param("loops", marks=needs_compiler)])
+def test_a_law_of_your_own_works_in_every_form(form, damping):
+    prism = tc.prism()
+    law = GreenStrings(np.linspace(50.0, 90.0, 9), damping)
+    lengths = law.rest_length(prism.string_length(prism.nodes), 12.0)
+    model = tc.Model(prism, strings=law)
+    np.testing.assert_allclose(law.force_density(prism.string_length(prism.nodes), lengths), 12.0)
+    rng = np.random.default_rng(0)
+    x = np.concatenate([prism.nodes.T.ravel(), np.zeros(18)]) + 0.05 * rng.normal(size=36)
+    taut = (np.arange(9) % 3 > 0).astype(float)
+    flat, other = (model.equation("rest_length", form=each) for each in ("flat", form))
+    for name, arguments in (("slope", (x, lengths, taut)), ("gap", (x, lengths))):
+        one, two = (getattr(each, name)(*arguments) for each in (flat, other))
+        np.testing.assert_allclose(np.array(one), np.array(two), rtol=1e-12, atol=1e-12)
+
+
+def test_energy_stays_under_a_law_of_your_own():
+    """Also checks the energy against the tension."""
+    prism = tc.prism()
+    law = GreenStrings(100.0)
+    lengths = 0.8 * prism.string_length(prism.nodes)
+    run = tc.simulate(tc.Model(prism, strings=law), 0.5, rest_length=lengths, tolerance=1e-10)
+    assert run.kinetic_energy.max() > 0.1
+    np.testing.assert_allclose(run.energy, run.energy[0], rtol=1e-7)
+
+
+@dataclass(frozen=True, eq=False)
+class WithoutField(tc.dynamics.StringLaw):
+    stiffness: float
+
+    damping = 0.0
+    tension = GreenStrings.tension
+    taut_rest_length = GreenStrings.taut_rest_length
+    stored_energy = GreenStrings.stored_energy
+    largest_force_density = GreenStrings.largest_force_density
+
+
+def test_a_law_without_damping_is_refused_with_what_to_do():
+    with pytest.raises(TypeError, match=r"no parameter 'damping'.*0\.0 for none"):
+        WithoutField(1.0)

@@ -2,8 +2,8 @@
 
 A pass is a kernel, the columns it reads for each member and the nodes it writes
 to. The equations of a large scene are put together from passes: operation by
-operation in a graph (:mod:`tenscontrol.dynamics.mapped`), or as loops in C
-(:mod:`tenscontrol.dynamics.driver`).
+operation in a graph (:mod:`tenscontrol.dynamics.forms.mapped`), or as loops in C
+(:mod:`tenscontrol.dynamics.forms.loops`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.strings import StringLaw
+from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
 
@@ -25,79 +25,36 @@ Columns = dict[str, Any]
 
 @dataclass(frozen=True)
 class Read:
-    """One column of a kernel: of the member itself, or of one of its nodes.
+    """One column of a kernel: of the member itself, or of one of its nodes."""
 
-    Attributes
-    ----------
-    array : str
-        "p" and "v", positions and velocities of the nodes; "f", the forces on
-        them; "u" and "taut", one entry a string.
-    nodes : ndarray or None
-        The node of each member. None for what members have an entry of.
-    """
-
-    array: str
-    nodes: IntArray | None = None
+    array: str  # "p", "v", "f": positions, velocities, forces of nodes; "u", "taut" of strings
+    nodes: IntArray | None = None  # the node of each member; None for entries of the members
 
 
 @dataclass(frozen=True)
 class Write:
-    """One output of a kernel.
+    """One output of a kernel."""
 
-    Attributes
-    ----------
-    array : str
-        "f", which is added up, or "a", the accelerations; "gap" and "rate",
-        one entry a string.
-    nodes : ndarray or None
-        As for a read.
-    sign : int
-        What is added: the output, or its opposite.
-    output : int
-        Which output of the kernel.
-    """
-
-    array: str
-    output: int
-    nodes: IntArray | None = None
-    sign: int = 1
+    array: str  # "f", which is added up, or "a", accelerations; "gap" and "rate" of strings
+    output: int  # which output of the kernel
+    nodes: IntArray | None = None  # as for a read
+    sign: int = 1  # whether the output or its opposite is added
 
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """A kernel and the members it goes over.
-
-    Attributes
-    ----------
-    name : str
-    count : int
-        Number of members.
-    kernel : callable
-        From columns by name to output columns.
-    reads : dict of str to Read
-        The columns of the kernel.
-    writes : tuple of Write
-    parameters : dict of str to float or ndarray
-        Further columns of the kernel: a number that all members share, or one for each.
-    """
+    """A kernel and the members it goes over."""
 
     name: str
-    count: int
-    kernel: Callable[[Columns], tuple[Any, ...]]
+    count: int  # of members
+    kernel: Callable[[Columns], tuple[Any, ...]]  # from columns by name to output columns
     reads: dict[str, Read]
     writes: tuple[Write, ...]
-    parameters: dict[str, float | FloatArray]
+    parameters: dict[str, float | FloatArray]  # further columns: one number for all, or for each
 
 
 def string_pass(structure: Structure, law: StringLaw | None) -> Pass:
-    """Return the pass that adds the pull of the strings to the forces.
-
-    Parameters
-    ----------
-    structure : Structure
-    law : StringLaw or None
-        None where the force densities are held.
-    """
+    """Return the pass that adds the pull of the strings to the forces; γ is held without a law."""
     start, end = structure.strings.T
 
     def pull(columns: Columns) -> tuple[Any, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Self, final
 
 import casadi as ca
 import numpy as np
@@ -31,6 +31,12 @@ class StringLaw(ABC):
     A string pulls or is slack; it never pushes. Parameters are one number for
     all strings or one per string. With damping c the tension while
     ``l > l0`` is ``T(l, l0) + c l̇``, never below zero.
+
+    A law of your own is a frozen dataclass of its parameters, ``damping`` among them, with four
+    formulas: :meth:`tension`, :meth:`taut_rest_length`, :meth:`stored_energy` and
+    :attr:`largest_force_density`. In formulas lengths and parameters are CasADi expressions of one
+    shape, or numbers: write them with operators and functions of CasADi. All parameters but the
+    damping must be positive.
     """
 
     # Expressions in CasADi: the only statement of the law.
@@ -41,9 +47,9 @@ class StringLaw(ABC):
 
         Parameters
         ----------
-        length : casadi.SX, shape (α, 1)
+        length : casadi.SX or MX, shape (α, 1)
             l, m.
-        rest_length : casadi.SX, shape (α, 1)
+        rest_length : casadi.SX or MX, shape (α, 1)
             l0, m.
         """
 
@@ -53,21 +59,21 @@ class StringLaw(ABC):
 
         Parameters
         ----------
-        length : casadi.SX, shape (α, 1)
+        length : casadi.SX or MX, shape (α, 1)
             l, m.
-        force_density : casadi.SX, shape (α, 1)
+        force_density : casadi.SX or MX, shape (α, 1)
             γ, N/m.
         """
 
     @abstractmethod
     def stored_energy(self, length: Any, rest_length: Any) -> Any:
-        """Return the elastic energy, J.
+        """Return the elastic energy, J; 0 where the string is slack.
 
         Parameters
         ----------
-        length : casadi.SX, shape (α, 1)
+        length : casadi.SX or MX, shape (α, 1)
             l, m.
-        rest_length : casadi.SX, shape (α, 1)
+        rest_length : casadi.SX or MX, shape (α, 1)
             l0, m.
         """
 
@@ -81,27 +87,39 @@ class StringLaw(ABC):
     def damping(self) -> FloatArray:
         """Damping c, N s/m."""
 
+    def __post_init__(self) -> None:
+        parameters = {name: float_array(name, getattr(self, name)) for name in self._names()}
+        member_parameters(parameters)
+        for name, values in parameters.items():
+            if name == "damping":
+                non_negative(name, np.atleast_1d(values), "damping takes energy out")
+            else:
+                positive(name, np.atleast_1d(values), "number")
+            object.__setattr__(self, name, frozen(values))
+
     @property
     def is_damped(self) -> bool:
         """Whether any string has damping."""
-        return _is_symbol(self.damping) or bool(np.any(np.asarray(self.damping) > 0))
+        symbolic = isinstance(self.damping, ca.SX)
+        return symbolic or bool(np.any(np.asarray(self.damping) > 0))
 
     def symbolic_force_density(self, length: Any, rest_length: Any, rate: Any = None) -> Any:
         """Return the expression of γ, N/m.
 
         Parameters
         ----------
-        length : casadi.SX, shape (α, 1)
+        length : casadi.SX or MX, shape (α, 1)
             l, m.
-        rest_length : casadi.SX, shape (α, 1)
+        rest_length : casadi.SX or MX, shape (α, 1)
             l0, m.
-        rate : casadi.SX, shape (α, 1), optional
+        rate : casadi.SX or MX, shape (α, 1), optional
             l̇, m/s; needed only where the law is damped.
         """
-        tension = self.tension(length, rest_length)
+        law = self.as_expressions()
+        tension = law.tension(length, rest_length)
         if not self.is_damped:
             return ca.fmax(0, tension) / length
-        pulling = ca.fmax(0, tension + _constant(self.damping) * rate)
+        pulling = ca.fmax(0, tension + law.damping * rate)
         return ca.if_else(length > rest_length, pulling, 0) / length
 
     def taut_force_density(self, length: Any, rest_length: Any, rate: Any = None) -> Any:
@@ -109,16 +127,13 @@ class StringLaw(ABC):
 
         Parameters
         ----------
-        length : casadi.SX, shape (α, 1)
-            l, m.
-        rest_length : casadi.SX, shape (α, 1)
-            l0, m.
-        rate : casadi.SX, shape (α, 1), optional
-            l̇, m/s; needed only where the law is damped.
+        length, rest_length, rate : casadi.SX or MX, shape (α, 1)
+            As for :meth:`symbolic_force_density`.
         """
-        tension = self.tension(length, rest_length)
+        law = self.as_expressions()
+        tension = law.tension(length, rest_length)
         if self.is_damped:
-            tension += _constant(self.damping) * rate
+            tension += law.damping * rate
         return tension / length
 
     def gap(self, length: Any, rest_length: Any, rate: Any = None) -> Any:
@@ -129,23 +144,20 @@ class StringLaw(ABC):
 
         Parameters
         ----------
-        length : casadi.SX, shape (α, 1)
-            l, m.
-        rest_length : casadi.SX, shape (α, 1)
-            l0, m.
-        rate : casadi.SX, shape (α, 1), optional
-            l̇, m/s; needed only where the law is damped.
+        length, rest_length, rate : casadi.SX or MX, shape (α, 1)
+            As for :meth:`symbolic_force_density`.
         """
         stretch = length - rest_length
         if not self.is_damped:
             return stretch
+        law = self.as_expressions()
         at = type(length).sym("at", length.shape)
-        stiffness = ca.jtimes(self.tension(at, rest_length), at, ca.DM.ones(length.shape))
+        stiffness = ca.jtimes(law.tension(at, rest_length), at, ca.DM.ones(length.shape))
         stiffness = ca.substitute(stiffness, at, length)
-        tension = self.tension(length, rest_length) + _constant(self.damping) * rate
+        tension = law.tension(length, rest_length) + law.damping * rate
         return ca.fmin(stretch, tension / stiffness)
 
-    def for_count(self, count: int) -> StringLaw:
+    def for_count(self, count: int) -> Self:
         """Return the same law with one parameter per string.
 
         Parameters
@@ -162,13 +174,14 @@ class StringLaw(ABC):
         ValueError
             If a parameter is given for another number of strings.
         """
-        parameters = {
-            field.name: per_member(field.name, getattr(self, field.name), count, "string")
-            for field in fields(self)
-        }
-        return type(self)(**parameters)
+        return type(self)(
+            **{
+                name: per_member(name, getattr(self, name), count, "string")
+                for name in self._names()
+            }
+        )
 
-    def with_parameters(self, parameters: dict[str, Any]) -> StringLaw:
+    def with_parameters(self, parameters: dict[str, Any]) -> Self:
         """Return the same law for expressions, with other parameters, unchecked.
 
         Parameters
@@ -178,9 +191,28 @@ class StringLaw(ABC):
             A symbol for the damping means that there is some.
         """
         law = object.__new__(type(self))
-        for field in fields(self):
-            object.__setattr__(law, field.name, parameters[field.name])
+        for name in self._names():
+            object.__setattr__(law, name, parameters[name])
         return law
+
+    def as_expressions(self) -> Self:
+        """Return the same law with parameters as its formulas take them: symbols, or columns."""
+        return self.with_parameters(
+            {
+                name: value if isinstance(value, ca.SX) else ca.DM(value)
+                for name in self._names()
+                for value in [getattr(self, name)]
+            }
+        )
+
+    def _names(self) -> list[str]:
+        names = [field.name for field in fields(self)]
+        if "damping" not in names:
+            raise TypeError(
+                f"{type(self).__name__} has no parameter 'damping': make it a frozen dataclass "
+                "with the field damping; 0.0 for none"
+            )
+        return names
 
     # The same law on NumPy arrays.
 
@@ -256,7 +288,7 @@ class StringLaw(ABC):
     def _together(self, **values: object) -> list[FloatArray]:
         """Check that arguments and parameters go together, and give them one shape."""
         arrays = {name: float_array(name, value) for name, value in values.items()}
-        own = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        own = {name: np.asarray(getattr(self, name)) for name in self._names()}
         member_parameters({**arrays, **own})
         shape = np.broadcast_shapes(*(array.shape for array in [*arrays.values(), *own.values()]))
         return [np.broadcast_to(array, shape) for array in arrays.values()]
@@ -272,12 +304,12 @@ class StringLaw(ABC):
     def _rest_length_function(self) -> ca.Function:
         size = self._parameter_count
         length, gamma = ca.SX.sym("length", size), ca.SX.sym("gamma", size)
-        rest = self.taut_rest_length(length, gamma)
+        rest = self.as_expressions().taut_rest_length(length, gamma)
         return ca.Function("rest_length", [length, gamma], [rest])
 
     @property
     def _parameter_count(self) -> int:
-        return max(np.size(getattr(self, field.name)) for field in fields(self))
+        return max(np.size(getattr(self, name)) for name in self._names())
 
 
 @final
@@ -295,7 +327,7 @@ class LinearStrings(StringLaw):
     Raises
     ------
     TypeError, ValueError
-        If a parameter is not finite, a stiffness is not positive, or a damping is negative.
+        If a parameter is not finite, the first is not positive, or a damping is negative.
 
     Examples
     --------
@@ -313,44 +345,17 @@ class LinearStrings(StringLaw):
 
         def __init__(self, stiffness: ArrayLike, damping: ArrayLike = 0.0) -> None: ...
 
-    def __post_init__(self) -> None:
-        _check_parameters(self, "stiffness")
-
     def tension(self, length: Any, rest_length: Any) -> Any:
-        """Return k (l − l0), N.
-
-        Parameters
-        ----------
-        length : casadi.SX, shape (α, 1)
-            l, m.
-        rest_length : casadi.SX, shape (α, 1)
-            l0, m.
-        """
-        return _constant(self.stiffness) * (length - rest_length)
+        """Return k (l − l0), N; see :meth:`StringLaw.tension`."""
+        return self.stiffness * (length - rest_length)
 
     def taut_rest_length(self, length: Any, force_density: Any) -> Any:
-        """Return l (1 − γ/k), m.
-
-        Parameters
-        ----------
-        length : casadi.SX, shape (α, 1)
-            l, m.
-        force_density : casadi.SX, shape (α, 1)
-            γ, N/m.
-        """
-        return length * (1 - force_density / _constant(self.stiffness))
+        """Return l (1 − γ/k), m; see :meth:`StringLaw.taut_rest_length`."""
+        return length * (1 - force_density / self.stiffness)
 
     def stored_energy(self, length: Any, rest_length: Any) -> Any:
-        """Return ½ k max(0, l − l0)², J.
-
-        Parameters
-        ----------
-        length : casadi.SX, shape (α, 1)
-            l, m.
-        rest_length : casadi.SX, shape (α, 1)
-            l0, m.
-        """
-        return 0.5 * _constant(self.stiffness) * ca.fmax(0, length - rest_length) ** 2
+        """Return ½ k max(0, l − l0)², J; see :meth:`StringLaw.stored_energy`."""
+        return 0.5 * self.stiffness * ca.fmax(0, length - rest_length) ** 2
 
     @property
     def largest_force_density(self) -> FloatArray:
@@ -375,7 +380,7 @@ class ElasticStrings(StringLaw):
     Raises
     ------
     TypeError, ValueError
-        If a parameter is not finite, a rigidity is not positive, or a damping is negative.
+        If a parameter is not finite, the first is not positive, or a damping is negative.
 
     Examples
     --------
@@ -393,70 +398,23 @@ class ElasticStrings(StringLaw):
 
         def __init__(self, axial_rigidity: ArrayLike, damping: ArrayLike = 0.0) -> None: ...
 
-    def __post_init__(self) -> None:
-        _check_parameters(self, "axial_rigidity")
-
     def tension(self, length: Any, rest_length: Any) -> Any:
-        """Return EA (l/l0 − 1), N.
-
-        Parameters
-        ----------
-        length : casadi.SX, shape (α, 1)
-            l, m.
-        rest_length : casadi.SX, shape (α, 1)
-            l0, m.
-        """
-        return _constant(self.axial_rigidity) * (length / rest_length - 1)
+        """Return EA (l/l0 − 1), N; see :meth:`StringLaw.tension`."""
+        return self.axial_rigidity * (length / rest_length - 1)
 
     def taut_rest_length(self, length: Any, force_density: Any) -> Any:
-        """Return EA l/(EA + γ l), m.
-
-        Parameters
-        ----------
-        length : casadi.SX, shape (α, 1)
-            l, m.
-        force_density : casadi.SX, shape (α, 1)
-            γ, N/m.
-        """
+        """Return EA l/(EA + γ l), m; see :meth:`StringLaw.taut_rest_length`."""
         # Written so that γ = 0 gives l exactly.
-        return length / (1 + force_density * length / _constant(self.axial_rigidity))
+        return length / (1 + force_density * length / self.axial_rigidity)
 
     def stored_energy(self, length: Any, rest_length: Any) -> Any:
-        """Return ½ EA/l0 max(0, l − l0)², J.
-
-        Parameters
-        ----------
-        length : casadi.SX, shape (α, 1)
-            l, m.
-        rest_length : casadi.SX, shape (α, 1)
-            l0, m.
-        """
-        stretch = ca.fmax(0, length - rest_length)
-        return 0.5 * _constant(self.axial_rigidity) * stretch**2 / rest_length
+        """Return ½ EA/l0 max(0, l − l0)², J; see :meth:`StringLaw.stored_energy`."""
+        return 0.5 * self.axial_rigidity * ca.fmax(0, length - rest_length) ** 2 / rest_length
 
     @property
     def largest_force_density(self) -> FloatArray:
         """Infinite: every γ has a positive rest length."""
         return np.full(np.shape(self.axial_rigidity), np.inf)
-
-
-def _is_symbol(parameter: Any) -> bool:
-    return isinstance(parameter, ca.SX)
-
-
-def _constant(parameter: Any) -> Any:
-    """Return a parameter as expressions take it: a number, or the symbol for one."""
-    return parameter if _is_symbol(parameter) else ca.DM(parameter)
-
-
-def _check_parameters(law: StringLaw, stiffness: str) -> None:
-    k = float_array(stiffness, getattr(law, stiffness))
-    c = float_array("damping", law.damping)
-    member_parameters({stiffness: k, "damping": c})
-    positive(stiffness, np.atleast_1d(k), "number")
-    non_negative("damping", np.atleast_1d(c), "damping takes energy out")
-    object.__setattr__(law, stiffness, frozen(k))
-    object.__setattr__(law, "damping", frozen(c))
 
 
 def _evaluated(function: ca.Function, *arguments: FloatArray) -> FloatArray:

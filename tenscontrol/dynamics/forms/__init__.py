@@ -1,9 +1,13 @@
-"""Which form of the state equation suits a scene."""
+"""Forms of the state equation for large scenes, and which form suits a scene."""
 
 from __future__ import annotations
 
-from tenscontrol.dynamics.compiler import compiler
+from tenscontrol.dynamics.forms.loops import loops_equation, loops_source
+from tenscontrol.dynamics.forms.mapped import mapped_equation
+from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.structure import Structure
+
+__all__ = ["LARGEST_FLAT", "loops_equation", "loops_source", "mapped_equation", "suitable_form"]
 
 #: Bars and strings up to which every member is written out. Without a compiler, operations on all
 #: members at once are as fast from 36 members on (towers of prisms, force densities or rest
@@ -15,12 +19,7 @@ LARGEST_FLAT = 40
 
 
 def suitable_form(structure: Structure) -> str:
-    """Return "flat", "mapped" or "driver", by the number of members and whether C compiles here.
-
-    Parameters
-    ----------
-    structure : Structure
-    """
+    """Return "flat", "mapped" or "loops", by the number of members and whether C compiles here."""
     if len(structure.bars) + len(structure.strings) <= LARGEST_FLAT:
         return "flat"
-    return "mapped" if compiler() is None else "driver"
+    return "mapped" if compiler() is None else "loops"

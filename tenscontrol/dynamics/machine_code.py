@@ -1,0 +1,482 @@
+"""Machine code: the C compiler of the machine, the cache of libraries, and compiled functions.
+
+A library is code that runs with the rights of the user, so nothing is loaded from the cache that
+another user may have written.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+import shutil
+import signal
+import stat
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from time import perf_counter
+
+import casadi as ca
+from platformdirs import user_cache_path
+
+from tenscontrol.validation import instance, positive_number
+
+#: Environment variable that names the compiler, before ``CC``; ``none`` switches compiling off.
+VARIABLE = "TENSCONTROL_COMPILER"
+
+# Programs that are looked for where no variable names one.
+_USUAL = ("cc", "gcc", "clang")
+
+# For the same bits as CasADi's virtual machine: no multiplication and addition rounded as one
+# (also what ISO C asks for). A square root need not set errno: that is a branch less, and the
+# same number. Without interposition the small functions that CasADi exports are put in line,
+# which saves a quarter of the instructions. ISO C keeps names such as `gamma` free for functions.
+FLAGS = (
+    "-O3",
+    "-std=c99",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fno-semantic-interposition",
+    "-fPIC",
+    "-shared",
+)
+
+_VERSION_TIMEOUT = 30.0  # s
+_LINES = 8  # of what the compiler says that go into a message
+
+_ADVICE = (
+    f"Name a C compiler that works by the environment variable {VARIABLE} or CC, "
+    f"or set {VARIABLE}=none to do without"
+)
+
+
+class CompilerError(RuntimeError):
+    """A C compiler that is not there, or does not do its work."""
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler.
+
+    Attributes
+    ----------
+    command : tuple of str
+        Path of the program, and arguments that always go first.
+    version : str
+        What it says of itself.
+    """
+
+    command: tuple[str, ...]
+    version: str
+
+    def build(self, source: str, folder: Path, timeout: float) -> Path:
+        """Compile C code to a library in an empty private folder; see :meth:`link`."""
+        # Names without a folder: the library must not depend on where it was made.
+        (folder / "function.c").write_text(source, encoding="utf-8")
+        return self.link([Path("function.c")], folder, "function", timeout)
+
+    def link(
+        self,
+        sources: Sequence[Path],
+        folder: Path,
+        name: str,
+        timeout: float,
+        extra: tuple[str, ...] = (),
+    ) -> Path:
+        """Compile files of C code to one library and return its path.
+
+        ``sources`` are seen from the folder, ``name`` is without ending, ``extra`` are options
+        that go after all others. Raises CompilerError if the compiler fails, writes nothing, or
+        takes longer than ``timeout``, s.
+        """
+        library = folder / f"{name}{suffix()}"
+        files = [str(source) for source in sources]
+        command = [*self.command, *FLAGS, *extra, *files, "-o", library.name, *_libraries()]
+        status, said = _run(command, folder, timeout)
+        if status is None:
+            raise CompilerError(f"{self.command[0]} was stopped after {timeout:g} s. {_ADVICE}")
+        if status != 0 or not library.is_file():
+            what = f"failed with exit status {status}" if status else "wrote no library"
+            lines = "\n".join(f"  {line}" for line in said.splitlines()[:_LINES])
+            raise CompilerError(f"{self.command[0]} {what}. {_ADVICE}. It said:\n{lines}")
+        return library
+
+
+def compiler() -> Compiler | None:
+    """Return the C compiler of this machine, or None if there is none.
+
+    It is the one that the environment variable ``TENSCONTROL_COMPILER`` names,
+    else the one that ``CC`` names, else the first of ``cc``, ``gcc`` and
+    ``clang`` on the path that answers. ``TENSCONTROL_COMPILER=none`` switches
+    compiling off: then there is none. A program with the options of GCC is needed.
+
+    Returns
+    -------
+    Compiler or None
+
+    Raises
+    ------
+    CompilerError
+        If one of the variables names a program that is not there or does not run.
+
+    Examples
+    --------
+    >>> import os
+    >>> from unittest.mock import patch
+    >>> from tenscontrol.dynamics.machine_code import compiler
+    >>> with patch.dict(os.environ, TENSCONTROL_COMPILER="none"):
+    ...     print(compiler())
+    None
+    """
+    if os.getenv(VARIABLE, "").strip().lower() == "none":
+        return None
+    for variable in (VARIABLE, "CC"):
+        asked = os.getenv(variable, "").strip()
+        if asked:
+            return _asked_for(variable, asked)
+    for name in _USUAL:
+        path = shutil.which(name)
+        version = None if path is None or _is_stub(path) else _version((path,))
+        if path is not None and version is not None:
+            return Compiler((path,), version)
+    return None
+
+
+def suffix() -> str:
+    """Return how the name of a library ends."""
+    return ".dll" if os.name == "nt" else ".so"
+
+
+def _asked_for(variable: str, asked: str) -> Compiler:
+    # A path with blanks is a program; "ccache gcc" is a program and an argument.
+    words = [asked] if shutil.which(asked) else shlex.split(asked)
+    path = shutil.which(words[0])
+    if path is None:
+        raise CompilerError(f"{variable} is {asked!r}, and there is no such program. {_ADVICE}")
+    command = (path, *words[1:])
+    version = _version(command)
+    if version is None:
+        raise CompilerError(f"{variable} is {asked!r}, which fails at --version. {_ADVICE}")
+    return Compiler(command, version)
+
+
+@cache
+def _version(command: tuple[str, ...]) -> str | None:
+    """Return what a compiler says of itself, or None if it does not run."""
+    try:
+        status, said = _run([*command, "--version"], None, _VERSION_TIMEOUT)
+    except OSError:
+        return None
+    return said if status == 0 else None
+
+
+def _is_stub(path: str) -> bool:
+    """Whether a program of macOS is there only to open a window that offers to install it."""
+    if platform.system() != "Darwin" or not path.startswith("/usr/bin/"):
+        return False
+    return _run(["/usr/bin/xcode-select", "-p"], None, _VERSION_TIMEOUT)[0] != 0
+
+
+def _libraries() -> list[str]:
+    # An undefined symbol ends the link here; else it would end the program at the first call.
+    return ["-lm", "-Wl,--no-undefined"] if sys.platform.startswith("linux") else ["-lm"]
+
+
+def _run(command: list[str], folder: Path | None, timeout: float) -> tuple[int | None, str]:
+    """Return exit status, None if time ran out, and what a program said."""
+    environment = {**os.environ, "LC_ALL": "C"}
+    if folder is not None:
+        environment["TMPDIR"] = str(folder)  # goes with the folder, whatever happens
+    with subprocess.Popen(
+        command,
+        cwd=folder,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        errors="replace",
+        start_new_session=True,
+    ) as process:
+        try:
+            said, _ = process.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            return None, ""
+        finally:
+            # Also at Ctrl-C: what the compiler has started must not go on without it.
+            if process.returncode is None:
+                _end(process)
+    return process.returncode, said
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    if os.name == "nt":
+        process.kill()
+    else:
+        with suppress(ProcessLookupError):  # it may just have ended
+            os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+
+
+_DIGITS = 32  # of each hash in a file name: 128 bits
+
+
+@dataclass(frozen=True)
+class Cache:
+    """A folder of libraries; whether it is temporary, and so goes when the process ends.
+
+    A library's name is the key of what it was made from, then the hash of its
+    own content: that shows whether the file is whole, and one file needs no
+    second one beside it that could be out of step.
+    """
+
+    folder: Path
+    temporary: bool
+
+    def find(self, key: str) -> Path | None:
+        """Return the library of a key, or None. One that is not whole is removed."""
+        for path in sorted(self.folder.glob(f"{key}-*{suffix()}")):
+            _refuse_unsafe(path, "file", "remove it")
+            if path == self._place(key, path.read_bytes()):
+                return path
+            path.unlink(missing_ok=True)
+        return None
+
+    def add(self, key: str, library: Path) -> Path:
+        """Move a library that was made in :meth:`workshop` to its place, in one operation."""
+        library.chmod(0o700)
+        place = self._place(key, library.read_bytes())
+        # Another process may have been first; then it is the same file.
+        if not place.exists():
+            os.replace(library, place)
+        return place
+
+    def workshop(self) -> tempfile.TemporaryDirectory[str]:
+        """Return a private folder to compile in, on the same file system."""
+        return tempfile.TemporaryDirectory(dir=self.folder, prefix="making-")
+
+    def _place(self, key: str, content: bytes) -> Path:
+        return self.folder / f"{key}-{sha256(content).hexdigest()[:_DIGITS]}{suffix()}"
+
+
+def open_cache() -> Cache:
+    """Return the cache of the user, or a temporary one where that cannot be written."""
+    folder = _user_folder()
+    if folder is None:
+        return _temporary()
+    try:
+        with suppress(FileExistsError):  # of something that is no folder: told below
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError:
+        return _temporary()
+    _refuse_unsafe(
+        folder, "folder", "put it right (chmod 700), or set XDG_CACHE_HOME to another folder"
+    )
+    return Cache(folder, False) if os.access(folder, os.W_OK | os.X_OK) else _temporary()
+
+
+def key_of(source: str, compiler: Compiler, *others: object) -> str:
+    """Return the hash of all that a library depends on."""
+    text = "\0".join([source, *compiler.command, compiler.version, *map(str, others)])
+    return sha256(text.encode()).hexdigest()[:_DIGITS]
+
+
+def _user_folder() -> Path | None:
+    """Return where the system wants the cache, or None if the user has no home."""
+    given = Path(os.getenv("XDG_CACHE_HOME", ""))
+    if given.is_absolute():  # on every system; the specification says to ignore a relative one
+        return given / "tenscontrol"
+    folder = user_cache_path("tenscontrol", appauthor=False, opinion=False)
+    return folder if folder.is_absolute() else None
+
+
+def _temporary() -> Cache:
+    return Cache(Path(_temporary_folder().name), temporary=True)
+
+
+@cache
+def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
+    """Return one private folder for the process, removed at its end."""
+    # Windows does not remove a library in use.
+    return tempfile.TemporaryDirectory(prefix="tenscontrol-", ignore_cleanup_errors=True)
+
+
+def _refuse_unsafe(path: Path, kind: str, remedy: str) -> None:
+    """Refuse a folder or file that somebody else may have written."""
+    found = path.lstat()  # of the link itself, if it is one
+    is_kind = stat.S_ISDIR if kind == "folder" else stat.S_ISREG
+    fault = ""
+    if not is_kind(found.st_mode):
+        fault = f"is no {kind}" + (", but a link" if stat.S_ISLNK(found.st_mode) else "")
+    elif os.name != "nt":  # there, others have no access to the profile of a user
+        if found.st_uid != os.geteuid():
+            fault = f"belongs to user {found.st_uid}, expected {os.geteuid()}, who runs this"
+        elif found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            fault = f"has mode {stat.S_IMODE(found.st_mode):03o}: other users may write to it"
+    if fault:
+        raise PermissionError(
+            f"compiled code is not loaded from {path}, which {fault}. "
+            f"Find out why and {remedy}, or set {VARIABLE}=none to do without a compiler"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Compiled:
+    """A function in machine code.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        Name, inputs and outputs as the function it was made of. It has no derivatives.
+    library : Path
+        The file with the code.
+    seconds : float
+        Time that it took to write, compile and load the code, s.
+    cached : bool
+        Whether the library was there already.
+    temporary : bool
+        Whether the library goes when the process ends, because the cache folder
+        cannot be written.
+    compiler : Compiler
+    """
+
+    function: ca.Function
+    library: Path
+    seconds: float
+    cached: bool
+    temporary: bool
+    compiler: Compiler
+
+
+def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
+    """Return a function in machine code, or None on a machine without a C compiler.
+
+    The code does the same operations in the same order as CasADi's virtual
+    machine, and gives the same numbers to the last bit; only what is not a
+    number may have another sign. It is four times as fast or more. The library
+    is kept in the user's cache folder, so that the next run need not compile
+    again: ``$XDG_CACHE_HOME/tenscontrol``, else
+    ``~/.cache/tenscontrol``, on macOS ``~/Library/Caches/tenscontrol``, on
+    Windows ``tenscontrol`` in ``%LOCALAPPDATA%``. It may be deleted at any time.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of SX or MX, with all that it calls. What CasADi cannot write as C code,
+        such as a callback into Python, cannot be compiled.
+    timeout : float
+        Longest time that the compiler may take, s.
+
+    Returns
+    -------
+    Compiled or None
+        None where :func:`compiler` finds none, or it is switched off by
+        ``TENSCONTROL_COMPILER=none``: then call ``function`` itself.
+
+    Raises
+    ------
+    CompilerError
+        If the compiler fails or takes too long, or its library cannot be loaded.
+    PermissionError
+        If another user could have written the library or its folder: it is not loaded.
+    TypeError, ValueError
+        If ``function`` is no CasADi function, or calls one that is compiled
+        already: compile the whole instead.
+
+    Notes
+    -----
+    One long straight piece of code (SX) compiles slowly: about half a
+    millisecond an instruction, more than in proportion beyond some ten
+    thousand. A graph (MX) that calls a small function many times runs as fast
+    and compiles in the time of the small one.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> from tenscontrol.dynamics.machine_code import compiled
+    >>> x = ca.SX.sym("x")
+    >>> square = ca.Function("square", [x], [x**2])
+    >>> fast = compiled(square)
+    >>> run = square if fast is None else fast.function
+    >>> float(run(3.0))
+    9.0
+    """
+    instance("function", function, ca.Function, "make one by casadi.Function(...)")
+    timeout = positive_number("timeout", timeout, "s")
+    for part in (function, *function.find_functions()):
+        if part.class_name() == "External":
+            raise ValueError(
+                f"function calls {part.name()!r}, which is compiled already; compile a function "
+                f"of what {part.name()!r} was made of instead"
+            )
+    found = compiler()
+    if found is None:
+        return None
+    began = perf_counter()
+    library, cached, kept = _library(_source(function), found, timeout)
+    loaded = _load(function.name(), library)
+    seconds = perf_counter() - began
+    return Compiled(loaded, library, seconds, cached, kept.temporary, found)
+
+
+def compiled_source(source: str, names: tuple[str, ...]) -> tuple[ca.Function, ...]:
+    """Return the functions of a C text that has CasADi's interface for external functions.
+
+    Raises FileNotFoundError if there is no C compiler, or it is switched off; else as
+    :func:`compiled`.
+    """
+    library = compiled_library(source)
+    return tuple(_load(name, library) for name in names)
+
+
+def compiled_library(source: str) -> Path:
+    """Return the library of a C text; errors as :func:`compiled_source`."""
+    found = compiler()
+    if found is None:
+        raise FileNotFoundError(
+            "there is no C compiler: none of $CC, cc, gcc and clang is on the path, or it is "
+            "switched off by TENSCONTROL_COMPILER. Install one, or go without compiled functions"
+        )
+    library, *_ = _library(source, found, timeout=600.0)
+    return library
+
+
+def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, Cache]:
+    """Return the library made of C code, whether it was there already, and where."""
+    machine = (sys.platform, platform.machine(), *platform.libc_ver())
+    key = key_of(source, found, FLAGS, ca.__version__, *machine)
+    kept = open_cache()
+    library = kept.find(key)
+    cached = library is not None
+    if library is None:
+        with kept.workshop() as folder:
+            library = kept.add(key, found.build(source, Path(folder), timeout))
+    return library, cached, kept
+
+
+def _source(function: ca.Function) -> str:
+    # One prefix for all internal names: they are of no concern outside of the library.
+    code = ca.CodeGenerator("lib", {"with_header": False})
+    code.add(function)
+    return str(code.dump())
+
+
+def _load(name: str, library: Path) -> ca.Function:
+    try:
+        return ca.external(name, str(library))
+    except RuntimeError as error:
+        library.unlink(missing_ok=True)
+        # CasADi says in many lines where else it has looked.
+        lines = [line.strip() for line in str(error).splitlines() if f": {library}: " in line]
+        raise CompilerError(
+            f"the compiled code of {name!r} cannot be loaded: {lines or error}. The compiler may "
+            f"be one for another machine: see CC; or the system may not run code from "
+            f"{library.parent}: set XDG_CACHE_HOME to another folder"
+        ) from None

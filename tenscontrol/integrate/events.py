@@ -1,0 +1,572 @@
+"""Event location: steps end where a string goes slack or taut.
+
+A step across such a switching surface loses the order of every method. So a step is taken with
+the strings that pull and those that are slack as they are at its start. If one of them changes
+within, the step is cut there, and the rest follows with the string changed.
+
+Methods whose step is a CasADi expression locate switches inside CasADi: :func:`located`,
+:func:`crossing`, :func:`landing`. Methods with a solver of their own are an
+:class:`EventIntegrator`.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.dynamics import ColumnEvaluator, Equation
+from tenscontrol.integrate.integrator import (
+    IntegrationError,
+    Integrator,
+    Report,
+    Span,
+    Work,
+    checked_tolerance,
+)
+from tenscontrol.integrate.projection import Projector
+from tenscontrol.integrate.scales import largest_frequency, state_scale
+from tenscontrol.validation import FloatArray
+
+# How far a string may pass the border of slack before it is acted on, as part of its rest
+# length; in an EventIntegrator, of the longest rest length. It covers round-off, so that strings
+# that switch together by symmetry are taken together, and a string that was switched does not
+# switch back at once: it must come back by twice as much. The force is wrong by the stiffness
+# times this, for as long as the string needs to cross it.
+_BAND = 1e-11
+
+# The search inside a step: samples, how often it zooms in on the samples next to the first
+# crossing, and true steps to the place found. The interpolant is off by O(h⁶), its slope by
+# O(h⁵), so each true step gains several digits.
+_SAMPLES = 6
+_ZOOMS = 2
+_POLISHES = 4
+
+# Substeps that one step may be cut into; the rest is then taken whole, and counted.
+_SUBSTEPS = 8
+
+# Instructions of the room up to which it is written out for each sample.
+_MOST_WRITTEN = 1000
+
+# What is left of a step below this part of it is round-off.
+_REST = 1e-13
+
+# So many landings of an EventIntegrator within this part of a span are chatter. A landing is
+# sought so many times at most: it is Newton's method with an almost exact start.
+_CHATTER, _CHATTER_TIME, _NEWTON_STEPS = 200, 1e-6, 8
+
+#: What a located step counts: tries of a step, each with the evaluations of one; landings on a
+#: switch, with two evaluations beside their tries; strings switched; rests taken whole.
+COUNTS = ("tries", "landings", "switches", "unlocated")
+
+
+def located(step: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(x, taut, u, h) -> (x1, taut1, counts)``: a step of a method, cut at switches.
+
+    The step ``(x, u, taut, h) -> x1`` is for fixed ``taut``; counts are those of :data:`COUNTS`.
+    """
+    x, taut, u, h, x1 = _symbols(equation)
+    attempt, land = _attempt(step, equation), landing(step, equation)
+    uncut = ca.Function("uncut", [x, taut, u, h, x1], [x1, taut, _count(tries=1)])
+    x2, taut2, taken, switched, tries = land(x, taut, u, h, x1)
+    counts = _count(tries=1 + tries, landings=1, switches=switched)
+    finish = _finish(step, _substep(attempt, land, equation), equation)
+    state = finish(ca.vertcat(x2, taut2, h - taken, counts), ca.vertcat(u, h))
+    end, end_taut, _, counts = _split(state, equation)
+    cut = ca.Function("cut", [x, taut, u, h, x1], [end, end_taut, counts])
+    either = ca.Function.if_else("either", cut, uncut)
+    end, crossed = attempt(x, taut, u, h)
+    return ca.Function("located", [x, taut, u, h], list(either(crossed, x, taut, u, h, end)))
+
+
+def taut_strings(equation: Equation, x: Any, u: Any) -> Any:
+    """Return the expression of which strings pull in a state, 1 or 0 each."""
+    return equation.gap(x, u)[0] > 0
+
+
+def crossing(equation: Equation) -> ca.Function:
+    """Return ``(x, x1, u, taut, h) -> crossed``: whether a string may switch within a step.
+
+    A string that is inside at both ends, but goes out at the start and comes in
+    at the end, is taken as a crossing where the tangents at both ends meet
+    outside: no less can be said without looking at the inside of the step.
+    """
+    n = equation.states
+    symbols = _kind(equation)
+    x, x1 = symbols.sym("x", n), symbols.sym("x1", n)
+    u, taut = symbols.sym("u", equation.inputs), symbols.sym("taut", equation.switches)
+    h = symbols.sym("h")
+    sign = 2 * taut - 1
+    (gap0, rate0), (gap1, rate1) = equation.gap(x, u), equation.gap(x1, u)
+    room0, room1 = sign * gap0 + _BAND * u, sign * gap1 + _BAND * u
+    out, back = -sign * rate0, sign * rate1
+    # The tangents room0 - out t and room1 - back (h - t) meet below zero.
+    below = back * room0 + out * room1 < out * back * h
+    dips = ca.logic_and(ca.logic_and(out > 0, back > 0), below)
+    found = ca.mmax(ca.logic_or(room1 < 0, dips))
+    if equation.velocity_dependent:
+        # The border of a damped string has other tangents: look at the middle.
+        q, v, q1, v1 = x[: n // 2], x[n // 2 :], x1[: n // 2], x1[n // 2 :]
+        middle = ca.vertcat((q + q1) / 2 + h / 8 * (v - v1), 1.5 / h * (q1 - q) - (v + v1) / 4)
+        found = ca.fmax(found, ca.mmax(sign * equation.gap(middle, u)[0] + _BAND * u < 0))
+    # A state that is not finite is not searched.
+    found = ca.if_else(ca.sumsqr(x1) < ca.inf, found, 0)
+    return ca.Function("crossing", [x, x1, u, taut, h], [found])
+
+
+def landing(step: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(x, taut, u, h, x1) -> (x2, taut2, taken, switched, tries)``: up to a switch.
+
+    The first switch of a step is sought on the quintic interpolant of positions, velocities and
+    accelerations at both ends, then approached by true steps. Where there is
+    none after all, the step is returned as it was.
+    """
+    x, taut, u, h, x1 = _symbols(equation)
+    inside_step, room = _interpolant(equation), _room(equation)
+    zoom = _zoom(room, equation)
+    ends = [x, equation.slope(x, u, taut), x1, equation.slope(x1, u, taut), h]
+    within = [inside_step(*ends), u, taut, h]
+    low, high, found = ca.MX(0), ca.MX(1), ca.MX(0)
+    for _ in range(_ZOOMS):
+        low, high, found = zoom(*within, low, high)
+    inside, outside = room(*within, low), room(*within, high)
+    out = ca.mmin(outside)
+    # The string that is out first; several, where they are out together.
+    chosen = outside <= out + 0.5 * _BAND * ca.mmin(u)
+    before, after = (ca.dot(chosen, value) / ca.sum1(chosen) for value in (inside, outside))
+    speed = (after - before) / (high - low)
+    reached = _approach(step, equation).fold(_POLISHES)(
+        ca.vertcat(low - before / speed, low, before, speed, 0, x1),
+        *(ca.repmat(a, 1, _POLISHES) for a in (x, taut, u, h, chosen)),
+    )
+    part, steps, end = reached[1], reached[4], reached[5:]
+    # Whatever else has reached the border and is on its way out switches with it.
+    at_border = (2 * taut - 1) * equation.gap(end, u)[0] <= 0.5 * _BAND * u
+    switch = ca.logic_and(at_border, outside < inside)
+    outputs = [
+        ca.if_else(found, end, x1),
+        ca.if_else(found, ca.fabs(taut - switch), taut),
+        ca.if_else(found, part * h, h),
+        ca.if_else(found, ca.sum1(switch), 0),
+        steps,
+    ]
+    return ca.Function("landing", [x, taut, u, h, x1], outputs)
+
+
+def _attempt(step: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(x, taut, u, h) -> (x1, crossed)``."""
+    x, taut, u, h, _ = _symbols(equation)
+    end = step(x, u, taut, h)
+    return ca.Function("attempt", [x, taut, u, h], [end, crossing(equation)(x, end, u, taut, h)])
+
+
+def _interpolant(equation: Equation) -> ca.Function:
+    """Return ``(x, xd, x1, xd1, h) -> coefficients`` of the positions inside a step.
+
+    They belong to the polynomial of degree 5 with the positions, velocities and
+    accelerations at both ends; one column a power of the part of the step.
+    """
+    symbols, n = _kind(equation), equation.states
+    x, xd, x1, xd1 = (symbols.sym(name, n) for name in ("x", "xd", "x1", "xd1"))
+    h = symbols.sym("h")
+    q0, v0, q1, v1 = x[: n // 2], h * x[n // 2 :], x1[: n // 2], h * x1[n // 2 :]
+    a0, a1 = h**2 * xd[n // 2 :], h**2 * xd1[n // 2 :]
+    d, e, f = q1 - q0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
+    higher = (10 * d - 4 * e + f / 2, -15 * d + 7 * e - f, 6 * d - 3 * e + f / 2)
+    return ca.Function("interpolant", [x, xd, x1, xd1, h], [ca.horzcat(q0, v0, a0 / 2, *higher)])
+
+
+def _room(equation: Equation) -> ca.Function:
+    """Return ``(coefficients, u, taut, h, part) -> room`` of each string inside a step."""
+    symbols, n = _kind(equation), equation.states
+    coefficients = symbols.sym("coefficients", n // 2, 6)
+    u, taut = symbols.sym("u", equation.inputs), symbols.sym("taut", equation.switches)
+    h, s = symbols.sym("h"), symbols.sym("part")
+    q: Any = 0
+    v: Any = 0
+    for power in range(5, -1, -1):
+        q = q * s + coefficients[:, power]
+        if power:
+            v = v * s + power * coefficients[:, power]
+    room = (2 * taut - 1) * equation.gap(ca.vertcat(q, v / h), u)[0] + _BAND * u
+    return ca.Function("room", [coefficients, u, taut, h, s], [room])
+
+
+def _zoom(room: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(coefficients, u, taut, h, low, high) -> (low, high, found)``.
+
+    The least room is sampled at equal parts of the bracket, and the bracket
+    closes in on the samples next to the first that is negative; where none is,
+    on the lowest.
+    """
+    symbols = _kind(equation)
+    if symbols is ca.SX and room.n_instructions() > _MOST_WRITTEN:
+        symbols = ca.MX  # the room is called; written out six times it takes compilers long
+    within = [symbols.sym(room.name_in(i), room.sparsity_in(i)) for i in range(4)]
+    low, high = symbols.sym("low"), symbols.sym("high")
+    width = (high - low) / _SAMPLES
+    rooms = [ca.mmin(room(*within, low + (j + 1) * width)) for j in range(_SAMPLES)]
+    first, last, least = symbols(0), symbols(1), symbols(ca.inf)
+    for j, lowest in enumerate(rooms):
+        lower = lowest < least
+        first = ca.if_else(lower, j, first)
+        last = ca.if_else(lower, min(j + 2, _SAMPLES), last)
+        least = ca.fmin(lowest, least)
+    for j in reversed(range(_SAMPLES)):
+        first = ca.if_else(rooms[j] < 0, j, first)
+        last = ca.if_else(rooms[j] < 0, j + 1, last)
+    ends = [low + first * width, low + last * width]
+    return ca.Function("zoom", [*within, low, high], [*ends, least < 0])
+
+
+def _kind(equation: Equation) -> Any:
+    """Return the kind of symbols to write expressions of an equation in."""
+    return ca.SX if equation.form == "flat" else ca.MX
+
+
+def _approach(step: ca.Function, equation: Equation) -> ca.Function:
+    """Return one true step towards the switch by the secant method, for ``fold``.
+
+    The state is the part of the step to take next, the part last taken, the
+    room there, its slope along the step, how many steps were taken, and where
+    the last one led. Once that is the border, nothing more is done.
+    """
+    x, taut, u, h, _ = _symbols(equation)
+    state = ca.MX.sym("state", 5 + equation.states)
+    chosen = ca.MX.sym("chosen", equation.switches)
+    wanted, before, gap_before, speed, taken = (state[i] for i in range(5))
+    # A string that only grazes the border has no slope to follow.
+    part = ca.fmin(ca.fmax(ca.if_else(speed < 0, wanted, 0), 0), 1)
+    end = step(x, u, taut, part * h)
+    gap = ca.dot(chosen, (2 * taut - 1) * equation.gap(end, u)[0]) / ca.sum1(chosen)
+    # Closer than this, the difference is round-off.
+    apart = ca.fabs(part - before) > 1e-6
+    secant = (gap - gap_before) / ca.if_else(apart, part - before, 1)
+    speed = ca.if_else(ca.logic_and(apart, secant < 0), secant, speed)
+    inputs = [state, x, taut, u, h, chosen]
+    again = ca.vertcat(part - gap / speed, part, gap, speed, taken + 1, end)
+    choose = ca.Function.if_else(
+        "again_or_there",
+        ca.Function("again", inputs, [again]),
+        ca.Function("there", inputs, [state]),
+    )
+    far = ca.logic_or(taken == 0, ca.fabs(gap_before) > 0.4 * _BAND * ca.mmin(u))
+    return ca.Function("approach", inputs, [choose(far, *inputs)])
+
+
+def _substep(attempt: ca.Function, land: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(state, [u; h]) -> state``: the next substep, for ``fold``.
+
+    The state is x, taut, the time left, and the counts; nothing happens once no time is left.
+    """
+    x, taut, u, _, x1 = _symbols(equation)
+    left, counts = ca.MX.sym("left"), ca.MX.sym("counts", len(COUNTS))
+    inputs = [x, taut, left, counts, u]
+    over = ca.Function("over", [*inputs, x1], [ca.vertcat(x1, taut, 0, counts + _count(tries=1))])
+    x2, taut2, taken, switched, tries = land(x, taut, u, left, x1)
+    more = _count(tries=1 + tries, landings=1, switches=switched)
+    again = ca.Function(
+        "again", [*inputs, x1], [ca.vertcat(x2, taut2, left - taken, counts + more)]
+    )
+    end, crossed = attempt(x, taut, u, left)
+    either = ca.Function.if_else("either_substep", again, over)
+    going = ca.Function("going", inputs, [either(crossed, *inputs, end)])
+    done = ca.Function("done", inputs, [ca.vertcat(*inputs[:-1])])
+    state, held = ca.MX.sym("state", going.size1_out(0)), ca.MX.sym("held", equation.inputs + 1)
+    parts = _split(state, equation)
+    choose = ca.Function.if_else("choose", going, done)
+    some = parts[2] > _REST * held[-1]
+    x, taut, left, counts = parts
+    return ca.Function("substep", [state, held], [choose(some, x, taut, left, counts, held[:-1])])
+
+
+def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(state, [u; h]) -> state``: all that follows the first switch of a step.
+
+    As a rule that is one substep; it may be several, and what is then left is taken whole.
+    """
+    state, held = (ca.MX.sym(substep.name_in(i), substep.size1_in(i)) for i in range(2))
+    u, h = held[:-1], held[-1]
+    same = ca.Function("same", [state, held], [state])
+    x, taut, left, counts = _split(state, equation)
+    end = step(x, u, taut, left)
+    more = counts + _count(tries=1, unlocated=1)
+    whole = ca.Function(
+        "whole", [state, held], [ca.vertcat(end, taut_strings(equation, end, u), 0, more)]
+    )
+    rest = _SUBSTEPS - 1
+    cut_up = substep.fold(rest)(state, ca.repmat(held, 1, rest))
+    last = ca.Function.if_else("last", whole, same)
+    several = ca.Function(
+        "several", [state, held], [last(_left(cut_up, equation) > _REST * h, cut_up, held)]
+    )
+    first = substep(state, held)
+    choose = ca.Function.if_else("choose_several", several, same)
+    return ca.Function(
+        "finish", [state, held], [choose(_left(first, equation) > _REST * h, first, held)]
+    )
+
+
+def _left(state: Any, equation: Equation) -> Any:
+    """Return the time left of a step, from the state of a substep."""
+    return _split(state, equation)[2]
+
+
+def _symbols(equation: Equation) -> tuple[Any, Any, Any, Any, Any]:
+    """Return fresh symbols for x, taut, u, h and the x after a step."""
+    sizes = {"x": equation.states, "taut": equation.switches, "u": equation.inputs, "h": 1}
+    x, taut, u, h = (ca.MX.sym(name, size) for name, size in sizes.items())
+    return x, taut, u, h, ca.MX.sym("x1", equation.states)
+
+
+def _split(state: Any, equation: Equation) -> list[Any]:
+    sizes = (equation.states, equation.switches, 1, len(COUNTS))
+    ends = [sum(sizes[:i]) for i in range(len(sizes) + 1)]
+    return list(ca.vertsplit(state, ends))
+
+
+def _count(**counted: Any) -> Any:
+    return ca.vertcat(*(counted.get(name, 0) for name in COUNTS))
+
+
+# ---- methods with a solver of their own ----
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Motion over one step of a method."""
+
+    times: FloatArray  # where gaps are sampled, s: equally spaced, from the start to the end
+    between: Callable[[FloatArray], FloatArray]  # times to states, (states, count), interpolated
+    state: FloatArray  # at the end
+
+
+class SmoothMotion(Protocol):
+    """A motion in which no string switches, taken step by step."""
+
+    @property
+    def work(self) -> Work:
+        """What was done so far, landings included."""
+
+    def step(self) -> Step:
+        """Take the next step; raise FloatingPointError where there is none."""
+
+    def land(self, step: Step, time: float) -> FloatArray:
+        """Return the state at a time within a step as exactly as at the ends of steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Landing:
+    time: float
+    state: FloatArray
+    crossed: FloatArray  # 1 for each string that goes slack or taut here
+    located: bool
+
+
+class EventIntegrator(Integrator):
+    """Adaptive integration that never steps across a switch of a string.
+
+    Where a string passes the border of slack within a step, the step is cut
+    there: the crossing is found on the method's interpolation, the motion
+    integrated again up to it, and the time corrected until the string is on
+    the border. Strings that are there together switch together. Where no
+    string can go slack nothing of this is done.
+
+    A method integrates the state as part of its scale, ``y = x/scale``.
+    """
+
+    def __init__(self, equation: Equation, tolerance: float, project: bool = True) -> None:
+        super().__init__(equation)
+        self._projected = Projector(equation, project)
+        self.tolerance = checked_tolerance(tolerance)
+        self._scale: FloatArray | None = None  # set by the first motion
+        self._gap_of: ColumnEvaluator | None = None
+        if equation.switches:
+            self._gap_of = ColumnEvaluator(equation.prepared.get("gap alone", self._gap_function))
+
+    def _gap_function(self) -> ca.Function:
+        equation = self._equation
+        x, u = equation.symbol("x", equation.states), equation.symbol("u", equation.inputs)
+        return ca.Function("gap", [x, u], [equation.gap(x, u)[0]])
+
+    @abstractmethod
+    def _begin(
+        self,
+        now: float,
+        state: FloatArray,
+        held: FloatArray,
+        taut: FloatArray,
+        times: FloatArray,
+        before: SmoothMotion | None,
+    ) -> SmoothMotion:
+        """Return the motion from now on; ``times`` are the outputs, the last ends the span."""
+
+    def advance(
+        self,
+        state: FloatArray,
+        held: FloatArray,
+        duration: float,
+        outputs: int,
+        report: Report | None = None,
+    ) -> Span:
+        """See :meth:`Integrator.advance`."""
+        if self._scale is None:
+            frequency = largest_frequency(self._equation, state, held)
+            self._scale = state_scale(self._equation, state, held, frequency)
+        state = state / self._scale
+        times = duration * np.arange(1, outputs + 1) / outputs
+        times[-1] = duration  # whatever round-off says
+        states = np.empty((len(state), outputs))
+        now, done, work = 0.0, 0, Work()
+        motion: SmoothMotion | None = None
+        landings = deque([-duration], maxlen=_CHATTER)
+        try:
+            # A state that is not finite is looked for, so NumPy need not warn of it.
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                taut = self._taut(state, held)
+                while now < duration:
+                    following = self._begin(now, state, held, taut, times, motion)
+                    work += Work() if motion is None else motion.work
+                    motion, landing = following, None
+                    while now < duration and landing is None:
+                        step = motion.step()
+                        landing = self._landing(motion, step, held, taut)
+                        end = float(step.times[-1])
+                        now, state = end, step.state
+                        if landing is not None:
+                            now, state = landing.time, landing.state
+                        reached = int(np.searchsorted(times, now, side="right"))
+                        if reached > done:
+                            states[:, done:reached] = step.between(times[done:reached])
+                            if times[reached - 1] == now:
+                                states[:, reached - 1] = state
+                            done = reached
+                        if report is not None:
+                            report(now)
+                    if landing is not None:
+                        taut = np.abs(taut - landing.crossed)
+                        count = int(landing.crossed.sum())
+                        work += Work(switches=count) if landing.located else Work(unlocated=1)
+                        _refuse_chatter(landings, now, duration)
+        except FloatingPointError as error:
+            work += Work() if motion is None else motion.work
+            raise IntegrationError(
+                f"{self.name} stopped after {now:.6g} s: {error}",
+                now,
+                Span(self._returned(states[:, :done]), work),
+            ) from None
+        except KeyboardInterrupt:
+            work += Work() if motion is None else motion.work
+            so_far = Span(self._returned(states[:, :done]), work)
+            raise IntegrationError("interrupted", now, so_far, True) from None
+        assert motion is not None  # the span has a length
+        return Span(self._returned(states), work + motion.work)
+
+    def _returned(self, states: FloatArray) -> FloatArray:
+        """Return states in m and m/s, bar lengths exact if that is wanted."""
+        assert self._scale is not None  # set before the first step
+        return self._projected(states * self._scale[:, None])
+
+    # ---- where strings go slack or taut ----
+
+    def _gap(self, states: FloatArray, held: FloatArray) -> FloatArray:
+        """Return the gap of each string at each of some states, shape (α, count)."""
+        assert self._scale is not None  # set before the first step
+        assert self._gap_of is not None  # asked for only where strings can go slack
+        inputs = np.broadcast_to(held[:, None], (len(held), states.shape[1]))
+        return self._gap_of(states * self._scale[:, None], inputs)[0]
+
+    def _taut(self, state: FloatArray, held: FloatArray) -> FloatArray:
+        if self._equation.switches == 0:
+            return np.zeros(0)
+        return (self._gap(state[:, None], held)[:, 0] > 0).astype(float)
+
+    def _room(self, states: FloatArray, held: FloatArray, taut: FloatArray) -> FloatArray:
+        """Return how far strings are from switching, in bands: 1 on the border, 0 where they do."""
+        # Where strings can go slack, u holds their rest lengths.
+        band = _BAND * (1.0 if self._equation.structure is None else float(held.max()))
+        return np.where(taut > 0, 1.0, -1.0)[:, None] * self._gap(states, held) / band + 1.0
+
+    def _landing(
+        self, motion: SmoothMotion, step: Step, held: FloatArray, taut: FloatArray
+    ) -> _Landing | None:
+        """Return the first switch within a step, if there is one."""
+        if self._equation.switches == 0:
+            return None
+
+        def room(times: FloatArray) -> FloatArray:
+            return self._room(step.between(times), held, taut)
+
+        start, end = float(step.times[0]), float(step.times[-1])
+        time = _first_crossing(room, step.times)
+        if time is None:
+            return None
+        if time - start <= 4 * np.spacing(end):
+            # Past the border already, by less than the interpolation of the last step saw.
+            at = room(step.times[:1])[:, 0]
+            crossed = at <= max(0.5, float(at.min()))
+            state = step.between(step.times[:1])[:, 0]
+            return _Landing(start, state, crossed.astype(float), located=False)
+        apart = 1e-3 * (end - start)
+        for _ in range(_NEWTON_STEPS):
+            state = motion.land(step, time)
+            left = self._room(state[:, None], held, taut)[:, 0]
+            if abs(left.min()) < 0.25:
+                break
+            around = room(np.array([time - apart, time + apart]))[left.argmin()]
+            rate = (around[1] - around[0]) / (2 * apart)
+            if not rate < 0:
+                break  # it grazes the border: an ordinary end of a step
+            time = float(np.clip(time - left.min() / rate, start + 1e-3 * apart, end))
+        return _Landing(time, state, (left < 0.5).astype(float), located=True)
+
+
+def _first_crossing(room: Callable[[FloatArray], FloatArray], times: FloatArray) -> float | None:
+    """Return when the least room first falls below zero within a step, or None."""
+    from scipy.optimize import brentq
+
+    seen = room(times)
+    dips = _dips(times, seen)
+    if len(dips):
+        times = np.union1d(times, dips)
+        seen = room(times)
+    below = np.flatnonzero(seen.min(axis=0) < 0)
+    if len(below) == 0:
+        return None
+    first = below[0]
+    if first == 0:
+        return float(times[0])
+    return float(
+        brentq(
+            lambda time: room(np.array([time])).min(),
+            times[first - 1],
+            times[first],
+            xtol=1e-300,
+            rtol=4 * np.finfo(float).eps,
+        )
+    )
+
+
+def _dips(times: FloatArray, seen: FloatArray) -> FloatArray:
+    """Return times between those looked at where a parabola says that room may fall below zero."""
+    left, middle, right = seen[:, :-2], seen[:, 1:-1], seen[:, 2:]
+    half, bend = (right - left) / 2, right - 2 * middle + left
+    place = -half / np.where(bend > 0, bend, np.inf)
+    lowest = middle + half * place / 2
+    # A little above zero the parabola may be wrong, and it costs little to look.
+    strings, at = np.nonzero((bend > 0) & (np.abs(place) <= 1) & (lowest < 0.2 * middle))
+    found: FloatArray = times[at + 1] + place[strings, at] * (times[1] - times[0])
+    return found
+
+
+def _refuse_chatter(landings: deque[float], now: float, duration: float) -> None:
+    landings.append(now)
+    if len(landings) == _CHATTER and now - landings[0] < _CHATTER_TIME * duration:
+        raise FloatingPointError(
+            f"strings go slack and taut {_CHATTER} times within {now - landings[0]:.1e} s"
+        )
