@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.sampling import Sampled
+from tenscontrol.plant import LinearPlant, Sampled
 from tenscontrol.validation import FloatArray
 
 

@@ -12,10 +12,7 @@ from tenscontrol.estimation.observability import refuse_unobservable, refuse_uns
 from tenscontrol.estimation.outputs import observed_plant, output_function, output_matrix
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.estimation.unknown_load import with_load
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_dynamics import sampled_dynamics
-from tenscontrol.plant.reduced_reference import acceleration_response
-from tenscontrol.plant.sampling import sampled
+from tenscontrol.plant import LinearPlant, acceleration_response, sampled, sampled_dynamics
 from tenscontrol.structure import refuse_wrong_bar_lengths, same_members
 from tenscontrol.validation import (
     FloatArray,

@@ -226,7 +226,7 @@ class KalmanFilter:
             transition = moved.transition
             z = transition @ z + moved.by_input @ (held - rest) + moved.drift
             if moved.ramp:
-                z = z + moved.by_before @ (start - rest)
+                z = z + moved.by_previous @ (start - rest)
         else:
             transition = np.eye(len(z))
             for left in range(design.substeps - 1, -1, -1):

@@ -8,8 +8,7 @@ import numpy as np
 
 from tenscontrol.estimation.outputs import output_matrix
 from tenscontrol.estimation.sensors import KINDS, Sensors
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.controllability import distinct_poles, reached_dimension
+from tenscontrol.plant import LinearPlant, distinct_poles, reached_dimension
 from tenscontrol.validation import FloatArray
 
 # A singular value below this fraction of the largest is zero.

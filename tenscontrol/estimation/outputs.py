@@ -9,9 +9,7 @@ import numpy as np
 
 from tenscontrol.dynamics import kernel
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.plant import LinearPlant, in_coordinates
-from tenscontrol.plant.reduced_dynamics import reduced_motion
-from tenscontrol.plant.string_outputs import spreading
+from tenscontrol.plant import LinearPlant, in_coordinates, model_input, reduced_motion
 from tenscontrol.structure import left_by_supports, rigid_motions
 from tenscontrol.validation import FloatArray, frozen
 
@@ -47,7 +45,7 @@ def output_function(plant: LinearPlant, sensors: Sensors, more: int = 0) -> ca.F
             ca.vec(kernel.scale_columns(kernel.differences(N, structure.bars[bars]), scale))
         )
     if sensors.tension_strings is not None:
-        gamma = spreading(plant, u)
+        gamma = model_input(plant, u)
         if plant.input == "rest_length":
             law = plant.model.strings
             assert law is not None  # linearize needs one for this input

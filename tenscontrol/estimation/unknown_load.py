@@ -9,8 +9,7 @@ import numpy as np
 
 from tenscontrol.estimation.design import FilterDesign
 from tenscontrol.estimation.outputs import output_function
-from tenscontrol.plant.reduced_reference import acceleration_response
-from tenscontrol.plant.sampling import Sampled
+from tenscontrol.plant import Sampled, acceleration_response
 from tenscontrol.validation import FloatArray
 
 # Standard deviation of the load at the start, as a part of the pull of a string.
@@ -46,8 +45,9 @@ def with_load(design: FilterDesign, pull: float, walk: float) -> FilterDesign:
         design,
         load=True,
         sampled=Sampled(
+            sample_time=moved.sample_time,
             transition=np.block([[moved.transition, by_load], [zero.T, eye]]),
-            by_before=np.vstack([moved.by_before, none]),
+            by_previous=np.vstack([moved.by_previous, none]),
             by_input=np.vstack([moved.by_input, none]),
             drift=np.r_[moved.drift, np.zeros(r)],
             ramp=moved.ramp,
