@@ -114,8 +114,8 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     by_shape = strings.gamma_by_state.copy()
     by_shape[:, states // 2 :] = 0.0  # the conversion knows no rates
     by_length = np.diag(strings.gamma_by_input)[:, None]
-    wanted = to_model_strings(plant, "force_density", -K) - by_shape
-    wound = to_commanded_strings(plant, "rest_length", wanted / by_length)
+    wanted = to_model_strings(plant, "force_density", -K.T).T - by_shape
+    wound = to_commanded_strings(plant, "rest_length", (wanted / by_length).T).T
     if plant.commanded is not plant.model.structure:
         held = command_parents(held)
     transition, input_matrix, _ = held.discretize(sample_time)
@@ -181,7 +181,7 @@ def held_error_rate(
     """
     r, (a, b) = plant.degrees_of_freedom, rates
     moved = matrix @ plant.basis
-    spread = to_model_strings(plant, "force_density", np.eye(plant.B.shape[1]))
+    spread = to_model_strings(plant, "force_density", np.eye(plant.B.shape[1])).T
     # The mean over the segments of a string, whose γ are alike.
     gather = np.linalg.pinv(spread)
     by_shape = gather @ string_map(plant, "rest_length").gamma_by_state[:, :r]

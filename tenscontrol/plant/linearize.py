@@ -281,7 +281,7 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
             "string gives the operating point. Weight makes force densities differ along a "
             "string: linearize with input='rest_length'"
         )
-    spread = to_segments(structure, plant.input, np.eye(len(parent.strings)))
+    spread = to_segments(structure, plant.input, np.eye(len(parent.strings))).T
     return replace(
         plant,
         B=frozen(plant.B @ spread),

@@ -418,7 +418,7 @@ def _held(
     assert law is not None  # the rest length is the input
     shapes = np.array([plant.to_nodes(each) for each in q])
     offset, slope = _accelerations(plant, shapes)
-    chosen = np.ascontiguousarray(to_model_strings(plant, "force_density", wanted).T)
+    chosen = to_model_strings(plant, "force_density", wanted.T)
     left = offset + (slope @ chosen[..., None])[..., 0]
     # Ridge regression from the operating point, shape by shape.
     U, sizes, Vt = np.linalg.svd(slope, full_matrices=False)
@@ -433,7 +433,7 @@ def _held(
         [law.rest_length(length, each) for length, each in zip(lengths, gamma, strict=True)]
     )
     rests = np.hstack([q, np.zeros_like(q)])
-    wound = to_commanded_strings(plant, "rest_length", rest_length.T).T
+    wound = to_commanded_strings(plant, "rest_length", rest_length)
     return np.hstack([rests, wound, gamma, gamma * lengths, left @ response.T])
 
 

@@ -15,44 +15,44 @@ from tenscontrol.validation import FloatArray
 
 
 def to_segments(structure: Structure, what: str, values: FloatArray) -> FloatArray:
-    """Return values of the segments, shape (α', …), from those of whole strings, (α, …).
+    """Return values of the segments, shape (…, α'), from those of whole strings, (…, α).
 
     ``what`` is "force_density", "rest_length", "length" or "tension". A string of s segments gives
     each of them s times its γ, and 1/s of its length.
     """
     of = structure.string_parent
     assert of is not None  # a subdivision
-    count = np.bincount(of).reshape(-1, *[1] * (values.ndim - 1))
+    counts = np.bincount(of)
     if what == "force_density":
-        values = values * count
+        values = values * counts
     elif what != "tension":
-        values = values / count
-    return np.asarray(values[of])
+        values = values / counts
+    return np.asarray(values[..., of])
 
 
 def to_strings(structure: Structure, what: str, values: FloatArray) -> FloatArray:
-    """Return values of whole strings, shape (α, …), from those of their segments, (α', …).
+    """Return values of whole strings, shape (…, α), from those of their segments, (…, α').
 
     Lengths add up; tensions and γ are means over the segments, γ over s as well.
     """
     of = structure.string_parent
     assert of is not None  # a subdivision
-    count = np.bincount(of).reshape(-1, *[1] * (values.ndim - 1))
-    total = np.zeros((len(count), *values.shape[1:]))
-    np.add.at(total, of, values)
+    counts = np.bincount(of)
+    total = np.zeros((*values.shape[:-1], len(counts)))
+    np.add.at(total.T, of, values.T)
     if what == "force_density":
-        return total / count**2
-    return total / count if what == "tension" else total
+        return np.asarray(total / counts**2)
+    return np.asarray(total / counts) if what == "tension" else total
 
 
 def to_model_strings(plant: LinearPlant, what: str, values: FloatArray) -> FloatArray:
-    """Return values of the model's strings from those of the commanded ones; strings come first."""
+    """Return values of the model's strings from those of the commanded ones, on the last axis."""
     structure = plant.model.structure
     return values if plant.commanded is structure else to_segments(structure, what, values)
 
 
 def to_commanded_strings(plant: LinearPlant, what: str, values: FloatArray) -> FloatArray:
-    """Return values of the commanded strings from those of the model's; strings come first."""
+    """Return values of the commanded strings from those of the model's, on the last axis."""
     structure = plant.model.structure
     return values if plant.commanded is structure else to_strings(structure, what, values)
 
@@ -61,7 +61,7 @@ def model_input(plant: LinearPlant, u: Any) -> Any:
     """Return the expression of the inputs of the model's strings from the commanded ones."""
     if plant.commanded is plant.model.structure:
         return u
-    spread = to_model_strings(plant, plant.input, np.eye(plant.B.shape[1]))
+    spread = to_model_strings(plant, plant.input, np.eye(plant.B.shape[1])).T
     return ca.mtimes(ca.sparsify(ca.DM(spread)), u)
 
 
@@ -108,7 +108,7 @@ def _string_map(plant: LinearPlant, input: str) -> StringMap:
     )
     at = to_model_strings(plant, input, at)
     values = [np.array(value.full()) for value in function(np.zeros(2 * r), at)]
-    spread = to_model_strings(plant, input, np.eye(plant.B.shape[1]))
+    spread = to_model_strings(plant, input, np.eye(plant.B.shape[1])).T
     return StringMap(
         force_density=values[0].ravel(),
         tension=values[1].ravel(),
