@@ -11,11 +11,11 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import Controller
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
 from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
 from tenscontrol.simulation.loop import Loop, SimulationError
-from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.simulation.start import checked_load, held_value, initial_state
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.validation import choice, instance, positive_number, truth
