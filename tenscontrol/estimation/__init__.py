@@ -3,6 +3,6 @@
 from tenscontrol.estimation.estimate import Estimate, FilterStatistics
 from tenscontrol.estimation.kalman import kalman
 from tenscontrol.estimation.kalman_filter import KalmanFilter
-from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.estimation.sensors import KINDS, Sensors
 
-__all__ = ["Estimate", "FilterStatistics", "KalmanFilter", "Sensors", "kalman"]
+__all__ = ["KINDS", "Estimate", "FilterStatistics", "KalmanFilter", "Sensors", "kalman"]

@@ -1,10 +1,10 @@
 """Open- and closed-loop simulation."""
 
-from tenscontrol.simulation.faults import CutString, Fault, LostMeasurement, StuckWinch
+from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
 from tenscontrol.simulation.health import AccuracyWarning, Health, HealthLimits
 from tenscontrol.simulation.loop import SimulationError
 from tenscontrol.simulation.observation import EstimateRecord
-from tenscontrol.simulation.simulate import simulate
+from tenscontrol.simulation.simulate import checked_load, held_value, initial_state, simulate
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
 
 __all__ = [
@@ -13,11 +13,15 @@ __all__ = [
     "CutString",
     "EstimateRecord",
     "Fault",
+    "Faults",
     "Health",
     "HealthLimits",
     "LostMeasurement",
     "SimulationError",
     "StuckWinch",
     "Trajectory",
+    "checked_load",
+    "held_value",
+    "initial_state",
     "simulate",
 ]
