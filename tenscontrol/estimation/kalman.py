@@ -1,18 +1,23 @@
-"""The design of a Kalman filter: what may be seen, its noise, its steady gain, checked."""
+"""Design of a Kalman filter: observability, noise and steady gain, checked."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.estimation.design import FilterDesign
-from tenscontrol.estimation.kalman_filter import KalmanFilter
-from tenscontrol.estimation.observability import refuse_unobservable, refuse_unseen_loads
-from tenscontrol.estimation.outputs import observed_plant, output_function, output_matrix
+from tenscontrol.estimation.kalman_filter import FilterDesign, KalmanFilter
+from tenscontrol.estimation.observability import (
+    observed_plant,
+    output_function,
+    output_matrix,
+    refuse_unobservable,
+    refuse_unseen_loads,
+)
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.estimation.unknown_load import with_load
-from tenscontrol.plant import LinearPlant, acceleration_response, sampled, sampled_dynamics
+from tenscontrol.plant import LinearPlant, Sampled, acceleration_response, sampled, sampled_dynamics
 from tenscontrol.structure import refuse_wrong_bar_lengths, same_members
 from tenscontrol.validation import (
     FloatArray,
@@ -28,6 +33,9 @@ PREDICTIONS = ("linear", "nonlinear")
 
 # Part of the size by which string lengths at the start may be off in the coordinates.
 _START_TOLERANCE = 1e-3
+
+# Standard deviation of the load at the start, as a part of the pull of a string.
+_LOAD_START = 0.3
 
 # A Riccati residual above this fraction of its terms means that the solution is wrong.
 _RESIDUAL_TOLERANCE = 1e-6
@@ -181,7 +189,7 @@ def kalman(
     )
     push = share * pull * by_load
     if load:
-        design = with_load(design, pull, walk)
+        design = _with_load(design, pull, walk)
         r = plant.degrees_of_freedom
         none = np.zeros((2 * r, r))
         push = np.block([[push, none], [none[:r], walk * pull * np.eye(r)]])
@@ -246,6 +254,56 @@ def _start(plant: LinearPlant, spread: float, pull: float) -> FloatArray:
     size = float(np.ptp(plant.nodes, axis=1).max())
     shift = spread * size * np.sqrt(n) / float(np.linalg.norm(plant.basis))
     return np.diag(np.r_[np.full(r, shift**2), np.full(r, 2 * pull * shift)])
+
+
+def _with_load(design: FilterDesign, pull: float, walk: float) -> FilterDesign:
+    """Return the design with the acceleration a that a load gives as states after z.
+
+    ``z⁺ = Φ z + … + Ψ a``, with Ψ what unit accelerations do in a sample, and
+    ``a⁺ = a + w'``: a random walk, w' in units of ``pull``, the acceleration that a string gives.
+    """
+    by_load = acceleration_response(design.plant, design.sample_time)
+    size, r = by_load.shape
+    eye, zero = np.eye(r), np.zeros((size, r))
+    moved, none = design.sampled, np.zeros((r, design.plant.B.shape[1]))
+
+    def joined(of_state: FloatArray, share: float) -> FloatArray:
+        return np.block([[of_state, zero], [zero.T, (share * pull) ** 2 * eye]])
+
+    motion = design.motion
+    if motion is not None:
+        step = design.sample_time / design.substeps
+        in_step = acceleration_response(design.plant, step)
+        key, linear = ("under_load", step), motion
+        motion = design.plant.prepared.get(key, lambda: _under_load(linear, in_step))
+    return replace(
+        design,
+        load=True,
+        sampled=Sampled(
+            sample_time=moved.sample_time,
+            transition=np.block([[moved.transition, by_load], [zero.T, eye]]),
+            by_previous=np.vstack([moved.by_previous, none]),
+            by_input=np.vstack([moved.by_input, none]),
+            drift=np.r_[moved.drift, np.zeros(r)],
+            ramp=moved.ramp,
+        ),
+        process_covariance=joined(design.process_covariance, walk),
+        start_covariance=joined(design.start_covariance, _LOAD_START),
+        start=np.r_[design.start, np.zeros(r)],
+        outputs=output_function(design.plant, design.sensors, more=r),
+        motion=motion,
+    )
+
+
+def _under_load(motion: ca.Function, by_load: FloatArray) -> ca.Function:
+    """Return ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)`` under a load, to first order in the load."""
+    size, r = by_load.shape
+    z, u = ca.MX.sym("z", size + r), ca.MX.sym("u", motion.size1_in(1))
+    end, of_state, of_input = motion(z[:size], u)
+    end = ca.vertcat(end + ca.DM(by_load) @ z[size:], z[size:])
+    rows = ca.blockcat([[of_state, ca.DM(by_load)], [ca.DM(r, size), ca.DM.eye(r)]])
+    below = ca.vertcat(of_input, ca.DM(r, motion.size1_in(1)))
+    return ca.Function("loaded", [z, u], [ca.densify(each) for each in (end, rows, below)])
 
 
 def _steady(
