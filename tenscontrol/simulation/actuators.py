@@ -27,27 +27,7 @@ class Actuators:
     """Apply commands: γ as it is, or rest lengths through the winches.
 
     A controller commands the strings of the plant, or those of its parent, whose segments then
-    move together.
-
-    Parameters
-    ----------
-    loop : Loop
-    controller : Controller
-    winches : Winches or None
-    rest_length : float or array_like, shape (α,), or None
-        Rest lengths at the start, m.
-    sample_time : float
-        s.
-
-    Attributes
-    ----------
-    start : ndarray, shape (α,), or None
-        Rest lengths at the start, m; None where they are not known.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument does not fit, or the commands cannot be followed.
+    move together. ``start`` are the rest lengths at the start, m, shape (α,), if they are known.
     """
 
     def __init__(

@@ -45,7 +45,14 @@ def run_closed_loop(
         observation = Observation(
             *estimation, loop.model, loop.input, controller, sample, actuators.start, substeps
         )
-    log = _Log(loop.input, actuators.start, observation)
+    rows: list[tuple[float, Command, WinchMove, float]] = []
+
+    def record() -> ControlRecord:
+        start = None
+        if loop.input == "rest_length":
+            start = rows[0][2].rest_length if actuators.start is None else actuators.start
+        return _control_record(rows, start, sample, observation)
+
     seen = controller.plant.nodes.shape[1]  # of a subdivision, the nodes of its parent come first
     # The allowance keeps round-off from adding a last sample of no length.
     for k in range(max(1, ceil(duration / sample - 1e-9))):
@@ -65,50 +72,45 @@ def run_closed_loop(
         controller.applied(actuators.applied_input(N))
         if observation is not None:
             observation.predict(move.rest_length, inputs[-1])
-        log.add(loop.now, command, move, taken)
+        rows.append((loop.now, command, move, taken))
         end = min(loop.now + sample, duration)
         whole = end - loop.now
         for i, held in enumerate(inputs):
             span = min(loop.now + sample / len(inputs), end) if i + 1 < len(inputs) else end
             span -= loop.now
             if span > 1e-9 * whole:  # not round-off
-                state = loop.run(state, held, span, report, lambda: log.record(sample))
-    return loop.trajectory(log.record(sample))
+                state = loop.run(state, held, span, report, record)
+    return loop.trajectory(record())
 
 
-class _Log:
-    """The rows of a control record, sample by sample."""
+def _control_record(
+    rows: list[tuple[float, Command, WinchMove, float]],
+    rest_length: FloatArray | None,
+    sample_time: float,
+    observation: Observation | None,
+) -> ControlRecord:
+    """Return the record of samples: start, command, move of the winches, computing time.
 
-    def __init__(
-        self, input: str, start: FloatArray | None, observation: Observation | None
-    ) -> None:
-        self._input, self._start, self._observation = input, start, observation
-        self._rows: list[tuple[float, Command, WinchMove, float]] = []
-
-    def add(self, time: float, command: Command, move: WinchMove, taken: float) -> None:
-        self._rows.append((time, command, move, taken))
-
-    def record(self, sample: float) -> ControlRecord:
-        times, commands, moves, taken = zip(*self._rows, strict=True)
-        applied = np.column_stack([move.rest_length for move in moves])
-        rate = np.zeros_like(applied)
-        if self._input == "rest_length":
-            start = applied[:, :1] if self._start is None else self._start[:, None]
-            rate = np.diff(applied, axis=1, prepend=start) / sample
-        time, observation = frozen(np.array(times)), self._observation
-        return ControlRecord(
-            time=time,
-            command=frozen(np.column_stack([command.value for command in commands])),
-            applied=frozen(applied),
-            status=tuple(command.status for command in commands),
-            fallback=tuple(command.fallback for command in commands),
-            detail=tuple(command.detail for command in commands),
-            winch_rate=frozen(rate),
-            rate_limited=frozen(np.array([len(move.rate_limited) for move in moves])),
-            range_limited=frozen(np.array([len(move.range_limited) for move in moves])),
-            computing_time=frozen(np.array(taken)),
-            estimate=None if observation is None else observation.record(time),
-        )
+    ``rest_length`` are those before the first sample, shape (α,); None where γ is held.
+    """
+    times, commands, moves, taken = zip(*rows, strict=True)
+    time, applied = frozen(np.array(times)), np.column_stack([move.rest_length for move in moves])
+    rate = np.zeros_like(applied)
+    if rest_length is not None:
+        rate = np.diff(applied, axis=1, prepend=rest_length[:, None]) / sample_time
+    return ControlRecord(
+        time=time,
+        command=frozen(np.column_stack([command.value for command in commands])),
+        applied=frozen(applied),
+        status=tuple(command.status for command in commands),
+        fallback=tuple(command.fallback for command in commands),
+        detail=tuple(command.detail for command in commands),
+        winch_rate=frozen(rate),
+        rate_limited=frozen(np.array([len(move.rate_limited) for move in moves])),
+        range_limited=frozen(np.array([len(move.range_limited) for move in moves])),
+        computing_time=frozen(np.array(taken)),
+        estimate=None if observation is None else observation.record(time),
+    )
 
 
 def _sample_time(controller: Controller, sample_time: float | None, step: float | None) -> float:

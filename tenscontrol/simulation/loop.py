@@ -8,11 +8,11 @@ from math import ceil
 
 import numpy as np
 
-from tenscontrol.dynamics import Model, evaluate_columns
+from tenscontrol.dynamics import Model, evaluate_columns, unpack_states
 from tenscontrol.integrate import METHODS, Choice, IntegrationError, Integrator, Span, Work, choose
 from tenscontrol.simulation.faults import Faults
-from tenscontrol.simulation.trajectory import ControlRecord, Trajectory, build_trajectory
-from tenscontrol.validation import FloatArray, choice, positive_number
+from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
+from tenscontrol.validation import FloatArray, choice, frozen, positive_number
 
 # Intervals that are integrated again: those in which velocities change most, others spread over
 # the motion, and the largest part of it that they may be.
@@ -183,30 +183,56 @@ class Loop:
         self.released.append(np.full(len(time), self.lost_energy))
 
     def trajectory(self, control: ControlRecord | None, stopped: str | None = None) -> Trajectory:
-        """Return what came so far."""
+        """Return the motion so far; the model evaluates its energies and momenta at all times."""
         assert self.choice is not None  # made before the first span
         assert self.integrator is not None  # made with it
-        motion = np.concatenate(self.time), np.hstack(self.states), np.hstack(self.inputs)
+        model, structure = self.model, self.model.structure
+        time, states = np.concatenate(self.time), np.hstack(self.states)
+        inputs = np.hstack(self.inputs)
         error = None
         if stopped is None and self.choice.setting == "tolerance":
             # Each step may err by the tolerance, and errors add up.
             error = self.choice.value * self.work.steps
         elif stopped is None:
-            size = float(np.ptp(self.model.structure.nodes, axis=1).max())
+            size = float(np.ptp(structure.nodes, axis=1).max())
             step = self.choice.value
-            error = step_doubling_error(self.integrator, step, size, *motion)
-        return build_trajectory(
-            self.model,
-            self.load,
-            self.input,
-            *motion,
-            self.choice,
-            self.work,
-            control,
-            stopped,
-            error,
-            np.concatenate(self.released),
-            self.faults.listed,
+            error = step_doubling_error(self.integrator, step, size, time, states, inputs)
+        nodes, velocities = unpack_states(structure, states)
+        if self.input == "force_density":
+            force_density, rest_length = inputs, None
+            (potential,) = evaluate_columns(model.potential_energy, states, inputs)
+        else:
+            (force_density,) = evaluate_columns(model.string_force_density, states, inputs)
+            rest_length = frozen(inputs)
+            (potential,) = evaluate_columns(model.elastic_energy, states, inputs)
+        if self.load.any():
+            potential = potential - np.einsum("in,int->t", self.load, nodes)
+        (kinetic,) = evaluate_columns(model.kinetic_energy, states)
+        linear, angular = evaluate_columns(model.momentum, states)
+        bars = nodes[:, structure.bars[:, 1]] - nodes[:, structure.bars[:, 0]]
+        stretch = np.linalg.norm(bars, axis=0) - structure.bar_length[:, None]
+        undamped = model.strings is not None and not model.strings.is_damped
+        return Trajectory(
+            structure=structure,
+            time=frozen(time),
+            nodes=frozen(nodes),
+            velocities=frozen(velocities),
+            force_density=frozen(force_density),
+            rest_length=rest_length,
+            kinetic_energy=frozen(kinetic[0]),
+            potential_energy=frozen(potential[0]),
+            momentum=frozen(linear),
+            angular_momentum=frozen(angular),
+            bar_length_error=frozen(stretch),
+            choice=self.choice,
+            work=self.work,
+            conserves_energy=control is None and (self.input == "force_density" or undamped),
+            conserves_momentum=not self.load.any() and not len(structure.fixed),
+            control=control,
+            stopped=stopped,
+            position_error=error,
+            released_energy=frozen(np.concatenate(self.released)),
+            faults=self.faults.listed,
         )
 
 

@@ -14,9 +14,8 @@ from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
-from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
 from tenscontrol.simulation.loop import Loop, SimulationError
-from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.simulation.trajectory import AccuracyWarning, HealthLimits, Trajectory
 from tenscontrol.structure import (
     refuse_moved_supports,
     refuse_strings_without_length,
