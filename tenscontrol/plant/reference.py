@@ -203,30 +203,15 @@ class Preview:
     :meth:`ReferencePreview.over_horizon` gives the K = N + 1 starts of samples, but N rows of
     ``reference`` and ``drift``: r_1 … r_N, and the d_k of a state measured from the operating
     point.
-
-    Attributes
-    ----------
-    reference : ndarray, shape (K, s)
-        ``[q; q̇]`` of the reference.
-    rest : ndarray, shape (K, s)
-        ``[q; 0]``.
-    input : ndarray, shape (K, α)
-        The input that holds the plant there: origin of v.
-    force_density, tension : ndarray, shape (K, α')
-        Of the strings of the model there, N/m and N.
-    drift : ndarray, shape (K, s)
-        By how much the state drifts from there in a sample all the same.
-    previous_input : ndarray, shape (α,)
-        The input of the reference before its first sample.
     """
 
-    reference: FloatArray
-    rest: FloatArray
-    input: FloatArray
-    force_density: FloatArray
-    tension: FloatArray
-    drift: FloatArray
-    previous_input: FloatArray
+    reference: FloatArray  # (K, s), [q; q̇]
+    rest: FloatArray  # (K, s), [q; 0]
+    input: FloatArray  # (K, α), origin of v: holds the plant there
+    force_density: FloatArray  # (K, α'), N/m, of the strings of the model there
+    tension: FloatArray  # (K, α'), N
+    drift: FloatArray  # (K, s), by which the state drifts from there in a sample all the same
+    previous_input: FloatArray  # (α,), before the first sample
 
 
 class ReferencePreview:
@@ -236,22 +221,8 @@ class ReferencePreview:
     lengths, the lengths of the strings in the shapes themselves are used: for a stiff string,
     second-order errors of its length matter.
 
-    Parameters
-    ----------
-    plant : LinearPlant
-    reference : Reference or array_like, shape (3, n), or None
-        The operating point for None.
-    sampled : Sampled
-
-    Attributes
-    ----------
-    span : tuple of float
-        First and last time of the reference, s: it is at rest before and after.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the reference does not fit the structure.
+    The reference is checked: a Reference, a shape (3, n), or None for the operating point.
+    ``span`` are its first and last time, s: it is at rest before and after.
     """
 
     def __init__(self, plant: LinearPlant, reference: object, sampled: Sampled) -> None:

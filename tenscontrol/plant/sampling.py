@@ -15,30 +15,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """The exact model of a sample, ``z⁺ = Φ z + Γ_p v_previous + Γ v + d``.
+    """The exact model of a sample, ``z⁺ = Φ z + Γ_p v_previous + Γ v + d``."""
 
-    Attributes
-    ----------
-    sample_time : float
-        s.
-    transition : ndarray, shape (s, s)
-        Φ.
-    by_previous : ndarray, shape (s, α)
-        Γ_p: what the input of the previous sample still does; zero without a ramp.
-    by_input : ndarray, shape (s, α)
-        Γ.
-    drift : ndarray, shape (s,)
-        d.
-    ramp : bool
-        Whether the input moves through the sample, from v_previous to v.
-    """
-
-    sample_time: float
-    transition: FloatArray
-    by_previous: FloatArray
-    by_input: FloatArray
-    drift: FloatArray
-    ramp: bool
+    sample_time: float  # s
+    transition: FloatArray  # Φ, (s, s)
+    by_previous: FloatArray  # Γ_p, (s, α); zero without a ramp
+    by_input: FloatArray  # Γ, (s, α)
+    drift: FloatArray  # d, (s,)
+    ramp: bool  # whether the input moves through the sample, from v_previous to v
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -67,20 +67,12 @@ def model_input(plant: LinearPlant, u: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class StringMap:
-    """First-order force densities and tensions of the strings of a plant's model.
+    """Force densities and tensions of the strings of a plant's model, to first order."""
 
-    Attributes
-    ----------
-    force_density, tension : ndarray, shape (α',)
-        γ, N/m, and tension, N, at the operating point, one a string of the model.
-    gamma_by_state, tension_by_state : ndarray, shape (α', s)
-    gamma_by_input, tension_by_input : ndarray, shape (α', α)
-    """
-
-    force_density: FloatArray
-    tension: FloatArray
-    gamma_by_state: FloatArray
-    gamma_by_input: FloatArray
+    force_density: FloatArray  # (α',), N/m, at the operating point
+    tension: FloatArray  # (α',), N
+    gamma_by_state: FloatArray  # (α', s)
+    gamma_by_input: FloatArray  # (α', α)
     tension_by_state: FloatArray
     tension_by_input: FloatArray
 
