@@ -56,11 +56,11 @@ def kalman(
     start_spread: float = 0.03,
     winches: Winches | None = None,
 ) -> KalmanFilter:
-    """Return a Kalman filter that finds the motion of a plant from readings.
+    """Return a Kalman filter that estimates the motion of a plant from readings.
 
-    The plant's input must be what the actuators hold between samples: of winches, linearize
-    with ``input="rest_length"``, whatever the controller commands. A plant in internal
-    coordinates gets those motions as one body added that the readings see.
+    The plant's input must be what the actuators hold between samples: for winches linearize
+    with ``input="rest_length"``, whatever the controller commands. To internal coordinates the
+    motions as one body that the readings see are added.
 
     Parameters
     ----------
@@ -76,28 +76,26 @@ def kalman(
         acceleration that each string would give if it pulled alone with its tension
         at the operating point.
     load : bool
-        Whether to estimate a load that the model does not know, an acceleration q̈ in each
-        coordinate. Strings of another stiffness count as one, near the operating point. Without
-        it such a load shifts the estimate.
+        Whether to estimate an unknown load, an acceleration q̈ in each coordinate. Without it
+        such a load, or strings of another stiffness, shift the estimate.
     load_noise : float
-        Standard deviation by which that acceleration changes from one sample to the next, in the
-        unit of ``process_noise``. More follows faster, and lets more noise through.
+        Standard deviation of the change of that acceleration from one sample to the next, in the
+        unit of ``process_noise``. A larger one follows faster and filters less.
     prediction : {"linear", "nonlinear"}
-        From sample to sample by the plant, or by the equations of motion themselves. The
-        first is for the neighbourhood of the operating point, the second for large motions.
+        By the plant, near its operating point, or by the equations of motion.
     gate : float
         Probability that a good reading is refused, above 0 and below 1.
     patience : int
-        After so many samples in a row with most readings refused, the filter and not the
-        sensors is taken to be wrong: it starts anew from the readings. At least 1.
+        After so many samples in a row with most readings refused, the filter restarts from the
+        readings. At least 1.
     start : array_like, shape (3, n), optional
-        Shape at the start as far as it is known, m, at rest; the operating point if not given.
+        Expected shape at the start, m, at rest; the operating point if not given.
     start_spread : float
-        Standard deviation of the nodes from there, as a part of the size of the
-        structure; that of the speeds is what the forces of the strings give over this distance.
+        Standard deviation of the nodes from there, as a part of the size of the structure; that
+        of the speeds follows from the forces of the strings over this distance.
     winches : Winches, optional
-        Those that set the rest lengths, where they wind through samples
-        (``Winches(substeps=...)``): the prediction winds as they do. Their limits do not matter.
+        Winches with ramps, ``Winches(substeps=...)``, which the prediction follows. Their limits
+        do not matter.
 
     Returns
     -------
@@ -106,18 +104,17 @@ def kalman(
     Raises
     ------
     TypeError, ValueError
-        If an argument is of the wrong kind or does not fit; if a motion that does not decay
-        by itself is not seen (the message says how many states, and which readings in
-        addition would do), or a load is not; if no string pulls at the operating point; if
-        the solution of the Riccati equation does not stand the check of its residual and poles.
+        If an argument is of the wrong kind or does not fit; if an undamped motion, or the load,
+        is not observable (the message says which readings in addition would do); if no string
+        pulls at the operating point; if the Riccati solution fails its check.
 
     Notes
     -----
     ``z⁺ = Φ z + Γ v + d + Ψ (w + a)``, ``y = h(z, u) + e``, with Φ, Γ and Ψ exact for what
-    is held over a sample; for winches that wind there from v_before, ``Γ_b v_before`` is added.
-    The acceleration a by the unknown load has ``a⁺ = a + w'`` where it is estimated, and is 0
-    else. The steady gain for ``C = ∂h/∂z`` at the operating point is that of python-control's
-    ``dlqe``, solved with whitened readings, and checked.
+    is held over a sample; a ramp adds ``Γ_p v_previous``. The acceleration a by the unknown load
+    has ``a⁺ = a + w'`` where it is estimated, and is 0 otherwise. The steady gain for
+    ``C = ∂h/∂z`` at the operating point is that of python-control's ``dlqe``, solved with
+    whitened readings, and checked.
 
     Examples
     --------

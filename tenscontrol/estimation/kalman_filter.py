@@ -240,21 +240,21 @@ class KalmanFilter:
 
     @property
     def input(self) -> str:
-        """What it is told: ``"force_density"`` or ``"rest_length"``."""
+        """Kind of input: ``"force_density"`` or ``"rest_length"``."""
         return self.plant.input
 
     @property
     def substeps(self) -> int:
-        """Equal parts in which the input is taken to move through a sample."""
+        """Steps of the ramp of the input in a sample; 1 without a ramp."""
         return self._design.substeps
 
     @property
     def statistics(self) -> FilterStatistics:
-        """What became of the readings since the last reset."""
+        """Use of the readings since the last reset."""
         return self._tally.statistics()
 
     def reset(self, state: object = None, covariance: object = None, held: object = None) -> None:
-        """Forget everything, and start anew.
+        """Restart without memory.
 
         Parameters
         ----------
@@ -263,8 +263,8 @@ class KalmanFilter:
         covariance : array_like, shape (s, s), optional
             Its covariance; by ``start_spread`` of :func:`kalman` if not given.
         held : array_like, shape (α,), optional
-            What the actuators hold at the start, as for :meth:`predict`. If not given,
-            tensions are not used before the next sample, and winches do not wind in the first.
+            Input at the start, as for :meth:`predict`. If not given, the first sample uses no
+            tensions and has no ramp.
 
         Raises
         ------
@@ -286,16 +286,15 @@ class KalmanFilter:
         self._tally = Tally(len(self.sensors.readings))
 
     def update(self, measurement: object) -> Estimate:
-        """Return the estimate for now, after what was read.
+        """Return the estimate for now, corrected by readings.
 
-        What is NaN is lost. What is infinite, or farther off than the gate allows,
-        is refused. Of both the filter uses nothing.
+        A reading that is NaN is lost; one that is infinite, or beyond the gate, is refused.
+        Neither is used.
 
         Parameters
         ----------
         measurement : array_like, shape (m,), or None
-            y of the moment ``sensors.delay`` samples ago; None if it is lost. Before there
-            is such a moment it is not used.
+            y of ``sensors.delay`` samples ago; None if it is lost. Not used before then.
 
         Returns
         -------
@@ -325,13 +324,13 @@ class KalmanFilter:
         return self._estimate(z, P)
 
     def predict(self, held: object) -> None:
-        """Go on to the next sample.
+        """Predict the state at the next sample.
 
         Parameters
         ----------
         held : array_like, shape (α,)
-            γ, N/m, or rest lengths, m, that the actuators hold from this sample to
-            the next, or have wound to by then: what was done, not what was asked for.
+            γ, N/m, or rest lengths, m, that the actuators hold until the next sample, or reach
+            by then: the applied input, not the command.
 
         Raises
         ------

@@ -66,7 +66,7 @@ class CutString(Fault):
     is integrated in spans that end there. Where rest lengths are held, the string
     is given one of a million sizes of the structure, so that it stays slack. The
     energy that it stored is lost (:attr:`Trajectory.released_energy`). The
-    controller is not told.
+    controller does not notice.
 
     Parameters
     ----------
@@ -107,8 +107,8 @@ class StuckWinch(Fault):
     """An actuator that holds what it has, whatever is commanded.
 
     Commands take effect at samples, so those from ``time`` on, before ``until``,
-    have none. Where γ is held, the actuator holds its γ. The controller is told
-    what stands (:meth:`Controller.applied`).
+    have none. Where γ is held, the actuator holds its γ. The controller gets
+    the applied input (:meth:`Controller.applied`).
 
     Parameters
     ----------

@@ -83,8 +83,8 @@ def simulate(
         Motion at the start, m and m/s; the reference shape at rest if not given.
         Bars must have their lengths, and must not be stretching.
     rest_length : float or array_like, shape (α,), optional
-        Rest lengths, m. With a controller: where the winches stand at the
-        start, one per string that it commands.
+        Rest lengths, m. With a controller: those at the start, one per string
+        that it commands.
     force_density : float or array_like, shape (α,), optional
         γ, N/m.
     controller : Controller, optional
@@ -100,8 +100,8 @@ def simulate(
     sample_time : float, optional
         For a controller without a sample time of its own, s; else ``step``.
     faults : sequence of CutString, StuckWinch and LostMeasurement
-        What breaks. The controller is not told of cuts, but of what actuators hold
-        (:meth:`Controller.applied`).
+        The controller gets the input that is applied (:meth:`Controller.applied`), but
+        does not notice cuts.
     external_force : array_like, shape (3, n), optional
         Constant load W, N, for a model built with ``external_force=True``.
     method : str
@@ -131,12 +131,11 @@ def simulate(
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
     estimator : KalmanFilter, optional
-        From :func:`kalman`. The controller is then told its estimate in place of the motion, and
-        the estimator what the actuators hold. It is reset first. Its step is that of the
-        samples, and its winches move in as many substeps as those here.
+        From :func:`kalman`. The controller then gets its estimate in place of the motion, and
+        the estimator the applied input. It is reset first. Its sample time and the substeps of
+        its winches are those of the run.
     sensors : Sensors, optional
-        What the readings are taken by, if other than the estimator believes: noise, delay and
-        losses may differ.
+        The actual sensors, if noise, delay or losses differ from those of the estimator.
     seed : int, optional
         Of the noise of the readings; 0 if not given. The same seed gives the same run.
 

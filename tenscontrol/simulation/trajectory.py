@@ -24,10 +24,10 @@ class ControlRecord:
     time : ndarray, shape (K,)
         Start of each sample, s.
     command : ndarray, shape (α, K)
-        What the controller asked for, in the unit of its input.
+        Desired input, in the unit of the controller.
     applied : ndarray, shape (α, K)
-        What the actuators held: γ, N/m, or rest lengths, m, one a string of
-        the controller; where winches wind, what they reach by the end.
+        Applied input: γ, N/m, or rest lengths, m, one a string of the controller;
+        of a ramp, its end.
     status : tuple of Status, length K
         Status of each command; ``Status.OK`` where all went well.
     fallback : tuple, length K
@@ -36,14 +36,13 @@ class ControlRecord:
         Figures to the status.
     winch_rate : ndarray, shape (α, K)
         Change of the rest length in each sample over the sample time, m/s;
-        zero where γ is held. The first counts from where the winches stood, if
-        that was given.
+        zero where γ is held. The first counts from the start, if that is known.
     rate_limited, range_limited : ndarray of int, shape (K,)
         Number of winches that met a limit.
     computing_time : ndarray, shape (K,)
         Time the controller took, s.
     estimate : EstimateRecord or None
-        What was read and estimated; None where the controller saw the motion itself.
+        Measurements and estimates; None without an estimator.
     """
 
     time: FloatArray
@@ -214,17 +213,16 @@ class Trajectory:
     conserves_momentum : bool
         Whether nothing holds or pushes the structure from outside.
     control : ControlRecord or None
-        What the controller did; None in open loop.
+        Commands and moves of the winches; None in open loop.
     released_energy : ndarray, shape (T,)
         What strings stored that have been cut before each time, J: lost with them.
     stopped : str or None
         Why the motion ends early; None where it does not.
     position_error : float or None
         Estimate of the error of the nodes at the end, as part of the size of the
-        structure: twice what parts of the motion, taken again in half the
-        steps, are off by; with a tolerance, that times the steps. None where few
-        states were kept, or the motion ends early. It does not know of motions
-        that magnify errors: see :func:`predictability`.
+        structure: by step doubling over parts of the motion; with a tolerance, that
+        times the steps. None where few states were kept, or the motion ends early.
+        Motions that magnify errors need :func:`predictability`.
     faults : tuple of Fault
         What was made to break.
     """
@@ -350,7 +348,7 @@ class Trajectory:
         return "\n".join(lines)
 
     def _details(self) -> list[str]:
-        """Return what is told only where there is something to tell."""
+        """Return the lines that appear only where they apply."""
         lines = []
         if self.stopped is not None:
             lines.append(f"ended early       {self.stopped}")
