@@ -14,10 +14,13 @@ from tenscontrol.control.input_bounds import input_bounds, largest_change
 from tenscontrol.control.mpc.osqp_adapter import QPSolution, QuadraticProgram
 from tenscontrol.control.status import Fallback, Status
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_dynamics import tracked_motion
-from tenscontrol.plant.reduced_reference import checked_reference, checked_tracked
-from tenscontrol.plant.reference import SmoothReference
+from tenscontrol.plant import (
+    LinearPlant,
+    SmoothReference,
+    checked_reference,
+    checked_tracked,
+    tracked_motion,
+)
 from tenscontrol.validation import (
     FloatArray,
     choice,

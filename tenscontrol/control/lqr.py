@@ -16,9 +16,9 @@ from tenscontrol.plant import (
     refuse_empty,
     refuse_unreachable,
     regulator_riccati,
+    sampled,
     state_units,
 )
-from tenscontrol.plant.sampling import sampled
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number
 
 

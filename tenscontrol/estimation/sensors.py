@@ -139,7 +139,7 @@ class Sensors:
             )
             object.__setattr__(self, kind, frozen(deviation))
             object.__setattr__(self, chooser, frozen(which))
-        if not len(self.noise):
+        if not self._taken:
             names = ", ".join(kind for kind, *_ in KINDS)
             raise ValueError(f"nothing is measured: give the noise of one of {names}")
         object.__setattr__(self, "delay", whole_number("delay", self.delay, least=0))
@@ -162,36 +162,36 @@ class Sensors:
         return len(self.structure.bars if chooser == "bars" else self.structure.strings)
 
     @cached_property
+    def _taken(self) -> tuple[tuple[FloatArray, IntArray, str, int], ...]:
+        """Noise, indices, kind and numbers in a reading, of each kind that is measured."""
+        return tuple(
+            (getattr(self, kind), getattr(self, chooser), kind, size)
+            for kind, _, chooser, size in KINDS
+            if getattr(self, kind) is not None
+        )
+
+    @cached_property
     def readings(self) -> tuple[str, ...]:
         """Names of the readings in the order of y, like ``"string_length 3"``."""
-        return tuple(
-            f"{kind} {index}"
-            for kind, _, chooser, _ in KINDS
-            if getattr(self, kind) is not None
-            for index in getattr(self, chooser)
-        )
+        return tuple(f"{kind} {index}" for _, which, kind, _ in self._taken for index in which)
 
     @cached_property
     def reading_of(self) -> IntArray:
         """For each entry of y the index of its reading, shape (m,)."""
-        sizes = np.concatenate(
-            [
-                np.full(len(getattr(self, kind)), size)
-                for kind, _, _, size in KINDS
-                if getattr(self, kind) is not None
-            ]
-        )
+        sizes = np.concatenate([np.full(len(which), size) for _, which, _, size in self._taken])
         return frozen(np.repeat(np.arange(len(sizes)), sizes))
 
     @cached_property
     def noise(self) -> FloatArray:
         """Standard deviation of each entry of y, shape (m,), in its unit."""
-        parts = [
-            np.repeat(getattr(self, kind), size)
-            for kind, _, _, size in KINDS
-            if getattr(self, kind) is not None
-        ]
-        return frozen(np.concatenate(parts) if parts else np.zeros(0))
+        parts = [np.repeat(noise, size) for noise, _, _, size in self._taken]
+        return frozen(np.concatenate([np.zeros(0), *parts]))
+
+    @property
+    def measured(self) -> tuple[bytes | None, ...]:
+        """Key of what is measured: equal for sensors of other noise, delay and losses."""
+        chosen = (getattr(self, chooser) for _, _, chooser, _ in KINDS)
+        return tuple(None if which is None else which.tobytes() for which in chosen)
 
     def measure(self, nodes: object, tension: object = None) -> FloatArray:
         """Return y without noise.
@@ -266,8 +266,8 @@ class Sensors:
         return np.asarray(exact + self.noise * (noise + (corrupt * off)[self.reading_of]))
 
     def __repr__(self) -> str:
-        kinds = [kind for kind, *_ in KINDS if getattr(self, kind) is not None]
-        return f"Sensors({', '.join(kinds)}; {len(self.readings)} readings, delay {self.delay})"
+        kinds = ", ".join(kind for _, _, kind, _ in self._taken)
+        return f"Sensors({kinds}; {len(self.readings)} readings, delay {self.delay})"
 
 
 def _chosen(name: str, chosen: Any, count: int) -> IntArray:

@@ -3,7 +3,9 @@
 from tenscontrol.plant.controllability import (
     Controllability,
     controllability,
+    distinct_poles,
     lost_poles,
+    reached_dimension,
     refuse_empty,
     refuse_unreachable,
 )
@@ -16,13 +18,39 @@ from tenscontrol.plant.linearize import (
     linearize,
 )
 from tenscontrol.plant.modes import Modes, modes
-from tenscontrol.plant.reference import Reference
+from tenscontrol.plant.reduced_dynamics import (
+    acceleration_slopes,
+    checked_tracked,
+    explicit_substeps,
+    reduced_acceleration,
+    reduced_motion,
+    sampled_dynamics,
+    tracked_motion,
+)
+from tenscontrol.plant.reference import (
+    Preview,
+    Reference,
+    ReferencePreview,
+    SmoothReference,
+    checked_reference,
+)
 from tenscontrol.plant.riccati import (
     check_riccati,
     filter_riccati,
     regulator_riccati,
     riccati_residual,
     state_units,
+)
+from tenscontrol.plant.sampling import Sampled, acceleration_response, sampled
+from tenscontrol.plant.string_outputs import (
+    StringMap,
+    model_input,
+    string_forces,
+    string_map,
+    to_commanded_strings,
+    to_model_strings,
+    to_segments,
+    to_strings,
 )
 
 __all__ = [
@@ -31,19 +59,43 @@ __all__ = [
     "LinearPlant",
     "Modes",
     "OperatingPoint",
+    "Preview",
     "Reference",
+    "ReferencePreview",
+    "Sampled",
+    "SmoothReference",
+    "StringMap",
+    "acceleration_response",
+    "acceleration_slopes",
     "check_riccati",
+    "checked_reference",
+    "checked_tracked",
     "command_parents",
     "controllability",
+    "distinct_poles",
     "equilibrium",
+    "explicit_substeps",
     "filter_riccati",
     "in_coordinates",
     "linearize",
     "lost_poles",
+    "model_input",
     "modes",
+    "reached_dimension",
+    "reduced_acceleration",
+    "reduced_motion",
     "refuse_empty",
     "refuse_unreachable",
     "regulator_riccati",
     "riccati_residual",
+    "sampled",
+    "sampled_dynamics",
     "state_units",
+    "string_forces",
+    "string_map",
+    "to_commanded_strings",
+    "to_model_strings",
+    "to_segments",
+    "to_strings",
+    "tracked_motion",
 ]

@@ -8,7 +8,7 @@ from tenscontrol.control import NMPC, Status
 from tenscontrol.control.mpc.osqp_adapter import QPSolution, QuadraticProgram
 from tenscontrol.demo import tour as demo
 from tenscontrol.dynamics.machine_code import compiler
-from tenscontrol.plant.reduced_dynamics import explicit_substeps, sampled_dynamics
+from tenscontrol.plant import explicit_substeps, sampled_dynamics
 from tests.control.nmpc_oracle import IpoptNMPC, closed_loop_cost
 from tests.control.test_mpc import kkt_residual
 

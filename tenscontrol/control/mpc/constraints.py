@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tenscontrol.control.mpc.problem import Rows
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_reference import Stretch
-from tenscontrol.plant.string_outputs import StringMap
+from tenscontrol.plant import LinearPlant, Preview, StringMap
 from tenscontrol.validation import FloatArray, float_array, freeze_arrays, frozen
 
 if TYPE_CHECKING:
@@ -167,13 +165,13 @@ class Constraints:
             frozen(np.concatenate(none + [block.high for block in self.blocks])),
         )
 
-    def bounds(self, stretch: Stretch, length: int) -> tuple[FloatArray, FloatArray]:
+    def bounds(self, preview: Preview, length: int) -> tuple[FloatArray, FloatArray]:
         """Return bounds of the rows, shape (N, p) each, as the program has them.
 
         Parameters
         ----------
-        stretch : Stretch
-            The path at the N samples and the end of the last.
+        preview : Preview
+            The reference at the N samples and the end of the last.
         length : int
             N.
         """
@@ -183,8 +181,8 @@ class Constraints:
             if block.along:
                 # What the strings have where the path rests, less what the rows make of that rest.
                 by_state = (block.before + block.after)[:, : self._states]
-                base = getattr(stretch, block.along)[:length]
-                base = base - stretch.rest[:length] @ by_state.T
+                base = getattr(preview, block.along)[:length]
+                base = base - preview.rest[:length] @ by_state.T
             low.append(block.low - base)
             high.append(block.high - base)
         return np.hstack(low), np.hstack(high)

@@ -12,13 +12,14 @@ from tenscontrol.control.mpc.shooting import Motion
 from tenscontrol.control.mpc.stage_jacobians import Tangents
 from tenscontrol.control.solved import solved
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_dynamics import (
+from tenscontrol.plant import (
+    LinearPlant,
     acceleration_slopes,
+    model_input,
     reduced_acceleration,
     reduced_motion,
+    string_forces,
 )
-from tenscontrol.plant.string_outputs import spreading, string_forces
 from tenscontrol.validation import FloatArray
 
 # Radau IIA with three stages: Hairer & Wanner, Solving Ordinary Differential Equations II, IV.5.
@@ -81,7 +82,9 @@ class ImplicitMotion(Motion):
         super().__init__(slopes.map(3 * length), machine_code)
         self._once = Evaluator(slopes.map(3))
         z, u = ca.SX.sym("z", plant.B.shape[0]), ca.SX.sym("u", plant.B.shape[1])
-        gamma = string_forces(plant, plant.input, *reduced_motion(plant, z), spreading(plant, u))[0]
+        gamma = string_forces(plant, plant.input, *reduced_motion(plant, z), model_input(plant, u))[
+            0
+        ]
         self._taut = Evaluator(ca.Function("taut", [z, u], [ca.densify(gamma)]))
         self.ramp = substeps > 1
         self._sample_time, self._r = sample_time, plant.degrees_of_freedom

@@ -18,8 +18,7 @@ from tenscontrol.control.mpc.mpc_law import MPCLaw, form_of
 from tenscontrol.control.mpc.mpc_statistics import MPCStatistics, statistics
 from tenscontrol.control.mpc.settings import Wishes, checked_time_limit, default_penalty, design
 from tenscontrol.control.status import Fallback, Status
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_reference import Path, acceleration_response
+from tenscontrol.plant import LinearPlant, ReferencePreview, acceleration_response
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number, whole_number
 
 
@@ -162,12 +161,11 @@ class MPC(Controller):
             sample_time=sample_time,
             design=made,
             form=form_of(made.problem, form),
-            push=push,
             load=None if observer is None else observer.model,
             tolerance=positive_number("tolerance", tolerance, "units of the largest force density"),
             max_iterations=whole_number("max_iterations", max_iterations, least=1),
             time_limit=checked_time_limit(time_limit),
-            path=Path(plant, reference, sample_time, push, made.sampled.drift),
+            path=ReferencePreview(plant, reference, made.sampled),
         )
         self._program = self._law.program()
         self.reset()

@@ -11,9 +11,7 @@ from tenscontrol.control.mpc.condensed import Condensed, Sparse
 from tenscontrol.control.mpc.osqp_adapter import QuadraticProgram
 from tenscontrol.control.mpc.problem import Ahead, Course, Form, Horizon
 from tenscontrol.control.mpc.settings import Design
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_reference import Path
-from tenscontrol.plant.sampling import Lead, along_jumps, along_winding
+from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.validation import FloatArray, choice
 
 _FORMS = ("auto", "condensed", "sparse")
@@ -36,8 +34,6 @@ class MPCLaw:
         Sample time, s.
     design : Design
     form : Form
-    push : ndarray, shape (s, r)
-        What unit accelerations, held over a sample, do to the state.
     load : LoadModel or None
         None where no load is estimated.
     tolerance : float
@@ -45,7 +41,7 @@ class MPCLaw:
         Of OSQP.
     time_limit : float
         s; inf for none.
-    path : Path
+    path : ReferencePreview
         What is followed.
     """
 
@@ -53,12 +49,11 @@ class MPCLaw:
     sample_time: float
     design: Design
     form: Form
-    push: FloatArray
     load: LoadModel | None
     tolerance: float
     max_iterations: int
     time_limit: float
-    path: Path
+    path: ReferencePreview
 
     def program(self) -> QuadraticProgram:
         """Return the program, as it is before the first solve."""
@@ -75,21 +70,20 @@ class MPCLaw:
             Accelerations laid to the load; None where none is estimated.
         """
         problem, ramp = self.design.problem, self.design.sampled.ramp
-        lead = self._lead(time)
-        path, origin = lead.path, lead.path.input[:-1]
-        drift, reference = lead.drift, lead.reference
+        preview = self.path.over_horizon(time, problem.length)
+        origin, drift, reference = preview.input[:-1], preview.drift, preview.reference
         effort = np.zeros_like(origin)
         if self.load is not None and load is not None:
             drift = drift + self.load.push @ load
             r = self.plant.degrees_of_freedom
-            ends = path.rest[:-1] if ramp else path.rest[1:]
+            ends = preview.rest[:-1] if ramp else preview.rest[1:]
             known = (reference - ends)[:, :r] @ self.plant.A[r:, :r].T
             offset, effort = self.load.rest(known + load)
             reference = reference + np.hstack([offset, np.zeros_like(offset)])
         if ramp:
             none = np.zeros_like(origin)
             drift, reference = np.hstack([drift, none]), np.hstack([reference, none])
-        row_low, row_high = self.design.constraints.bounds(path, problem.length)
+        row_low, row_high = self.design.constraints.bounds(preview, problem.length)
         course = Course(
             drift=drift,
             input_reference=effort,
@@ -99,19 +93,7 @@ class MPCLaw:
             row_low=row_low,
             row_high=row_high,
         )
-        return Ahead(lead.before, reference, origin, course)
-
-    def _lead(self, time: float) -> Lead:
-        """Return what the reference asks for over the horizon."""
-        sampled, length = self.design.sampled, self.design.problem.length
-        if not sampled.ramp:
-            times = time + self.sample_time * np.arange(length + 1.0)
-            return along_jumps(self.path.at(times), self.path.wanted(times[1:]), sampled)
-        times = time + self.sample_time * np.arange(-1.0, length + 2)
-        q = self.path.wanted(times)[:, : self.plant.degrees_of_freedom]
-        return along_winding(
-            self.path.at(times[1:]), q, sampled, self.plant, self.push, self.sample_time
-        )
+        return Ahead(preview.previous_input, reference, origin, course)
 
     def vectors(
         self, ahead: Ahead, state: FloatArray, standing: FloatArray, reachable: FloatArray
@@ -140,7 +122,7 @@ class MPCLaw:
     def coasting(self, ahead: Ahead, state: FloatArray, standing: FloatArray) -> FloatArray:
         """Return the state a sample later, the load but not the input of the sample included."""
         before = standing - ahead.before
-        coasting = self.design.sampled.coasting(state, before, ahead.origin[0])
+        coasting = self.design.sampled.free_response(state, before, ahead.origin[0])
         return coasting + ahead.course.drift[0, : len(state)]
 
     def _begun(self, ahead: Ahead, state: FloatArray, standing: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from tenscontrol.control.disturbance import LoadModel
 from tenscontrol.control.mpc.problem import Horizon
 from tenscontrol.control.mpc.sparse import TrajectoryProgram
 from tenscontrol.control.mpc.trajectory_model import TrajectoryModel
-from tenscontrol.plant.reduced_reference import Path
+from tenscontrol.plant import ReferencePreview
 from tenscontrol.validation import FloatArray
 
 
@@ -38,7 +38,7 @@ class NMPCLaw:
         Of OSQP.
     time_limit : float
         s; inf for none.
-    path : Path
+    path : ReferencePreview
         What is followed.
     """
 
@@ -53,7 +53,7 @@ class NMPCLaw:
     tolerance: float
     max_iterations: int
     time_limit: float
-    path: Path
+    path: ReferencePreview
 
     def program(self) -> TrajectoryProgram:
         """Return the program, as it is before the first solve."""

@@ -20,8 +20,7 @@ from tenscontrol.control.mpc.real_time_iteration import TrajectoryPlan
 from tenscontrol.control.mpc.settings import Wishes, checked_time_limit, default_penalty, design
 from tenscontrol.control.mpc.trajectory_model import TrajectoryModel
 from tenscontrol.control.status import Fallback, Status
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_reference import Path, acceleration_response
+from tenscontrol.plant import LinearPlant, ReferencePreview, acceleration_response
 from tenscontrol.validation import (
     FloatArray,
     frozen,
@@ -160,7 +159,7 @@ class NMPC(Controller):
         made = design(plant, horizon, sample_time, Q, R, wishes)
         super().__init__(plant, sample_time, made.low, made.high, made.problem.change)
         push = acceleration_response(plant, sample_time)
-        path = Path(plant, reference, sample_time, push, made.sampled.drift)
+        path = ReferencePreview(plant, reference, made.sampled)
         self._observer = observer = load_observer(plant, push, load_gain, tracked)
         # After all checks: it may be compiled.
         substeps = 1 if winches is None else winches.substeps

@@ -20,13 +20,16 @@ from tenscontrol.control.mpc.problem import Horizon
 from tenscontrol.control.weights import energy_weights, weight_matrix
 from tenscontrol.plant import (
     LinearPlant,
+    Sampled,
     refuse_empty,
     refuse_unreachable,
     regulator_riccati,
+    sampled,
     state_units,
+    string_map,
+    to_commanded_strings,
+    to_model_strings,
 )
-from tenscontrol.plant.sampling import Sampled, sampled
-from tenscontrol.plant.string_outputs import gather_lengths, spread, string_map
 from tenscontrol.validation import (
     FloatArray,
     frozen,
@@ -117,7 +120,9 @@ def design(
     level = float(plant.force_density.max()) or float(high.max())
     if plant.input == "rest_length":
         lengths = plant.model.structure.string_length(plant.nodes)
-        level = float((gather_lengths(plant, lengths) - plant.equilibrium_input).max())
+        level = float(
+            (to_commanded_strings(plant, "length", lengths) - plant.equilibrium_input).max()
+        )
     substeps = 1 if wishes.winches is None else wishes.winches.substeps
     wound = sampled(plant, sample_time, substeps)
     transition, input_matrix = wound.augmented
@@ -200,8 +205,8 @@ def _row_blocks(plant: LinearPlant, wishes: Wishes, penalty: float) -> list[RowB
         if wishes.max_force_density is not None:
             largest = per_member("max_force_density", wishes.max_force_density, count, "string")
             positive("max_force_density", largest, "force density in N/m")
-            high = spread(plant, "force_density", largest)
-        low = spread(plant, "force_density", _least_force_density(plant, wishes))
+            high = to_model_strings(plant, "force_density", largest)
+        low = to_model_strings(plant, "force_density", _least_force_density(plant, wishes))
         level = float(strings.force_density.max())
         blocks.append(string_block("force_density", strings, low, high, level, penalty))
     if wishes.max_tension is not None:

@@ -10,9 +10,7 @@ import numpy as np
 
 from tenscontrol.control.mpc.stage_jacobians import Tangents, evaluated
 from tenscontrol.dynamics import Evaluator, compiled
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_dynamics import sampled_dynamics
-from tenscontrol.plant.reduced_reference import acceleration_response
+from tenscontrol.plant import LinearPlant, acceleration_response, sampled_dynamics
 from tenscontrol.validation import FloatArray
 
 

@@ -14,14 +14,16 @@ from tenscontrol.control.mpc.problem import Rows
 from tenscontrol.control.mpc.shooting import ExplicitMotion, Motion, evaluator
 from tenscontrol.control.mpc.stage_jacobians import Tangents, evaluated
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.plant import LinearPlant, state_units
-from tenscontrol.plant.reduced_dynamics import (
+from tenscontrol.plant import (
+    LinearPlant,
     acceleration_slopes,
     explicit_substeps,
+    model_input,
     reduced_acceleration,
     reduced_motion,
+    state_units,
+    string_forces,
 )
-from tenscontrol.plant.string_outputs import spreading, string_forces
 from tenscontrol.validation import FloatArray
 
 # At a shape that changes its stiffness by a tenth these leave 1e-5 of what was off.
@@ -183,7 +185,7 @@ def limited_rows(
     s, a = plant.B.shape
     z, u, later = ca.SX.sym("z", s), ca.SX.sym("u", a), ca.SX.sym("later", s)
     at = reduced_motion(plant, later if at_end else z)
-    forces = string_forces(plant, plant.input, *at, spreading(plant, u))
+    forces = string_forces(plant, plant.input, *at, model_input(plant, u))
     kinds = {"force_density": forces[0], "tension": forces[1]}
     shape = ca.vec(reduced_motion(plant, later)[0])
     y = ca.vertcat(*(
