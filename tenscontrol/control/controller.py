@@ -213,13 +213,26 @@ class Controller(ABC):
         shape = self._plant.nodes.shape
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
         state, fault = self._measure(N, V)
-        if fault is None:
-            desired = self._decide(time, state)
-            if not np.isfinite(desired.value).all():
-                desired = self._fall_back(Status.INPUT_NOT_FINITE)
-        else:
-            desired = self._fall_back(fault)
+        if fault is not None:
+            return self.fall_back(fault)
+        desired = self._decide(time, state)
+        if not np.isfinite(desired.value).all():
+            return self.fall_back(Status.INPUT_NOT_FINITE)
         return self._issue(desired)
+
+    def fall_back(self, status: Status) -> Command:
+        """Return the fallback for a sample without a usable measurement or decision.
+
+        Parameters
+        ----------
+        status : Status
+            Why there is none.
+
+        Returns
+        -------
+        Command
+        """
+        return self._issue(self._fall_back(status))
 
     def _measure(
         self, nodes: FloatArray, velocities: FloatArray

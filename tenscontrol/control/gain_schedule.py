@@ -120,8 +120,7 @@ class GainSchedule(Controller):
         return self._controllers[nearest].command(time, N, V)
 
     def _fall_back(self, status: Status) -> Command:
-        active = self._controllers[self._active]
-        return active._issue(active._fall_back(status))
+        return self._controllers[self._active].fall_back(status)
 
     def __repr__(self) -> str:
         return f"GainSchedule({len(self._controllers)} controllers, {self._controllers[0]!r} …)"
