@@ -42,7 +42,7 @@ def theoretical_limit(method: str) -> float:
         return float("nan")
     from scipy.optimize import brentq
 
-    from tenscontrol.integrate.rattle import splitting
+    from tenscontrol.integrate import splitting
 
     parts = splitting(_SPLITTINGS[method])
 

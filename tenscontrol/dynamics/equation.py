@@ -1,4 +1,4 @@
-"""The state equation as integrators see it: smooth pieces, and where they meet."""
+"""The state equation as integrators see it: smooth between the switches of strings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Equation:
 
     Strings whose rest length is held pull or are slack; ``taut`` says which, 1
     or 0 for each, and is an input of its own so that a step never crosses the
-    kink between the two. Where no string can go slack (force densities are
+    switching surface between the two. Where no string can go slack (force densities are
     held), ``taut`` has no entries. Made by :meth:`Model.equation`.
 
     Attributes
@@ -63,6 +63,19 @@ class Equation:
         """``casadi.SX.sym`` or ``casadi.MX.sym``: for graphs that call the functions."""
         return ca.SX.sym if self.form == "flat" else ca.MX.sym
 
+    def symbols(self, kind: Any = None) -> tuple[Any, Any, Any, Any]:
+        """Return fresh symbols for x, u, taut and a step h, for functions of one step.
+
+        Parameters
+        ----------
+        kind : type, optional
+            ``casadi.SX`` or ``casadi.MX``; what :attr:`symbol` makes if not given.
+        """
+        make = self.symbol if kind is None else kind.sym
+        sizes = {"x": self.states, "u": self.inputs, "taut": self.switches, "h": 1}
+        x, u, taut, h = (make(name, size) for name, size in sizes.items())
+        return x, u, taut, h
+
     @property
     def states(self) -> int:
         """Number of entries of x."""
@@ -80,7 +93,7 @@ class Equation:
 
     @property
     def kinked_slope(self) -> ca.Function:
-        """``(x, u) -> xdot``: the whole equation, with its kinks."""
+        """``(x, u) -> xdot``: the whole equation, not smooth where strings switch."""
         return self.prepared.get("kinked_slope", self._kinked_slope)
 
     def _kinked_slope(self) -> ca.Function:

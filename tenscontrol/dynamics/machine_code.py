@@ -24,7 +24,6 @@ from pathlib import Path
 from time import perf_counter
 
 import casadi as ca
-from platformdirs import user_cache_path
 
 from tenscontrol.validation import instance, positive_number
 
@@ -293,6 +292,8 @@ def _user_folder() -> Path | None:
     given = Path(os.getenv("XDG_CACHE_HOME", ""))
     if given.is_absolute():  # on every system; the specification says to ignore a relative one
         return given / "tenscontrol"
+    from platformdirs import user_cache_path
+
     folder = user_cache_path("tenscontrol", appauthor=False, opinion=False)
     return folder if folder.is_absolute() else None
 

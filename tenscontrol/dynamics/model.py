@@ -131,17 +131,14 @@ class Model:
     def acceleration(self) -> ca.Function:
         """``(N, Nd, gamma[, W]) -> Ndd``: node accelerations, shape (3, n), m/s²."""
         s = self._symbols()
-        inputs, names = self._inputs(s, "N", "Nd", "gamma")
-        return ca.Function("acceleration", inputs, [self._ndd(s, s["gamma"])], names, ["Ndd"])
+        return self._function("acceleration", s, "N Nd gamma W", Ndd=self._ndd(s, s["gamma"]))
 
     @cached_property
     def bar_force_density(self) -> ca.Function:
         """``(N, Nd, gamma[, W]) -> lambda``: λ of each bar, shape (β,), N/m, compression > 0."""
         s = self._symbols()
-        inputs, names = self._inputs(s, "N", "Nd", "gamma")
-        return ca.Function(
-            "bar_force_density", inputs, [ca.densify(self._lambda(s).T)], names, ["lambda"]
-        )
+        outputs = {"lambda": ca.densify(self._lambda(s).T)}
+        return self._function("bar_force_density", s, "N Nd gamma W", **outputs)
 
     @cached_property
     def stiffness_matrix(self) -> ca.Function:
@@ -151,9 +148,8 @@ class Model:
         paper, ``[N_b N_s]``, that is eq. (9) letter by letter.
         """
         s = self._symbols()
-        inputs, names = self._inputs(s, "N", "Nd", "gamma")
         K_s = kernel.stiffness(self._structure, s["gamma"], self._lambda(s))
-        return ca.Function("stiffness_matrix", inputs, [K_s], names, ["K_s"])
+        return self._function("stiffness_matrix", s, "N Nd gamma W", K_s=K_s)
 
     def mass_matrix(self) -> csr_array:
         """Return M_s of eq. (8), sparse, shape (n, n), kg, columns in the order of the nodes.
@@ -183,8 +179,7 @@ class Model:
     def dynamics(self) -> ca.Function:
         """``(x, gamma[, W]) -> xdot``: the state equation with γ as the input."""
         s = self._symbols()
-        inputs, names = self._inputs(s, "x", "gamma")
-        return ca.Function("dynamics", inputs, [self._xdot(s, s["gamma"])], names, ["xdot"])
+        return self._function("dynamics", s, "x gamma W", xdot=self._xdot(s, s["gamma"]))
 
     @cached_property
     def rest_length_dynamics(self) -> ca.Function:
@@ -197,8 +192,8 @@ class Model:
         """
         s = self._symbols()
         gamma = self._law_force_density(s)
-        inputs, names = self._inputs(s, "x", "rest_length")
-        return ca.Function("rest_length_dynamics", inputs, [self._xdot(s, gamma)], names, ["xdot"])
+        xdot = self._xdot(s, gamma)
+        return self._function("rest_length_dynamics", s, "x rest_length W", xdot=xdot)
 
     def state_equation(self, input: str) -> ca.Function:
         """Return the state equation with the held input as its input.
@@ -223,7 +218,7 @@ class Model:
     def equation(
         self, input: str, external_force: FloatArray | None = None, form: str = "auto"
     ) -> Equation:
-        """Return the state equation for an integrator, in smooth pieces.
+        """Return the state equation for an integrator, for fixed slack and taut strings.
 
         Parameters
         ----------
@@ -300,26 +295,16 @@ class Model:
     def string_force_density(self) -> ca.Function:
         """``(x, rest_length) -> gamma``: γ of each string by the string law, N/m."""
         s = self._symbols()
-        return ca.Function(
-            "string_force_density",
-            [s["x"], s["rest_length"]],
-            [self._law_force_density(s)],
-            ["x", "rest_length"],
-            ["gamma"],
-        )
+        gamma = self._law_force_density(s)
+        return self._function("string_force_density", s, "x rest_length", gamma=gamma)
 
     @cached_property
     def kinetic_energy(self) -> ca.Function:
         """``(x) -> energy``: ½ tr(Ṅ M_s Ṅᵀ), J."""
         s = self._symbols()
         momenta = kernel.mass_product(self._structure, s["velocities"])
-        return ca.Function(
-            "kinetic_energy",
-            [s["x"]],
-            [ca.sum2(kernel.dots(s["velocities"], momenta)) / 2],
-            ["x"],
-            ["energy"],
-        )
+        energy = ca.sum2(kernel.dots(s["velocities"], momenta)) / 2
+        return self._function("kinetic_energy", s, "x", energy=energy)
 
     @cached_property
     def potential_energy(self) -> ca.Function:
@@ -327,9 +312,7 @@ class Model:
         s = self._symbols()
         S = kernel.differences(s["nodes"], self._structure.strings)
         energy = ca.densify(ca.mtimes(kernel.dots(S, S), s["gamma"]) / 2)
-        return ca.Function(
-            "potential_energy", [s["x"], s["gamma"]], [energy], ["x", "gamma"], ["energy"]
-        )
+        return self._function("potential_energy", s, "x gamma", energy=energy)
 
     @cached_property
     def elastic_energy(self) -> ca.Function:
@@ -339,13 +322,7 @@ class Model:
         length = kernel.length(self._string_vectors(s)[0]).T
         stored = law.as_expressions().stored_energy(length, s["rest_length"])
         energy = ca.densify(ca.sum1(stored))
-        return ca.Function(
-            "elastic_energy",
-            [s["x"], s["rest_length"]],
-            [energy],
-            ["x", "rest_length"],
-            ["energy"],
-        )
+        return self._function("elastic_energy", s, "x rest_length", energy=energy)
 
     @cached_property
     def momentum(self) -> ca.Function:
@@ -356,9 +333,7 @@ class Model:
             (ca.cross(s["nodes"][:, i], momenta[:, i]) for i in range(momenta.shape[1])),
             ca.SX(3, 1),
         )
-        return ca.Function(
-            "momentum", [s["x"]], [ca.sum2(momenta), angular], ["x"], ["linear", "angular"]
-        )
+        return self._function("momentum", s, "x", linear=ca.sum2(momenta), angular=angular)
 
     # ---- expressions ----
 
@@ -385,9 +360,11 @@ class Model:
             "load": load if load.nnz() else None,
         }
 
-    def _inputs(self, s: dict[str, Any], *names: str) -> tuple[list[Any], list[str]]:
-        every = [*names, "W"] if self._external_force else list(names)
-        return [s[name] for name in every], every
+    def _function(self, name: str, s: dict[str, Any], inputs: str, **outputs: Any) -> ca.Function:
+        """Return a function of symbols by name; W is an input only if the model takes a load."""
+        names = [each for each in inputs.split() if each != "W" or self._external_force]
+        given = [s[each] for each in names]
+        return ca.Function(name, given, list(outputs.values()), names, list(outputs))
 
     def _forces(self, s: dict[str, Any], gamma: Any) -> Any:
         return kernel.node_forces(self._structure, s["nodes"], gamma, s["load"])

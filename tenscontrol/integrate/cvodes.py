@@ -207,8 +207,7 @@ class _Hermite:
 
 def _scaled(equation: Equation) -> ca.Function:
     """Return ``(y, u, taut, scale) -> ydot`` for the state as part of its scale."""
-    y, u = equation.symbol("y", equation.states), equation.symbol("u", equation.inputs)
-    taut = equation.symbol("taut", equation.switches)
+    y, u, taut, _ = equation.symbols()
     scale = equation.symbol("scale", equation.states)
     slope = equation.slope(y * scale, u, taut) / scale
     return ca.Function("slope", [y, u, taut, scale], [slope])

@@ -104,7 +104,7 @@ class DOP853(Integrator):
         count = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _TURNS))
         turns = _Turn(equation, project).function().mapaccum(count)
         chunk, back_end = in_machine_code(equation, turns, machine_code)
-        x, u = ca.MX.sym("x", equation.states), ca.MX.sym("u", equation.inputs)
+        x, u, _, _ = equation.symbols(ca.MX)
         taut = taut_strings(equation, x, u)
         start = ca.Function("start", [x, u], [taut, equation.slope(x, u, taut)])
         return chunk, start, count, back_end
@@ -368,9 +368,8 @@ class _DormandPrince:
         self._equation = equation
         self._project = projection(equation) if project else None
         self._method = DOP853
-        n = equation.states
-        names = {"x": n, "f": n, "u": equation.inputs, "taut": equation.switches, "h": 1}
-        self._inputs = [ca.MX.sym(name, size) for name, size in names.items()]
+        x, *rest = equation.symbols(ca.MX)
+        self._inputs = [x, ca.MX.sym("f", x.shape), *rest]
 
     def _stages(self) -> tuple[Any, list[Any]]:
         """Return x after the step, and the slopes of its stages."""

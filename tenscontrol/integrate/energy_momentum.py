@@ -290,20 +290,11 @@ class StepEquations:
     y holds, 3 entries each: the mean velocities of the centres of free bars,
     the mean angular velocities of free bars and of bars that swing, times the
     bar length, and the mean velocities of string nodes, all m/s.
-
-    Attributes
-    ----------
-    system : casadi.Function
-        ``(y, x, u, h) -> (residual, jacobian)``, kg m/s and kg; the Jacobian sparse.
-    guess : casadi.Function
-        ``(x) -> y`` of a motion without forces.
-    end : casadi.Function
-        ``(y, x, h) -> x`` at the end of the step.
     """
 
-    system: ca.Function
-    guess: ca.Function
-    end: ca.Function
+    system: ca.Function  # (y, x, u, h) -> (residual, jacobian), kg m/s and kg; jacobian sparse
+    guess: ca.Function  # (x) -> y of a motion without forces
+    end: ca.Function  # (y, x, h) -> x at the end of the step
 
 
 def step_equations(equation: Equation) -> StepEquations:

@@ -97,10 +97,8 @@ def crossing(equation: Equation) -> ca.Function:
     outside: no less can be said without looking at the inside of the step.
     """
     n = equation.states
-    symbols = _kind(equation)
-    x, x1 = symbols.sym("x", n), symbols.sym("x1", n)
-    u, taut = symbols.sym("u", equation.inputs), symbols.sym("taut", equation.switches)
-    h = symbols.sym("h")
+    x, u, taut, h = equation.symbols()
+    x1 = equation.symbol("x1", n)
     sign = 2 * taut - 1
     (gap0, rate0), (gap1, rate1) = equation.gap(x, u), equation.gap(x1, u)
     room0, room1 = sign * gap0 + _BAND * u, sign * gap1 + _BAND * u
@@ -319,8 +317,7 @@ def _left(state: Any, equation: Equation) -> Any:
 
 def _symbols(equation: Equation) -> tuple[Any, Any, Any, Any, Any]:
     """Return fresh symbols for x, taut, u, h and the x after a step."""
-    sizes = {"x": equation.states, "taut": equation.switches, "u": equation.inputs, "h": 1}
-    x, taut, u, h = (ca.MX.sym(name, size) for name, size in sizes.items())
+    x, u, taut, h = equation.symbols(ca.MX)
     return x, taut, u, h, ca.MX.sym("x1", equation.states)
 
 
@@ -391,7 +388,7 @@ class EventIntegrator(Integrator):
 
     def _gap_function(self) -> ca.Function:
         equation = self._equation
-        x, u = equation.symbol("x", equation.states), equation.symbol("u", equation.inputs)
+        x, u, _, _ = equation.symbols()
         return ca.Function("gap", [x, u], [equation.gap(x, u)[0]])
 
     @abstractmethod

@@ -69,7 +69,7 @@ class FixedStep(Integrator):
         block, back_end = in_machine_code(equation, _block(step), machine_code)
         size = int(step.size1_in(0))
         many = int(np.clip(_MOST_NUMBERS / (_BLOCK * size), 1, _MANY))
-        x, u = ca.MX.sym("x", equation.states), ca.MX.sym("u", equation.inputs)
+        x, u, _, _ = equation.symbols(ca.MX)
         taut = ca.Function("taut", [x, u], [taut_strings(equation, x, u)])
         blocks = block if many == 1 else block.mapaccum(many)
         return _Steps(block, blocks, taut, size, many, back_end)

@@ -39,16 +39,9 @@ _SINE_TERMS = 8
 
 @dataclass(frozen=True)
 class Splitting:
-    """How long flights and kicks last, as fractions of the step: flight, kick, flight, …, flight.
+    """Lengths of flights and kicks, as fractions of the step: flight, kick, flight, …, flight."""
 
-    Attributes
-    ----------
-    flights : tuple of float
-        One more than kicks.
-    kicks : tuple of float
-    """
-
-    flights: tuple[float, ...]
+    flights: tuple[float, ...]  # one more than kicks
     kicks: tuple[float, ...]
 
 
@@ -133,10 +126,10 @@ def rattle_step(
     Leimkuhler & Skeel 1994, doi:10.1006/jcph.1994.1085) places a bar vector at
     ``b + h ḃ + μ b`` with ``‖b + h ḃ + μ b‖ = l``: one quadratic in μ. A free
     bar is turned by asin(hω) so, and by hω, as it should, if ``g = h
-    sin(hω)/hω`` stands in place of h. That makes the flight exact (a geodesic
+    sin(hω)/hω`` takes the place of h. That makes the flight exact (a geodesic
     integrator: Leimkuhler & Patrick 1996, doi:10.1007/BF02433475), and
     splitting methods of high order can be used, which are better than
-    compositions of RATTLE. The true l stands in each quadratic, so that bar
+    compositions of RATTLE. The true l is in each quadratic, so that bar
     lengths have the error of one rounding, however many steps there were.
 
     Orders above 2 take steps back in time, in which damping drives: with kicks
@@ -155,15 +148,7 @@ def rattle_step(
             f"RATTLE of order {order} ('rattle{order}') steps back in time, where damped strings "
             "drive: use 'rattle', 'rk4' or 'dop853'"
         )
-    x, u, taut, h = (
-        symbols.sym(name, size)
-        for name, size in (
-            ("x", equation.states),
-            ("u", equation.inputs),
-            ("taut", equation.switches),
-            ("h", 1),
-        )
-    )
+    x, u, taut, h = equation.symbols(symbols)
     motion = _Motion(Bodies(equation.structure), force, u, taut, equation.velocity_dependent)
     if called:
         return _called(motion, steps, x, h)

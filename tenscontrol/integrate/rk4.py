@@ -19,8 +19,7 @@ class RK4(FixedStep):
 
     def step_function(self, equation: Equation) -> ca.Function:
         """See :meth:`FixedStep.step_function`."""
-        sizes = {"x": equation.states, "u": equation.inputs, "taut": equation.switches, "h": 1}
-        x, u, taut, h = (equation.symbol(name, size) for name, size in sizes.items())
+        x, u, taut, h = equation.symbols()
         k1 = equation.slope(x, u, taut)
         k2 = equation.slope(x + h / 2 * k1, u, taut)
         k3 = equation.slope(x + h / 2 * k2, u, taut)

@@ -7,8 +7,8 @@ import numpy as np
 from tenscontrol.dynamics import Equation, Evaluator
 from tenscontrol.validation import FloatArray
 
-# Iterations of the power method, and the push of its differences as part of the size.
-_POWER_ITERATIONS, _PUSH = 60, 1e-6
+# Iterations of the power method, and the step of its finite differences as part of the size.
+_POWER_ITERATIONS, _DIFFERENCE = 60, 1e-6
 
 
 def state_scale(
@@ -88,8 +88,8 @@ def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -
     size = float(np.abs(q - q.mean()).max()) or 1.0
     slope, taut = Evaluator(equation.slope), np.ones(equation.switches)
 
-    def pushed(direction: FloatArray) -> FloatArray:
-        x = np.concatenate([q + _PUSH * size * direction, v])
+    def moved(direction: FloatArray) -> FloatArray:
+        x = np.concatenate([q + _DIFFERENCE * size * direction, v])
         return slope(x, held, taut)[0][n:].copy()
 
     vector: FloatArray = np.random.default_rng(0).standard_normal(n)
@@ -97,7 +97,7 @@ def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_POWER_ITERATIONS):
             vector = vector / np.linalg.norm(vector)
-            vector = (pushed(vector) - pushed(-vector)) / (2 * _PUSH * size)
+            vector = (moved(vector) - moved(-vector)) / (2 * _DIFFERENCE * size)
             square = float(np.linalg.norm(vector))
             if not np.isfinite(square) or square == 0.0:
                 break

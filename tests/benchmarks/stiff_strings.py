@@ -15,8 +15,7 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.dynamics import pack_state
-from tenscontrol.integrate import METHODS
-from tenscontrol.integrate.scales import largest_frequency
+from tenscontrol.integrate import METHODS, largest_frequency
 from tests.benchmarks.command_line import options
 
 STIFFNESS, NODE_MASS, SEGMENTS = 1e8, 1e-5, 4

@@ -30,14 +30,7 @@ def records(step, x, u, h, count, every, taut=None):
 
 def rk4(equation):
     """A step of the classical Runge-Kutta method."""
-    x, u, taut, h = (
-        ca.SX.sym(name, size)
-        for name, size in zip(
-            ("x", "u", "taut", "h"),
-            (equation.states, equation.inputs, equation.switches, 1),
-            strict=True,
-        )
-    )
+    x, u, taut, h = equation.symbols()
     k1 = equation.slope(x, u, taut)
     k2 = equation.slope(x + h / 2 * k1, u, taut)
     k3 = equation.slope(x + h / 2 * k2, u, taut)

@@ -87,8 +87,7 @@ class Midpoint(FixedStep):
     evaluations_per_step = 2
 
     def step_function(self, equation):
-        sizes = {"x": equation.states, "u": equation.inputs, "taut": equation.switches, "h": 1}
-        x, u, taut, h = (equation.symbol(name, size) for name, size in sizes.items())
+        x, u, taut, h = equation.symbols()
         half = x + h / 2 * equation.slope(x, u, taut)
         return ca.Function("midpoint", [x, u, taut, h], [x + h * equation.slope(half, u, taut)])
 

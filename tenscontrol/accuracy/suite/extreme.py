@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
-from tenscontrol.integrate import METHODS
-from tenscontrol.integrate.scales import largest_frequency
+from tenscontrol.integrate import METHODS, largest_frequency
 from tenscontrol.validation import FloatArray
 
 #: Error that a method is asked for, as part of the size of the structure.
