@@ -86,7 +86,7 @@ MAY_IMPORT = {
     "simulation": {"integrate", "actuation", "dynamics", "structure", "control.controller"}
     | {"estimation"},
     "accuracy": {"simulation", "integrate", "actuation", "analysis", "dynamics", "statics"}
-    | {"structure", "scene", "plot"},
+    | {"structure", "scene"},
     "shape": {"control.reference", "actuation", "analysis", "dynamics", "statics", "structure"},
     "scene": {"simulation", "integrate", "control", "actuation", "analysis", "dynamics", "statics"}
     | {"structure", "shape", "estimation"},

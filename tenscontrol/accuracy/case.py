@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tenscontrol.dynamics import Equation, Model
+from tenscontrol.scene import Scene
 from tenscontrol.simulation.start import checked_load, held_value, initial_state
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number
-
-if TYPE_CHECKING:
-    from tenscontrol.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +146,6 @@ def as_case(scene: object) -> Case:
     TypeError
         If it is neither.
     """
-    from tenscontrol.scene import Scene
-
     if isinstance(scene, Case):
         return scene
     instance("scene", scene, Scene, "make one by load_scene(file), or give a Case")

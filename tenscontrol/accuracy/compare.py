@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
@@ -14,11 +13,9 @@ from tenscontrol.accuracy.peer import Peer
 from tenscontrol.accuracy.result import WorkPrecision
 from tenscontrol.accuracy.runs import Bench, Measurement
 from tenscontrol.integrate import METHODS, Method
+from tenscontrol.scene import Scene
 from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.validation import instance, positive_number, truth, whole_number
-
-if TYPE_CHECKING:
-    from tenscontrol.scene import Scene
 
 
 def work_precision(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,10 +11,8 @@ from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.located import Located
 from tenscontrol.dynamics import unpack_states
 from tenscontrol.integrate import DOP853
+from tenscontrol.scene import Scene
 from tenscontrol.validation import FloatArray, frozen, whole_number
-
-if TYPE_CHECKING:
-    from tenscontrol.scene import Scene
 
 _TOLERANCE = 1e-13
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,13 +12,10 @@ from tenscontrol.accuracy.invariants import conserves_energy, conserves_momentum
 from tenscontrol.accuracy.methods import method_named
 from tenscontrol.accuracy.trend import BLOCKS, trend
 from tenscontrol.integrate import IntegrationError, Work
+from tenscontrol.scene import Scene
 from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import FloatArray, frozen, positive_number, truth, whole_number
-
-if TYPE_CHECKING:
-    from tenscontrol.plot import Curves
-    from tenscontrol.scene import Scene
 
 # States that are integrated, judged and dropped at once.
 _PART = 50
@@ -133,22 +129,6 @@ class LongRun:
             *([f"ended early: {self.failure}"] if self.failure else []),
         ]
         return "\n".join(lines) + "\n\n" + aligned(head, rows, left=2)
-
-    def plot(self, ax: Any = None) -> Curves:
-        """Draw the error of the energy over time: see :func:`plot.long_run`.
-
-        Parameters
-        ----------
-        ax : Axes, optional
-            Where to draw; a new figure if not given.
-
-        Returns
-        -------
-        Curves
-        """
-        from tenscontrol import plot
-
-        return plot.long_run(self, ax=ax)
 
     def __repr__(self) -> str:
         return f"LongRun({self.method} at {self.setting:g}, {self.time[-1]:g} s)"

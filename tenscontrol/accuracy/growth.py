@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.dynamics import pack_state
 from tenscontrol.integrate import DOP853
+from tenscontrol.scene import Scene
 from tenscontrol.structure import restore_bar_lengths
 from tenscontrol.validation import FloatArray, frozen, positive_number, whole_number
-
-if TYPE_CHECKING:
-    from tenscontrol.scene import Scene
 
 # Size of the perturbation, m: far above round-off, far below what the motion is sensitive to.
 _PERTURBATION = 1e-10

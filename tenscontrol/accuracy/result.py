@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,9 +15,6 @@ from tenscontrol.accuracy.ratios import Ratios, time_to_reach
 from tenscontrol.accuracy.runs import NOT_KNOWN, Measurement
 from tenscontrol.tables import aligned, comma_separated, markdown, shown
 from tenscontrol.validation import choice, frozen, positive_number
-
-if TYPE_CHECKING:
-    from tenscontrol.plot import Curves
 
 # An error below so many times that of the reference is not resolved.
 _RESOLVED = 3.0
@@ -250,22 +246,6 @@ class WorkPrecision:
         path = Path(path)
         path.write_text(comma_separated(names, rows), encoding="utf-8")
         return path
-
-    def plot(self, ax: Any = None) -> Curves:
-        """Draw error against run time: see :func:`plot.work_precision`.
-
-        Parameters
-        ----------
-        ax : Axes, optional
-            Where to draw; a new figure if not given.
-
-        Returns
-        -------
-        Curves
-        """
-        from tenscontrol import plot
-
-        return plot.work_precision(self, ax=ax)
 
     def _cells(self, row: Measurement) -> list[str]:
         if row.failure:

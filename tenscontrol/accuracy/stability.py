@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,9 +17,6 @@ from tenscontrol.integrate import IntegrationError, Method
 from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.tables import aligned
 from tenscontrol.validation import FloatArray, frozen, instance, truth, whole_number
-
-if TYPE_CHECKING:
-    from tenscontrol.plot import Curves
 
 # A motion with more than so many times its kinetic energy is not stable.
 _GROWN = 100.0
@@ -93,22 +89,6 @@ class StabilityMap:
         ]
         head = ["stiffness N/m", "mass ratio", "ω 1/s", "largest stable h s", "h ω"]
         return f"{self.method}: h ω by {theory}\n\n" + aligned(head, rows, left=0)
-
-    def plot(self, ax: Any = None) -> Curves:
-        """Draw the steps over stiffness: see :func:`plot.stability_map`.
-
-        Parameters
-        ----------
-        ax : Axes, optional
-            Where to draw; a new figure if not given.
-
-        Returns
-        -------
-        Curves
-        """
-        from tenscontrol import plot
-
-        return plot.stability_map(self, ax=ax)
 
     def __repr__(self) -> str:
         return f"StabilityMap({self.method}, {len(self.stiffness)} × {len(self.mass_ratio)})"
