@@ -1,10 +1,11 @@
-"""What is measured: a motion in open loop."""
+"""What is measured: a motion in open loop, and how fast it can change."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Equation, Model
@@ -170,3 +171,30 @@ def _of_scene(scene: Scene) -> Case:
         name=Path(scene.file).stem,
         note=" ".join(notes),
     )
+
+
+# States up to which all eigenvalues are found; of more, only the six largest.
+_DENSE = 600
+
+
+def fastest_rate(case: Case) -> float:
+    """Return the largest magnitude of the eigenvalues of ∂f/∂x at the start, 1/s.
+
+    All strings pull. Of an undamped structure that is its highest angular frequency ω. A motion
+    without any is given the rate at which it passes its duration.
+    """
+    equation = case.equation()
+    x, u, taut = (
+        ca.SX.sym("x", equation.states),
+        ca.SX.sym("u", equation.inputs),
+        ca.SX.sym("taut", equation.switches),
+    )
+    jacobian = ca.Function("jacobian", [x, u, taut], [ca.jacobian(equation.slope(x, u, taut), x)])
+    matrix = jacobian(case.state, case.value, np.ones(equation.switches))
+    if equation.states <= _DENSE:
+        found = np.linalg.eigvals(matrix.full())
+    else:
+        from scipy.sparse.linalg import eigs
+
+        found = eigs(matrix.sparse().tocsc(), k=6, which="LM", return_eigenvectors=False)
+    return max(float(np.abs(found).max(initial=0.0)), 1 / case.duration)

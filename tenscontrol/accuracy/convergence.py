@@ -9,8 +9,13 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
-from tenscontrol.accuracy.methods import as_taken, checked_settings, default_settings, method_named
-from tenscontrol.accuracy.runs import Bench
+from tenscontrol.accuracy.measurement import (
+    Bench,
+    as_taken,
+    checked_settings,
+    default_settings,
+    method_named,
+)
 from tenscontrol.scene import Scene
 from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.tables import aligned, shown

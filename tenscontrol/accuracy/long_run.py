@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case, as_case
-from tenscontrol.accuracy.invariants import conserves_energy, conserves_momentum, invariants
-from tenscontrol.accuracy.methods import method_named
-from tenscontrol.accuracy.trend import BLOCKS, trend
+from tenscontrol.accuracy.case import Case, as_case, fastest_rate
+from tenscontrol.accuracy.measurement import (
+    conserves_energy,
+    conserves_momentum,
+    invariants,
+    method_named,
+)
 from tenscontrol.integrate import IntegrationError, Work
 from tenscontrol.scene import Scene
 from tenscontrol.simulation.progress import progress_bar
@@ -19,6 +23,13 @@ from tenscontrol.validation import FloatArray, frozen, positive_number, truth, w
 
 # States that are integrated, judged and dropped at once.
 _PART = 50
+
+# Blocks that a series is averaged over, and the part of cases that the interval is to cover.
+_BLOCKS, _CONFIDENCE = 21, 0.95
+
+# Differences of block means of a random walk share a block with the next: they are correlated by
+# 1/4 with either neighbour, so that their mean varies by 1 + 2/4 times what it would alone.
+_SHARED = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,15 +210,10 @@ def long_run(
     chosen = method_named(method)
     setting = positive_number("setting", setting, "s" if chosen.setting == "step" else "1")
     steps = whole_number("steps", steps, least=10)
-    outputs = whole_number("outputs", outputs, least=BLOCKS)
+    outputs = whole_number("outputs", outputs, least=_BLOCKS)
     truth("machine_code", machine_code, "whether to compile the steps")
     truth("progress", progress, "whether to show a progress bar")
-    if chosen.setting == "step":
-        duration = setting * steps
-    else:
-        from tenscontrol.accuracy.spectrum import fastest_rate
-
-        duration = steps / fastest_rate(case)
+    duration = setting * steps if chosen.setting == "step" else steps / fastest_rate(case)
     case = replace(case, duration=duration)
     recorder = _Recorder(case)
     with progress_bar(duration, progress, f"running {chosen.name}") as report:
@@ -228,7 +234,7 @@ def long_run(
                 break
             state = span.states[:, -1]
             report(spacing * (first + count))
-    if recorder.count < BLOCKS:
+    if recorder.count < _BLOCKS:
         raise ValueError(
             f"setting is {setting:g}, at which {chosen.name} ends too early to judge: {failure}"
         )
@@ -288,3 +294,32 @@ class _Recorder:
             size = error if error.ndim == 1 else np.linalg.norm(error, axis=0)
             found.append(Drift(name, unit, frozen(size), *trend(spacing, error)))
         return tuple(found)
+
+
+def trend(spacing: float, values: FloatArray) -> tuple[float, float]:
+    """Return the slope of a series and the half-width of its 95 % confidence interval.
+
+    The series is cut into 21 blocks, and the slope is the mean difference of
+    the means of successive blocks, by their time. The interval is Student's t
+    of these differences as they come from a random walk, which round-off makes:
+    a walk is no drift. For an oscillation about a level the differences cancel,
+    and the interval is wider than it need be.
+
+    ``values`` of shape (T,), one each ``spacing``, s. Of several series, shape (k, T), that with
+    the clearest slope is returned; its interval allows for the choice (Bonferroni).
+    """
+    from scipy.special import stdtrit
+
+    rows = np.atleast_2d(values)
+    ends = np.linspace(0, rows.shape[1], min(_BLOCKS, rows.shape[1]) + 1).round().astype(int)
+    means = np.stack([rows[:, a:b].mean(axis=1) for a, b in pairwise(ends)])
+    centres = spacing * (ends[:-1] + ends[1:] - 1) / 2
+    rates = np.diff(means, axis=0) / np.diff(centres)[:, None]
+    count = len(rates)
+    slope = rates.mean(axis=0)
+    likely = 1 - (1 - _CONFIDENCE) / 2 / len(rows)
+    half = stdtrit(count - 1, likely) * rates.std(axis=0, ddof=1) / np.sqrt(count / _SHARED)
+    # Of a series without any change, nothing is clear.
+    clear = np.abs(slope) / np.where(half > 0, half, np.inf)
+    worst = int(clear.argmax())
+    return float(slope[worst]), float(half[worst])

@@ -1,7 +1,8 @@
-"""CasADi's own integrators on our right-hand side, as a user would call them."""
+"""SciPy's and CasADi's own integrators on our right-hand side, as a user would call them."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from math import ceil
 from typing import Any, final
@@ -10,10 +11,81 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
-from tenscontrol.accuracy.peer import Peer, Solution
-from tenscontrol.dynamics import unpack_states
-from tenscontrol.integrate.radau import jacobian_weight, state_jacobian
-from tenscontrol.validation import FloatArray
+from tenscontrol.accuracy.peers.peer import Peer, Solution
+from tenscontrol.dynamics import Evaluator, unpack_states
+from tenscontrol.validation import FloatArray, choice
+
+_METHODS = ("DOP853", "RK45", "Radau", "LSODA")
+_IMPLICIT = ("Radau", "LSODA")
+
+
+@final
+class SciPy(Peer):
+    """A method of ``scipy.integrate.solve_ivp``.
+
+    The right-hand side is our CasADi function, called through its buffer; the
+    implicit methods get its exact Jacobian, which counts as as many evaluations
+    as it has times the instructions. Slack/taut switches are stepped across.
+
+    Parameters
+    ----------
+    method : {"DOP853", "RK45", "Radau", "LSODA"}
+    settings : sequence of float, optional
+        Tolerances, relative, and absolute in m and m/s.
+
+    Raises
+    ------
+    ValueError
+        If it is another method.
+    """
+
+    def __init__(
+        self, method: str, settings: Sequence[float] = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
+    ) -> None:
+        self.method = choice("method", method, _METHODS)
+        self.name = f"scipy {method.lower()}"
+        self.settings = tuple(settings)
+
+    def refuse(self, case: Case) -> str | None:
+        """See :meth:`Peer.refuse`."""
+        return None
+
+    def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
+        """See :meth:`Peer.prepare`."""
+        from scipy.integrate import solve_ivp
+
+        kinked, held, state = case.equation().kinked_slope, case.value, case.state
+        evaluate = Evaluator(kinked)
+        options: dict[str, Any] = {}
+        weight = 0
+        if self.method in _IMPLICIT:
+            jacobian, weight = _jacobian(kinked)
+            dense = _dense(jacobian)
+            options["jac"] = lambda time, x: dense(x, held)[0].copy()
+
+        def slope(time: float, x: FloatArray) -> FloatArray:
+            rate = evaluate(x, held)[0].copy()
+            if not np.isfinite(rate).all():
+                raise FloatingPointError(f"the forces are no longer finite at {time:.6g} s")
+            return rate
+
+        def run() -> Solution:
+            before = evaluate.calls
+            # What goes wrong is told by the result; LSODA warns of it beside.
+            quiet = warnings.catch_warnings(action="ignore", category=UserWarning)
+            with quiet, np.errstate(over="ignore", invalid="ignore"):
+                found = solve_ivp(
+                    slope, (0.0, times[-1]), state, method=self.method, t_eval=times,
+                    rtol=setting, atol=setting, **options,
+                )  # fmt: skip
+            if not found.success:
+                raise ArithmeticError(found.message)
+            nodes, velocities = unpack_states(case.structure, found.y)
+            # SciPy's own count may leave out calls for Jacobians by differences.
+            calls = evaluate.calls - before + weight * found.njev
+            return Solution(nodes, velocities, evaluations=calls)
+
+        return run
 
 
 @final
@@ -42,7 +114,7 @@ class CasADiCVODES(Peer):
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         kinked = case.equation().kinked_slope
-        weight = jacobian_weight(kinked, state_jacobian(kinked))
+        _, weight = _jacobian(kinked)
         solver = _solver(
             "cvodes",
             kinked,
@@ -129,3 +201,16 @@ def _run(solver: ca.Function, case: Case) -> FloatArray:
             raise
         reason = str(error).split("CVode returned")[1].split(".")[0]
         raise ArithmeticError(f"CVODES stopped with {reason.strip()}") from None
+
+
+def _jacobian(kinked: ca.Function) -> tuple[ca.Function, int]:
+    """Return ∂f/∂x, sparse, and how many evaluations of f one of it is worth."""
+    inputs = kinked.sx_in()
+    jacobian = ca.Function("jacobian", inputs, [ca.jacobian(kinked(*inputs), inputs[0])])
+    written = ca.Function("written", inputs, [kinked(*inputs)])  # in whatever form it comes
+    return jacobian, max(1, round(int(jacobian.n_instructions()) / int(written.n_instructions())))
+
+
+def _dense(jacobian: ca.Function) -> Evaluator:
+    inputs = jacobian.sx_in()
+    return Evaluator(ca.Function("dense", inputs, [ca.densify(jacobian(*inputs))]))

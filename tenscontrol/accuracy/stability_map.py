@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
+from types import MappingProxyType
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case
-from tenscontrol.accuracy.invariants import invariants
-from tenscontrol.accuracy.limits import theoretical_limit
-from tenscontrol.accuracy.methods import checked_settings, method_named
-from tenscontrol.accuracy.spectrum import fastest_rate
+from tenscontrol.accuracy.case import Case, fastest_rate
+from tenscontrol.accuracy.measurement import checked_settings, invariants, method_named
 from tenscontrol.integrate import IntegrationError, Method
 from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.tables import aligned
@@ -36,6 +34,12 @@ _PART = 32
 
 # s: no step is longer.
 _LONGEST = 1e9
+
+# Order of the methods that alternate flights and kicks.
+_SPLITTINGS = MappingProxyType({"rattle": 2, "rattle4": 4, "rattle6": 6})
+
+# Where the trace touches 2 without passing it, round-off must not look like passing.
+_TOUCH = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,16 +242,8 @@ class _Probe:
 def prism_near_rest(stiffness: float, mass_ratio: float) -> Case:
     """Return a prism with a point mass in the middle of each string, all but at rest.
 
-    Parameters
-    ----------
-    stiffness : float
-        Of a whole string, N/m; above its force density.
-    mass_ratio : float
-        Mass of a point by that of a bar.
-
-    Returns
-    -------
-    Case
+    ``stiffness`` is that of a whole string, N/m, above its force density; ``mass_ratio`` the mass
+    of a point by that of a bar.
     """
     from tenscontrol.actuation import to_rest_length
     from tenscontrol.dynamics import LinearStrings, Model
@@ -265,3 +261,41 @@ def prism_near_rest(stiffness: float, mass_ratio: float) -> Case:
     nodes = restore_bar_lengths(structure, structure.nodes + disturbance * moves)
     case = Case(model, 1.0, input="rest_length", value=start, name=f"k = {stiffness:g} N/m")
     return replace(case, nodes=nodes)
+
+
+def theoretical_limit(method: str) -> float:
+    """Return the largest ``h ω`` at which an undamped oscillation stays bounded.
+
+    Of the classical Runge-Kutta method it is 2√2, where the imaginary axis
+    leaves its region of stability (2.785 is where the real axis does). A
+    method that alternates flights and kicks multiplies position and velocity
+    by a matrix of determinant 1 a step, which is bounded while its trace is
+    below 2: 2 for Störmer and Verlet's.
+
+    NaN where none is known.
+
+    Notes
+    -----
+    Hairer & Wanner, *Solving Ordinary Differential Equations II*, section
+    IV.2; Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VIII.4.
+    """
+    if method == "rk4":
+        return float(np.sqrt(8))
+    if method not in _SPLITTINGS:
+        return float("nan")
+    from scipy.optimize import brentq
+
+    from tenscontrol.integrate.rattle import splitting
+
+    parts = splitting(_SPLITTINGS[method])
+
+    def room(product: float) -> float:
+        step = np.eye(2)
+        for flight, kick in zip(parts.flights, (*parts.kicks, 0.0), strict=True):
+            step = np.array([[1.0, flight * product], [0.0, 1.0]]) @ step
+            step = np.array([[1.0, 0.0], [-kick * product, 1.0]]) @ step
+        return float(2 * (1 + _TOUCH) - abs(np.trace(step)))
+
+    looks = np.arange(1, 2000) * 0.01
+    over = next(product for product in looks if room(product) < 0)
+    return float(brentq(room, over - 0.01, over))
