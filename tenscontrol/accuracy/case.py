@@ -8,10 +8,10 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Model
+from tenscontrol.dynamics import Equation, Model, pack_state
 from tenscontrol.scene import Scene
 from tenscontrol.simulation.start import checked_load, held_value, initial_state
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, restore_bar_lengths
 from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number
 
 
@@ -171,6 +171,16 @@ def _of_scene(scene: Scene) -> Case:
         name=Path(scene.file).stem,
         note=" ".join(notes),
     )
+
+
+def state_change(case: Case, moves: FloatArray) -> FloatArray:
+    """Return the change of the state where nodes are moved, m, shape (3, n), and no bar stretches.
+
+    Both shapes are restored: a bar off by round-off in the case does not count as perturbed.
+    """
+    moved = restore_bar_lengths(case.structure, case.nodes + moves)
+    change = moved - restore_bar_lengths(case.structure, case.nodes)
+    return pack_state(case.structure, change, np.zeros_like(change))
 
 
 # States up to which all eigenvalues are found; of more, only the six largest.

@@ -63,12 +63,7 @@ class ConvergedMotion:
     switches: FloatArray
 
     def summary(self) -> str:
-        """Return what the reference is and how good, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return what the reference is and how good, as text."""
         return (
             f"reference: order 8, tolerance {_TOLERANCE:g}, every one of {len(self.switches)} "
             f"switches located; a second code differs by {self.error:.1e} m"

@@ -67,12 +67,7 @@ class ConvergenceOrder:
     reference_error: float
 
     def table(self) -> str:
-        """Return steps, errors, the order between neighbours and the fit, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return steps, errors, the order between neighbours and the fit, as text."""
         local = np.diff(np.log(self.error)) / np.diff(np.log(self.step))
         rows = [
             [

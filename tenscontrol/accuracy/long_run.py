@@ -116,12 +116,7 @@ class LongRun:
         raise ValueError(f"name is {name!r}, expected what the motion conserves: {known}")
 
     def table(self) -> str:
-        """Return the drifts as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return the drifts as text."""
         rows = [
             [
                 drift.name,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from math import ceil
 from statistics import median
 from time import perf_counter
 from typing import Any, TypeVar
@@ -13,7 +12,7 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case, fastest_rate
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, largest_distance
-from tenscontrol.accuracy.peers.peer import Peer
+from tenscontrol.accuracy.peers.peer import Peer, steps_between
 from tenscontrol.dynamics import evaluate_columns, pack_state, unpack_states
 from tenscontrol.integrate import METHODS, IntegrationError, Method, Work
 from tenscontrol.validation import FloatArray, choice, positive_number
@@ -66,8 +65,7 @@ def as_taken(method: Method, settings: Iterable[float], spacing: float) -> tuple
     """
     if method.setting == "tolerance":
         return tuple(settings)
-    # The allowance is that of the integrators for round-off.
-    taken = [spacing / max(1, ceil(spacing / step - 1e-9)) for step in settings]
+    taken = [spacing / steps_between(spacing, step) for step in settings]
     return tuple(dict.fromkeys(taken))
 
 

@@ -73,12 +73,7 @@ class StabilityMap:
         return np.asarray(self.limit / self.rate)
 
     def table(self) -> str:
-        """Return steps, rates and their product, which theory bounds, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return steps, rates and their product, which theory bounds, as text."""
         theory = f"theory {self.limit:.3f}" if np.isfinite(self.limit) else "no bound is known"
         rows = [
             [

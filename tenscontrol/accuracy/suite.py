@@ -11,14 +11,15 @@ import sys
 import warnings
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tenscontrol.accuracy.case import state_change
 from tenscontrol.accuracy.extreme_cases import ASKED, TOLERANCE, Extreme, extremes, methods
-from tenscontrol.dynamics import pack_state, unpack_states
+from tenscontrol.dynamics import unpack_states
 from tenscontrol.integrate import CVODES, DOP853, EnergyMomentum, Integrator, Rattle6
 from tenscontrol.simulation import (
     AccuracyWarning,
@@ -28,8 +29,7 @@ from tenscontrol.simulation import (
     simulate,
 )
 from tenscontrol.simulation.progress import progress_bar
-from tenscontrol.structure import restore_bar_lengths
-from tenscontrol.tables import aligned, comma_separated, markdown
+from tenscontrol.tables import aligned, markdown, write_csv
 from tenscontrol.validation import FloatArray, frozen
 from tenscontrol.validation import truth as checked_truth
 
@@ -53,21 +53,6 @@ _AGREE = 0.1
 
 # Beyond so many radians of the fastest motion the truth is computed by an implicit method first.
 _EXPLICIT = 2.1e4
-
-_COLUMNS = (
-    "case",
-    "method",
-    "verdict",
-    "error",
-    "error_to_end",
-    "estimate",
-    "asked",
-    "compared",
-    "growth",
-    "reference_error",
-    "evaluations",
-    "reason",
-)
 
 
 # ---- the true motion ----
@@ -150,14 +135,11 @@ def _apart(extreme: Extreme, nodes: FloatArray, others: FloatArray) -> FloatArra
 
 def _push(extreme: Extreme) -> FloatArray:
     """Return a small change of the state that stretches no bar."""
-    case, structure = extreme.case, extreme.case.structure
+    case = extreme.case
     moves = np.random.default_rng(0).standard_normal(case.nodes.shape)
-    moves[:, structure.fixed] = 0.0
+    moves[:, case.structure.fixed] = 0.0
     moves *= _PERTURBATION * case.size / np.linalg.norm(moves, axis=0).max()
-    # Both restored, so that a bar off by round-off in the case does not count as perturbed.
-    moved = restore_bar_lengths(structure, case.nodes + moves)
-    change = moved - restore_bar_lengths(structure, case.nodes)
-    return pack_state(structure, change, np.zeros_like(change))
+    return state_change(case, moves)
 
 
 # ---- what comes of a method ----
@@ -167,37 +149,19 @@ def _push(extreme: Extreme) -> FloatArray:
 class Verdict:
     """What came of one method in one case.
 
-    Attributes
-    ----------
-    case, method : str
-    verdict : str
-        One of :data:`VERDICTS`.
-        ``"accurate"``: the error is no larger than asked. ``"in part"``: nor is
-        it up to where the growth of a perturbation lets motions be compared,
-        before the end; beyond, errors grow, of which the run may know nothing. ``"warned"``: it is
-        larger, and the run said so. ``"stopped"``: the run ended with an
-        error; ``"refused"``: it did not begin. ``"too long"``: not run, for it
-        would take too many evaluations. ``"unknown"``: there is no truth to
-        compare with. ``"SILENT"``: wrong without a word.
-    error : float
-        Largest distance of a node from the truth, by the size; NaN without a run.
-    error_to_end : float
-        The same to the end, or to where the truth is known.
-    estimate : float
-        The run's own estimate, ``run.health.position_error``; NaN without one.
-    asked : float
-    compared : float
-        Time up to which the comparison means something, s.
-    part : float
-        The same as part of the duration.
-    growth : float
-        How much a small perturbation of the start grows by the end.
-    reference_error : float
-        Error of the truth itself, by the size.
-    evaluations : float
-        Taken, or expected where it was not run.
-    reason : str
-        The words of the run, or why it was not run; empty if there are none.
+    One of :data:`VERDICTS`. ``"accurate"``: the error is no larger than asked. ``"in part"``: nor
+    is it up to where the growth of a perturbation lets motions be compared, before the end; beyond,
+    errors grow, of which the run may know nothing. ``"warned"``: it is larger, and the run said so.
+    ``"stopped"``: the run ended with an error; ``"refused"``: it did not begin. ``"too long"``: not
+    run, for it would take too many evaluations. ``"unknown"``: there is no truth to compare with.
+    ``"SILENT"``: wrong without a word.
+
+    ``error`` is the largest distance of a node from the truth, by the size, up to the time
+    ``compared``, s, which is ``part`` of the duration; ``error_to_end`` goes on to the end, or to
+    where the truth is known. ``estimate`` is the run's own, ``run.health.position_error``.
+    ``growth`` is that of a small perturbation of the start by the end, ``reference_error`` the
+    error of the truth itself, by the size. ``evaluations`` were taken, or are expected where it was
+    not run; ``reason`` has the words of the run, or why it was not run. NaN: not known.
     """
 
     case: str
@@ -268,7 +232,8 @@ def _compared(
 ) -> Verdict:
     estimate = run.position_error
     outputs = known.comparable(0.0 if estimate is None else estimate)
-    errors = _errors(extreme, known, run)
+    known_nodes = known.nodes[:, :, : known.outputs]
+    errors = _apart(extreme, run.nodes[:, :, 1 : known.outputs + 1], known_nodes)  # 0 is the start
     if not outputs:
         verdict = "warned" if told else "unknown"
     elif errors[outputs - 1] > ASKED:
@@ -288,26 +253,12 @@ def _compared(
     )
 
 
-def _errors(extreme: Extreme, known: Truth, run: Trajectory) -> FloatArray:
-    """Return the largest error up to each time at which the truth is known, by the size."""
-    # The start comes first in a run.
-    far = run.nodes[:, :, 1 : known.outputs + 1] - known.nodes[:, :, : known.outputs]
-    errors = np.linalg.norm(far, axis=0).max(axis=0) / extreme.case.size
-    return np.asarray(np.maximum.accumulate(errors))
-
-
 # ---- the result ----
 
 
 @dataclass(frozen=True)
 class SuiteResult:
-    """What came of every case with every method. Made by :func:`extreme_suite`.
-
-    Attributes
-    ----------
-    rows : tuple of Verdict
-        Case by case.
-    """
+    """What came of every case with every method. Made by :func:`extreme_suite`."""
 
     rows: tuple[Verdict, ...]
 
@@ -333,52 +284,20 @@ class SuiteResult:
         return {verdict: found[verdict] for verdict in VERDICTS}
 
     def table(self) -> str:
-        """Return one line for each case and one column for each method, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return one line for each case and one column for each method, as text."""
         return f"{aligned(*self._cells())}\n\n{self.summary()}"
 
     def to_markdown(self) -> str:
-        """Return the same in Markdown.
-
-        Returns
-        -------
-        str
-        """
+        """Return the same in Markdown."""
         return f"{markdown(*self._cells())}\n\n{self.summary()}\n"
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write one line for each run, with its reason.
-
-        Parameters
-        ----------
-        path : str or Path
-
-        Returns
-        -------
-        Path
-            Where it was written.
-
-        Raises
-        ------
-        OSError
-            If the file cannot be written.
-        """
-        path = Path(path)
-        rows = [[getattr(row, name) for name in _COLUMNS] for row in self.rows]
-        path.write_text(comma_separated(_COLUMNS, rows), encoding="utf-8")
-        return path
+        """Write one line for each run, with its reason, and return where."""
+        columns = [field.name for field in fields(Verdict) if field.name != "part"]
+        return write_csv(path, columns, self.rows)
 
     def summary(self) -> str:
-        """Return what was asked, the counts, and every silent failure with its numbers.
-
-        Returns
-        -------
-        str
-        """
+        """Return what was asked, the counts, and every silent failure with its numbers."""
         counts = ", ".join(f"{count} {verdict}" for verdict, count in self.counts.items())
         lines = [
             f"Errors are the largest distance of a node from the truth, by the size of the "
@@ -485,16 +404,7 @@ def extreme_suite(quick: bool = False, only: str = "", progress: bool = False) -
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the suite from the command line.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Those of the process if not given.
-
-    Returns
-    -------
-    int
-        Exit status: 0, 1 where a run was silently wrong, or 2 with a message
-        on stderr.
+    Return the exit status: 0, 1 where a run was silently wrong, or 2 with a message on stderr.
     """
     options = _parser().parse_args(arguments)
     try:

@@ -24,7 +24,7 @@ from tenscontrol.accuracy.predictability import Predictability, predictability
 from tenscontrol.integrate import METHODS, Method
 from tenscontrol.scene import Scene
 from tenscontrol.simulation.progress import progress_bar
-from tenscontrol.tables import aligned, comma_separated, markdown, shown
+from tenscontrol.tables import aligned, markdown, shown, write_csv
 from tenscontrol.validation import (
     FloatArray,
     choice,
@@ -39,22 +39,9 @@ from tenscontrol.validation import (
 _RESOLVED = 3.0
 
 _HEAD = (
-    "method",
-    "setting",
-    "error m",
-    "of size",
-    "at end m",
-    "time s",
-    "build s",
-    "evals",
-    "steps",
-    "rejected",
-    "switches",
-    "energy",
-    "momentum",
-    "angular",
-    "bars m",
-)
+    "method", "setting", "error m", "of size", "at end m", "time s", "build s", "evals", "steps",
+    "rejected", "switches", "energy", "momentum", "angular", "bars m",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +80,7 @@ class Ratios:
         return float(known.min()) if known.size else NOT_KNOWN
 
     def table(self) -> str:
-        """Return the ratios as text, one error a line.
-
-        Returns
-        -------
-        str
-        """
+        """Return the ratios as text, one error a line."""
         head = ["error m", "ours", "time s", *self.against]
         rows = []
         for i, error in enumerate(self.errors):
@@ -178,10 +160,6 @@ class WorkPrecision:
         Parameters
         ----------
         row : Measurement
-
-        Returns
-        -------
-        bool
         """
         return row.error > _RESOLVED * self.reference.error
 
@@ -261,12 +239,7 @@ class WorkPrecision:
         )
 
     def summary(self) -> str:
-        """Return what was compared, against what, and who did not take part, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return what was compared, against what, and who did not take part, as text."""
         lines = [repr(self.case)]
         lines += [self.case.note] * bool(self.case.note)
         if self.predictability is not None:
@@ -283,22 +256,13 @@ class WorkPrecision:
         Errors marked ≲ are not resolved by the reference. Energy is as part of
         what the motion exchanges, momentum in kg m/s, angular momentum in
         kg m²/s; ``bars m`` is how far a bar is off its length.
-
-        Returns
-        -------
-        str
         """
         failed = [f"{row.method} at {row.setting:g} failed: {row.failure}" for row in self.failures]
         parts = [self.summary(), aligned(_HEAD, [self._cells(row) for row in self.rows])]
         return "\n\n".join([*parts, *(["\n".join(failed)] if failed else [])])
 
     def to_markdown(self) -> str:
-        """Return the same as :meth:`table` in Markdown.
-
-        Returns
-        -------
-        str
-        """
+        """Return the same as :meth:`table` in Markdown."""
         failed = [f"- {row.method} at {row.setting:g}: {row.failure}" for row in self.failures]
         above = "\n".join(f"- {line}" for line in self.summary().splitlines())
         title = self.case.name or "Accuracy"
@@ -311,33 +275,29 @@ class WorkPrecision:
         Parameters
         ----------
         path : str or Path
-
-        Returns
-        -------
-        Path
         """
-        names = [field.name for field in fields(Measurement)]
-        rows = [[getattr(row, name) for name in names] for row in self.rows]
-        path = Path(path)
-        path.write_text(comma_separated(names, rows), encoding="utf-8")
-        return path
+        return write_csv(path, [field.name for field in fields(Measurement)], self.rows)
 
     def _cells(self, row: Measurement) -> list[str]:
         if row.failure:
             error = "failed"
         else:
             error = ("" if self.is_resolved(row) else "≲") + shown(row.error)
-        floats = (row.relative_error, row.end_error, row.time, row.build_time)
-        counts = (row.evaluations, row.steps, row.rejections, row.switches)
-        health = (row.energy_error, row.momentum_drift, row.angular_momentum_drift)
-        return [
-            row.method,
-            f"{row.setting:.3g}",
-            error,
-            *(shown(value) for value in floats),
-            *(shown(value) for value in counts),
-            *(shown(value) for value in (*health, row.bar_length_drift)),
+        figures = [
+            row.relative_error,
+            row.end_error,
+            row.time,
+            row.build_time,
+            row.evaluations,
+            row.steps,
+            row.rejections,
+            row.switches,
+            row.energy_error,
+            row.momentum_drift,
+            row.angular_momentum_drift,
+            row.bar_length_drift,
         ]
+        return [row.method, f"{row.setting:.3g}", error, *map(shown, figures)]
 
     def __repr__(self) -> str:
         return (

@@ -254,12 +254,7 @@ class SweepReport:
         return figures[name]
 
     def table(self) -> str:
-        """Return the spread of each figure over the completed runs, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return the spread of each figure over the completed runs, as text."""
         head = ["figure", "least", *(f"{100 * q:g} %" for q in _QUANTILES), "most"]
         rows = [
             [name, *(f"{x:.4g}" for x in np.quantile(values, [0.0, *_QUANTILES, 1.0]))]
@@ -268,12 +263,7 @@ class SweepReport:
         return aligned(head, rows)
 
     def summary(self) -> str:
-        """Return the rate of success, the failures by kind and the figures, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return the rate of success, the failures by kind and the figures, as text."""
         lines = [f"{self.case}, seed {self.seed}: {len(self)} of {self.count} runs done"]
         if not len(self):
             return lines[0]

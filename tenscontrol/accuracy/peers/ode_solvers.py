@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from math import ceil
 from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
-from tenscontrol.accuracy.peers.peer import Peer, Solution
+from tenscontrol.accuracy.peers.peer import Peer, Solution, steps_between
 from tenscontrol.dynamics import Evaluator, unpack_states
 from tenscontrol.validation import FloatArray, choice
 
 _METHODS = ("DOP853", "RK45", "Radau", "LSODA")
 _IMPLICIT = ("Radau", "LSODA")
+
+_TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
 
 
 @final
@@ -39,16 +40,10 @@ class SciPy(Peer):
         If it is another method.
     """
 
-    def __init__(
-        self, method: str, settings: Sequence[float] = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
-    ) -> None:
+    def __init__(self, method: str, settings: Sequence[float] = _TOLERANCES) -> None:
         self.method = choice("method", method, _METHODS)
         self.name = f"scipy {method.lower()}"
         self.settings = tuple(settings)
-
-    def refuse(self, case: Case) -> str | None:
-        """See :meth:`Peer.refuse`."""
-        return None
 
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
@@ -104,12 +99,8 @@ class CasADiCVODES(Peer):
 
     name = "casadi cvodes"
 
-    def __init__(self, settings: Sequence[float] = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)) -> None:
+    def __init__(self, settings: Sequence[float] = _TOLERANCES) -> None:
         self.settings = tuple(settings)
-
-    def refuse(self, case: Case) -> str | None:
-        """See :meth:`Peer.refuse`."""
-        return None
 
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
@@ -153,14 +144,10 @@ class CasADiRK(Peer):
     def __init__(self, settings: Sequence[float] = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5)) -> None:
         self.settings = tuple(settings)
 
-    def refuse(self, case: Case) -> str | None:
-        """See :meth:`Peer.refuse`."""
-        return None
-
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         spacing = float(times[-1]) / len(times)
-        inner = max(1, ceil(spacing / setting - 1e-9))
+        inner = steps_between(spacing, setting)
         # One grid interval repeated: on a grid of decimals CasADi may round to a step more.
         solver = _solver(
             "rk",

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
-from math import ceil
 from typing import Any, final
 
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
-from tenscontrol.accuracy.peers.peer import Peer, Solution
+from tenscontrol.accuracy.peers.peer import Peer, Solution, steps_between
 from tenscontrol.dynamics import ElasticStrings, LinearStrings
 from tenscontrol.validation import FloatArray, choice
 
@@ -73,7 +72,7 @@ class MuJoCo(Peer):
         model = mujoco.MjModel.from_xml_string(scene.xml)
         model.opt.integrator = getattr(mujoco.mjtIntegrator, name)
         spacing = float(times[-1]) / len(times)
-        inner = max(1, ceil(spacing / setting - 1e-9))
+        inner = steps_between(spacing, setting)
         model.opt.timestep = spacing / inner
         data = mujoco.MjData(model)
 
