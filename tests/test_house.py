@@ -299,7 +299,7 @@ def test_no_folder_reads_private_names_of_another():
 
 
 # The only places that may catch any error, each by one handler that keeps what it caught.
-CATCH_ANY = {"robustness/worker.py": 1}  # a run that fails is data of a sweep
+CATCH_ANY = {"robustness/pool.py": 1}  # a run that fails is data of a sweep
 
 
 def test_no_error_is_caught_unseen():

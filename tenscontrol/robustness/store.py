@@ -1,4 +1,4 @@
-"""The file of a sweep: a header and a line of JSON for each run that is done.
+"""The runs of a sweep and their file: a header and a line of JSON for each run that is done.
 
 A sweep that is made longer adds a line with its new number of runs, ``{"count": 400}``. Lines are
 only ever added, so that no power cut costs more than the last one.
@@ -15,8 +15,39 @@ from pathlib import Path
 from typing import IO, Any
 
 from tenscontrol._version import __version__
-from tenscontrol.robustness.distributions import Distribution
-from tenscontrol.robustness.record import Record, read_record
+from tenscontrol.robustness.distributions import Distribution, Drawn
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run: what was drawn, and what came of it.
+
+    ``run`` is its index, from 0. Where the case raised, ``success`` is False, ``figures`` is None,
+    and ``error`` and ``message`` are kind and text of what it raised.
+    """
+
+    run: int
+    parameters: dict[str, Drawn]
+    success: bool
+    figures: dict[str, float] | None = None
+    error: str | None = None
+    message: str | None = None
+
+    def line(self) -> str:
+        """Return the record as a line of JSON. Floats are written so that they come back."""
+        return json.dumps(asdict(self), allow_nan=False)
+
+    def numbers(self) -> tuple[Any, ...]:
+        """Return all but the text of an error."""
+        return self.run, self.parameters, self.success, self.figures, self.error
+
+
+def read_record(found: dict[str, Any]) -> Record:
+    """Return the record of what a line holds, or raise ValueError or TypeError."""
+    record = Record(**found)
+    if not isinstance(record.run, int):
+        raise TypeError(f"run is {record.run!r}, expected a whole number")
+    return record
 
 
 @dataclass(frozen=True)

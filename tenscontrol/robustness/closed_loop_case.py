@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -12,12 +12,11 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller, Status
 from tenscontrol.dynamics import Model, StringLaw
 from tenscontrol.estimation import KalmanFilter, Sensors
-from tenscontrol.robustness.distance import farthest_node
-from tenscontrol.robustness.errors import SweepError
-from tenscontrol.robustness.outcome import Outcome
-from tenscontrol.robustness.varied import varied_sensors, varied_strings
-from tenscontrol.simulation import HealthLimits, Trajectory, simulate
-from tenscontrol.simulation.faults import Fault, Faults
+from tenscontrol.estimation.sensors import KINDS
+from tenscontrol.plant import LinearPlant
+from tenscontrol.robustness.sweep_report import SweepError
+from tenscontrol.simulation import Fault, HealthLimits, Trajectory, simulate
+from tenscontrol.simulation.faults import Faults
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
@@ -26,6 +25,7 @@ from tenscontrol.validation import (
     instance,
     per_member,
     positive_number,
+    truth,
 )
 
 if TYPE_CHECKING:
@@ -38,6 +38,62 @@ _STIFFNESS = ("stiffness", "axial_rigidity")
 
 # The part of the run, at its end, in which the structure is to be at its place.
 _SETTLED = 0.1
+
+
+@final
+@dataclass(frozen=True, init=False)
+class Outcome:
+    """What a case returns: whether the run was a success, and its figures.
+
+    Parameters
+    ----------
+    success : bool
+    figures : mapping of str to float, optional
+        Finite numbers by name, the same names in every run. Names carry no
+        unit; say in the case's docstring what they are in.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``success`` is neither True nor False, or a figure has no name or is
+        not one finite number. Raised within a case, that is a failure of the run.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> outcome = tc.robustness.Outcome(success=True, figures={"final_error": 0.8e-3})
+    >>> outcome.success, outcome.figures
+    (True, {'final_error': 0.0008})
+    """
+
+    success: bool
+    _figures: tuple[tuple[str, float], ...] = field(repr=False)
+
+    def __init__(self, success: bool, figures: Mapping[str, object] | None = None) -> None:
+        given = {} if figures is None else figures
+        if not isinstance(given, Mapping):
+            raise TypeError(f"figures is a {type(given).__name__}, expected a dict of numbers")
+        put = object.__setattr__  # the dataclass is frozen for everyone else
+        put(self, "success", truth("success", success, "whether the run was a success"))
+        put(self, "_figures", tuple((_name(name), _figure(name, given[name])) for name in given))
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """The figures by name; a new dict at each access."""
+        return dict(self._figures)
+
+
+def _name(name: object) -> str:
+    if not isinstance(name, str) or not name:
+        raise TypeError(f"figures has the key {name!r}, expected a name")
+    return name
+
+
+def _figure(name: object, value: object) -> float:
+    array = float_array(f"figures[{name!r}]", value)
+    if array.ndim:
+        raise ValueError(f"figures[{name!r}] has shape {array.shape}, expected one number")
+    return float(array)
 
 
 @final
@@ -209,7 +265,7 @@ class ClosedLoopCase:
             step=self.step,
             limits=HealthLimits(action="raise"),
             estimator=self.estimator,
-            sensors=varied_sensors(sensors, parameters),
+            sensors=_varied_sensors(sensors, parameters),
             seed=None if self.estimator is None else int(rng.integers(2**63)),
             faults=self.faults,
         )
@@ -226,7 +282,7 @@ class ClosedLoopCase:
                 structure = replace(structure, **{name: factor * nominal})
         for name, of_law in (("stiffness", _STIFFNESS), ("damping", ("damping",))):
             if name in parameters:
-                strings = varied_strings(
+                strings = _varied_strings(
                     strings, name, of_law, parameters[name], len(structure.strings)
                 )
         return Model(structure, strings=strings, gravity=self.gravity)
@@ -271,3 +327,63 @@ class ClosedLoopCase:
         # Of a subdivision, the nodes of its parent come first.
         nodes = run.nodes[:, : plant.nodes.shape[1], late]
         return farthest_node(plant, nodes, plant.nodes if self.target is None else self.target)
+
+
+def _varied_strings(
+    strings: StringLaw | None, name: str, of_law: tuple[str, ...], factor: object, count: int
+) -> StringLaw:
+    """Return the law with a parameter multiplied: the first of these that it has."""
+    found = [] if strings is None else [each.name for each in fields(strings)]
+    scaled = [each for each in of_law if each in found]
+    if strings is None or not scaled:
+        raise SweepError(f"{name} is drawn, but the strings have none: {strings!r}")
+    value = per_member(name, factor, count, "string")
+    return replace(strings, **{scaled[0]: value * getattr(strings, scaled[0])})
+
+
+def _varied_sensors(sensors: Sensors | None, parameters: Mapping[str, object]) -> Sensors | None:
+    """Return the sensors with the noise and delay that are drawn."""
+    drawn = [name for name in ("noise", "delay") if name in parameters]
+    if sensors is None:
+        if drawn:
+            raise SweepError(f"{drawn[0]} is drawn, but nothing is measured: give estimator")
+        return None
+    if "noise" in parameters:
+        factor = positive_number("noise", parameters["noise"], "of the nominal deviations")
+        kinds = [kind for kind, *_ in KINDS if getattr(sensors, kind) is not None]
+        deviations = {kind: factor * getattr(sensors, kind) for kind in kinds}
+        sensors = replace(sensors, **deviations)
+    if "delay" in parameters:
+        late = float_array("delay", parameters["delay"])
+        if late.ndim or late < 0 or late != np.round(late):
+            raise SweepError(
+                f"delay is {parameters['delay']!r}, expected whole samples, at least 0: draw "
+                "it by OneOf([0, 1, 2]), for example"
+            )
+        sensors = replace(sensors, delay=int(late))
+    return sensors
+
+
+def farthest_node(plant: LinearPlant, nodes: FloatArray, target: FloatArray) -> float:
+    """Return the largest distance of a node from its place, m, over all moments.
+
+    Motions that the coordinates of the plant leave out do not count: in internal coordinates,
+    those of the structure as one body.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    nodes : ndarray, shape (3, n, T)
+        m.
+    target : ndarray, shape (3, n)
+        m.
+    """
+    r, still = plant.degrees_of_freedom, np.zeros_like(plant.nodes)
+    # Both are seen by the coordinates, which leave out what they do not know.
+    wanted = plant.to_nodes(plant.measure(target, still)[:r])
+    farthest = 0.0
+    for k in range(nodes.shape[2]):
+        q = plant.measure(nodes[:, :, k], still)[:r]
+        off = np.linalg.norm(plant.to_nodes(q) - wanted, axis=0)
+        farthest = max(farthest, float(off.max()))
+    return farthest

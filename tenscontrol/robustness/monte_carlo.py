@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from tenscontrol.robustness import store
+from tenscontrol.robustness.closed_loop_case import Outcome
 from tenscontrol.robustness.distributions import Distribution
-from tenscontrol.robustness.errors import SweepError
-from tenscontrol.robustness.outcome import Outcome
-from tenscontrol.robustness.pool import spread, workers
-from tenscontrol.robustness.record import Record
-from tenscontrol.robustness.report import SweepReport, collected
-from tenscontrol.robustness.worker import run_one
+from tenscontrol.robustness.pool import run_one, spread, workers
+from tenscontrol.robustness.store import Record
+from tenscontrol.robustness.sweep_report import SweepError, SweepReport, collected
 from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.validation import instance, truth, whole_number
 
