@@ -109,12 +109,7 @@ class Case:
         return initial_state(self.model, self.nodes, self.velocities, self.input)
 
     def equation(self) -> Equation:
-        """Return the state equation under the loads of the case.
-
-        Returns
-        -------
-        Equation
-        """
+        """Return the state equation under the loads of the case."""
         return self.model.equation(self.input, self.load - self.model.constant_force)
 
     def __repr__(self) -> str:
@@ -131,21 +126,8 @@ def _array(value: object, default: FloatArray) -> FloatArray:
 def as_case(scene: object) -> Case:
     """Return a case as it is, or that of a scene.
 
-    Of a scene with a controller, the open loop is taken: its actuators hold
-    what they hold at the start. Nothing breaks. The note of the case says so.
-
-    Parameters
-    ----------
-    scene : Case or Scene
-
-    Returns
-    -------
-    Case
-
-    Raises
-    ------
-    TypeError
-        If it is neither.
+    Of a scene with a controller, the open loop is taken: its actuators hold what they hold at the
+    start. Nothing breaks. The note of the case says so.
     """
     if isinstance(scene, Case):
         return scene

@@ -294,12 +294,8 @@ class _Recorder:
 def trend(spacing: float, values: FloatArray) -> tuple[float, float]:
     """Return the slope of a series and the half-width of its 95 % confidence interval.
 
-    The series is cut into 21 blocks, and the slope is the mean difference of
-    the means of successive blocks, by their time. The interval is Student's t
-    of these differences as they come from a random walk, which round-off makes:
-    a walk is no drift. For an oscillation about a level the differences cancel,
-    and the interval is wider than it need be.
-
+    See the notes of :func:`long_run`: a random walk, which round-off makes, is no drift. For an
+    oscillation about a level the differences cancel, and the interval is wider than it need be.
     ``values`` of shape (T,), one each ``spacing``, s. Of several series, shape (k, T), that with
     the clearest slope is returned; its interval allows for the choice (Bonferroni).
     """

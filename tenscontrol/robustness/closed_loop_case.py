@@ -14,6 +14,7 @@ from tenscontrol.dynamics import Model, StringLaw
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.estimation.sensors import KINDS
 from tenscontrol.plant import LinearPlant
+from tenscontrol.robustness.distributions import one_number
 from tenscontrol.robustness.sweep_report import SweepError
 from tenscontrol.simulation import Fault, HealthLimits, Trajectory, simulate
 from tenscontrol.simulation.faults import Faults
@@ -75,7 +76,8 @@ class Outcome:
             raise TypeError(f"figures is a {type(given).__name__}, expected a dict of numbers")
         put = object.__setattr__  # the dataclass is frozen for everyone else
         put(self, "success", truth("success", success, "whether the run was a success"))
-        put(self, "_figures", tuple((_name(name), _figure(name, given[name])) for name in given))
+        numbers = ((_name(name), one_number(f"figures[{name!r}]", given[name])) for name in given)
+        put(self, "_figures", tuple(numbers))
 
     @property
     def figures(self) -> dict[str, float]:
@@ -87,13 +89,6 @@ def _name(name: object) -> str:
     if not isinstance(name, str) or not name:
         raise TypeError(f"figures has the key {name!r}, expected a name")
     return name
-
-
-def _figure(name: object, value: object) -> float:
-    array = float_array(f"figures[{name!r}]", value)
-    if array.ndim:
-        raise ValueError(f"figures[{name!r}] has shape {array.shape}, expected one number")
-    return float(array)
 
 
 @final
@@ -377,13 +372,21 @@ def farthest_node(plant: LinearPlant, nodes: FloatArray, target: FloatArray) -> 
         m.
     target : ndarray, shape (3, n)
         m.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> from tenscontrol.robustness import farthest_node
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> raised = prism.nodes + np.array([[0.0], [0.0], [0.5]])
+    >>> farthest_node(plant, raised[:, :, None], prism.nodes) < 1e-12
+    True
     """
-    r, still = plant.degrees_of_freedom, np.zeros_like(plant.nodes)
-    # Both are seen by the coordinates, which leave out what they do not know.
-    wanted = plant.to_nodes(plant.measure(target, still)[:r])
-    farthest = 0.0
-    for k in range(nodes.shape[2]):
-        q = plant.measure(nodes[:, :, k], still)[:r]
-        off = np.linalg.norm(plant.to_nodes(q) - wanted, axis=0)
-        farthest = max(farthest, float(off.max()))
-    return farthest
+    r, at_rest = plant.degrees_of_freedom, np.zeros_like(plant.nodes)
+    # Both are measured in the coordinates, which leave out what they do not know.
+    wanted, *found = (
+        plant.to_nodes(plant.measure(shape, at_rest)[:r])
+        for shape in (target, *np.moveaxis(nodes, 2, 0))
+    )
+    return max((float(np.linalg.norm(N - wanted, axis=0).max()) for N in found), default=0.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import pickle
 import signal
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -24,7 +23,7 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol.robustness.closed_loop_case import Outcome
-from tenscontrol.robustness.distributions import Distribution, Drawn
+from tenscontrol.robustness.distributions import Distribution
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError
 from tenscontrol.validation import frozen
@@ -40,61 +39,33 @@ _IN_FLIGHT = 64
 _PARAMETERS, _CASE = 0, 1
 
 
-class Workers(ABC):
-    """Where runs are done, and how many are handed out at a time."""
+@final
+class Workers:
+    """Where runs are done, ``in_flight`` at a time: a user's executor, or our own processes."""
 
-    in_flight: int
+    def __init__(self, executor: Executor, in_flight: int, own: _Remembering | None = None) -> None:
+        self._executor, self.in_flight, self._own = executor, in_flight, own
 
-    @abstractmethod
     def submit(self, function: Callable[..., Record], *arguments: object) -> Future[Record]:
         """Hand out a run."""
-
-    @abstractmethod
-    def give_up(self, pending: Iterable[Future[Record]]) -> None:
-        """See that runs which are not done do not hold up the end."""
-
-
-@final
-class _Given(Workers):
-    """The executor of a user, which is left as it is."""
-
-    def __init__(self, executor: Executor, in_flight: int) -> None:
-        self._executor, self.in_flight = executor, in_flight
-
-    def submit(self, function: Callable[..., Record], *arguments: object) -> Future[Record]:
-        return self._executor.submit(function, *arguments)
-
-    def give_up(self, pending: Iterable[Future[Record]]) -> None:
-        for future in pending:
-            future.cancel()
-
-
-@final
-class _Own(Workers):
-    """Processes of our own."""
-
-    def __init__(self, width: int, in_flight: int) -> None:
-        self.in_flight = in_flight
-        # Processes are started anew: a fork of a process that has threads can lock up.
-        self._context = _Remembering()
-        self._pool = ProcessPoolExecutor(width, self._context, initializer=ignore_interrupts)
-
-    def submit(self, function: Callable[..., Record], *arguments: object) -> Future[Record]:
+        if self._own is None:
+            return self._executor.submit(function, *arguments)
         # This may start a process. It inherits the mask: Ctrl-C, which the terminal sends to all
         # processes, would else end it before it can ignore that.
         with _interrupts_blocked():
-            return self._pool.submit(function, *arguments)
+            return self._executor.submit(function, *arguments)
 
     def give_up(self, pending: Iterable[Future[Record]]) -> None:
+        """See that runs which are not done do not hold up the end."""
+        if self._own is None:
+            for future in pending:
+                future.cancel()
+            return
         # The pool finds that its processes have ended, and clears up. Nothing is cancelled:
         # the thread of Python 3.11 that clears up fails at a cancelled future, and the processes
         # that are left wait for ever.
-        for process in self._context.started:
+        for process in self._own.started:
             process.terminate()
-
-    def close(self) -> None:
-        """Wait until the processes have ended."""
-        self._pool.shutdown()
 
 
 class _Remembering(SpawnContext):
@@ -133,14 +104,16 @@ def workers(
     Our own have ended afterwards, the user's executor is left as it is.
     """
     if executor is not None:
-        yield _Given(executor, in_flight or _IN_FLIGHT)
+        yield Workers(executor, in_flight or _IN_FLIGHT)
         return
     width = processes or _processors()
-    own = _Own(width, in_flight or _PER_PROCESS * width)
+    # Processes are started anew: a fork of a process that has threads can lock up.
+    context = _Remembering()
+    pool = ProcessPoolExecutor(width, context, initializer=ignore_interrupts)
     try:
-        yield own
+        yield Workers(pool, in_flight or _PER_PROCESS * width, context)
     finally:
-        own.close()
+        pool.shutdown()
 
 
 def spread(
@@ -242,7 +215,8 @@ def run_one(case: bytes, parameters: Mapping[str, Distribution], seed: int, run:
     except Exception as error:
         # Whatever a case raises is what the sweep was run to find: it is kept as data, with its
         # kind and text, and counts as no success. What is no Exception, like Ctrl-C, goes on.
-        return _failed(run, drawn, error)
+        kind = type(error).__name__
+        return Record(run, drawn, success=False, error=kind, message=str(error))
     if not isinstance(outcome, Outcome):
         raise SweepError(
             f"the case returned a {type(outcome).__name__}, expected Outcome: end it with "
@@ -274,7 +248,3 @@ def _loaded(case: bytes) -> Callable[..., Any]:
 def _generator(seed: int, *key: int) -> np.random.Generator:
     """Return the generator that ``SeedSequence(seed)`` spawns at this key."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-
-
-def _failed(run: int, drawn: dict[str, Drawn], error: Exception) -> Record:
-    return Record(run, drawn, success=False, error=type(error).__name__, message=str(error))

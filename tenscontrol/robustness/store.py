@@ -42,14 +42,6 @@ class Record:
         return self.run, self.parameters, self.success, self.figures, self.error
 
 
-def read_record(found: dict[str, Any]) -> Record:
-    """Return the record of what a line holds, or raise ValueError or TypeError."""
-    record = Record(**found)
-    if not isinstance(record.run, int):
-        raise TypeError(f"run is {record.run!r}, expected a whole number")
-    return record
-
-
 @dataclass(frozen=True)
 class Header:
     """What a sweep is: the same header, the same numbers. ``count`` is how many runs of them."""
@@ -90,9 +82,16 @@ def read(file: Path) -> tuple[Header, list[Record], int]:
         try:
             found = json.loads(line)
             if isinstance(found, dict) and found.keys() == {"count"}:
-                header = _longer(header, found["count"])
+                count = found["count"]
+                if not isinstance(count, int) or count <= header.count:
+                    raise ValueError(
+                        f"count is {count!r}, expected a whole number above {header.count}"
+                    )
+                header = replace(header, count=count)
                 continue
-            record = read_record(found)
+            record = Record(**found)
+            if not isinstance(record.run, int):
+                raise TypeError(f"run is {record.run!r}, expected a whole number")
         except (ValueError, TypeError) as error:
             raise ValueError(f"{file}, line {number} is not a run: {error}") from None
         if record.run in records or not 0 <= record.run < header.count:
@@ -144,13 +143,6 @@ def appending(file: Path | None) -> Iterator[Callable[[str], None]]:
 def longer(count: int) -> str:
     """Return the line that makes a sweep longer, to so many runs."""
     return json.dumps({"count": count})
-
-
-def _longer(header: Header, count: object) -> Header:
-    """Return the header of the sweep with more runs."""
-    if not isinstance(count, int) or count <= header.count:
-        raise ValueError(f"count is {count!r}, expected a whole number above {header.count}")
-    return replace(header, count=count)
 
 
 def _refuse_another(file: Path, found: Header, wanted: Header) -> None:

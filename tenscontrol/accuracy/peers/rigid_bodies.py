@@ -157,28 +157,23 @@ class RigidScene:
 
     def _xml(self) -> str:
         structure, N = self._case.structure, self._case.nodes
-        bodies = []
-        for bar, (i, j), arm in zip(structure.free_bars, self._free, self._arm, strict=True):
-            inertia = structure.bar_mass[bar] * float(arm @ arm) / 3  # m l²/12
-            bodies.append(
-                f'<body pos="{_text(0.5 * (N[:, i] + N[:, j]))}"><freejoint/>'
-                f"{_inertial(np.zeros(3), structure.bar_mass[bar], inertia)}"
-                f"{_site(i, -arm)}{_site(j, arm)}</body>"
-            )
+        mass, free = structure.bar_mass, structure.free_bars
+        bodies = [
+            _body(0.5 * (N[:, i] + N[:, j]), "<freejoint/>", np.zeros(3), mass[bar],
+                  mass[bar] * float(arm @ arm) / 3, _site(i, -arm) + _site(j, arm))  # m l²/12
+            for bar, (i, j), arm in zip(free, self._free, self._arm, strict=True)
+        ]  # fmt: skip
         swinging = zip(structure.swinging_bars, self._swinging, self._reach, strict=True)
-        for bar, (i, j), reach in swinging:
-            inertia = structure.bar_mass[bar] * float(reach @ reach) / 12
-            bodies.append(
-                f'<body pos="{_text(N[:, i])}"><joint type="ball"/>'
-                f"{_inertial(0.5 * reach, structure.bar_mass[bar], inertia)}"
-                f"{_site(j, reach)}</body>"
-            )
-        for mass, i in zip(structure.string_node_mass, self._points, strict=True):
-            slides = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in _AXES)
-            bodies.append(
-                f'<body pos="{_text(N[:, i])}">{slides}'
-                f"{_inertial(np.zeros(3), mass, mass)}{_site(i, np.zeros(3))}</body>"
-            )
+        bodies += [
+            _body(N[:, i], '<joint type="ball"/>', 0.5 * reach, mass[bar],
+                  mass[bar] * float(reach @ reach) / 12, _site(j, reach))
+            for bar, (i, j), reach in swinging
+        ]  # fmt: skip
+        slides = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in _AXES)
+        bodies += [
+            _body(N[:, i], slides, np.zeros(3), point_mass, point_mass, _site(i, np.zeros(3)))
+            for point_mass, i in zip(structure.string_node_mass, self._points, strict=True)
+        ]
         fixed = "".join(_site(i, N[:, i]) for i in structure.fixed)
         motors = "".join(
             f'<motor site="n{i}" refsite="space" gear="{axis} 0 0 0"/>'
@@ -268,9 +263,13 @@ def _site(node: int, at: FloatArray) -> str:
     return f'<site name="n{node}" pos="{_text(at)}"/>'
 
 
-def _inertial(at: FloatArray, mass: float, inertia: float) -> str:
-    across = _text(np.full(3, inertia))
-    return f'<inertial pos="{_text(at)}" mass="{mass:.17g}" diaginertia="{across}"/>'
+def _body(
+    at: FloatArray, joint: str, centre: FloatArray, mass: float, inertia: float, sites: str
+) -> str:
+    return (
+        f'<body pos="{_text(at)}">{joint}<inertial pos="{_text(centre)}" mass="{mass:.17g}" '
+        f'diaginertia="{_text(np.full(3, inertia))}"/>{sites}</body>'
+    )
 
 
 def _angular_velocity(arm: FloatArray, rate: FloatArray) -> FloatArray:
