@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -99,10 +98,6 @@ class LongRun:
         Parameters
         ----------
         name : str
-
-        Returns
-        -------
-        Drift
 
         Raises
         ------
@@ -214,7 +209,8 @@ def long_run(
     with progress_bar(duration, progress, f"running {chosen.name}") as report:
         integrator = chosen.integrator(case.equation(), setting, machine_code=machine_code)
         state, spacing, failure, work = case.state, duration / outputs, "", Work()
-        for first, count in _parts(outputs):
+        for first in range(0, outputs, _PART):
+            count = min(_PART, outputs - first)
             try:
                 span = integrator.advance(state, case.value, spacing * count, count)
             except IntegrationError as error:
@@ -245,12 +241,6 @@ def long_run(
     )
 
 
-def _parts(outputs: int) -> Iterator[tuple[int, int]]:
-    """Yield the first output and the number of outputs of each part."""
-    for first in range(0, outputs, _PART):
-        yield first, min(_PART, outputs - first)
-
-
 class _Recorder:
     """Keeps of states only how far conserved quantities have moved."""
 
@@ -270,9 +260,8 @@ class _Recorder:
         if self._has_energy:
             rows["energy", "J"] = found.energy - start.energy
         if self._has_momentum:
-            linear = found.momentum - start.momentum
+            rows["momentum", "kg m/s"] = found.momentum - start.momentum
             angular = found.angular_momentum - start.angular_momentum
-            rows["momentum", "kg m/s"] = linear
             rows["angular momentum", "kg m²/s"] = angular
         if len(self._case.structure.bars):
             rows["bar length", "m"] = found.stretch

@@ -11,8 +11,12 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case, fastest_rate
 from tenscontrol.accuracy.measurement import checked_settings, invariants, method_named
+from tenscontrol.actuation import to_rest_length
+from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.integrate import IntegrationError, Method
 from tenscontrol.simulation.progress import progress_bar
+from tenscontrol.statics import prestress
+from tenscontrol.structure import prism, restore_bar_lengths, spread_force_density, subdivide
 from tenscontrol.tables import aligned
 from tenscontrol.validation import FloatArray, frozen, instance, truth, whole_number
 
@@ -75,17 +79,11 @@ class StabilityMap:
     def table(self) -> str:
         """Return steps, rates and their product, which theory bounds, as text."""
         theory = f"theory {self.limit:.3f}" if np.isfinite(self.limit) else "no bound is known"
-        rows = [
-            [
-                f"{k:.3g}",
-                f"{ratio:.3g}",
-                f"{self.rate[i, j]:.4g}",
-                f"{self.step[i, j]:.3g}",
-                f"{self.step[i, j] * self.rate[i, j]:.3f}",
-            ]
-            for i, k in enumerate(self.stiffness)
-            for j, ratio in enumerate(self.mass_ratio)
-        ]
+        rows = []
+        for i, j in np.ndindex(self.step.shape):
+            step, rate = self.step[i, j], self.rate[i, j]
+            case = [f"{self.stiffness[i]:.3g}", f"{self.mass_ratio[j]:.3g}", f"{rate:.4g}"]
+            rows.append([*case, f"{step:.3g}", f"{step * rate:.3f}"])
         head = ["stiffness N/m", "mass ratio", "ω 1/s", "largest stable h s", "h ω"]
         return f"{self.method}: h ω by {theory}\n\n" + aligned(head, rows, left=0)
 
@@ -240,11 +238,6 @@ def prism_near_rest(stiffness: float, mass_ratio: float) -> Case:
     ``stiffness`` is that of a whole string, N/m, above its force density; ``mass_ratio`` the mass
     of a point by that of a bar.
     """
-    from tenscontrol.actuation import to_rest_length
-    from tenscontrol.dynamics import LinearStrings, Model
-    from tenscontrol.statics import prestress
-    from tenscontrol.structure import prism, restore_bar_lengths, spread_force_density, subdivide
-
     segments, disturbance = 2, 1e-5
     bare = prism()
     rest = prestress(bare, force_density=17.3205)

@@ -36,7 +36,7 @@ from tenscontrol.validation import truth as checked_truth
 #: What can come of a method; the last is what must not.
 VERDICTS = ("accurate", "in part", "warned", "stopped", "refused", "too long", "unknown", "SILENT")
 
-# What the runs are told to warn of.
+# What the runs are to warn of.
 _LIMITS = HealthLimits(position_error=ASKED)
 
 # Length at which reasons are cut off in what is kept.
@@ -96,8 +96,8 @@ def truth(extreme: Extreme) -> Truth:
     main, other, how = _methods(extreme)
     state = extreme.case.state
     first, second = _nodes(extreme, main, state), _nodes(extreme, other, state)
-    pushed = _nodes(extreme, main, state + _push(extreme))
-    growth = _apart(extreme, pushed, first) / _PERTURBATION
+    perturbed = _nodes(extreme, main, state + _perturbation(extreme))
+    growth = _apart(extreme, perturbed, first) / _PERTURBATION
     apart = _apart(extreme, first, second)
     good = (growth * _ROUND_OFF <= ASKED) & (apart <= _AGREE * ASKED)
     outputs = len(times) if good.all() else int(np.argmin(good))
@@ -133,7 +133,7 @@ def _apart(extreme: Extreme, nodes: FloatArray, others: FloatArray) -> FloatArra
     return np.asarray(np.maximum.accumulate(far) / extreme.case.size)
 
 
-def _push(extreme: Extreme) -> FloatArray:
+def _perturbation(extreme: Extreme) -> FloatArray:
     """Return a small change of the state that stretches no bar."""
     case = extreme.case
     moves = np.random.default_rng(0).standard_normal(case.nodes.shape)
@@ -223,21 +223,21 @@ def judge(extreme: Extreme, known: Truth, method: str) -> Verdict:
             return Verdict(**row, verdict="stopped", evaluations=done, reason=reason)
         except (ValueError, ArithmeticError) as error:
             return Verdict(**row, verdict="refused", reason=str(error)[:_LONGEST])
-    told = [str(w.message) for w in caught if issubclass(w.category, AccuracyWarning)]
-    return _compared(extreme, known, run, row, told)
+    warned = [str(w.message) for w in caught if issubclass(w.category, AccuracyWarning)]
+    return _compared(extreme, known, run, row, warned)
 
 
 def _compared(
-    extreme: Extreme, known: Truth, run: Trajectory, row: dict[str, Any], told: list[str]
+    extreme: Extreme, known: Truth, run: Trajectory, row: dict[str, Any], warned: list[str]
 ) -> Verdict:
     estimate = run.position_error
     outputs = known.comparable(0.0 if estimate is None else estimate)
     known_nodes = known.nodes[:, :, : known.outputs]
     errors = _apart(extreme, run.nodes[:, :, 1 : known.outputs + 1], known_nodes)  # 0 is the start
     if not outputs:
-        verdict = "warned" if told else "unknown"
+        verdict = "warned" if warned else "unknown"
     elif errors[outputs - 1] > ASKED:
-        verdict = "warned" if told else "SILENT"
+        verdict = "warned" if warned else "SILENT"
     else:
         verdict = "accurate" if outputs == extreme.outputs else "in part"
     return Verdict(
@@ -249,7 +249,7 @@ def _compared(
         compared=float(extreme.time[outputs - 1]) if outputs else 0.0,
         part=outputs / extreme.outputs,
         evaluations=float(run.evaluations),
-        reason="; ".join(told)[:_LONGEST],
+        reason="; ".join(warned)[:_LONGEST],
     )
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -142,10 +143,6 @@ class WorkPrecision:
         method : str
             Or a peer.
 
-        Returns
-        -------
-        tuple of Measurement
-
         Raises
         ------
         ValueError
@@ -219,10 +216,6 @@ class WorkPrecision:
             m.
         against : sequence of str, optional
             Peers, or methods of our own; all peers if not given.
-
-        Returns
-        -------
-        Ratios
         """
         names = self.peers if against is None else tuple(against)
         best = [self.fastest(error) for error in errors]
@@ -382,7 +375,7 @@ def work_precision(
     outputs = whole_number("outputs", outputs, least=1)
     truth("machine_code", machine_code, "whether to compile our own methods")
     truth("progress", progress, "whether to show a progress bar")
-    chosen = [method_named(name) for name in _names("methods", methods)]
+    chosen = [method_named(name) for name in _names(methods)]
     for i, peer in enumerate(peers):
         instance(f"peers[{i}]", peer, Peer, "make one by subclassing Peer")
     given = _checked_settings(settings, chosen, peers)
@@ -401,40 +394,25 @@ def work_precision(
         refusals = {peer.name: peer.refuse(case) for peer in peers}
         bench = Bench(case, reference, repeats, machine_code)
         spacing = case.duration / len(reference.time)
-        own = [(m, x) for m in chosen for x in as_taken(m, wanted[m], spacing)]
-        rows = tuple(_measured(bench, own, other, refusals, report))
+        runs = [partial(bench.own, m, x) for m in chosen for x in as_taken(m, wanted[m], spacing)]
+        runs += [partial(bench.peer, p, x) for p, x in other if refusals[p.name] is None]
+        rows = []
+        for run in runs:
+            rows.append(run())
+            report(2 + len(rows))
         report(total)
     refused = tuple((name, why) for name, why in refusals.items() if why is not None)
-    return WorkPrecision(case, rows, reference, growth, refused)
+    return WorkPrecision(case, tuple(rows), reference, growth, refused)
 
 
-def _measured(
-    bench: Bench,
-    own: Sequence[tuple[Method, float]],
-    other: Sequence[tuple[Peer, float]],
-    refusals: Mapping[str, str | None],
-    report: Callable[[float], None],
-) -> Iterator[Measurement]:
-    done = 2
-    for method, setting in own:
-        yield bench.own(method, setting)
-        done += 1
-        report(done)
-    for peer, setting in other:
-        if refusals[peer.name] is None:
-            yield bench.peer(peer, setting)
-        done += 1
-        report(done)
-
-
-def _names(argument: str, names: Sequence[str] | None) -> Sequence[str]:
+def _names(names: Sequence[str] | None) -> Sequence[str]:
     """Return names of methods, all if none are given."""
     if names is None:
         return tuple(METHODS)
     if isinstance(names, str):
-        raise TypeError(f"{argument} is {names!r}, expected a sequence of names: [{names!r}]")
+        raise TypeError(f"methods is {names!r}, expected a sequence of names: [{names!r}]")
     if len(set(names)) != len(names):
-        raise ValueError(f"{argument} is {list(names)}, expected each method once")
+        raise ValueError(f"methods is {list(names)}, expected each method once")
     return names
 
 
@@ -486,10 +464,8 @@ def frontier(rows: Sequence[Measurement], floor: float) -> tuple[FloatArray, Flo
 def time_to_reach(rows: Sequence[Measurement], error: float, floor: float) -> float:
     """Return the run time at which a method has an error, s.
 
-    Interpolated between logarithms; never carried on beyond what was run: to
-    a larger error than any the fastest run goes, a smaller one is not reached.
-
-    NaN where the error is not reached.
+    Interpolated between logarithms; never carried on beyond what was run: to a larger error than
+    any the fastest run goes, a smaller one is not reached (NaN).
     """
     times, errors = frontier(rows, floor)
     if not len(times) or error < errors[-1]:
