@@ -92,9 +92,8 @@ def predictability(
 ) -> Predictability:
     """Return how fast a random perturbation of the start grows, and when it ends all prediction.
 
-    Every node is moved by about 1e-10 m at random, bars keep their lengths,
-    and the motion is compared with the unperturbed one. Both have each
-    slack/taut switch located.
+    Every node is moved by about 1e-10 m at random, bars keep their lengths, and the motion is
+    compared with the unperturbed one. Both have each slack/taut switch located.
 
     Parameters
     ----------

@@ -101,11 +101,10 @@ def stability_map(
 ) -> StabilityMap:
     """Return the largest stable step of a method over stiffness and mass.
 
-    A step counts as stable if a run with it has at no time more than a hundred times
-    the kinetic energy of a run with a fine step. Steps are tried from small to
-    large, a quarter apart and closer near the limit of theory; the border
-    between the last stable and the first unstable one is bisected to one part
-    in a hundred.
+    A step counts as stable if a run with it has at no time more than a hundred times the kinetic
+    energy of a run with a fine step. Steps are tried from small to large, a quarter apart and
+    closer near the limit of theory; the border between the last stable and the first unstable one
+    is bisected to one part in a hundred.
 
     Parameters
     ----------
@@ -254,11 +253,10 @@ def prism_near_rest(stiffness: float, mass_ratio: float) -> Case:
 def theoretical_limit(method: str) -> float:
     """Return the largest ``h ω`` at which an undamped oscillation stays bounded.
 
-    Of the classical Runge-Kutta method it is 2√2, where the imaginary axis
-    leaves its region of stability (2.785 is where the real axis does). A
-    method that alternates flights and kicks multiplies position and velocity
-    by a matrix of determinant 1 a step, which is bounded while its trace is
-    below 2: 2 for Störmer and Verlet's.
+    Of the classical Runge-Kutta method it is 2√2, where the imaginary axis leaves its region of
+    stability (2.785 is where the real axis does). A method that alternates flights and kicks
+    multiplies position and velocity by a matrix of determinant 1 a step, which is bounded while its
+    trace is below 2: 2 for Störmer and Verlet's.
 
     NaN where none is known.
 

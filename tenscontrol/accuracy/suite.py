@@ -77,9 +77,8 @@ class Truth:
     def comparable(self, error: float) -> int:
         """Return at how many times a run that makes this error can be compared.
 
-        Up to where the error, grown as a perturbation of the start grows, is
-        the error asked for: no run that makes such errors can be right for longer. Errors are by
-        the size.
+        Up to where the error, grown as a perturbation of the start grows, is the error asked for:
+        no run that makes such errors can be right for longer. Errors are by the size.
         """
         # Errors near what is asked are compared until they have grown tenfold.
         counted = min(max(error, _ROUND_OFF), 0.1 * ASKED)
@@ -350,14 +349,12 @@ def _cell(row: Verdict) -> str:
 def extreme_suite(quick: bool = False, only: str = "", progress: bool = False) -> SuiteResult:
     """Run every method on stiff and extreme structures, and say what came of each.
 
-    Strings of 1 to 1e9 N/m, masses of a milligram beside a kilogram, a string
-    of 64 segments, bars that turn at 1000 rad/s, prestress from 1e-6 to 1e6 N/m, slack
-    strings, strings at zero length, needles and coins, steps too long, long
-    runs, damping, sizes from microns to kilometres. In each the true motion is
-    known in closed form, or computed by two methods that have little in
-    common. Every run is accurate, or says in a warning or an error that it is
-    not, or is not started as too long; else it is silently wrong, which is
-    what the suite is to find.
+    Strings of 1 to 1e9 N/m, masses of a milligram beside a kilogram, a string of 64 segments, bars
+    that turn at 1000 rad/s, prestress from 1e-6 to 1e6 N/m, slack strings, strings at zero length,
+    needles and coins, steps too long, long runs, damping, sizes from microns to kilometres. In each
+    the true motion is known in closed form, or computed by two methods that have little in common.
+    Every run is accurate, or says in a warning or an error that it is not, or is not started as too
+    long; else it is silently wrong, which is what the suite is to find.
 
     Parameters
     ----------

@@ -313,11 +313,10 @@ def work_precision(
 ) -> WorkPrecision:
     """Return error and run time of methods on one motion, each at several settings.
 
-    Errors are distances of nodes from a reference whose own error is
-    estimated. First a perturbation of the start is followed: where it grows so
-    much that round-off alone would make errors of ``finest``, the comparison
-    ends before, and the result says so. Run times are medians and of the
-    integration alone; building and compiling come before and are given beside.
+    Errors are distances of nodes from a reference whose own error is estimated. First a
+    perturbation of the start is followed: where it grows so much that round-off alone would make
+    errors of ``finest``, the comparison ends before, and the result says so. Run times are medians
+    and of the integration alone; building and compiling come before and are given beside.
 
     Parameters
     ----------

@@ -96,13 +96,12 @@ def _name(name: object) -> str:
 class ClosedLoopCase:
     """A closed loop whose plant varies, while the controller keeps its nominal design.
 
-    For :func:`sweep`. The parameters it knows: ``"bar_mass"``,
-    ``"string_node_mass"``, ``"stiffness"`` and ``"damping"`` are factors on the
-    nominal values, one for all or one a member; ``"start"`` is where the
-    structure starts, coordinates q of the controller's plant, m √kg. With an estimator,
-    ``"noise"`` is a factor on the standard deviations of all readings, and ``"delay"``
-    how many samples late they come: draw it by :class:`OneOf`. The estimator is
-    not told, as the controller is not. The noise itself is drawn from the run's generator.
+    For :func:`sweep`. The parameters it knows: ``"bar_mass"``, ``"string_node_mass"``,
+    ``"stiffness"`` and ``"damping"`` are factors on the nominal values, one for all or one a
+    member; ``"start"`` is where the structure starts, coordinates q of the controller's plant, m
+    √kg. With an estimator, ``"noise"`` is a factor on the standard deviations of all readings, and
+    ``"delay"`` how many samples late they come: draw it by :class:`OneOf`. The estimator is not
+    told, as the controller is not. The noise itself is drawn from the run's generator.
 
     The figures of a run: ``final_error``, m, the largest distance of a node from
     its place in the last tenth of the run, motion of the structure as one body

@@ -34,9 +34,8 @@ def sweep(
 ) -> SweepReport:
     """Do many runs of a case with parameters drawn at random, and report how many succeed.
 
-    The numbers of a run hang on the seed and the index of the run alone: any
-    executor, with any number of workers, gives the same report to the last bit
-    on one machine.
+    The numbers of a run hang on the seed and the index of the run alone: any executor, with any
+    number of workers, gives the same report to the last bit on one machine.
 
     Parameters
     ----------

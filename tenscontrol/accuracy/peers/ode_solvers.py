@@ -87,9 +87,8 @@ class SciPy(Peer):
 class CasADiCVODES(Peer):
     """``casadi.integrator`` with CVODES, outputs on its grid.
 
-    Backward differentiation formulas with exact Jacobians, each counted as as
-    many evaluations as it has times the instructions. Slack/taut switches are
-    stepped across.
+    Backward differentiation formulas with exact Jacobians, each counted as as many evaluations as
+    it has times the instructions. Slack/taut switches are stepped across.
 
     Parameters
     ----------

@@ -111,11 +111,10 @@ def _kept_warnings(mujoco: Any, warnings: list[str]) -> Iterator[None]:
 class RigidScene:
     """The bodies, tendons and loads of a case.
 
-    Every body's frame is that of space in the start, so that a quaternion turns
-    a bar from where it starts. A thin bar has no inertia about its axis and
-    nothing that turns it about it; it is given that across the axis, about which
-    the motion of its nodes does not know, so that inertia is a number and spin
-    costs no term.
+    Every body's frame is that of space in the start, so that a quaternion turns a bar from where it
+    starts. A thin bar has no inertia about its axis and nothing that turns it about it; it is given
+    that across the axis, about which the motion of its nodes does not know, so that inertia is a
+    number and spin costs no term.
 
     ``xml`` is MuJoCo's description. At the start its coordinates have the velocities
     ``start_velocity``, shape (nv,); constant loads are ``body_force`` at the centres of mass of
