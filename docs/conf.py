@@ -37,6 +37,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
     "filename_pattern": r"/.*\.py",
+    "ignore_pattern": r"_study\.py",  # what examples import
     "abort_on_example_error": True,
     "show_memory": False,
     "min_reported_time": 1,

@@ -42,7 +42,7 @@ print(compared.table())
 # %%
 # To the right is more accurate, further down is faster.
 
-compared.plot()
+tc.plot.work_precision(compared)
 
 # %%
 # Run times by that of our fastest method, at errors that both reach.

@@ -27,7 +27,7 @@ runs = {}
 for ax, method in zip(axes, ("rk4", "rattle", "rattle4"), strict=True):
     runs[method] = tc.long_run(case, method, 5e-3, steps=50_000)
     print(runs[method].table(), end="\n\n")
-    runs[method].plot(ax=ax)
+    tc.plot.long_run(runs[method], ax=ax)
 
 # %%
 # How long two computed motions can agree at all depends on the motion. The prism whose

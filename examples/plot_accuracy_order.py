@@ -56,7 +56,7 @@ print(f"at the finest step, ending steps at switches leaves {gain:.0e} of the er
 
 figure, axes = plt.subplots(1, 2, figsize=(10.0, 4.4), sharey=True, layout="constrained")
 for ax, order in zip(axes, orders.values(), strict=True):
-    order.plot(ax=ax)
+    tc.plot.convergence_order(order, ax=ax)
     ax.plot(steps, across, "x:", color="0.35")
     ax.annotate("rk4 across switches", (steps[-1], across[-1]), (0, 32), textcoords="offset points")
 

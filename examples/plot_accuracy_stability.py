@@ -19,7 +19,7 @@ maps = {}
 for ax, method in zip(axes, ("rk4", "rattle"), strict=True):
     maps[method] = tc.stability_map(method, [1e2, 1e3, 1e4], [1e-1, 1e-3], steps=200)
     print(maps[method].table(), end="\n\n")
-    maps[method].plot(ax=ax)
+    tc.plot.stability_map(maps[method], ax=ax)
 
 # %%
 # An implicit method has no such limit. Here are strings of 10 GN/m, on a prism that

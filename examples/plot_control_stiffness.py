@@ -8,6 +8,7 @@ the stiffer they are. A law that commands rest lengths knows of that.
 """
 
 import numpy as np
+from stiffness_study import draw, stiffness_report
 
 import tenscontrol as tc
 
@@ -22,9 +23,10 @@ path = tc.shape_path(soft, start, goal, duration=1.2, step=0.03)
 
 # %%
 # For each stiffness LQR and MPC are designed with either input. MPC follows the way; LQR, which
-# follows nothing, is pushed at 0.85 m.
+# follows nothing, is pushed at 0.85 m. The study is ``stiffness_study.py``, a file beside this
+# one that you can copy for a structure of your own.
 
-report = tc.robustness.stiffness_report(
+report = stiffness_report(
     goal,
     [1e2, 1e3, 1e4, 1e5],  # N/m
     sample_time=0.02,  # s
@@ -40,7 +42,7 @@ print(report.summary())
 # decays: where the lower curve is below a quarter of the rate of the design, the law is not said
 # to hold.
 
-drawn = tc.plot.stiffness(report)
+drawn = draw(report)
 
 if __name__ == "__main__":
     import matplotlib.pyplot as plt

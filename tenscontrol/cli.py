@@ -145,7 +145,9 @@ def _accuracy(options: argparse.Namespace) -> None:
     for path in (saved, page):
         print(path, file=files)
     if len(found.failures) < len(found.rows):
-        _save(found.plot().ax.figure, folder / "accuracy.png", files)
+        from tenscontrol import plot
+
+        _save(plot.work_precision(found).ax.figure, folder / "accuracy.png", files)
 
 
 def _peers() -> list[Peer]:

@@ -6,6 +6,7 @@ import csv
 from collections.abc import Sequence
 from io import StringIO
 from math import isnan
+from pathlib import Path
 
 Cell = str | float | int | None
 
@@ -70,26 +71,23 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) 
     return "\n".join(f"| {' | '.join(row)} |" for row in escaped)
 
 
-def comma_separated(head: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
-    """Return a table as CSV with full precision; what is not known is left empty.
+def write_csv(path: str | Path, columns: Sequence[str], records: Sequence[object]) -> Path:
+    """Write attributes of records as CSV with full precision; what is not known is left empty.
 
     Parameters
     ----------
-    head : sequence of str
-    rows : sequence of sequence of str, float, int or None
-
-    Returns
-    -------
-    str
+    path : str or Path
+    columns : sequence of str
+        Names of the attributes.
+    records : sequence of object
+        One a line.
     """
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    for row in rows:
-        writer.writerow(
-            [
-                "" if cell is None or (isinstance(cell, float) and isnan(cell)) else cell
-                for cell in row
-            ]
-        )
-    return text.getvalue()
+    writer.writerow(columns)
+    for record in records:
+        cells = [getattr(record, name) for name in columns]
+        writer.writerow(["" if isinstance(x, float) and isnan(x) else x for x in cells])
+    path = Path(path)
+    path.write_text(text.getvalue(), encoding="utf-8")
+    return path

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from examples.stiffness_study import stiffness_report
 
 NAN, INF = float("nan"), float("inf")
 STILL = np.zeros((3, 6))
@@ -1047,9 +1048,7 @@ def lowered():
 def over_stiffness(at=None, stiffness=(1e2, 1e3), **changes):
     """A report over the stiffness, with some arguments replaced; refused before any run."""
     at = rest() if at is None else at
-    return tc.robustness.stiffness_report(
-        at, stiffness, **({"sample_time": 0.02, "duration": 0.1} | changes)
-    )
+    return stiffness_report(at, stiffness, **({"sample_time": 0.02, "duration": 0.1} | changes))
 
 
 # fmt: off

@@ -36,7 +36,8 @@ def ran(page, count):
     return names
 
 
-def test_the_way_from_a_shape_to_winch_commands_runs(capsys):
+def test_the_way_from_a_shape_to_winch_commands_runs(capsys, monkeypatch):
+    monkeypatch.syspath_prepend(DOCS.parent / "examples")  # the study is a file to copy
     names = ran("control", 6)
     limits = [names["report"].limit("MPC", held) for held in ("force_density", "rest_length")]
     assert limits == [1e2, 1e4]

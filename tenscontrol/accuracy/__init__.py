@@ -1,16 +1,14 @@
 """Error, run time and stability of integrators, measured on the user's own scene."""
 
 from tenscontrol.accuracy.case import Case, as_case
-from tenscontrol.accuracy.compare import work_precision
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
-from tenscontrol.accuracy.drift import Drift, LongRun, long_run
-from tenscontrol.accuracy.growth import Predictability, predictability
-from tenscontrol.accuracy.order import ConvergenceOrder, convergence_order
-from tenscontrol.accuracy.peer import Peer, Solution
-from tenscontrol.accuracy.ratios import Ratios
-from tenscontrol.accuracy.result import WorkPrecision
-from tenscontrol.accuracy.runs import Measurement
-from tenscontrol.accuracy.stability import StabilityMap, stability_map
+from tenscontrol.accuracy.convergence import ConvergenceOrder, convergence_order
+from tenscontrol.accuracy.long_run import Drift, LongRun, long_run
+from tenscontrol.accuracy.measurement import Measurement
+from tenscontrol.accuracy.peers.peer import Peer, Solution
+from tenscontrol.accuracy.predictability import Predictability, predictability
+from tenscontrol.accuracy.stability_map import StabilityMap, stability_map
+from tenscontrol.accuracy.work_precision import Ratios, WorkPrecision, work_precision
 
 __all__ = [
     "Case",

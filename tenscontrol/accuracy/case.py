@@ -1,20 +1,18 @@
-"""What is measured: a motion in open loop."""
+"""What is measured: a motion in open loop, and how fast it can change."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Model
+from tenscontrol.dynamics import Equation, Model, pack_state
+from tenscontrol.scene import Scene
 from tenscontrol.simulation import checked_load, held_value, initial_state
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, restore_bar_lengths
 from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number
-
-if TYPE_CHECKING:
-    from tenscontrol.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,12 +109,7 @@ class Case:
         return initial_state(self.model, self.nodes, self.velocities, self.input)
 
     def equation(self) -> Equation:
-        """Return the state equation under the loads of the case.
-
-        Returns
-        -------
-        Equation
-        """
+        """Return the state equation under the loads of the case."""
         return self.model.equation(self.input, self.load - self.model.constant_force)
 
     def __repr__(self) -> str:
@@ -133,24 +126,9 @@ def _array(value: object, default: FloatArray) -> FloatArray:
 def as_case(scene: object) -> Case:
     """Return a case as it is, or that of a scene.
 
-    Of a scene with a controller, the open loop is taken: its actuators hold
-    what they hold at the start. Nothing breaks. The note of the case says so.
-
-    Parameters
-    ----------
-    scene : Case or Scene
-
-    Returns
-    -------
-    Case
-
-    Raises
-    ------
-    TypeError
-        If it is neither.
+    Of a scene with a controller, the open loop is taken: its actuators hold what they hold at the
+    start. Nothing breaks. The note of the case says so.
     """
-    from tenscontrol.scene import Scene
-
     if isinstance(scene, Case):
         return scene
     instance("scene", scene, Scene, "make one by load_scene(file), or give a Case")
@@ -175,3 +153,40 @@ def _of_scene(scene: Scene) -> Case:
         name=Path(scene.file).stem,
         note=" ".join(notes),
     )
+
+
+def state_change(case: Case, moves: FloatArray) -> FloatArray:
+    """Return the change of the state where nodes are moved, m, shape (3, n), and no bar stretches.
+
+    Both shapes are restored: a bar off by round-off in the case does not count as perturbed.
+    """
+    moved = restore_bar_lengths(case.structure, case.nodes + moves)
+    change = moved - restore_bar_lengths(case.structure, case.nodes)
+    return pack_state(case.structure, change, np.zeros_like(change))
+
+
+# States up to which all eigenvalues are found; of more, only the six largest.
+_DENSE = 600
+
+
+def fastest_rate(case: Case) -> float:
+    """Return the largest magnitude of the eigenvalues of ∂f/∂x at the start, 1/s.
+
+    All strings pull. Of an undamped structure that is its highest angular frequency ω. A motion
+    without any is given the rate at which it passes its duration.
+    """
+    equation = case.equation()
+    x, u, taut = (
+        ca.SX.sym("x", equation.states),
+        ca.SX.sym("u", equation.inputs),
+        ca.SX.sym("taut", equation.switches),
+    )
+    jacobian = ca.Function("jacobian", [x, u, taut], [ca.jacobian(equation.slope(x, u, taut), x)])
+    matrix = jacobian(case.state, case.value, np.ones(equation.switches))
+    if equation.states <= _DENSE:
+        found = np.linalg.eigvals(matrix.full())
+    else:
+        from scipy.sparse.linalg import eigs
+
+        found = eigs(matrix.sparse().tocsc(), k=6, which="LM", return_eigenvectors=False)
+    return max(float(np.abs(found).max(initial=0.0)), 1 / case.duration)

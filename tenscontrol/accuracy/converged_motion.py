@@ -1,26 +1,38 @@
-"""The motion that others are measured against, with an estimate of its own error."""
+"""The motion that others are measured against, with an estimate of its own error.
+
+Switches of strings are located here a second time, beside ``tenscontrol.integrate``, and by other
+means, on purpose: the reference shares no code with the integrators that are measured, so that a
+mistake in their location of switches cannot hide in it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case
-from tenscontrol.accuracy.located import Located
-from tenscontrol.dynamics import unpack_states
+from tenscontrol.dynamics import Evaluator, unpack_states
 from tenscontrol.integrate import DOP853
+from tenscontrol.scene import Scene
 from tenscontrol.validation import FloatArray, frozen, whole_number
-
-if TYPE_CHECKING:
-    from tenscontrol.scene import Scene
 
 _TOLERANCE = 1e-13
 
 # Switches closer than this part of the duration are one moment, set apart by round-off.
 _TOGETHER = 1e-9
+
+# How far a string may pass the border of slack before the switch is acted on, m. It passes within
+# a time t in which the force is wrong by less than stiffness × this: below round-off after t.
+_BORDER = 1e-11
+
+# Where within a step the strings are looked at.
+_LOOKS = np.linspace(0.0, 1.0, 9)[1:]
+
+# So many switches a string within such a part of the duration are no motion but chatter.
+_CHATTER, _INSTANT = 50, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +63,7 @@ class ConvergedMotion:
     switches: FloatArray
 
     def summary(self) -> str:
-        """Return what the reference is and how good, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return what the reference is and how good, as text."""
         return (
             f"reference: order 8, tolerance {_TOLERANCE:g}, every one of {len(self.switches)} "
             f"switches located; a second code differs by {self.error:.1e} m"
@@ -107,9 +114,9 @@ def converged_motion(
     case = as_case(scene)
     count = whole_number("outputs", outputs, least=1)
     times = case.duration * np.arange(1, count + 1) / count
-    located = Located(case)
+    solver = PiecewiseSolver(case)
     found = []
-    for time, state in zip(times, located.states(times, _TOLERANCE), strict=True):
+    for time, state in zip(times, solver.states(times, _TOLERANCE), strict=True):
         found.append(state)
         if report is not None:
             report(float(time))
@@ -123,7 +130,7 @@ def converged_motion(
         velocities=frozen(velocities),
         states=frozen(states),
         error=error,
-        switches=frozen(_moments(located.switches, case.duration)),
+        switches=frozen(_moments(solver.switches, case.duration)),
     )
 
 
@@ -136,3 +143,140 @@ def _moments(switches: list[float], duration: float) -> FloatArray:
 def largest_distance(nodes: FloatArray, others: FloatArray) -> float:
     """Return the largest distance of a node between two motions, shape (3, n, T), m."""
     return float(np.linalg.norm(nodes - others, axis=0).max())
+
+
+class PiecewiseSolver:
+    """SciPy's DOP853 on a case, piece by piece, each smooth: with all switches located.
+
+    ``switches`` are the times at which strings switched in the last run, s.
+    """
+
+    def __init__(self, case: Case) -> None:
+        equation = case.equation()
+        self._case = case
+        self._slope = Evaluator(equation.slope)
+        self._can_switch = equation.switches > 0
+        self._is_damped = equation.velocity_dependent
+        if self._can_switch:
+            self._gap = Evaluator(equation.gap)
+            self._gaps_within = Evaluator(equation.gap.map(len(_LOOKS)))
+            self._held_within = np.tile(case.value[:, None], (1, len(_LOOKS)))
+        self.switches: list[float] = []
+
+    def states(self, times: FloatArray, tolerance: float) -> Iterator[FloatArray]:
+        """Yield the states at the times, s, ascending above 0, each as soon as it is reached.
+
+        ``tolerance`` is that of a step, relative and, a tenth of it, absolute. Raises
+        ArithmeticError if the state grows beyond all bounds, or strings chatter.
+        """
+        self.switches = []
+        state, now, done = self._case.state, 0.0, 0
+        pulls = self._gaps(state) > 0
+        while done < len(times):
+            sign = np.where(pulls, 1.0, -1.0)
+            slope = self._smooth_slope(pulls)
+            stepper = _stepper(slope, now, state, times[-1], tolerance)
+            switch = None
+            while switch is None and stepper.status == "running":
+                at, before = float(stepper.t), stepper.y.copy()
+                _advance(stepper)
+                near = self._comes_near(before, stepper.y, float(stepper.t) - at, sign)
+                if not near and stepper.t < times[done]:
+                    continue
+                between = stepper.dense_output()
+                if near and self._crosses(between(at + (stepper.t - at) * _LOOKS), sign):
+                    switch = self._first_crossing(between, at, float(stepper.t), sign)
+                reached = float(stepper.t) if switch is None else switch
+                while done < len(times) and times[done] <= reached:
+                    yield np.asarray(between(times[done]))
+                    done += 1
+            if switch is not None:
+                # Dense output is less accurate than a step: step to the switch anew.
+                state, now = _landed(_stepper(slope, at, before, switch, tolerance)), switch
+                pulls = pulls ^ (sign * self._gaps(state) < -0.5 * _BORDER)
+                self._note_switch(now, len(pulls))
+
+    def _smooth_slope(self, pulls: np.ndarray) -> Callable[[float, FloatArray], FloatArray]:
+        """Return the right-hand side with these strings pulling and no others."""
+        taut = pulls.astype(float)
+
+        def slope(_: float, x: FloatArray) -> FloatArray:
+            rate = self._slope(x, self._case.value, taut)[0].copy()
+            if not np.isfinite(rate).all():
+                # SciPy would shorten its step for ever.
+                raise ArithmeticError("the forces are no longer finite")
+            return rate
+
+        return slope
+
+    def _note_switch(self, now: float, strings: int) -> None:
+        self.switches.append(now)
+        count = _CHATTER * strings
+        recent = self.switches[-count:]
+        if len(recent) == count and now - recent[0] < _INSTANT * self._case.duration:
+            raise ArithmeticError(f"strings switch without end at {now:.6g} s")
+
+    def _gaps(self, state: FloatArray) -> FloatArray:
+        if not self._can_switch:
+            return np.zeros(0)
+        return self._gap(state, self._case.value)[0].copy()
+
+    def _room(self, state: FloatArray, sign: FloatArray) -> float:
+        """Return how far the nearest string is from having passed the border, m."""
+        return float((sign * self._gaps(state)).min()) + _BORDER
+
+    def _comes_near(self, x0: FloatArray, x1: FloatArray, step: float, sign: FloatArray) -> bool:
+        """Return whether a string may come to the border within a step.
+
+        It cannot if its ends are farther away than it goes at twice its larger speed there.
+        """
+        if not self._can_switch:
+            return False
+        if self._is_damped:  # the border then moves with the speed
+            return True
+        gap0, rate0 = (part.copy() for part in self._gap(x0, self._case.value))
+        gap1, rate1 = self._gap(x1, self._case.value)
+        way = 2 * step * np.maximum(np.abs(rate0), np.abs(rate1))
+        return bool((sign * (gap0 + gap1) <= way + _BORDER).any())
+
+    def _crosses(self, states: FloatArray, sign: FloatArray) -> bool:
+        """Return whether a string is over the border in one of the states."""
+        gaps = self._gaps_within(states, self._held_within)[0]
+        return bool((sign[:, None] * gaps + _BORDER).min() < 0)
+
+    def _first_crossing(self, between: Any, start: float, end: float, sign: FloatArray) -> float:
+        """Return when the first string passes the border; one does at one of the looks."""
+        from scipy.optimize import brentq
+
+        def room(time: float) -> float:
+            return self._room(between(time), sign)
+
+        last = start
+        for time in start + (end - start) * _LOOKS:
+            if room(time) < 0:
+                break
+            last = float(time)
+        if room(last) <= 0:  # it passes at once
+            return last
+        return float(brentq(room, last, time, xtol=1e-15, rtol=1e-15))
+
+
+def _stepper(slope: Any, start: float, state: FloatArray, end: float, tolerance: float) -> Any:
+    from scipy.integrate import DOP853
+
+    return DOP853(slope, start, state, end, rtol=tolerance, atol=0.1 * tolerance)
+
+
+def _advance(stepper: Any) -> None:
+    # A state that is not finite is looked for, so NumPy need not warn of it.
+    with np.errstate(over="ignore", invalid="ignore"):
+        trouble = stepper.step()
+    if stepper.status == "failed":
+        raise ArithmeticError(f"DOP853 stopped at {stepper.t:.6g} s: {trouble}")
+
+
+def _landed(stepper: Any) -> FloatArray:
+    """Return the state at the end of a short way."""
+    while stepper.status == "running":
+        _advance(stepper)
+    return np.asarray(stepper.y)

@@ -49,8 +49,6 @@ from tenscontrol.plant.string_outputs import (
     string_map,
     to_commanded_strings,
     to_model_strings,
-    to_segments,
-    to_strings,
 )
 
 __all__ = [
@@ -95,7 +93,5 @@ __all__ = [
     "string_map",
     "to_commanded_strings",
     "to_model_strings",
-    "to_segments",
-    "to_strings",
     "tracked_motion",
 ]

@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol.dynamics import KINDS, Model, pack_state
 from tenscontrol.dynamics import coordinates as frame_of
 from tenscontrol.plant.linear_plant import INPUTS, LinearPlant
-from tenscontrol.plant.string_outputs import to_model_strings, to_segments, to_strings
+from tenscontrol.plant.string_outputs import to_model_strings
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import (
     Structure,
@@ -20,6 +20,8 @@ from tenscontrol.structure import (
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
     rigid_motions,
+    to_segments,
+    to_strings,
 )
 from tenscontrol.validation import (
     FloatArray,

@@ -10,39 +10,8 @@ import numpy as np
 
 from tenscontrol.dynamics import kernel
 from tenscontrol.plant.linear_plant import LinearPlant
-from tenscontrol.structure import Structure
+from tenscontrol.structure import to_segments, to_strings
 from tenscontrol.validation import FloatArray
-
-
-def to_segments(structure: Structure, what: str, values: FloatArray) -> FloatArray:
-    """Return values of the segments, shape (…, α'), from those of whole strings, (…, α).
-
-    ``what`` is "force_density", "rest_length", "length" or "tension". A string of s segments gives
-    each of them s times its γ, and 1/s of its length.
-    """
-    of = structure.string_parent
-    assert of is not None  # a subdivision
-    counts = np.bincount(of)
-    if what == "force_density":
-        values = values * counts
-    elif what != "tension":
-        values = values / counts
-    return np.asarray(values[..., of])
-
-
-def to_strings(structure: Structure, what: str, values: FloatArray) -> FloatArray:
-    """Return values of whole strings, shape (…, α), from those of their segments, (…, α').
-
-    Lengths add up; tensions and γ are means over the segments, γ over s as well.
-    """
-    of = structure.string_parent
-    assert of is not None  # a subdivision
-    counts = np.bincount(of)
-    total = np.zeros((*values.shape[:-1], len(counts)))
-    np.add.at(total.T, of, values.T)
-    if what == "force_density":
-        return np.asarray(total / counts**2)
-    return np.asarray(total / counts) if what == "tension" else total
 
 
 def to_model_strings(plant: LinearPlant, what: str, values: FloatArray) -> FloatArray:

@@ -18,7 +18,6 @@ from tenscontrol.plot.health import health
 from tenscontrol.plot.history import Curves, history
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
 from tenscontrol.plot.poles import PoleMap, poles
-from tenscontrol.plot.stiffness import StiffnessDrawing, stiffness
 from tenscontrol.plot.structure import structure
 from tenscontrol.plot.sweep import SweepDrawing, sweep
 from tenscontrol.plot.trajectory import trajectory
@@ -28,7 +27,6 @@ __all__ = [
     "Drawing",
     "ModeShape",
     "PoleMap",
-    "StiffnessDrawing",
     "SweepDrawing",
     "animate",
     "convergence_order",
@@ -40,7 +38,6 @@ __all__ = [
     "poles",
     "save_figure",
     "stability_map",
-    "stiffness",
     "structure",
     "sweep",
     "trajectory",

@@ -1,17 +1,9 @@
-"""Robustness: many runs of one case with parameters drawn at random, or over the stiffness."""
+"""Robustness: many runs of one case with parameters drawn at random."""
 
-from tenscontrol.robustness.closed_loop import ClosedLoopCase
+from tenscontrol.robustness.closed_loop_case import ClosedLoopCase, Outcome, farthest_node
 from tenscontrol.robustness.distributions import Distribution, Normal, OneOf, Uniform
-from tenscontrol.robustness.errors import SweepError
-from tenscontrol.robustness.outcome import Outcome
-from tenscontrol.robustness.report import SweepFailure, SweepReport
-from tenscontrol.robustness.stiffness import stiffness_report
-from tenscontrol.robustness.stiffness_report import (
-    StiffnessReport,
-    StiffnessRow,
-    StiffnessRun,
-)
-from tenscontrol.robustness.sweep import sweep
+from tenscontrol.robustness.monte_carlo import sweep
+from tenscontrol.robustness.sweep_report import SweepError, SweepFailure, SweepReport
 
 __all__ = [
     "ClosedLoopCase",
@@ -19,13 +11,10 @@ __all__ = [
     "Normal",
     "OneOf",
     "Outcome",
-    "StiffnessReport",
-    "StiffnessRow",
-    "StiffnessRun",
     "SweepError",
     "SweepFailure",
     "SweepReport",
     "Uniform",
-    "stiffness_report",
+    "farthest_node",
     "sweep",
 ]

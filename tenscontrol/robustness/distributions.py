@@ -95,7 +95,7 @@ class Uniform(Distribution):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        low, high = _number("low", self.low), _number("high", self.high)
+        low, high = one_number("low", self.low), one_number("high", self.high)
         if not low < high:
             raise ValueError(f"low is {low:g} and high is {high:g}, expected low below high")
         if not np.isfinite(high - low):
@@ -137,7 +137,7 @@ class Normal(Distribution):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "mean", _number("mean", self.mean))
+        object.__setattr__(self, "mean", one_number("mean", self.mean))
         deviation = positive_number("deviation", self.deviation, "the unit of the parameter")
         object.__setattr__(self, "deviation", deviation)
 
@@ -186,7 +186,8 @@ class OneOf(Distribution):
         return rng.choice(self.values, self.size)
 
 
-def _number(name: str, value: object) -> float:
+def one_number(name: str, value: object) -> float:
+    """Return a finite number, or raise an error that names it."""
     array = float_array(name, value)
     if array.ndim:
         raise ValueError(f"{name} has shape {array.shape}, expected one number")

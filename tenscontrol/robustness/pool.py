@@ -1,11 +1,11 @@
-"""Runs spread over an executor, a bounded number of them at a time."""
+"""Runs of a sweep spread over an executor, and what a worker does: one run from its arguments."""
 
 from __future__ import annotations
 
 import os
+import pickle
 import signal
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -20,9 +20,13 @@ from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
 from typing import Any, final
 
-from tenscontrol.robustness.errors import SweepError
-from tenscontrol.robustness.record import Record
-from tenscontrol.robustness.worker import ignore_interrupts
+import numpy as np
+
+from tenscontrol.robustness.closed_loop_case import Outcome
+from tenscontrol.robustness.distributions import Distribution
+from tenscontrol.robustness.store import Record
+from tenscontrol.robustness.sweep_report import SweepError
+from tenscontrol.validation import frozen
 
 # Runs in flight for each process: one at work, one that waits for it.
 _PER_PROCESS = 2
@@ -30,62 +34,38 @@ _PER_PROCESS = 2
 # Runs in flight on an executor whose width is not known, unless the user says otherwise.
 _IN_FLIGHT = 64
 
+# Streams of random numbers of a run: one for each parameter, by its name, and one for the case.
+# So a further parameter changes nothing of what the others and the case draw.
+_PARAMETERS, _CASE = 0, 1
 
-class Workers(ABC):
-    """Where runs are done, and how many are handed out at a time."""
 
-    in_flight: int
+@final
+class Workers:
+    """Where runs are done, ``in_flight`` at a time: a user's executor, or our own processes."""
 
-    @abstractmethod
+    def __init__(self, executor: Executor, in_flight: int, own: _Remembering | None = None) -> None:
+        self._executor, self.in_flight, self._own = executor, in_flight, own
+
     def submit(self, function: Callable[..., Record], *arguments: object) -> Future[Record]:
         """Hand out a run."""
-
-    @abstractmethod
-    def give_up(self, pending: Iterable[Future[Record]]) -> None:
-        """See that runs which are not done do not hold up the end."""
-
-
-@final
-class _Given(Workers):
-    """The executor of a user, which is left as it is."""
-
-    def __init__(self, executor: Executor, in_flight: int) -> None:
-        self._executor, self.in_flight = executor, in_flight
-
-    def submit(self, function: Callable[..., Record], *arguments: object) -> Future[Record]:
-        return self._executor.submit(function, *arguments)
-
-    def give_up(self, pending: Iterable[Future[Record]]) -> None:
-        for future in pending:
-            future.cancel()
-
-
-@final
-class _Own(Workers):
-    """Processes of our own."""
-
-    def __init__(self, width: int, in_flight: int) -> None:
-        self.in_flight = in_flight
-        # Processes are started anew: a fork of a process that has threads can lock up.
-        self._context = _Remembering()
-        self._pool = ProcessPoolExecutor(width, self._context, initializer=ignore_interrupts)
-
-    def submit(self, function: Callable[..., Record], *arguments: object) -> Future[Record]:
+        if self._own is None:
+            return self._executor.submit(function, *arguments)
         # This may start a process. It inherits the mask: Ctrl-C, which the terminal sends to all
         # processes, would else end it before it can ignore that.
         with _interrupts_blocked():
-            return self._pool.submit(function, *arguments)
+            return self._executor.submit(function, *arguments)
 
     def give_up(self, pending: Iterable[Future[Record]]) -> None:
+        """See that runs which are not done do not hold up the end."""
+        if self._own is None:
+            for future in pending:
+                future.cancel()
+            return
         # The pool finds that its processes have ended, and clears up. Nothing is cancelled:
         # the thread of Python 3.11 that clears up fails at a cancelled future, and the processes
         # that are left wait for ever.
-        for process in self._context.started:
+        for process in self._own.started:
             process.terminate()
-
-    def close(self) -> None:
-        """Wait until the processes have ended."""
-        self._pool.shutdown()
 
 
 class _Remembering(SpawnContext):
@@ -124,14 +104,16 @@ def workers(
     Our own have ended afterwards, the user's executor is left as it is.
     """
     if executor is not None:
-        yield _Given(executor, in_flight or _IN_FLIGHT)
+        yield Workers(executor, in_flight or _IN_FLIGHT)
         return
     width = processes or _processors()
-    own = _Own(width, in_flight or _PER_PROCESS * width)
+    # Processes are started anew: a fork of a process that has threads can lock up.
+    context = _Remembering()
+    pool = ProcessPoolExecutor(width, context, initializer=ignore_interrupts)
     try:
-        yield own
+        yield Workers(pool, in_flight or _PER_PROCESS * width, context)
     finally:
-        own.close()
+        pool.shutdown()
 
 
 def spread(
@@ -205,3 +187,64 @@ def _processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+# ---- in a worker ----
+
+
+def run_one(case: bytes, parameters: Mapping[str, Distribution], seed: int, run: int) -> Record:
+    """Return the record of one run.
+
+    The case comes pickled and is loaded anew for each run, so that nothing that one run leaves
+    in it (the last plan of a controller, say) reaches another. The random numbers hang on the
+    seed and the index alone. So it does not matter which worker does a run, or when.
+    """
+    function = _loaded(case)
+    drawn = {
+        name: distribution.draw(_generator(seed, run, _PARAMETERS, *name.encode()))
+        for name, distribution in parameters.items()
+    }
+    given = {
+        name: frozen(np.array(value)) if isinstance(value, list) else value
+        for name, value in drawn.items()
+    }
+    try:
+        outcome = function(given, _generator(seed, run, _CASE))
+    except (SweepError, MemoryError):
+        raise  # the sweep is wrong, or the machine too small: the next runs would be no better
+    except Exception as error:
+        # Whatever a case raises is what the sweep was run to find: it is kept as data, with its
+        # kind and text, and counts as no success. What is no Exception, like Ctrl-C, goes on.
+        kind = type(error).__name__
+        return Record(run, drawn, success=False, error=kind, message=str(error))
+    if not isinstance(outcome, Outcome):
+        raise SweepError(
+            f"the case returned a {type(outcome).__name__}, expected Outcome: end it with "
+            "return Outcome(success=..., figures={...})"
+        )
+    return Record(run, drawn, outcome.success, outcome.figures)
+
+
+def ignore_interrupts() -> None:
+    """Leave Ctrl-C to the parent process.
+
+    A simulation that is interrupted returns the part that is done, which must not pass for a
+    whole run.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _loaded(case: bytes) -> Callable[..., Any]:
+    try:
+        function: Callable[..., Any] = pickle.loads(case)
+    except (AttributeError, ImportError) as error:
+        raise SweepError(
+            f"a worker cannot load the case: {error}. Define it in a module that workers can "
+            "import, or in the script itself above `if __name__ == '__main__':`"
+        ) from None
+    return function
+
+
+def _generator(seed: int, *key: int) -> np.random.Generator:
+    """Return the generator that ``SeedSequence(seed)`` spawns at this key."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

@@ -1,4 +1,4 @@
-"""The file of a sweep: a header and a line of JSON for each run that is done.
+"""The runs of a sweep and their file: a header and a line of JSON for each run that is done.
 
 A sweep that is made longer adds a line with its new number of runs, ``{"count": 400}``. Lines are
 only ever added, so that no power cut costs more than the last one.
@@ -15,8 +15,31 @@ from pathlib import Path
 from typing import IO, Any
 
 from tenscontrol._version import __version__
-from tenscontrol.robustness.distributions import Distribution
-from tenscontrol.robustness.record import Record, read_record
+from tenscontrol.robustness.distributions import Distribution, Drawn
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run: what was drawn, and what came of it.
+
+    ``run`` is its index, from 0. Where the case raised, ``success`` is False, ``figures`` is None,
+    and ``error`` and ``message`` are kind and text of what it raised.
+    """
+
+    run: int
+    parameters: dict[str, Drawn]
+    success: bool
+    figures: dict[str, float] | None = None
+    error: str | None = None
+    message: str | None = None
+
+    def line(self) -> str:
+        """Return the record as a line of JSON. Floats are written so that they come back."""
+        return json.dumps(asdict(self), allow_nan=False)
+
+    def numbers(self) -> tuple[Any, ...]:
+        """Return all but the text of an error."""
+        return self.run, self.parameters, self.success, self.figures, self.error
 
 
 @dataclass(frozen=True)
@@ -59,9 +82,16 @@ def read(file: Path) -> tuple[Header, list[Record], int]:
         try:
             found = json.loads(line)
             if isinstance(found, dict) and found.keys() == {"count"}:
-                header = _longer(header, found["count"])
+                count = found["count"]
+                if not isinstance(count, int) or count <= header.count:
+                    raise ValueError(
+                        f"count is {count!r}, expected a whole number above {header.count}"
+                    )
+                header = replace(header, count=count)
                 continue
-            record = read_record(found)
+            record = Record(**found)
+            if not isinstance(record.run, int):
+                raise TypeError(f"run is {record.run!r}, expected a whole number")
         except (ValueError, TypeError) as error:
             raise ValueError(f"{file}, line {number} is not a run: {error}") from None
         if record.run in records or not 0 <= record.run < header.count:
@@ -113,13 +143,6 @@ def appending(file: Path | None) -> Iterator[Callable[[str], None]]:
 def longer(count: int) -> str:
     """Return the line that makes a sweep longer, to so many runs."""
     return json.dumps({"count": count})
-
-
-def _longer(header: Header, count: object) -> Header:
-    """Return the header of the sweep with more runs."""
-    if not isinstance(count, int) or count <= header.count:
-        raise ValueError(f"count is {count!r}, expected a whole number above {header.count}")
-    return replace(header, count=count)
 
 
 def _refuse_another(file: Path, found: Header, wanted: Header) -> None:

@@ -6,9 +6,8 @@ import numpy as np
 
 from tenscontrol.actuation import Winches, WinchMove
 from tenscontrol.control import Command, Controller
-from tenscontrol.plant import to_segments, to_strings
 from tenscontrol.simulation.loop import Loop
-from tenscontrol.structure import same_members
+from tenscontrol.structure import same_members, to_segments, to_strings
 from tenscontrol.validation import (
     FloatArray,
     IntArray,

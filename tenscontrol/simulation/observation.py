@@ -10,8 +10,7 @@ import numpy as np
 from tenscontrol.control import Controller
 from tenscontrol.dynamics import Evaluator, Model, pack_state
 from tenscontrol.estimation import Estimate, FilterStatistics, KalmanFilter, Sensors
-from tenscontrol.plant import to_strings
-from tenscontrol.structure import same_members
+from tenscontrol.structure import same_members, to_strings
 from tenscontrol.validation import FloatArray, frozen, whole_number
 
 

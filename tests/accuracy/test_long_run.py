@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy.trend import trend
+from tenscontrol.accuracy.long_run import trend
 from tests.accuracy.scenes import paper_case
 
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import tenscontrol as tc
+from examples.stiffness_study import stiffness_report
 from tenscontrol.demo import tour as demo
 from tests.benchmarks.command_line import options
 
@@ -22,7 +23,7 @@ STIFFNESS = (1e2, 3e2, 1e3, 3e3, 1e4, 1e5, 1e6)
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(__doc__, arguments, stiffness=STIFFNESS)
     prism = tc.prism()
-    report = tc.robustness.stiffness_report(
+    report = stiffness_report(
         tc.prestress(demo.prism_of_height(prism, demo.TARGET), demo.TOP_FORCE_DENSITY),
         given.stiffness,
         sample_time=demo.SAMPLE,

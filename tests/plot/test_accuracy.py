@@ -22,7 +22,7 @@ def with_peer(compared):
 
 
 def test_every_run_is_a_marker(compared):
-    drawn = compared.plot()
+    drawn = tc.plot.work_precision(compared)
     for method in compared.methods:
         line, hollow = drawn.lines[method]
         np.testing.assert_array_equal(line.get_xdata(), [r.error for r in compared.of(method)])
@@ -38,7 +38,7 @@ def test_every_run_is_a_marker(compared):
 
 
 def test_curves_are_named_at_their_ends_and_names_do_not_touch(with_peer):
-    ax = with_peer.plot().ax
+    ax = tc.plot.work_precision(with_peer).ax
     ax.figure.canvas.draw()
     names = {"rk4", "dop853", "other"}
     boxes = [text.get_window_extent() for text in ax.texts if text.get_text() in names]
@@ -48,7 +48,7 @@ def test_curves_are_named_at_their_ends_and_names_do_not_touch(with_peer):
 
 
 def test_peers_are_dashed_and_grey(with_peer):
-    lines = with_peer.plot().lines
+    lines = tc.plot.work_precision(with_peer).lines
     (own, _), (other, _) = lines["rk4"], lines["other"]
     assert own.get_linestyle() == "-"
     assert other.get_linestyle() != "-"
@@ -59,7 +59,7 @@ def test_peers_are_dashed_and_grey(with_peer):
 def test_errors_of_the_reference_are_hollow_and_failures_are_counted(compared):
     fine = replace(compared.rows[0], error=1e-3 * compared.reference.error)
     failed = replace(compared.rows[0], error=np.nan, relative_error=np.nan, failure="no")
-    drawn = replace(compared, rows=(*compared.rows, fine, failed)).plot()
+    drawn = tc.plot.work_precision(replace(compared, rows=(*compared.rows, fine, failed)))
     _, hollow = drawn.lines["rk4"]
     np.testing.assert_array_equal(hollow.get_xdata(), [compared.reference.error])
     assert "1 of 8 runs failed" in drawn.ax.get_title(loc="left")
@@ -68,12 +68,12 @@ def test_errors_of_the_reference_are_hollow_and_failures_are_counted(compared):
 def test_nothing_to_draw_is_told(compared):
     far = tuple(replace(row, relative_error=2.0) for row in compared.rows)
     with pytest.raises(ValueError, match="no run with an error below the size"):
-        replace(compared, rows=far).plot()
+        tc.plot.work_precision(replace(compared, rows=far))
 
 
 def test_order_with_its_line_and_triangle():
     found = tc.convergence_order(paper_case(0.4), "rk4", [0.01, 0.005, 0.0025, 1e-1], outputs=4)
-    drawn = found.plot()
+    drawn = tc.plot.convergence_order(found)
     line = drawn.references["fit"]
     slope = np.diff(np.log(line.get_ydata())) / np.diff(np.log(line.get_xdata()))
     assert slope[0] == pytest.approx(found.order)
@@ -85,28 +85,28 @@ def test_order_with_its_line_and_triangle():
 
 def test_an_order_that_could_not_be_fitted_has_no_line():
     found = tc.convergence_order(paper_case(0.2), "rk4", [0.01, 0.005], outputs=4)
-    assert set(found.plot().references) == {"reference"}
+    assert set(tc.plot.convergence_order(found).references) == {"reference"}
 
 
 def test_stable_steps_beside_their_bound():
     found = tc.stability_map("rk4", [1e2, 1e3], [0.1, 0.01], steps=100)
-    drawn = found.plot()
+    drawn = tc.plot.stability_map(found)
     assert list(drawn.lines) == ["mass ratio 0.01", "mass ratio 0.1"]
     for j, name in enumerate(drawn.lines):
         np.testing.assert_array_equal(drawn.lines[name][0].get_ydata(), found.step[:, j])
         np.testing.assert_array_equal(drawn.references[name].get_ydata(), found.bound[:, j])
     unknown = replace(found, limit=np.nan)
-    assert unknown.plot().references == {}
+    assert tc.plot.stability_map(unknown).references == {}
 
 
 def test_energy_over_a_long_run_and_bars_where_there_is_none():
     found = tc.long_run(paper_case(1.0), "rk4", 2e-3, steps=200, outputs=50)
-    drawn = found.plot()
+    drawn = tc.plot.long_run(found)
     np.testing.assert_allclose(
         drawn.lines["energy"][0].get_ydata(), found.drifts[0].error / found.energy_scale
     )
     damped = tc.long_run(paper_case(1.0, damping=1.0), "rk4", 2e-3, steps=200, outputs=50)
-    assert damped.plot().ax.get_ylabel() == "change of momentum, kg m/s"
+    assert tc.plot.long_run(damped).ax.get_ylabel() == "change of momentum, kg m/s"
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What a sweep found."""
+"""What a sweep found, or what stopped it."""
 
 from __future__ import annotations
 
@@ -11,11 +11,28 @@ from typing import final
 import numpy as np
 
 from tenscontrol.robustness import store
-from tenscontrol.robustness.record import Record
+from tenscontrol.robustness.store import Record
 from tenscontrol.tables import aligned
 from tenscontrol.validation import FloatArray, IntArray, frozen, positive_number
 
 _QUANTILES = (0.05, 0.5, 0.95)
+
+
+class SweepError(RuntimeError):
+    """A sweep that could not go on.
+
+    A case raises it to stop the whole sweep, where not the run is at fault but
+    the sweep: a parameter that it does not know, say.
+
+    Attributes
+    ----------
+    report : SweepReport or None
+        The runs that are done; None where it was raised by a case.
+    """
+
+    def __init__(self, message: str, report: SweepReport | None = None) -> None:
+        super().__init__(message)
+        self.report = report
 
 
 @final
@@ -254,12 +271,7 @@ class SweepReport:
         return figures[name]
 
     def table(self) -> str:
-        """Return the spread of each figure over the completed runs, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return the spread of each figure over the completed runs, as text."""
         head = ["figure", "least", *(f"{100 * q:g} %" for q in _QUANTILES), "most"]
         rows = [
             [name, *(f"{x:.4g}" for x in np.quantile(values, [0.0, *_QUANTILES, 1.0]))]
@@ -268,12 +280,7 @@ class SweepReport:
         return aligned(head, rows)
 
     def summary(self) -> str:
-        """Return the rate of success, the failures by kind and the figures, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return the rate of success, the failures by kind and the figures, as text."""
         lines = [f"{self.case}, seed {self.seed}: {len(self)} of {self.count} runs done"]
         if not len(self):
             return lines[0]

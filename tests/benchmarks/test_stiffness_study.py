@@ -1,5 +1,6 @@
 """Laws in γ and in rest lengths over the stiffness: the report against loops made by hand."""
 
+import doctest
 import warnings
 from dataclasses import replace
 
@@ -8,8 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import tenscontrol as tc
+from examples import stiffness_study
+from examples.stiffness_study import stiffness_report
 from tenscontrol.demo import tour as demo
-from tenscontrol.robustness import stiffness_loops
 
 SAMPLE = 0.02
 TARGET = demo.prism_of_height(tc.prism(), demo.TARGET)
@@ -83,9 +85,13 @@ def off_by_kabsch(run):
     return farthest
 
 
+def test_its_example_is_right():
+    assert doctest.testmod(stiffness_study) == (0, 3)
+
+
 @pytest.fixture(scope="module")
 def report():
-    return tc.robustness.stiffness_report(
+    return stiffness_report(
         REST, [1e2, 1e4], sample_time=SAMPLE, damping=damping, reference=RAMP, duration=DURATION
     )
 
@@ -149,7 +155,7 @@ def test_linear_loops_of_lqr_and_mpc_are_one(held):
 
 @pytest.fixture(scope="module")
 def short():
-    return tc.robustness.stiffness_report(
+    return stiffness_report(
         REST,
         np.geomspace(1e2, 1e5, 4),
         sample_time=SAMPLE,
@@ -171,7 +177,7 @@ def test_law_in_force_densities_settles_the_slower_the_stiffer(short):
 
 def test_shorter_samples_let_the_law_in_force_densities_hold_with_stiffer_strings(short):
     """Over a sample strings act as dampers of k step / 2: half the step, twice the stiffness."""
-    half = tc.robustness.stiffness_report(
+    half = stiffness_report(
         REST,
         2 * short.stiffness[:2],
         sample_time=SAMPLE / 2,
@@ -191,7 +197,7 @@ def test_weights_of_the_user_are_those_of_all_four(short):
         Q, R = tc.energy_weights(plant, by_mode=plant.input == "rest_length")
         return Q, 1e-2 * R
 
-    fast = tc.robustness.stiffness_report(
+    fast = stiffness_report(
         REST, [1e3], sample_time=SAMPLE, damping=damping, duration=SAMPLE, weights=faster, horizon=2
     )
     assert seen == ["force_density", "rest_length"]
@@ -205,7 +211,7 @@ def test_weights_of_the_user_are_those_of_all_four(short):
 def test_winches_are_those_of_all_runs():
     """Winches that hardly wind hold the rest lengths: whatever the law, one motion."""
     stuck = tc.Winches(rate=1e-9, substeps=2)
-    found = tc.robustness.stiffness_report(
+    found = stiffness_report(
         REST, [1e3], sample_time=SAMPLE, damping=damping, duration=0.3, winches=stuck
     ).rows[0]
     plant = tc.linearize(model_of(1e3), REST, input="rest_length")
@@ -216,9 +222,7 @@ def test_winches_are_those_of_all_runs():
     wanted = off_at_the_end(plant, free)
     for run in found.runs:
         assert run.error == pytest.approx(wanted, rel=1e-3)
-    free_winches = tc.robustness.stiffness_report(
-        REST, [1e3], sample_time=SAMPLE, damping=damping, duration=0.3
-    )
+    free_winches = stiffness_report(REST, [1e3], sample_time=SAMPLE, damping=damping, duration=0.3)
     assert abs(free_winches.rows[0].runs[2].error / wanted - 1) > 1e-3
 
 
@@ -226,7 +230,7 @@ def test_winches_stand_where_the_reference_begins():
     model = model_of(1e3)
     path = tc.shape_path(model, NEAR, REST, duration=0.2, step=0.05)
     winches = tc.Winches(rate=0.5, substeps=4)
-    found = tc.robustness.stiffness_report(
+    found = stiffness_report(
         REST, [1e3], sample_time=SAMPLE, damping=damping, duration=0.3, winches=winches,
         reference=path.reference(),
     )  # fmt: skip
@@ -241,9 +245,7 @@ def test_winches_stand_where_the_reference_begins():
 
 
 def test_runs_that_fail_are_rows_that_say_so():
-    found = tc.robustness.stiffness_report(
-        REST, [1e3], sample_time=SAMPLE, push=300.0, duration=0.2
-    )
+    found = stiffness_report(REST, [1e3], sample_time=SAMPLE, push=300.0, duration=0.2)
     for run in found.rows[0].runs:
         assert run.error is None
         assert run.failure
@@ -257,7 +259,7 @@ def test_runs_that_fail_are_rows_that_say_so():
 def test_steps_of_the_user_are_taken():
     """A step that is too long fails, and says what to try."""
     coarse, fine = (
-        tc.robustness.stiffness_report(
+        stiffness_report(
             REST,
             [1e6],
             sample_time=SAMPLE,
@@ -278,9 +280,9 @@ def test_an_interrupted_run_is_no_row(monkeypatch):
     def interrupted(*arguments, **options):
         return replace(tc.simulate(*arguments, **options), stopped="was interrupted at 0.02 s")
 
-    monkeypatch.setattr(stiffness_loops, "simulate", interrupted)
+    monkeypatch.setattr(stiffness_study, "simulate", interrupted)
     with pytest.raises(KeyboardInterrupt, match=r"interrupted at 0\.02 s"):
-        tc.robustness.stiffness_report(REST, [1e2], sample_time=SAMPLE, duration=SAMPLE)
+        stiffness_report(REST, [1e2], sample_time=SAMPLE, duration=SAMPLE)
 
 
 def test_a_shape_target_on_supports_under_its_weight_is_held():
@@ -289,9 +291,7 @@ def test_a_shape_target_on_supports_under_its_weight_is_held():
     strings = tc.LinearStrings(1e3, damping=1.0)
     model = tc.Model(standing, strings=strings, gravity=9.81)
     goal = tc.shape_target(model, force_density=60.0)
-    found = tc.robustness.stiffness_report(
-        goal, [1e3], sample_time=SAMPLE, damping=1.0, duration=0.3
-    )
+    found = stiffness_report(goal, [1e3], sample_time=SAMPLE, damping=1.0, duration=0.3)
     plant = tc.linearize(model, goal.prestress, input="rest_length")
     Q, R = tc.energy_weights(plant, by_mode=True)
     law = tc.lqr(plant, Q, R, sample_time=SAMPLE)

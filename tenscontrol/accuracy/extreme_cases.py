@@ -1,35 +1,123 @@
-"""The cases of the suite."""
+"""Stiff and extreme cases for the suite, and the settings at which its methods run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
-from tenscontrol.accuracy.suite.extreme import Extreme
 from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import LinearStrings, Model
+from tenscontrol.integrate import METHODS, largest_frequency
 from tenscontrol.statics import prism_force_density
 from tenscontrol.structure import Structure, prism, segment_counts, spread_force_density, subdivide
 from tenscontrol.validation import FloatArray
+
+#: Error that a method is asked for, as part of the size of the structure.
+ASKED = 1e-3
+
+#: Tolerance of the methods that choose their steps: error allowed a step.
+TOLERANCE = 1e-6
+
+# The method that takes either, with a step.
+_STEPPED = "energy_momentum, step"
+
+# Steps of the others as angles that the fastest motion turns through, rad: higher orders do more
+# in a step. And about how many evaluations a step takes.
+_ANGLES = {"rk4": 0.1, "rattle": 0.02, "rattle4": 0.2, "rattle6": 0.4, _STEPPED: 0.03}
+_EVALUATIONS = {"rk4": 4, "rattle": 1, "rattle4": 4, "rattle6": 14, _STEPPED: 8}
+
+# About how many evaluations the others take for a radian of the fastest motion, where they follow
+# it. The energy-momentum method by tolerance does not follow what is smaller than its tolerance.
+_BY_RADIAN = {"dop853": 4.0, "cvodes": 20.0}
+
+# What an evaluation of these costs, by that of the explicit ones: linear systems.
+_COST = {_STEPPED: 3.0}
+
+# Nodes for which the budget is meant.
+_NODES = 6
 
 # Part of the force that balances which the vertical strings start with.
 _LET_GO = 0.9
 
 
-def extremes(quick: bool = False) -> tuple[Extreme, ...]:
-    """Return the cases.
+@dataclass(frozen=True, eq=False)
+class Extreme:
+    """A motion with something extreme about it.
 
-    Parameters
-    ----------
-    quick : bool
-        Whether to return a few of them only, one of each kind that is soon done.
+    ``group`` and ``label`` say what is extreme and how much: ``"string stiffness"``,
+    ``"1e9 N/m"``. Fixed steps are ``longer`` times too long. Motions are compared at so many
+    equally spaced ``outputs``. Steps must also follow ``turning``, the largest speed of turning,
+    rad/s. A run that costs more than ``budget`` evaluations of a prism by explicit methods is not
+    run. ``closed_form`` returns nodes, m, shape (3, n, T), over time where the motion is known.
     """
-    makers = _QUICK if quick else _ALL
-    return tuple(case for make in makers for case in make())
+
+    group: str
+    label: str
+    case: Case
+    longer: float = 1.0
+    outputs: int = 100
+    turning: float = 0.0
+    budget: float = 3e5
+    closed_form: Callable[[FloatArray], FloatArray] | None = None
+
+    @property
+    def name(self) -> str:
+        """Group and label."""
+        return f"{self.group}: {self.label}"
+
+    @property
+    def time(self) -> FloatArray:
+        """The times at which motions are compared, s, shape (outputs,)."""
+        return self.case.duration * np.arange(1, self.outputs + 1) / self.outputs
+
+    @cached_property
+    def frequency(self) -> float:
+        """Largest of the frequencies of the strings and the speeds of turning, rad/s."""
+        case = self.case
+        strings = 0.0
+        if len(case.structure.strings):
+            strings = largest_frequency(case.equation(), case.state, case.value)
+        return float(max(strings, self.turning, 1.0 / case.duration))
+
+    @property
+    def angle(self) -> float:
+        """What the fastest motion turns through in all, rad."""
+        return self.frequency * self.case.duration
+
+    def settings(self, method: str) -> dict[str, float]:
+        """Return what ``simulate`` is given for a method: ``step`` or ``tolerance``."""
+        if method in _ANGLES:
+            return {"step": self.longer * _ANGLES[method] / self.frequency}
+        return {"tolerance": TOLERANCE}
+
+    def evaluations(self, method: str) -> float:
+        """Return about how many evaluations of the forces a method needs, at most.
+
+        0 for a method that need not follow the fastest motion.
+        """
+        if method in _ANGLES:
+            return _EVALUATIONS[method] * self.angle / (self.longer * _ANGLES[method])
+        return _BY_RADIAN.get(method, 0.0) * self.angle
+
+    def allowed(self, method: str) -> float:
+        """Return how many evaluations a method may take."""
+        larger: float = max(1.0, self.case.nodes.shape[1] / _NODES)
+        return self.budget / (_COST.get(method, 1.0) * larger)
+
+
+def methods() -> tuple[str, ...]:
+    """Return the names of what the suite runs: every method, and the automatic choice."""
+    return (*METHODS, _STEPPED, "auto")
+
+
+def extremes(quick: bool = False) -> tuple[Extreme, ...]:
+    """Return the cases; if ``quick`` a few only, one of each kind that is soon done."""
+    return tuple(_few() if quick else (case for make in _ALL for case in make()))
 
 
 def _let_go(
@@ -55,41 +143,36 @@ def _let_go(
     return Case(model, duration, velocities=turning, input="rest_length", value=lengths)
 
 
-def _stiffness(powers: range = range(10)) -> list[Extreme]:
-    cases = []
+def _stiffness(powers: range = range(10)) -> Iterator[Extreme]:
     for power in powers:
         k = 10.0**power
         level = min(10.0, 0.2 * k)
         # The truth of the stiffest takes long.
         case = _let_go(prism(), level, k, 2.0 if k < 1e7 else 0.5, spin=1.0)
-        cases.append(Extreme("string stiffness", f"1e{power} N/m", case, turning=1.0))
-    return cases
+        yield Extreme("string stiffness", f"1e{power} N/m", case, turning=1.0)
 
 
-def _node_mass(masses: tuple[float, ...] = (1e-6, 1e-4, 1e-2, 1.0)) -> list[Extreme]:
-    cases = []
+def _node_mass(masses: tuple[float, ...] = (1e-6, 1e-4, 1e-2, 1.0)) -> Iterator[Extreme]:
     for mass in masses:
         cut = subdivide(prism(), segments=2, node_mass=mass)
         case = _let_go(cut, 10.0, 100.0 * segment_counts(cut), 0.25 if mass < 1e-3 else 1.0)
-        cases.append(Extreme("string-node mass", f"{mass:g} kg beside 1 kg", case))
-    return cases
+        yield Extreme("string-node mass", f"{mass:g} kg beside 1 kg", case)
 
 
-def _bar_mass() -> list[Extreme]:
+def _bar_mass() -> Iterator[Extreme]:
     case = _let_go(prism(bar_mass=[1e-3, 1.0, 1e3]), 10.0, 100.0, 2.0)
-    return [Extreme("bars", "1e-3, 1 and 1e3 kg in one", case)]
+    yield Extreme("bars", "1e-3, 1 and 1e3 kg in one", case)
 
 
-def _segments() -> list[Extreme]:
+def _segments() -> Iterator[Extreme]:
     counts = [64] + [1] * 8
     cut = subdivide(prism(), segments=counts, string_mass=[0.01] + [0.0] * 8)
     case = _let_go(cut, 10.0, 100.0 * segment_counts(cut), 0.3)
-    return [Extreme("segments", "64 in a string", case)]
+    yield Extreme("segments", "64 in a string", case)
 
 
-def _free_bar(speeds: tuple[float, ...] = (1.0, 10.0, 100.0, 1e3)) -> list[Extreme]:
+def _free_bar(speeds: tuple[float, ...] = (1.0, 10.0, 100.0, 1e3)) -> Iterator[Extreme]:
     """Return a bar that turns about its centre and drifts: three turns."""
-    cases = []
     for speed in speeds:
         bar = Structure(
             nodes=[[-0.5, 0.5], [0.0, 0.0], [0.0, 0.0]],
@@ -112,36 +195,30 @@ def _free_bar(speeds: tuple[float, ...] = (1.0, 10.0, 100.0, 1e3)) -> list[Extre
             input="force_density",
             value=np.zeros(0),
         )
-        cases.append(
-            Extreme("free bar turning", f"{speed:g} rad/s", case, turning=speed, closed_form=motion)
+        yield Extreme(
+            "free bar turning", f"{speed:g} rad/s", case, turning=speed, closed_form=motion
         )
-    return cases
 
 
-def _spun_prism(speeds: tuple[float, ...] = (100.0, 1e3)) -> list[Extreme]:
-    cases = []
+def _spun_prism(speeds: tuple[float, ...] = (100.0, 1e3)) -> Iterator[Extreme]:
     for speed in speeds:
         # Strings that hold it together: five times as fast as it turns.
         case = _let_go(prism(), 10.0, 25 * speed**2, 12.0 / speed, spin=speed)
-        cases.append(Extreme("prism turning", f"{speed:g} rad/s", case, turning=speed))
-    return cases
+        yield Extreme("prism turning", f"{speed:g} rad/s", case, turning=speed)
 
 
-def _prestress(levels: tuple[float, ...] = (1e-6, 1e-3, 1.0, 1e3, 1e6)) -> list[Extreme]:
-    cases = []
+def _prestress(levels: tuple[float, ...] = (1e-6, 1e-3, 1.0, 1e3, 1e6)) -> Iterator[Extreme]:
     for level in levels:
         period = 2 * np.pi / np.sqrt(level)
         held = _let_go(prism(), level, None, period)
         elastic = _let_go(prism(), level, 100 * level, period)
-        cases += [
-            Extreme("prestress, held", f"{level:g} N/m", held),
-            Extreme("prestress, elastic", f"{level:g} N/m", elastic),
-        ]
+        yield Extreme("prestress, held", f"{level:g} N/m", held)
+        yield Extreme("prestress, elastic", f"{level:g} N/m", elastic)
     weak = _let_go(prism(), 1e-3, 1e4, 100.0)
-    return [*cases, Extreme("prestress, elastic", "1e-3 N/m in 1e4 N/m", weak)]
+    yield Extreme("prestress, elastic", "1e-3 N/m in 1e4 N/m", weak)
 
 
-def _slack() -> list[Extreme]:
+def _slack() -> Iterator[Extreme]:
     """All strings slack: for ever; until they catch the bars, which fly apart; again and again."""
     structure = prism()
     model = Model(structure, strings=LinearStrings(stiffness=1e3))
@@ -154,113 +231,88 @@ def _slack() -> list[Extreme]:
         for node in (start, end):
             away[:, node] += np.cross([0.3, 0.0, 1.0], structure.nodes[:, node] - centre)
     lengths = structure.string_length()
-    cases = []
     kinds = (("for ever", 100.0, 2.0), ("until they catch", 1.05, 2.0), ("rattling", 1.05, 8.0))
     for label, part, duration in kinds:
         case = Case(model, duration, velocities=away, input="rest_length", value=part * lengths)
-        cases.append(Extreme("all strings slack", label, case, turning=1.0))
-    return cases
+        yield Extreme("all strings slack", label, case, turning=1.0)
 
 
-def _zero_length() -> list[Extreme]:
+def _zero_length() -> Iterator[Extreme]:
     """Two bars whose ends a string pulls together: from a distance of nothing, and through it."""
     nodes = np.array([[0.0, 1.0, 0.0, -1.0], [0.0, 0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 0.0]])
     joined = Structure(nodes=nodes, bars=[[0, 1], [2, 3]], strings=[[0, 2], [1, 3]], bar_mass=1.0)
     # The bars part at right angles to themselves, with a speed that no bar resists.
     parting = np.zeros((3, 4))
     parting[2] = [0.5, 0.0, -0.5, 0.0]
-    cases = []
     held = Case(
         Model(joined), 4.0, velocities=parting, input="force_density", value=np.array([10.0, 0.5])
     )
-    cases.append(Extreme("string at zero length", "force density held", held))
+    yield Extreme("string at zero length", "force density held", held)
     apart = nodes.copy()
     apart[2, 2:] += 0.2
     crossing = Structure(nodes=apart, bars=joined.bars, strings=joined.strings, bar_mass=1.0)
     model = Model(crossing, strings=LinearStrings(stiffness=[50.0, 1.0]))
     for rest in (0.1, 1e-3):
         case = Case(model, 3.0, input="rest_length", value=np.array([rest, 1.5]))
-        cases.append(Extreme("string through zero length", f"rest length {rest:g} m", case))
-    return cases
+        yield Extreme("string through zero length", f"rest length {rest:g} m", case)
 
 
-def _aspect(aspects: tuple[float, ...] = (1e-3, 1e-1, 1e1, 1e3)) -> list[Extreme]:
-    cases = []
+def _aspect(aspects: tuple[float, ...] = (1e-3, 1e-1, 1e1, 1e3)) -> Iterator[Extreme]:
     for aspect in aspects:
         # Radius 1 and height `aspect`, or the longer of the two 1.
         scale = max(aspect, 1.0)
         structure = prism(radius=0.5 / scale, height=aspect / scale)
         word = "needle" if aspect > 1 else "coin"
         case = _let_go(structure, 10.0, 100.0, 2.0)
-        cases.append(Extreme(word, f"height/width {aspect:g}", case))
-    return cases
+        yield Extreme(word, f"height/width {aspect:g}", case)
 
 
-def _long_steps(factors: tuple[float, ...] = (10.0, 30.0, 100.0)) -> list[Extreme]:
-    cases = []
+def _long_steps(factors: tuple[float, ...] = (10.0, 30.0, 100.0)) -> Iterator[Extreme]:
     for factor in factors:
         for k in (100.0, 1e4):
             case = _let_go(prism(), 10.0, k, 4.0, spin=1.0)
             group = f"steps {factor:g} times too long"
             # Few outputs, for steps are shortened to reach them.
-            cases.append(Extreme(group, f"{k:g} N/m", case, longer=factor, outputs=10))
-    return cases
+            yield Extreme(group, f"{k:g} N/m", case, longer=factor, outputs=10)
 
 
-def _many_steps() -> list[Extreme]:
+def _many_steps() -> Iterator[Extreme]:
     """Return a run some three hundred times as long as the others."""
     case = _let_go(prism(), 10.0, 100.0, 560.0)
-    return [Extreme("long run", "some 1e6 steps of rattle", case, budget=1.2e6)]
+    yield Extreme("long run", "some 1e6 steps of rattle", case, budget=1.2e6)
 
 
-def _scale() -> list[Extreme]:
+def _scale() -> Iterator[Extreme]:
     """Return the same motion at sizes from microns to kilometres."""
     # Masses, forces and times fit the size.
-    cases = []
     for length, label in ((1e-6, "1 µm"), (1e-3, "1 mm"), (1e3, "1 km")):
         structure = prism(radius=0.5 * length, height=length, bar_mass=length**3)
         # Density and speeds of sound as they are: mass L³, stiffness L, time L.
         case = _let_go(structure, 10.0 * length, 100.0 * length, 2.0 * length, spin=1.0 / length)
-        cases.append(Extreme("scale", label, case, turning=1.0 / length))
-    return cases
+        yield Extreme("scale", label, case, turning=1.0 / length)
 
 
-def _damped() -> list[Extreme]:
+def _damped() -> Iterator[Extreme]:
     """Damped strings, whose energy tells nothing."""
     base = _let_go(prism(), 10.0, 100.0, 2.0)
-    cases = []
     for damping, longer in ((1.0, 1.0), (100.0, 1.0), (1.0, 10.0), (1.0, 30.0)):
         model = Model(base.structure, strings=LinearStrings(stiffness=100.0, damping=damping))
         label = f"{damping:g} N s/m"
         if longer > 1:
             label += f", steps {longer:g} times too long"
         case = replace(base, model=model)
-        cases.append(Extreme("damped", label, case, longer, 10 if longer > 1 else 100))
-    return cases
+        yield Extreme("damped", label, case, longer, 10 if longer > 1 else 100)
 
 
-_Makers = tuple[Callable[[], list[Extreme]], ...]
+_ALL = (
+    _stiffness, _node_mass, _bar_mass, _segments, _free_bar, _spun_prism, _prestress, _slack,
+    _zero_length, _aspect, _long_steps, _damped, _many_steps, _scale,
+)  # fmt: skip
 
-_ALL: _Makers = (
-    _stiffness,
-    _node_mass,
-    _bar_mass,
-    _segments,
-    _free_bar,
-    _spun_prism,
-    _prestress,
-    _slack,
-    _zero_length,
-    _aspect,
-    _long_steps,
-    _damped,
-    _many_steps,
-    _scale,
-)
-_QUICK: _Makers = (
-    lambda: _stiffness(range(2, 3)),
-    lambda: _free_bar((1e3,)),
-    lambda: _prestress((1e-6,))[:1],
-    lambda: _long_steps((30.0,))[:1],
-    lambda: _zero_length()[:1],
-)
+
+def _few() -> Iterator[Extreme]:
+    yield from _stiffness(range(2, 3))
+    yield from _free_bar((1e3,))
+    yield next(_prestress((1e-6,)))
+    yield next(_long_steps((30.0,)))
+    yield next(_zero_length())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import ceil
 
 from tenscontrol.accuracy.case import Case
 from tenscontrol.validation import FloatArray
@@ -42,7 +43,6 @@ class Peer(ABC):
     #: Steps, s, or tolerances, from coarse to fine: one run for each.
     settings: tuple[float, ...]
 
-    @abstractmethod
     def refuse(self, case: Case) -> str | None:
         """Return why this case is beyond the peer, or None.
 
@@ -53,8 +53,9 @@ class Peer(ABC):
         Returns
         -------
         str or None
-            For example that its package is not installed.
+            For example that its package is not installed; None unless overridden.
         """
+        return None
 
     @abstractmethod
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
@@ -77,3 +78,11 @@ class Peer(ABC):
         callable
             ``() -> Solution`` at these times.
         """
+
+
+def steps_between(spacing: float, step: float) -> int:
+    """Return how many steps, shortened to fit, there are from one output to the next.
+
+    The allowance is that of the integrators for round-off.
+    """
+    return max(1, ceil(spacing / step - 1e-9))

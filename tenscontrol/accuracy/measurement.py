@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from statistics import median
 from time import perf_counter
@@ -10,13 +10,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case
+from tenscontrol.accuracy.case import Case, fastest_rate
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, largest_distance
-from tenscontrol.accuracy.invariants import deviations, invariants
-from tenscontrol.accuracy.peer import Peer
-from tenscontrol.dynamics import pack_state, unpack_states
-from tenscontrol.integrate import IntegrationError, Method, Work
-from tenscontrol.validation import FloatArray
+from tenscontrol.accuracy.peers.peer import Peer, steps_between
+from tenscontrol.dynamics import evaluate_columns, pack_state, unpack_states
+from tenscontrol.integrate import METHODS, IntegrationError, Method, Work
+from tenscontrol.validation import FloatArray, choice, positive_number
+
+# Steps by the fastest rate of the case, and tolerances, from coarse to fine.
+_STEPS = tuple(2.0**-k for k in range(8))
+_TOLERANCES = tuple(10.0**-k for k in range(3, 13))
 
 # Time after which a run is not repeated any more, s.
 _PATIENCE = 3.0
@@ -24,6 +27,125 @@ _PATIENCE = 3.0
 NOT_KNOWN = float("nan")
 
 Result = TypeVar("Result")
+
+
+# ---- methods and their settings ----
+
+
+def method_named(name: object) -> Method:
+    """Return the method of this name, or raise ValueError."""
+    return METHODS[choice("method", name, METHODS)]
+
+
+def default_settings(method: Method, case: Case) -> tuple[float, ...]:
+    """Return steps that fit the case, s, or tolerances, from coarse to fine.
+
+    The coarsest step is the inverse of the fastest rate.
+    """
+    if method.setting == "tolerance":
+        return _TOLERANCES
+    rate = fastest_rate(case)
+    return tuple(float(f"{share / rate:.3g}") for share in _STEPS)
+
+
+def checked_settings(name: str, settings: object, unit: str) -> tuple[float, ...]:
+    """Return the settings of an argument from coarse to fine, each once and positive."""
+    if not isinstance(settings, Iterable) or isinstance(settings, str | bytes):
+        raise TypeError(f"{name} is {settings!r}, expected a sequence of numbers in {unit}")
+    found = [positive_number(f"{name}[{i}]", value, unit) for i, value in enumerate(settings)]
+    if not found:
+        raise ValueError(f"{name} is empty, expected at least one number in {unit}")
+    return tuple(sorted(set(found), reverse=True))
+
+
+def as_taken(method: Method, settings: Iterable[float], spacing: float) -> tuple[float, ...]:
+    """Return steps as they are taken, shortened to fit between outputs, each once.
+
+    ``spacing`` is the time from one output to the next, s. Tolerances are left as they are.
+    """
+    if method.setting == "tolerance":
+        return tuple(settings)
+    taken = [spacing / steps_between(spacing, step) for step in settings]
+    return tuple(dict.fromkeys(taken))
+
+
+# ---- what a motion conserves ----
+
+
+@dataclass(frozen=True, eq=False)
+class Invariants:
+    """What a motion conserves or should conserve, at T times.
+
+    Energies, J, shape (T,); the potential energy is that of a simulation: see :class:`Trajectory`.
+    Momenta, kg m/s, and kg m²/s about the origin, shape (3, T). ``stretch``, shape (T,), is the
+    largest difference of a bar from its length, m.
+    """
+
+    kinetic: FloatArray
+    potential: FloatArray
+    momentum: FloatArray
+    angular_momentum: FloatArray
+    stretch: FloatArray
+
+    @property
+    def energy(self) -> FloatArray:
+        """Kinetic and potential energy together, J, shape (T,)."""
+        return self.kinetic + self.potential
+
+
+def invariants(case: Case, states: FloatArray) -> Invariants:
+    """Return energies, momenta and bar-length errors of states, shape (6n, T)."""
+    model, structure = case.model, case.structure
+    held = np.tile(case.value[:, None], (1, states.shape[1]))
+    of_strings = model.potential_energy if case.input == "force_density" else model.elastic_energy
+    (potential,) = evaluate_columns(of_strings, states, held)
+    (kinetic,) = evaluate_columns(model.kinetic_energy, states)
+    linear, angular = evaluate_columns(model.momentum, states)
+    nodes, _ = unpack_states(structure, states)
+    bars = nodes[:, structure.bars[:, 1]] - nodes[:, structure.bars[:, 0]]
+    off = np.abs(np.linalg.norm(bars, axis=0) - structure.bar_length[:, None])
+    work = np.einsum("in,int->t", case.load, nodes)
+    return Invariants(kinetic[0], potential[0] - work, linear, angular, off.max(axis=0, initial=0))
+
+
+def conserves_energy(case: Case) -> bool:
+    """Return whether the motion conserves energy: no string is damped."""
+    return not case.equation().velocity_dependent
+
+
+def conserves_momentum(case: Case) -> bool:
+    """Return whether the motion conserves momentum: nothing acts from outside."""
+    return not case.load.any() and not len(case.structure.fixed)
+
+
+def deviations(
+    case: Case, found: Invariants, reference: Invariants, start: Invariants
+) -> dict[str, Any]:
+    """Return how far a motion is from what it should conserve.
+
+    They are the fields of :class:`Measurement`. ``found`` and ``reference`` are of the same times,
+    ``start`` is of the start alone. What the motion does not conserve, under damping, loads or
+    supports, is compared with the reference. It exchanges the larger of its largest kinetic energy
+    and its largest change of potential energy.
+    """
+    energy = start.energy if conserves_energy(case) else reference.energy
+    change = np.abs(reference.potential - start.potential)
+    size = max(float(reference.kinetic.max()), float(change.max()))
+    linear, angular = reference.momentum, reference.angular_momentum
+    if conserves_momentum(case):
+        linear, angular = start.momentum, start.angular_momentum
+    off = float(np.abs(found.energy - energy).max())
+    return {
+        "energy_error": off / size if size > 0 else NOT_KNOWN,
+        "momentum_drift": float(np.linalg.norm(found.momentum - linear, axis=0).max()),
+        "angular_momentum_drift": float(
+            np.linalg.norm(found.angular_momentum - angular, axis=0).max()
+        ),
+        "bar_length_drift": float(found.stretch.max()),
+    }
+
+
+# ---- runs ----
 
 
 @dataclass(frozen=True)
@@ -88,14 +210,7 @@ class Measurement:
 class Bench:
     """A case with its reference, on which runs are measured.
 
-    Parameters
-    ----------
-    case : Case
-    reference : ConvergedMotion
-    repeats : int
-        Runs of which the median time is taken; fewer where a run takes seconds.
-    machine_code : bool
-        Whether our own methods are compiled, where there is a compiler.
+    ``repeats`` as in :func:`work_precision`. Our own methods are compiled with ``machine_code``.
     """
 
     def __init__(
@@ -176,26 +291,12 @@ class Bench:
         if velocities is None or not np.isfinite(velocities).all():
             return row
         structure = self._case.structure
-        states = np.column_stack(
-            [
-                pack_state(structure, nodes[:, :, k], velocities[:, :, k])
-                for k in range(nodes.shape[2])
-            ]
-        )
-        found = deviations(self._case, invariants(self._case, states), self._true, self._start)
-        return replace(
-            row,
-            energy_error=found.energy,
-            momentum_drift=found.momentum,
-            angular_momentum_drift=found.angular_momentum,
-            bar_length_drift=found.stretch,
-        )
+        moments = zip(nodes.T, velocities.T, strict=True)
+        states = np.column_stack([pack_state(structure, N.T, V.T) for N, V in moments])
+        found = invariants(self._case, states)
+        return replace(row, **deviations(self._case, found, self._true, self._start))
 
 
 def _counts(work: Work) -> dict[str, Any]:
-    return {
-        "evaluations": work.evaluations,
-        "steps": work.steps,
-        "rejections": work.rejections,
-        "switches": work.switches,
-    }
+    names = ("evaluations", "steps", "rejections", "switches")
+    return {name: getattr(work, name) for name in names}

@@ -12,13 +12,11 @@ from typing import Any
 
 from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import store
+from tenscontrol.robustness.closed_loop_case import Outcome
 from tenscontrol.robustness.distributions import Distribution
-from tenscontrol.robustness.errors import SweepError
-from tenscontrol.robustness.outcome import Outcome
-from tenscontrol.robustness.pool import spread, workers
-from tenscontrol.robustness.record import Record
-from tenscontrol.robustness.report import SweepReport, collected
-from tenscontrol.robustness.worker import run_one
+from tenscontrol.robustness.pool import run_one, spread, workers
+from tenscontrol.robustness.store import Record
+from tenscontrol.robustness.sweep_report import SweepError, SweepReport, collected
 from tenscontrol.validation import instance, truth, whole_number
 
 
@@ -36,9 +34,8 @@ def sweep(
 ) -> SweepReport:
     """Do many runs of a case with parameters drawn at random, and report how many succeed.
 
-    The numbers of a run hang on the seed and the index of the run alone: any
-    executor, with any number of workers, gives the same report to the last bit
-    on one machine.
+    The numbers of a run hang on the seed and the index of the run alone: any executor, with any
+    number of workers, gives the same report to the last bit on one machine.
 
     Parameters
     ----------

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy.limits import theoretical_limit
-from tenscontrol.accuracy.spectrum import fastest_rate
-from tenscontrol.accuracy.stability import prism_near_rest
+from tenscontrol.accuracy.case import fastest_rate
+from tenscontrol.accuracy.stability_map import prism_near_rest, theoretical_limit
 
 
 def test_limits_of_theory():

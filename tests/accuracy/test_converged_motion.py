@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy.located import Located
+from tenscontrol.accuracy.converged_motion import PiecewiseSolver
 from tests.accuracy.scenes import paper_case, slack_skin_case
 from tests.oracle import HeldRestLength, RigidBars
 
@@ -36,14 +36,16 @@ def test_damped_strings_agree_with_rigid_bodies():
 
 def test_strings_that_chatter_are_refused(monkeypatch):
     case = paper_case(1.0)
-    located = Located(case)
+    solver = PiecewiseSolver(case)
     gaps = iter([1.0, -1.0] * 100_000)
-    monkeypatch.setattr(Located, "_gaps", lambda self, state: np.full(9, next(gaps)))
-    monkeypatch.setattr(Located, "_comes_near", lambda *_: True)
-    monkeypatch.setattr(Located, "_crosses", lambda *_: True)
-    monkeypatch.setattr(Located, "_first_crossing", lambda self, between, start, *_: start + 1e-15)
+    monkeypatch.setattr(PiecewiseSolver, "_gaps", lambda self, state: np.full(9, next(gaps)))
+    monkeypatch.setattr(PiecewiseSolver, "_comes_near", lambda *_: True)
+    monkeypatch.setattr(PiecewiseSolver, "_crosses", lambda *_: True)
+    monkeypatch.setattr(
+        PiecewiseSolver, "_first_crossing", lambda self, between, start, *_: start + 1e-15
+    )
     with pytest.raises(ArithmeticError, match="strings switch without end at"):
-        list(located.states(np.array([1.0]), 1e-10))
+        list(solver.states(np.array([1.0]), 1e-10))
 
 
 def test_growth_in_example_one():

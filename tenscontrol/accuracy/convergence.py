@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
-from tenscontrol.accuracy.methods import as_taken, checked_settings, default_settings, method_named
-from tenscontrol.accuracy.runs import Bench
+from tenscontrol.accuracy.measurement import (
+    Bench,
+    as_taken,
+    checked_settings,
+    default_settings,
+    method_named,
+)
 from tenscontrol.progress import progress_bar
+from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import FloatArray, frozen, truth, whole_number
-
-if TYPE_CHECKING:
-    from tenscontrol.plot import Curves
-    from tenscontrol.scene import Scene
 
 # Errors above this part of the size are not small yet; below so many times what the reference is
 # off by, and so many units of round-off a step, they are not the method's any more.
@@ -66,12 +67,7 @@ class ConvergenceOrder:
     reference_error: float
 
     def table(self) -> str:
-        """Return steps, errors, the order between neighbours and the fit, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return steps, errors, the order between neighbours and the fit, as text."""
         local = np.diff(np.log(self.error)) / np.diff(np.log(self.step))
         rows = [
             [
@@ -88,22 +84,6 @@ class ConvergenceOrder:
             fit = f"{self.method}: no order, as fewer than {_LEAST_RUNS} runs are clean"
         fit += f"; {self.switches} switches, reference good to {self.reference_error:.1e} m"
         return fit + "\n\n" + aligned(["step s", "error m", "order", "fitted"], rows, left=0)
-
-    def plot(self, ax: Any = None) -> Curves:
-        """Draw error over step: see :func:`plot.convergence_order`.
-
-        Parameters
-        ----------
-        ax : Axes, optional
-            Where to draw; a new figure if not given.
-
-        Returns
-        -------
-        Curves
-        """
-        from tenscontrol import plot
-
-        return plot.convergence_order(self, ax=ax)
 
     def __repr__(self) -> str:
         return f"ConvergenceOrder({self.method}, {self.order:.2f} ± {self.deviation:.2f})"

@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case, as_case
-from tenscontrol.accuracy.invariants import conserves_energy, conserves_momentum, invariants
-from tenscontrol.accuracy.methods import method_named
-from tenscontrol.accuracy.trend import BLOCKS, trend
+from tenscontrol.accuracy.case import Case, as_case, fastest_rate
+from tenscontrol.accuracy.measurement import (
+    conserves_energy,
+    conserves_momentum,
+    invariants,
+    method_named,
+)
 from tenscontrol.integrate import IntegrationError, Work
 from tenscontrol.progress import progress_bar
+from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import FloatArray, frozen, positive_number, truth, whole_number
 
-if TYPE_CHECKING:
-    from tenscontrol.plot import Curves
-    from tenscontrol.scene import Scene
-
 # States that are integrated, judged and dropped at once.
 _PART = 50
+
+# Blocks that a series is averaged over, and the part of cases that the interval is to cover.
+_BLOCKS, _CONFIDENCE = 21, 0.95
+
+# Differences of block means of a random walk share a block with the next: they are correlated by
+# 1/4 with either neighbour, so that their mean varies by 1 + 2/4 times what it would alone.
+_SHARED = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +99,6 @@ class LongRun:
         ----------
         name : str
 
-        Returns
-        -------
-        Drift
-
         Raises
         ------
         ValueError
@@ -109,12 +111,7 @@ class LongRun:
         raise ValueError(f"name is {name!r}, expected what the motion conserves: {known}")
 
     def table(self) -> str:
-        """Return the drifts as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return the drifts as text."""
         rows = [
             [
                 drift.name,
@@ -133,22 +130,6 @@ class LongRun:
             *([f"ended early: {self.failure}"] if self.failure else []),
         ]
         return "\n".join(lines) + "\n\n" + aligned(head, rows, left=2)
-
-    def plot(self, ax: Any = None) -> Curves:
-        """Draw the error of the energy over time: see :func:`plot.long_run`.
-
-        Parameters
-        ----------
-        ax : Axes, optional
-            Where to draw; a new figure if not given.
-
-        Returns
-        -------
-        Curves
-        """
-        from tenscontrol import plot
-
-        return plot.long_run(self, ax=ax)
 
     def __repr__(self) -> str:
         return f"LongRun({self.method} at {self.setting:g}, {self.time[-1]:g} s)"
@@ -219,21 +200,17 @@ def long_run(
     chosen = method_named(method)
     setting = positive_number("setting", setting, "s" if chosen.setting == "step" else "1")
     steps = whole_number("steps", steps, least=10)
-    outputs = whole_number("outputs", outputs, least=BLOCKS)
+    outputs = whole_number("outputs", outputs, least=_BLOCKS)
     truth("machine_code", machine_code, "whether to compile the steps")
     truth("progress", progress, "whether to show a progress bar")
-    if chosen.setting == "step":
-        duration = setting * steps
-    else:
-        from tenscontrol.accuracy.spectrum import fastest_rate
-
-        duration = steps / fastest_rate(case)
+    duration = setting * steps if chosen.setting == "step" else steps / fastest_rate(case)
     case = replace(case, duration=duration)
     recorder = _Recorder(case)
     with progress_bar(duration, progress, f"running {chosen.name}") as report:
         integrator = chosen.integrator(case.equation(), setting, machine_code=machine_code)
         state, spacing, failure, work = case.state, duration / outputs, "", Work()
-        for first, count in _parts(outputs):
+        for first in range(0, outputs, _PART):
+            count = min(_PART, outputs - first)
             try:
                 span = integrator.advance(state, case.value, spacing * count, count)
             except IntegrationError as error:
@@ -248,7 +225,7 @@ def long_run(
                 break
             state = span.states[:, -1]
             report(spacing * (first + count))
-    if recorder.count < BLOCKS:
+    if recorder.count < _BLOCKS:
         raise ValueError(
             f"setting is {setting:g}, at which {chosen.name} ends too early to judge: {failure}"
         )
@@ -262,12 +239,6 @@ def long_run(
         work=work,
         failure=failure,
     )
-
-
-def _parts(outputs: int) -> Iterator[tuple[int, int]]:
-    """Yield the first output and the number of outputs of each part."""
-    for first in range(0, outputs, _PART):
-        yield first, min(_PART, outputs - first)
 
 
 class _Recorder:
@@ -289,9 +260,8 @@ class _Recorder:
         if self._has_energy:
             rows["energy", "J"] = found.energy - start.energy
         if self._has_momentum:
-            linear = found.momentum - start.momentum
+            rows["momentum", "kg m/s"] = found.momentum - start.momentum
             angular = found.angular_momentum - start.angular_momentum
-            rows["momentum", "kg m/s"] = linear
             rows["angular momentum", "kg m²/s"] = angular
         if len(self._case.structure.bars):
             rows["bar length", "m"] = found.stretch
@@ -308,3 +278,28 @@ class _Recorder:
             size = error if error.ndim == 1 else np.linalg.norm(error, axis=0)
             found.append(Drift(name, unit, frozen(size), *trend(spacing, error)))
         return tuple(found)
+
+
+def trend(spacing: float, values: FloatArray) -> tuple[float, float]:
+    """Return the slope of a series and the half-width of its 95 % confidence interval.
+
+    See the notes of :func:`long_run`: a random walk, which round-off makes, is no drift. For an
+    oscillation about a level the differences cancel, and the interval is wider than it need be.
+    ``values`` of shape (T,), one each ``spacing``, s. Of several series, shape (k, T), that with
+    the clearest slope is returned; its interval allows for the choice (Bonferroni).
+    """
+    from scipy.special import stdtrit
+
+    rows = np.atleast_2d(values)
+    ends = np.linspace(0, rows.shape[1], min(_BLOCKS, rows.shape[1]) + 1).round().astype(int)
+    means = np.stack([rows[:, a:b].mean(axis=1) for a, b in pairwise(ends)])
+    centres = spacing * (ends[:-1] + ends[1:] - 1) / 2
+    rates = np.diff(means, axis=0) / np.diff(centres)[:, None]
+    count = len(rates)
+    slope = rates.mean(axis=0)
+    likely = 1 - (1 - _CONFIDENCE) / 2 / len(rows)
+    half = stdtrit(count - 1, likely) * rates.std(axis=0, ddof=1) / np.sqrt(count / _SHARED)
+    # Of a series without any change, nothing is clear.
+    clear = np.abs(slope) / np.where(half > 0, half, np.inf)
+    worst = int(clear.argmax())
+    return float(slope[worst]), float(half[worst])

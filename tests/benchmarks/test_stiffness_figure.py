@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from examples import stiffness_study
+from examples.stiffness_study import StiffnessReport, StiffnessRow, StiffnessRun, draw
 
 LOOPS = [(c, i) for i in ("force_density", "rest_length") for c in ("LQR", "MPC")]
 
@@ -12,19 +14,15 @@ LOOPS = [(c, i) for i in ("force_density", "rest_length") for c in ("LQR", "MPC"
 def row(stiffness, radius, errors, slack=()):
     """A row with these errors, m, of the four loops; None for a run that failed."""
     runs = tuple(
-        tc.robustness.StiffnessRun(
-            *loop, error, "ran away" if error is None else None, 1.0, k in slack, 0
-        )
+        StiffnessRun(*loop, error, "ran away" if error is None else None, 1.0, k in slack, 0)
         for k, (loop, error) in enumerate(zip(LOOPS, errors, strict=True))
     )
-    return tc.robustness.StiffnessRow(
-        stiffness, 0.0, tc.control.HeldLoop(radius, 0.99), 0.995, runs
-    )
+    return StiffnessRow(stiffness, 0.0, tc.control.HeldLoop(radius, 0.99), 0.995, runs)
 
 
 @pytest.fixture(scope="module")
 def report():
-    return tc.robustness.StiffnessReport(
+    return StiffnessReport(
         0.02,
         2.0,
         1e-3,
@@ -37,7 +35,7 @@ def report():
 
 
 def test_errors_are_those_of_the_runs(report):
-    drawn = tc.plot.stiffness(report)
+    drawn = draw(report)
     assert list(drawn.errors) == [str(run) for run in report.rows[0].runs]
     for loop, line in zip(LOOPS, drawn.errors.values(), strict=True):
         found = [run.error for run in report.runs(*loop)]
@@ -53,7 +51,7 @@ def test_errors_are_those_of_the_runs(report):
 
 
 def test_failed_runs_are_marked_at_the_top_and_named(report):
-    drawn = tc.plot.stiffness(report)
+    drawn = draw(report)
     assert list(drawn.failed) == ["MPC in γ"]
     mark = drawn.failed["MPC in γ"]
     assert np.array_equal(mark.get_xdata(), [1e4])
@@ -68,7 +66,7 @@ def test_failed_runs_are_marked_at_the_top_and_named(report):
 
 
 def test_shaded_is_where_the_linear_loop_does_not_hold(report):
-    drawn = tc.plot.stiffness(report)
+    drawn = draw(report)
     assert [row.held.holds for row in report.rows] == [True, False, False]
     edges = [area.get_extents().x0 for area in drawn.shaded]
     assert len(edges) == 2
@@ -78,7 +76,7 @@ def test_shaded_is_where_the_linear_loop_does_not_hold(report):
 
 
 def test_rates_are_those_of_the_linear_loop(report):
-    drawn = tc.plot.stiffness(report)
+    drawn = draw(report)
     ratios = [row.held.rate_ratio for row in report.rows]
     assert np.array_equal(drawn.rate.get_ydata(), [*ratios[:2], np.nan], equal_nan=True)
     unstable = drawn.axes[1].get_lines()[1]
@@ -88,8 +86,8 @@ def test_rates_are_those_of_the_linear_loop(report):
 
 def test_one_row_and_given_axes_are_drawn(report):
     _, axes = plt.subplots(2)
-    one = tc.robustness.StiffnessReport(0.02, 2.0, 1e-3, report.rows[1:2])
-    drawn = tc.plot.stiffness(one, axes=axes)
+    one = StiffnessReport(0.02, 2.0, 1e-3, report.rows[1:2])
+    drawn = draw(one, axes=axes)
     assert list(drawn.axes) == list(axes)
     assert len(drawn.shaded) == 1
     low, high = axes[0].get_xlim()
@@ -98,4 +96,9 @@ def test_one_row_and_given_axes_are_drawn(report):
 
 def test_what_is_no_report_is_refused():
     with pytest.raises(TypeError, match=r"report is a int, expected StiffnessReport: make one by"):
-        tc.plot.stiffness(3)
+        draw(3)
+
+
+def test_the_line_of_the_lower_axes_is_where_a_law_holds():
+    assert tc.control.HeldLoop(np.exp(-stiffness_study.SLOWEST), np.exp(-1.0 + 1e-9)).holds
+    assert not tc.control.HeldLoop(np.exp(-stiffness_study.SLOWEST), np.exp(-1.0 - 1e-9)).holds

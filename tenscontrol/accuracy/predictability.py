@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case, as_case
-from tenscontrol.dynamics import pack_state
+from tenscontrol.accuracy.case import Case, as_case, state_change
 from tenscontrol.integrate import DOP853
-from tenscontrol.structure import restore_bar_lengths
+from tenscontrol.scene import Scene
 from tenscontrol.validation import FloatArray, frozen, positive_number, whole_number
-
-if TYPE_CHECKING:
-    from tenscontrol.scene import Scene
 
 # Size of the perturbation, m: far above round-off, far below what the motion is sensitive to.
 _PERTURBATION = 1e-10
@@ -74,12 +69,7 @@ class Predictability:
         return self.horizon < self.duration
 
     def summary(self) -> str:
-        """Return the growth and what follows from it, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return the growth and what follows from it, as text."""
         text = (
             f"a perturbation grows by {self.factor:.1e} in {self.time[-1]:g} s "
             f"({self.rate:.3g} per s)"
@@ -102,9 +92,8 @@ def predictability(
 ) -> Predictability:
     """Return how fast a random perturbation of the start grows, and when it ends all prediction.
 
-    Every node is moved by about 1e-10 m at random, bars keep their lengths,
-    and the motion is compared with the unperturbed one. Both have each
-    slack/taut switch located.
+    Every node is moved by about 1e-10 m at random, bars keep their lengths, and the motion is
+    compared with the unperturbed one. Both have each slack/taut switch located.
 
     Parameters
     ----------
@@ -163,10 +152,7 @@ def _offset(case: Case, random: np.random.Generator) -> FloatArray:
     structure = case.structure
     moves = np.zeros_like(case.nodes)
     moves[:, structure.free] = random.normal(size=(3, len(structure.free)))
-    # Both restored, so that a bar off by round-off in the case does not count as perturbed.
-    moved = restore_bar_lengths(structure, case.nodes + _PERTURBATION * moves)
-    change = moved - restore_bar_lengths(structure, case.nodes)
-    return pack_state(structure, change, np.zeros_like(change))
+    return state_change(case, _PERTURBATION * moves)
 
 
 def _growths(case: Case, times: FloatArray, offsets: list[FloatArray]) -> Iterator[float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -11,12 +11,12 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller, Status
 from tenscontrol.dynamics import Model, StringLaw
-from tenscontrol.estimation import KalmanFilter, Sensors
-from tenscontrol.robustness.distance import farthest_node
-from tenscontrol.robustness.errors import SweepError
-from tenscontrol.robustness.outcome import Outcome
-from tenscontrol.robustness.varied import varied_sensors, varied_strings
-from tenscontrol.simulation import Fault, Faults, HealthLimits, Trajectory, simulate
+from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
+from tenscontrol.plant import LinearPlant
+from tenscontrol.robustness.distributions import one_number
+from tenscontrol.robustness.sweep_report import SweepError
+from tenscontrol.simulation import Fault, HealthLimits, Trajectory, simulate
+from tenscontrol.simulation.faults import Faults
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
@@ -25,6 +25,7 @@ from tenscontrol.validation import (
     instance,
     per_member,
     positive_number,
+    truth,
 )
 
 if TYPE_CHECKING:
@@ -40,17 +41,66 @@ _SETTLED = 0.1
 
 
 @final
+@dataclass(frozen=True, init=False)
+class Outcome:
+    """What a case returns: whether the run was a success, and its figures.
+
+    Parameters
+    ----------
+    success : bool
+    figures : mapping of str to float, optional
+        Finite numbers by name, the same names in every run. Names carry no
+        unit; say in the case's docstring what they are in.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``success`` is neither True nor False, or a figure has no name or is
+        not one finite number. Raised within a case, that is a failure of the run.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> outcome = tc.robustness.Outcome(success=True, figures={"final_error": 0.8e-3})
+    >>> outcome.success, outcome.figures
+    (True, {'final_error': 0.0008})
+    """
+
+    success: bool
+    _figures: tuple[tuple[str, float], ...] = field(repr=False)
+
+    def __init__(self, success: bool, figures: Mapping[str, object] | None = None) -> None:
+        given = {} if figures is None else figures
+        if not isinstance(given, Mapping):
+            raise TypeError(f"figures is a {type(given).__name__}, expected a dict of numbers")
+        put = object.__setattr__  # the dataclass is frozen for everyone else
+        put(self, "success", truth("success", success, "whether the run was a success"))
+        numbers = ((_name(name), one_number(f"figures[{name!r}]", given[name])) for name in given)
+        put(self, "_figures", tuple(numbers))
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """The figures by name; a new dict at each access."""
+        return dict(self._figures)
+
+
+def _name(name: object) -> str:
+    if not isinstance(name, str) or not name:
+        raise TypeError(f"figures has the key {name!r}, expected a name")
+    return name
+
+
+@final
 @dataclass(frozen=True, eq=False)
 class ClosedLoopCase:
     """A closed loop whose plant varies, while the controller keeps its nominal design.
 
-    For :func:`sweep`. The parameters it knows: ``"bar_mass"``,
-    ``"string_node_mass"``, ``"stiffness"`` and ``"damping"`` are factors on the
-    nominal values, one for all or one a member; ``"start"`` is where the
-    structure starts, coordinates q of the controller's plant, m √kg. With an estimator,
-    ``"noise"`` is a factor on the standard deviations of all readings, and ``"delay"``
-    how many samples late they come: draw it by :class:`OneOf`. The estimator is
-    not told, as the controller is not. The noise itself is drawn from the run's generator.
+    For :func:`sweep`. The parameters it knows: ``"bar_mass"``, ``"string_node_mass"``,
+    ``"stiffness"`` and ``"damping"`` are factors on the nominal values, one for all or one a
+    member; ``"start"`` is where the structure starts, coordinates q of the controller's plant, m
+    √kg. With an estimator, ``"noise"`` is a factor on the standard deviations of all readings, and
+    ``"delay"`` how many samples late they come: draw it by :class:`OneOf`. The estimator is not
+    told, as the controller is not. The noise itself is drawn from the run's generator.
 
     The figures of a run: ``final_error``, m, the largest distance of a node from
     its place in the last tenth of the run, motion of the structure as one body
@@ -208,7 +258,7 @@ class ClosedLoopCase:
             step=self.step,
             limits=HealthLimits(action="raise"),
             estimator=self.estimator,
-            sensors=varied_sensors(sensors, parameters),
+            sensors=_varied_sensors(sensors, parameters),
             seed=None if self.estimator is None else int(rng.integers(2**63)),
             faults=self.faults,
         )
@@ -225,7 +275,7 @@ class ClosedLoopCase:
                 structure = replace(structure, **{name: factor * nominal})
         for name, of_law in (("stiffness", _STIFFNESS), ("damping", ("damping",))):
             if name in parameters:
-                strings = varied_strings(
+                strings = _varied_strings(
                     strings, name, of_law, parameters[name], len(structure.strings)
                 )
         return Model(structure, strings=strings, gravity=self.gravity)
@@ -270,3 +320,71 @@ class ClosedLoopCase:
         # Of a subdivision, the nodes of its parent come first.
         nodes = run.nodes[:, : plant.nodes.shape[1], late]
         return farthest_node(plant, nodes, plant.nodes if self.target is None else self.target)
+
+
+def _varied_strings(
+    strings: StringLaw | None, name: str, of_law: tuple[str, ...], factor: object, count: int
+) -> StringLaw:
+    """Return the law with a parameter multiplied: the first of these that it has."""
+    found = [] if strings is None else [each.name for each in fields(strings)]
+    scaled = [each for each in of_law if each in found]
+    if strings is None or not scaled:
+        raise SweepError(f"{name} is drawn, but the strings have none: {strings!r}")
+    value = per_member(name, factor, count, "string")
+    return replace(strings, **{scaled[0]: value * getattr(strings, scaled[0])})
+
+
+def _varied_sensors(sensors: Sensors | None, parameters: Mapping[str, object]) -> Sensors | None:
+    """Return the sensors with the noise and delay that are drawn."""
+    drawn = [name for name in ("noise", "delay") if name in parameters]
+    if sensors is None:
+        if drawn:
+            raise SweepError(f"{drawn[0]} is drawn, but nothing is measured: give estimator")
+        return None
+    if "noise" in parameters:
+        factor = positive_number("noise", parameters["noise"], "of the nominal deviations")
+        kinds = [kind for kind, *_ in KINDS if getattr(sensors, kind) is not None]
+        deviations = {kind: factor * getattr(sensors, kind) for kind in kinds}
+        sensors = replace(sensors, **deviations)
+    if "delay" in parameters:
+        late = float_array("delay", parameters["delay"])
+        if late.ndim or late < 0 or late != np.round(late):
+            raise SweepError(
+                f"delay is {parameters['delay']!r}, expected whole samples, at least 0: draw "
+                "it by OneOf([0, 1, 2]), for example"
+            )
+        sensors = replace(sensors, delay=int(late))
+    return sensors
+
+
+def farthest_node(plant: LinearPlant, nodes: FloatArray, target: FloatArray) -> float:
+    """Return the largest distance of a node from its place, m, over all moments.
+
+    Motions that the coordinates of the plant leave out do not count: in internal coordinates,
+    those of the structure as one body.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    nodes : ndarray, shape (3, n, T)
+        m.
+    target : ndarray, shape (3, n)
+        m.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> from tenscontrol.robustness import farthest_node
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> raised = prism.nodes + np.array([[0.0], [0.0], [0.5]])
+    >>> farthest_node(plant, raised[:, :, None], prism.nodes) < 1e-12
+    True
+    """
+    r, at_rest = plant.degrees_of_freedom, np.zeros_like(plant.nodes)
+    # Both are measured in the coordinates, which leave out what they do not know.
+    wanted, *found = (
+        plant.to_nodes(plant.measure(shape, at_rest)[:r])
+        for shape in (target, *np.moveaxis(nodes, 2, 0))
+    )
+    return max((float(np.linalg.norm(N - wanted, axis=0).max()) for N in found), default=0.0)

@@ -5,22 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case
-from tenscontrol.accuracy.invariants import invariants
-from tenscontrol.accuracy.limits import theoretical_limit
-from tenscontrol.accuracy.methods import checked_settings, method_named
-from tenscontrol.accuracy.spectrum import fastest_rate
+from tenscontrol.accuracy.case import Case, fastest_rate
+from tenscontrol.accuracy.measurement import checked_settings, invariants, method_named
+from tenscontrol.actuation import to_rest_length
+from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.integrate import IntegrationError, Method
 from tenscontrol.progress import progress_bar
+from tenscontrol.statics import prestress
+from tenscontrol.structure import prism, restore_bar_lengths, spread_force_density, subdivide
 from tenscontrol.tables import aligned
 from tenscontrol.validation import FloatArray, frozen, instance, truth, whole_number
-
-if TYPE_CHECKING:
-    from tenscontrol.plot import Curves
 
 # A motion with more than so many times its kinetic energy is not stable.
 _GROWN = 100.0
@@ -40,6 +38,12 @@ _PART = 32
 
 # s: no step is longer.
 _LONGEST = 1e9
+
+# Order of the methods that alternate flights and kicks.
+_SPLITTINGS = MappingProxyType({"rattle": 2, "rattle4": 4, "rattle6": 6})
+
+# Where the trace touches 2 without passing it, round-off must not look like passing.
+_TOUCH = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,42 +77,15 @@ class StabilityMap:
         return np.asarray(self.limit / self.rate)
 
     def table(self) -> str:
-        """Return steps, rates and their product, which theory bounds, as text.
-
-        Returns
-        -------
-        str
-        """
+        """Return steps, rates and their product, which theory bounds, as text."""
         theory = f"theory {self.limit:.3f}" if np.isfinite(self.limit) else "no bound is known"
-        rows = [
-            [
-                f"{k:.3g}",
-                f"{ratio:.3g}",
-                f"{self.rate[i, j]:.4g}",
-                f"{self.step[i, j]:.3g}",
-                f"{self.step[i, j] * self.rate[i, j]:.3f}",
-            ]
-            for i, k in enumerate(self.stiffness)
-            for j, ratio in enumerate(self.mass_ratio)
-        ]
+        rows = []
+        for i, j in np.ndindex(self.step.shape):
+            step, rate = self.step[i, j], self.rate[i, j]
+            case = [f"{self.stiffness[i]:.3g}", f"{self.mass_ratio[j]:.3g}", f"{rate:.4g}"]
+            rows.append([*case, f"{step:.3g}", f"{step * rate:.3f}"])
         head = ["stiffness N/m", "mass ratio", "ω 1/s", "largest stable h s", "h ω"]
         return f"{self.method}: h ω by {theory}\n\n" + aligned(head, rows, left=0)
-
-    def plot(self, ax: Any = None) -> Curves:
-        """Draw the steps over stiffness: see :func:`plot.stability_map`.
-
-        Parameters
-        ----------
-        ax : Axes, optional
-            Where to draw; a new figure if not given.
-
-        Returns
-        -------
-        Curves
-        """
-        from tenscontrol import plot
-
-        return plot.stability_map(self, ax=ax)
 
     def __repr__(self) -> str:
         return f"StabilityMap({self.method}, {len(self.stiffness)} × {len(self.mass_ratio)})"
@@ -124,11 +101,10 @@ def stability_map(
 ) -> StabilityMap:
     """Return the largest stable step of a method over stiffness and mass.
 
-    A step counts as stable if a run with it has at no time more than a hundred times
-    the kinetic energy of a run with a fine step. Steps are tried from small to
-    large, a quarter apart and closer near the limit of theory; the border
-    between the last stable and the first unstable one is bisected to one part
-    in a hundred.
+    A step counts as stable if a run with it has at no time more than a hundred times the kinetic
+    energy of a run with a fine step. Steps are tried from small to large, a quarter apart and
+    closer near the limit of theory; the border between the last stable and the first unstable one
+    is bisected to one part in a hundred.
 
     Parameters
     ----------
@@ -258,22 +234,9 @@ class _Probe:
 def prism_near_rest(stiffness: float, mass_ratio: float) -> Case:
     """Return a prism with a point mass in the middle of each string, all but at rest.
 
-    Parameters
-    ----------
-    stiffness : float
-        Of a whole string, N/m; above its force density.
-    mass_ratio : float
-        Mass of a point by that of a bar.
-
-    Returns
-    -------
-    Case
+    ``stiffness`` is that of a whole string, N/m, above its force density; ``mass_ratio`` the mass
+    of a point by that of a bar.
     """
-    from tenscontrol.actuation import to_rest_length
-    from tenscontrol.dynamics import LinearStrings, Model
-    from tenscontrol.statics import prestress
-    from tenscontrol.structure import prism, restore_bar_lengths, spread_force_density, subdivide
-
     segments, disturbance = 2, 1e-5
     bare = prism()
     rest = prestress(bare, force_density=17.3205)
@@ -285,3 +248,40 @@ def prism_near_rest(stiffness: float, mass_ratio: float) -> Case:
     nodes = restore_bar_lengths(structure, structure.nodes + disturbance * moves)
     case = Case(model, 1.0, input="rest_length", value=start, name=f"k = {stiffness:g} N/m")
     return replace(case, nodes=nodes)
+
+
+def theoretical_limit(method: str) -> float:
+    """Return the largest ``h ω`` at which an undamped oscillation stays bounded.
+
+    Of the classical Runge-Kutta method it is 2√2, where the imaginary axis leaves its region of
+    stability (2.785 is where the real axis does). A method that alternates flights and kicks
+    multiplies position and velocity by a matrix of determinant 1 a step, which is bounded while its
+    trace is below 2: 2 for Störmer and Verlet's.
+
+    NaN where none is known.
+
+    Notes
+    -----
+    Hairer & Wanner, *Solving Ordinary Differential Equations II*, section
+    IV.2; Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VIII.4.
+    """
+    if method == "rk4":
+        return float(np.sqrt(8))
+    if method not in _SPLITTINGS:
+        return float("nan")
+    from scipy.optimize import brentq
+
+    from tenscontrol.integrate import splitting
+
+    parts = splitting(_SPLITTINGS[method])
+
+    def room(product: float) -> float:
+        step = np.eye(2)
+        for flight, kick in zip(parts.flights, (*parts.kicks, 0.0), strict=True):
+            step = np.array([[1.0, flight * product], [0.0, 1.0]]) @ step
+            step = np.array([[1.0, 0.0], [-kick * product, 1.0]]) @ step
+        return float(2 * (1 + _TOUCH) - abs(np.trace(step)))
+
+    looks = np.arange(1, 2000) * 0.01
+    over = next(product for product in looks if room(product) < 0)
+    return float(brentq(room, over - 0.01, over))

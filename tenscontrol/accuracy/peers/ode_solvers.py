@@ -1,0 +1,202 @@
+"""SciPy's and CasADi's own integrators on our right-hand side, as a user would call them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.accuracy.case import Case
+from tenscontrol.accuracy.peers.peer import Peer, Solution, steps_between
+from tenscontrol.dynamics import Evaluator, unpack_states
+from tenscontrol.validation import FloatArray, choice
+
+_METHODS = ("DOP853", "RK45", "Radau", "LSODA")
+_IMPLICIT = ("Radau", "LSODA")
+
+_TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
+
+
+@final
+class SciPy(Peer):
+    """A method of ``scipy.integrate.solve_ivp``.
+
+    The right-hand side is our CasADi function, called through its buffer; the
+    implicit methods get its exact Jacobian, which counts as as many evaluations
+    as it has times the instructions. Slack/taut switches are stepped across.
+
+    Parameters
+    ----------
+    method : {"DOP853", "RK45", "Radau", "LSODA"}
+    settings : sequence of float, optional
+        Tolerances, relative, and absolute in m and m/s.
+
+    Raises
+    ------
+    ValueError
+        If it is another method.
+    """
+
+    def __init__(self, method: str, settings: Sequence[float] = _TOLERANCES) -> None:
+        self.method = choice("method", method, _METHODS)
+        self.name = f"scipy {method.lower()}"
+        self.settings = tuple(settings)
+
+    def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
+        """See :meth:`Peer.prepare`."""
+        from scipy.integrate import solve_ivp
+
+        kinked, held, state = case.equation().kinked_slope, case.value, case.state
+        evaluate = Evaluator(kinked)
+        options: dict[str, Any] = {}
+        weight = 0
+        if self.method in _IMPLICIT:
+            jacobian, weight = _jacobian(kinked)
+            dense = _dense(jacobian)
+            options["jac"] = lambda time, x: dense(x, held)[0].copy()
+
+        def slope(time: float, x: FloatArray) -> FloatArray:
+            rate = evaluate(x, held)[0].copy()
+            if not np.isfinite(rate).all():
+                raise FloatingPointError(f"the forces are no longer finite at {time:.6g} s")
+            return rate
+
+        def run() -> Solution:
+            before = evaluate.calls
+            # What goes wrong is told by the result; LSODA warns of it beside.
+            quiet = warnings.catch_warnings(action="ignore", category=UserWarning)
+            with quiet, np.errstate(over="ignore", invalid="ignore"):
+                found = solve_ivp(
+                    slope, (0.0, times[-1]), state, method=self.method, t_eval=times,
+                    rtol=setting, atol=setting, **options,
+                )  # fmt: skip
+            if not found.success:
+                raise ArithmeticError(found.message)
+            nodes, velocities = unpack_states(case.structure, found.y)
+            # SciPy's own count may leave out calls for Jacobians by differences.
+            calls = evaluate.calls - before + weight * found.njev
+            return Solution(nodes, velocities, evaluations=calls)
+
+        return run
+
+
+@final
+class CasADiCVODES(Peer):
+    """``casadi.integrator`` with CVODES, outputs on its grid.
+
+    Backward differentiation formulas with exact Jacobians, each counted as as many evaluations as
+    it has times the instructions. Slack/taut switches are stepped across.
+
+    Parameters
+    ----------
+    settings : sequence of float, optional
+        Tolerances, relative, and absolute in m and m/s.
+    """
+
+    name = "casadi cvodes"
+
+    def __init__(self, settings: Sequence[float] = _TOLERANCES) -> None:
+        self.settings = tuple(settings)
+
+    def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
+        """See :meth:`Peer.prepare`."""
+        kinked = case.equation().kinked_slope
+        _, weight = _jacobian(kinked)
+        solver = _solver(
+            "cvodes",
+            kinked,
+            times,
+            {
+                "reltol": setting,
+                "abstol": setting,
+                "max_num_steps": 1_000_000,
+                "disable_internal_warnings": True,
+            },
+        )
+
+        def run() -> Solution:
+            states = _run(solver, case)
+            stats = solver.stats()
+            calls = stats["nfevals"] + weight * stats["n_call_jacF"]
+            return Solution(*unpack_states(case.structure, states), evaluations=calls)
+
+        return run
+
+
+@final
+class CasADiRK(Peer):
+    """``casadi.integrator`` with its Runge-Kutta method of order 4, outputs on its grid.
+
+    Slack/taut switches are stepped across.
+
+    Parameters
+    ----------
+    settings : sequence of float, optional
+        Steps, s. Each is shortened so that a whole number fits between outputs.
+    """
+
+    name = "casadi rk"
+
+    def __init__(self, settings: Sequence[float] = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5)) -> None:
+        self.settings = tuple(settings)
+
+    def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
+        """See :meth:`Peer.prepare`."""
+        spacing = float(times[-1]) / len(times)
+        inner = steps_between(spacing, setting)
+        # One grid interval repeated: on a grid of decimals CasADi may round to a step more.
+        solver = _solver(
+            "rk",
+            case.equation().kinked_slope,
+            np.arange(1.0, len(times) + 1),
+            {"number_of_finite_elements": inner * len(times)},
+            spacing,
+        )
+
+        def run() -> Solution:
+            states = _run(solver, case)
+            if not np.isfinite(states).all():
+                raise ArithmeticError("the state is no longer finite")
+            return Solution(
+                *unpack_states(case.structure, states), evaluations=4 * inner * len(times)
+            )
+
+        return run
+
+
+def _solver(
+    plugin: str, kinked: ca.Function, times: FloatArray, options: dict[str, Any], unit: float = 1.0
+) -> ca.Function:
+    """Return the integrator on a grid of times in some unit, s."""
+    x, u = kinked.sx_in()
+    problem = {"x": x, "p": u, "ode": unit * kinked(x, u)}
+    # What goes wrong is told by an exception; it would be printed beside.
+    options = {**options, "show_eval_warnings": False}
+    return ca.integrator("solver", plugin, problem, 0.0, times.tolist(), options)
+
+
+def _run(solver: ca.Function, case: Case) -> FloatArray:
+    """Return the states on the grid, shape (states, T)."""
+    try:
+        return np.array(solver(x0=case.state, p=case.value)["xf"])
+    except RuntimeError as error:
+        if "CVode returned" not in str(error):
+            raise
+        reason = str(error).split("CVode returned")[1].split(".")[0]
+        raise ArithmeticError(f"CVODES stopped with {reason.strip()}") from None
+
+
+def _jacobian(kinked: ca.Function) -> tuple[ca.Function, int]:
+    """Return ∂f/∂x, sparse, and how many evaluations of f one of it is worth."""
+    inputs = kinked.sx_in()
+    jacobian = ca.Function("jacobian", inputs, [ca.jacobian(kinked(*inputs), inputs[0])])
+    written = ca.Function("written", inputs, [kinked(*inputs)])  # in whatever form it comes
+    return jacobian, max(1, round(int(jacobian.n_instructions()) / int(written.n_instructions())))
+
+
+def _dense(jacobian: ca.Function) -> Evaluator:
+    inputs = jacobian.sx_in()
+    return Evaluator(ca.Function("dense", inputs, [ca.densify(jacobian(*inputs))]))
