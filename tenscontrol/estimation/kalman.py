@@ -17,7 +17,7 @@ from tenscontrol.estimation.observability import (
     refuse_unseen_loads,
 )
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.plant import LinearPlant, Sampled, acceleration_response, sampled, sampled_dynamics
+from tenscontrol.plant import LinearPlant, acceleration_response, sampled, sampled_dynamics
 from tenscontrol.structure import refuse_wrong_bar_lengths, same_members
 from tenscontrol.validation import (
     FloatArray,
@@ -276,13 +276,12 @@ def _with_load(design: FilterDesign, pull: float, walk: float) -> FilterDesign:
     return replace(
         design,
         load=True,
-        sampled=Sampled(
-            sample_time=moved.sample_time,
+        sampled=replace(
+            moved,
             transition=np.block([[moved.transition, by_load], [zero.T, eye]]),
             by_previous=np.vstack([moved.by_previous, none]),
             by_input=np.vstack([moved.by_input, none]),
             drift=np.r_[moved.drift, np.zeros(r)],
-            ramp=moved.ramp,
         ),
         process_covariance=joined(design.process_covariance, walk),
         start_covariance=joined(design.start_covariance, _LOAD_START),
