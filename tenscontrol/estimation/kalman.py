@@ -19,7 +19,6 @@ from tenscontrol.estimation.observability import (
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.plant import (
     LinearPlant,
-    Sampled,
     acceleration_response,
     filter_riccati,
     sampled,
@@ -280,13 +279,12 @@ def _with_load(design: FilterDesign, pull: float, walk: float) -> FilterDesign:
     return replace(
         design,
         load=True,
-        sampled=Sampled(
-            sample_time=moved.sample_time,
+        sampled=replace(
+            moved,
             transition=np.block([[moved.transition, by_load], [zero.T, eye]]),
             by_previous=np.vstack([moved.by_previous, none]),
             by_input=np.vstack([moved.by_input, none]),
             drift=np.r_[moved.drift, np.zeros(r)],
-            ramp=moved.ramp,
         ),
         process_covariance=joined(design.process_covariance, walk),
         start_covariance=joined(design.start_covariance, _LOAD_START),

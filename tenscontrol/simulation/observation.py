@@ -90,7 +90,9 @@ class Observation:
             0 if seed is None else whole_number("seed", seed, least=0)
         )
         self._model = model
-        self._law = Evaluator(model.string_force_density) if input == "rest_length" else None
+        self._law = None
+        if input == "rest_length" and sensors.string_tension is not None:
+            self._law = Evaluator(model.string_force_density)
         self._held: FloatArray | None = None
         self._nothing = np.full(len(sensors.noise), np.nan)
         self._late = deque([self._nothing] * sensors.delay)
