@@ -31,16 +31,16 @@ _INPUT_WEIGHT = 0.1
 # Keys without which a controller of this kind means nothing.
 _NEEDED = {
     "lqr": (),
-    "mpc": ("horizon", "step"),
-    "nmpc": ("horizon", "step"),
-    "shape_control": ("step", "max_force_density", "frequency"),
+    "mpc": ("horizon", "sample_time"),
+    "nmpc": ("horizon", "sample_time"),
+    "feedback_linearization": ("sample_time", "max_force_density", "frequency"),
 }
 
 # Of γ, which a reference keeps to as well.
 _BOUNDS = ("min_force_density", "max_force_density")
 
 # Keys that are not arguments of the controller itself.
-_OTHER = ("kind", "input", "sample_time", "plants")
+_OTHER = ("kind", "input", "plants")
 
 
 def build_controller(
@@ -65,10 +65,9 @@ def build_controller(
     kind = document.table("controller").choice("kind", tuple(keys.CONTROLLERS))
     table = document.table("controller", keys.CONTROLLERS[kind], f" with kind = {kind!r}")
     held = table.choice("input", ("force_density", "rest_length"), "force_density")
-    for key in ("step", "sample_time"):
-        if key in table:
-            with table.checked(key):
-                positive_number(key, table.get(key), "s")
+    if "sample_time" in table:
+        with table.checked("sample_time"):
+            positive_number("sample_time", table.get("sample_time"), "s")
     for key in _NEEDED[kind]:
         table.need(key)
     if kind in ("mpc", "nmpc") and held == "force_density":
@@ -85,13 +84,12 @@ def build_controller(
     if "reference" in table:
         bounds = {key: arguments[key] for key in _BOUNDS if key in arguments}
         arguments["reference"] = build_reference(
-            table, model, rest, winches, table.need("step"), bounds
+            table, model, rest, winches, table.need("sample_time"), bounds
         )
     # A law without a sample time knows neither speeds in a sample nor winding through it.
-    if kind != "shape_control" and held == "rest_length" and "step" in arguments:
+    in_samples = kind != "feedback_linearization" and "sample_time" in arguments
+    if in_samples and held == "rest_length":
         arguments["winches"] = winches
-    if "step" in arguments:
-        arguments["sample_time"] = arguments.pop("step")
     if "plants" in table:
         return _schedule(table, model, arguments, held)
     with table.checked():
@@ -100,7 +98,7 @@ def build_controller(
             return MPC(plant, **arguments)
         if kind == "nmpc":
             return NMPC(plant, **arguments)
-        if kind == "shape_control":
+        if kind == "feedback_linearization":
             return FeedbackLinearization(
                 plant, reference=arguments.pop("reference", None), **arguments
             )
@@ -131,12 +129,12 @@ def build_winches(document: Document, structure: Structure) -> Winches | None:
     if not document.has("winches"):
         return None
     table = document.table("winches")
-    keys = [key for key in table.values if key != "substeps"]
+    keys = [key for key in table.values if key not in ("ramp", "substeps")]
     limits = {key: per_string(table, key, whole(structure)) for key in keys}
     with table.checked():
         return Winches(
             limits.get("rate"),
             limits.get("shortest"),
             limits.get("longest"),
-            substeps=table.get("substeps", 1),
+            **table.given("ramp", "substeps"),
         )

@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from tenscontrol.scene.keys import LISTS, TABLES, Keys
+from tenscontrol.scene.keys import LISTS, RENAMED, TABLES, Keys
 from tenscontrol.scene.lines import Path as KeyPath
 from tenscontrol.scene.lines import key_lines
 
@@ -93,6 +93,9 @@ class Table:
         self.document, self.path, self.title = document, path, title
         self.values, self.keys = values, keys
         for key, value in values.items():
+            renamed = RENAMED.get((*path, key))  # type: ignore[arg-type]  # names, no numbers
+            if renamed is not None:
+                raise self.error(key, f"{title} has no key {key!r} any more; write {renamed}")
             if key not in keys:
                 raise self.error(key, f"{title} has no key {key!r}{_hint(key, keys)}")
             kind, unit = keys[key]
@@ -122,6 +125,11 @@ class Table:
     def choice(self, key: str, options: tuple[str, ...], default: str | None = None) -> str:
         """Return a word that is one of the options."""
         value = str(self.need(key) if default is None else self.get(key, default))
+        renamed = RENAMED.get((*self.path, key, value))  # type: ignore[arg-type]
+        if renamed is not None:
+            raise self.error(
+                key, f"in {self.title}, {key} is {value!r}, which is now called {renamed!r}"
+            )
         if value not in options:
             words = ", ".join(repr(option) for option in options)
             near = get_close_matches(value, options, n=1)

@@ -97,14 +97,14 @@ TABLES: Mapping[str, Keys] = MappingProxyType(
             "tolerance": (NUMBER, "m and m/s"),
             "output_step": (NUMBER, "s"),
             "method": (TEXT, ""),
-            "hold": (TEXT, ""),
+            "input": (TEXT, ""),
+            "sample_time": (NUMBER, "s"),
         },
         "controller": {
             "kind": (TEXT, ""),
             "input": (TEXT, ""),
             "Q": (WEIGHT, ""),
             "R": (WEIGHT, ""),
-            "step": (NUMBER, "s"),
             "sample_time": (NUMBER, "s"),
             "max_force_density": (BY_STRING, "N/m"),
             "min_force_density": (BY_STRING, "N/m"),
@@ -130,6 +130,7 @@ TABLES: Mapping[str, Keys] = MappingProxyType(
             "rate": (BY_STRING, "m/s"),
             "shortest": (BY_STRING, "m"),
             "longest": (BY_STRING, "m"),
+            "ramp": (TRUTH, ""),
             "substeps": (WHOLE, ""),
         },
         "sensors": {
@@ -165,6 +166,16 @@ TABLES: Mapping[str, Keys] = MappingProxyType(
     }
 )
 
+# Keys, and values of keys, by the way to them: what older files call them, and what to write.
+RENAMED: Mapping[tuple[str, ...], str] = MappingProxyType(
+    {
+        ("controller", "step"): "sample_time",
+        ("controller", "kind", "shape_control"): "feedback_linearization",
+        ("run", "hold"): "input",
+        ("winches", "pieces"): "substeps",
+    }
+)
+
 # Those of which a file has a list, each with a heading like [[faults]].
 LISTS = ("faults",)
 
@@ -196,7 +207,7 @@ WAYPOINT: Keys = MappingProxyType(
 
 
 def _controller(*names: str) -> Keys:
-    shared = ("kind", "input", "step", "max_force_density")
+    shared = ("kind", "input", "sample_time", "max_force_density")
     return MappingProxyType({key: TABLES["controller"][key] for key in (*shared, *names)})
 
 
@@ -206,10 +217,12 @@ _PREDICTED = ("Q", "R", "horizon", "load_gain", "tracked", *_SOLVED, *_LIMITED)
 # Keys of a table for one choice of its first key; those of the other choices are unknown.
 CONTROLLERS: Mapping[str, Keys] = MappingProxyType(
     {
-        "lqr": _controller("Q", "R", "sample_time", "max_change"),
+        "lqr": _controller("Q", "R", "max_change"),
         "mpc": _controller(*_PREDICTED, "form", "plants"),
         "nmpc": _controller(*_PREDICTED, "iterations"),
-        "shape_control": _controller(*_SOLVED, "frequency", "damping", "regularization", "tracked"),
+        "feedback_linearization": _controller(
+            *_SOLVED, "frequency", "damping", "regularization", "tracked"
+        ),
     }
 )
 LINEAR: Keys = MappingProxyType(

@@ -22,7 +22,7 @@ from tenscontrol.scene.scene import Scene
 from tenscontrol.scene.start import build_start
 from tenscontrol.validation import positive_number
 
-_HOLD = ("force_density", "rest_length")
+_INPUTS = ("force_density", "rest_length")
 
 
 def load_scene(file: str | Path) -> Scene:
@@ -78,12 +78,12 @@ def load_scene(file: str | Path) -> Scene:
         random, with ``seed``.
     ``[run]``
         ``duration``; ``step`` or ``tolerance``, ``method``,
-        ``output_step``; ``hold``, ``"rest_length"`` where there are
-        ``[strings]``, else ``"force_density"``.
+        ``output_step``; ``input``, ``"rest_length"`` where there are
+        ``[strings]``, else ``"force_density"``; ``sample_time`` of a law in continuous time.
     ``[controller]``
-        ``kind = "mpc"``, ``"nmpc"``, ``"shape_control"`` or ``"lqr"`` with the
-        arguments of :class:`MPC`, :class:`NMPC`, :class:`FeedbackLinearization` or :func:`lqr`;
-        of the latter also ``sample_time``. ``input`` as for :func:`linearize`; where it is
+        ``kind = "mpc"``, ``"nmpc"``, ``"feedback_linearization"`` or ``"lqr"`` with the
+        arguments of :class:`MPC`, :class:`NMPC`, :class:`FeedbackLinearization` or :func:`lqr`.
+        ``input`` as for :func:`linearize`; where it is
         ``"rest_length"``, MPC and NMPC know the winches of the scene. It is designed
         about the prestress, on the structure with its strings whole. With ``plants = 8``, MPCs
         are designed at eight shapes along the reference, and take turns as a :class:`GainSchedule`.
@@ -147,9 +147,9 @@ def load_scene(file: str | Path) -> Scene:
     force_density = build_force_density(document, structure, acting)
     run = document.table("run")
     settings = _settings(run)
-    input = run.choice("hold", _HOLD, _HOLD[laws is not None])
+    input = run.choice("input", _INPUTS, _INPUTS[laws is not None])
     if input == "rest_length" and laws is None:
-        raise run.error("hold", "in [run], hold is 'rest_length', which needs a table [strings]")
+        raise run.error("input", "in [run], input is 'rest_length', which needs a table [strings]")
     rest_length = None
     if input == "rest_length":
         with document.table("prestress").checked("force_density"):
@@ -173,9 +173,7 @@ def load_scene(file: str | Path) -> Scene:
         design, rest = build_design(document, structure, whole_law, gravity, forces, force_density)
         controller = build_controller(document, design, rest, winches)
         _refuse_contradictions(document, input)
-        sample = controller.sample_time or document.table("controller").get(
-            "sample_time", settings["step"]
-        )
+        sample = controller.sample_time or settings["sample_time"] or settings["step"]
         estimator = build_estimator(document, design, rest, input, sample, winches)
     wound = None if controller is None else len(controller.plant.commanded.strings)
     faults = build_faults(document, len(structure.strings), wound)
@@ -189,7 +187,6 @@ def load_scene(file: str | Path) -> Scene:
         rest_length=rest_length,
         controller=controller,
         winches=winches,
-        sample_time=document.table("controller").get("sample_time"),
         estimator=estimator,
         seed=None if estimator is None else document.table("sensors").get("seed", 0),
         faults=faults,
@@ -205,8 +202,8 @@ def _settings(run: Table) -> dict[str, Any]:
         "tolerance": 1e-6,
         "method": run.choice("method", ("auto", *METHODS), "auto"),
     }
-    settings |= run.given("step", "tolerance", "output_step")
-    for key in ("duration", "step", "tolerance", "output_step"):
+    settings |= run.given("step", "tolerance", "output_step", "sample_time")
+    for key in ("duration", "step", "tolerance", "output_step", "sample_time"):
         if key in run:
             with run.checked(key):
                 positive_number(key, run.get(key), run.keys[key][1])
@@ -219,7 +216,7 @@ def _settings(run: Table) -> dict[str, Any]:
             raise run.error("step", f"in [run], {name!r} takes tolerance, not step")
     if "step" in run and "tolerance" in run:
         raise run.error("tolerance", "in [run], expected one of step and tolerance, found both")
-    return {"step": None, "output_step": None} | settings
+    return {"step": None, "output_step": None, "sample_time": None} | settings
 
 
 def _refuse_alone(document: Document) -> None:
@@ -227,6 +224,9 @@ def _refuse_alone(document: Document) -> None:
     for name in ("winches", "sensors", "estimator"):
         if document.has(name) and not document.has("controller"):
             raise document.table(name).error(None, f"[{name}] goes with a table [controller]")
+    run = document.table("run")
+    if "sample_time" in run and not document.has("controller"):
+        raise run.error("sample_time", "in [run], sample_time goes with a table [controller]")
 
 
 def _refuse_contradictions(document: Document, input: str) -> None:
@@ -239,12 +239,14 @@ def _refuse_contradictions(document: Document, input: str) -> None:
             "input", "in [controller], input is 'rest_length', but [run] holds force_density"
         )
     run = document.table("run")
-    sampled = "step" in controller or "sample_time" in controller or "step" in run
+    sampled = "sample_time" in controller or "sample_time" in run or "step" in run
     if controller.get("kind") == "lqr" and not sampled:
         raise controller.error(
-            None, "[controller] lacks the key sample_time or step, s, and [run] has no step"
+            None, "[controller] lacks the key sample_time, s, and [run] has no sample_time or step"
         )
-    if "step" in controller and "sample_time" in controller:
-        raise controller.error(
-            "sample_time", "in [controller], sample_time is given beside step; give one of them"
+    if "sample_time" in controller and "sample_time" in run:
+        raise run.error(
+            "sample_time",
+            "in [run], sample_time is that of a law in continuous time, but [controller] has one; "
+            "leave one of them out",
         )
