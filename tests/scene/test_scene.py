@@ -2,14 +2,15 @@
 
 import tomllib
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.scene import SceneError
-from tenscontrol.scene.lines import key_lines
+from tenscontrol.scene import SceneError, schema
+from tenscontrol.scene.document import key_lines
 from tests.scene.limits import limits
 
 SCENES = Path(__file__).parent.parent.parent / "examples" / "scenes"
@@ -1126,3 +1127,58 @@ def test_lines_of_keys_are_found_in_any_toml():
 def test_windows_line_ends_count_once(load):
     with pytest.raises(SceneError, match=":9: "):
         load(changed("0.1", "-1").replace("\n", "\r\n"))
+
+
+class CountedText(str):
+    """A text that counts the characters that are read of it by slices and searches."""
+
+    read = 0
+
+    def __getitem__(self, key):
+        found = super().__getitem__(key)
+        self.read += len(found)
+        return found
+
+    def count(self, sub, start=0, end=None):
+        end = len(self) if end is None else end
+        self.read += end - start
+        return super().count(sub, start, end)
+
+    def find(self, sub, start=0, end=None):
+        found = super().find(sub, start, len(self) if end is None else end)
+        self.read += (found if found >= 0 else len(self)) - start
+        return found
+
+
+def test_lines_are_found_in_work_that_grows_as_the_file(monkeypatch):
+    """Ten times as many keys take ten times as much, not a hundred times."""
+    from tenscontrol.scene import document
+
+    work = []
+    for count in (2_000, 20_000):
+        text = CountedText("".join(f"key{i:05d} = [1, 2]\n" for i in range(count)))
+        passes, tokens = 0, document._TOKEN
+
+        class Counted:
+            def finditer(self, text, tokens=tokens):
+                nonlocal passes
+                passes += 1
+                return tokens.finditer(text)
+
+        monkeypatch.setattr(document, "_TOKEN", Counted())
+        lines = key_lines(text)
+        monkeypatch.undo()
+        assert lines[f"key{count - 1:05d}",] == count
+        assert passes == 1
+        work.append(text.read / len(text))
+    assert work[0] < 1
+    assert work[1] == pytest.approx(work[0])
+
+
+def test_every_argument_of_a_class_is_a_key_or_comes_from_elsewhere():
+    assert "sample_time" in schema.CONTROLLER_KEYS["lqr"]
+    for kind, make in (schema.CONTROLLERS | schema.FAULTS).items():
+        keys = (schema.CONTROLLER_KEYS | schema.FAULT_KEYS)[kind]
+        missing = set(signature(make).parameters) - set(keys)
+        assert missing <= {"plant", "winches", "machine_code"}
+        assert set(schema.required(make)) <= set(keys)

@@ -11,17 +11,25 @@ from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import Model
 from tenscontrol.integrate import METHODS
 from tenscontrol.plant import equilibrium
-from tenscontrol.scene.control import build_controller, build_winches
-from tenscontrol.scene.design import build_design
+from tenscontrol.scene.controller_tables import (
+    build_controller,
+    build_estimator,
+    build_faults,
+    build_winches,
+)
 from tenscontrol.scene.document import Document, Table, read_document
-from tenscontrol.scene.estimation import build_estimator
-from tenscontrol.scene.faults import build_faults
-from tenscontrol.scene.forces import build_force_density, build_law, build_loads
-from tenscontrol.scene.members import build_structure
 from tenscontrol.scene.scene import Scene
-from tenscontrol.scene.start import build_start
+from tenscontrol.scene.structure_tables import (
+    build_design,
+    build_force_density,
+    build_law,
+    build_loads,
+    build_start,
+    build_structure,
+)
 from tenscontrol.validation import positive_number
 
+# With strings whose law is known, rest lengths are the input if nothing else is said.
 _INPUTS = ("force_density", "rest_length")
 
 
@@ -43,7 +51,7 @@ def load_scene(file: str | Path) -> Scene:
     SceneError
         A ValueError: if the file cannot be read, is not TOML, lacks a table,
         has an unknown table or key or a value of another kind, or asks for
-        what cannot be; with file, line and key, and what is allowed.
+        something impossible; with file, line and key, and what is allowed.
 
     Notes
     -----
@@ -101,9 +109,8 @@ def load_scene(file: str | Path) -> Scene:
         The arguments of :class:`Winches`.
     ``[sensors]``, ``[estimator]``
         The arguments of :class:`Sensors`, with ``seed`` of their noise;
-        ``kind = "kalman"`` with ``process_noise``, ``load``, ``load_noise``, ``prediction``,
-        ``gate``, ``patience`` and ``start_spread`` of :func:`kalman`, which knows the winches
-        of the scene. The controller is then told the estimate.
+        ``kind = "kalman"`` with the arguments of :func:`kalman`, which knows the winches
+        of the scene. The controller then gets the estimate.
     ``[[faults]]``
         ``kind = "cut_string"``, ``"stuck_winch"`` or ``"lost_measurement"`` with the
         arguments of :class:`CutString`, :class:`StuckWinch` or :class:`LostMeasurement`.
@@ -134,16 +141,12 @@ def load_scene(file: str | Path) -> Scene:
     structure = build_structure(document)
     laws = build_law(document, structure)
     gravity, forces = build_loads(document, structure)
-    law, whole_law = (None, None) if laws is None else laws
+    law, whole_law = laws or (None, None)
+    load: Any = False if forces is None else forces
     with document.table("loads").checked():
-        model = Model(
-            structure,
-            strings=law,
-            external_force=False if forces is None else forces,
-            gravity=gravity,
-        )
-    gives = bool(document.table("prestress").get("shape_gives"))
-    acting = np.zeros_like(model.constant_force) if gives else model.constant_force
+        model = Model(structure, strings=law, external_force=load, gravity=gravity)
+    shape_gives = bool(document.table("prestress").get("shape_gives"))
+    acting = np.zeros_like(model.constant_force) if shape_gives else model.constant_force
     force_density = build_force_density(document, structure, acting)
     run = document.table("run")
     settings = _settings(run)
@@ -155,19 +158,14 @@ def load_scene(file: str | Path) -> Scene:
         with document.table("prestress").checked("force_density"):
             found = to_rest_length(model, structure.nodes, force_density)
         rest_length = found.rest_length
-    if gives:
-        held = force_density if rest_length is None else rest_length
+    if shape_gives:
+        given = force_density if rest_length is None else rest_length
         with document.table("prestress").checked("shape_gives"):
-            rest = equilibrium(model, **{input: held})
+            rest = equilibrium(model, **{input: given})
         structure, force_density = rest.structure, rest.force_density
-        model = Model(
-            structure,
-            strings=law,
-            external_force=False if forces is None else forces,
-            gravity=gravity,
-        )
+        model = Model(structure, strings=law, external_force=load, gravity=gravity)
     winches = build_winches(document, structure)
-    _refuse_alone(document)
+    _refuse_without_controller(document)
     controller = estimator = None
     if document.has("controller"):
         design, rest = build_design(document, structure, whole_law, gravity, forces, force_density)
@@ -175,8 +173,8 @@ def load_scene(file: str | Path) -> Scene:
         _refuse_contradictions(document, input)
         sample = controller.sample_time or settings["sample_time"] or settings["step"]
         estimator = build_estimator(document, design, rest, input, sample, winches)
-    wound = None if controller is None else len(controller.plant.commanded.strings)
-    faults = build_faults(document, len(structure.strings), wound)
+    commanded = None if controller is None else len(controller.plant.commanded.strings)
+    faults = build_faults(document, len(structure.strings), commanded)
     nodes, velocities = build_start(document, structure)
     return Scene(
         file=document.file,
@@ -196,17 +194,16 @@ def load_scene(file: str | Path) -> Scene:
 
 
 def _settings(run: Table) -> dict[str, Any]:
-    """Return duration, step, tolerance, output step and method, checked."""
-    settings: dict[str, Any] = {"duration": run.need("duration")}
-    settings |= {
-        "tolerance": 1e-6,
+    """Return what [run] says of duration, steps and method, checked."""
+    run.need("duration")
+    settings: dict[str, Any] = {
         "method": run.choice("method", ("auto", *METHODS), "auto"),
+        **{"step": None, "tolerance": 1e-6, "output_step": None, "sample_time": None},
+        **run.without("method", "input"),
     }
-    settings |= run.given("step", "tolerance", "output_step", "sample_time")
-    for key in ("duration", "step", "tolerance", "output_step", "sample_time"):
-        if key in run:
-            with run.checked(key):
-                positive_number(key, run.get(key), run.keys[key][1])
+    for key in run.without("method", "input"):
+        with run.checked(key):
+            positive_number(key, run.get(key), run.keys[key][1])
     name = settings["method"]
     if name != "auto":
         takes = METHODS[name].settings
@@ -216,29 +213,32 @@ def _settings(run: Table) -> dict[str, Any]:
             raise run.error("step", f"in [run], {name!r} takes tolerance, not step")
     if "step" in run and "tolerance" in run:
         raise run.error("tolerance", "in [run], expected one of step and tolerance, found both")
-    return {"step": None, "output_step": None, "sample_time": None} | settings
+    return settings
 
 
-def _refuse_alone(document: Document) -> None:
-    """Raise if a table has no use without a controller, and there is none."""
+def _refuse_without_controller(document: Document) -> None:
+    """Raise if the scene has no controller, but something that only a controller uses."""
+    if document.has("controller"):
+        return
     for name in ("winches", "sensors", "estimator"):
-        if document.has(name) and not document.has("controller"):
-            raise document.table(name).error(None, f"[{name}] goes with a table [controller]")
-    run = document.table("run")
-    if "sample_time" in run and not document.has("controller"):
-        raise run.error("sample_time", "in [run], sample_time goes with a table [controller]")
+        if document.has(name):
+            raise document.error((name,), f"[{name}] goes with a table [controller]")
+    if "sample_time" in document.table("run"):
+        raise document.error(
+            ("run", "sample_time"), "in [run], sample_time goes with a table [controller]"
+        )
 
 
 def _refuse_contradictions(document: Document, input: str) -> None:
     """Raise if the controller does not go with the other tables."""
-    controller, winches = document.table("controller"), document.table("winches")
+    controller, run = document.table("controller"), document.table("run")
     if document.has("winches") and input == "force_density":
-        raise winches.error(None, "[winches] limits rest lengths, but [run] holds force_density")
+        message = "[winches] limits rest lengths, but [run] holds force_density"
+        raise document.error(("winches",), message)
     if controller.get("input") == "rest_length" and input == "force_density":
         raise controller.error(
             "input", "in [controller], input is 'rest_length', but [run] holds force_density"
         )
-    run = document.table("run")
     sampled = "sample_time" in controller or "sample_time" in run or "step" in run
     if controller.get("kind") == "lqr" and not sampled:
         raise controller.error(
