@@ -14,8 +14,7 @@ from tenscontrol import plot
 from tenscontrol.control import LQR
 from tenscontrol.demo.tour import TARGET, Morph
 from tenscontrol.plant import LinearPlant, Modes
-from tenscontrol.plot.files import save_figure
-from tenscontrol.plot.space import new_space
+from tenscontrol.plot import new_space, save_figure
 from tenscontrol.statics import Prestress
 from tenscontrol.validation import FloatArray
 

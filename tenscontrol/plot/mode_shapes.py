@@ -11,8 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from tenscontrol.plant import LinearPlant, Modes
-from tenscontrol.plot.drawing import Drawing, draw
-from tenscontrol.plot.space import checked_space, frame, new_space
+from tenscontrol.plot.structure_drawing import Drawing, checked_space, draw, frame, new_space
 from tenscontrol.plot.style import SMALL, SMALL_FAINT
 from tenscontrol.validation import FloatArray, instance, positive_number, whole_number
 

@@ -12,13 +12,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon, Rectangle
 
 from tenscontrol.control.held_loop import SLOWEST
-from tenscontrol.plot.axes import dress, legend_above, panel_axes
 from tenscontrol.plot.style import (
     DOTTED,
     PALETTE,
     REFERENCE_COLOR,
     REFERENCE_WIDTH,
     curve_style,
+    dress,
+    legend_above,
+    panel_axes,
 )
 from tenscontrol.robustness import StiffnessReport
 from tenscontrol.validation import FloatArray, instance

@@ -12,9 +12,16 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from tenscontrol.accuracy import ConvergenceOrder, LongRun, StabilityMap, WorkPrecision
-from tenscontrol.plot.axes import dress, flat_axes, legend_above
-from tenscontrol.plot.history import Curves
-from tenscontrol.plot.style import DASHES, PALETTE, REFERENCE_COLOR, REFERENCE_WIDTH
+from tenscontrol.plot.histories import Curves
+from tenscontrol.plot.style import (
+    DASHES,
+    PALETTE,
+    REFERENCE_COLOR,
+    REFERENCE_WIDTH,
+    dress,
+    flat_axes,
+    legend_above,
+)
 from tenscontrol.validation import FloatArray, instance
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")

@@ -9,8 +9,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from tenscontrol.plot.axes import dress, flat_axes, legend_above
-from tenscontrol.plot.style import PALETTE, curve_style, reference_style
+from tenscontrol.plot.style import (
+    PALETTE,
+    curve_style,
+    dress,
+    flat_axes,
+    legend_above,
+    reference_style,
+)
 from tenscontrol.validation import FloatArray, float_array
 
 

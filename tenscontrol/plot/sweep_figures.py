@@ -10,8 +10,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from tenscontrol.plot.axes import dress, legend_above, panel_axes
-from tenscontrol.plot.style import CURVE_WIDTH, DOTTED, PALETTE, REFERENCE_COLOR, REFERENCE_WIDTH
+from tenscontrol.plot.style import (
+    CURVE_WIDTH,
+    DOTTED,
+    PALETTE,
+    REFERENCE_COLOR,
+    REFERENCE_WIDTH,
+    dress,
+    legend_above,
+    panel_axes,
+)
 from tenscontrol.robustness import SweepReport
 from tenscontrol.validation import FloatArray, float_array, instance
 

@@ -12,8 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Annotation
 
-from tenscontrol.plot.axes import dress, flat_axes, legend_above
-from tenscontrol.plot.style import PALETTE
+from tenscontrol.plot.style import PALETTE, dress, flat_axes, legend_above
 
 # Poles closer than this fraction of the largest are drawn as one: round-off
 # splits a double pole by less.
