@@ -28,6 +28,9 @@ from tenscontrol.plot.style import FAINT, NORMAL
 from tenscontrol.simulation import Trajectory
 from tenscontrol.validation import FloatArray, float_array, instance, positive_number, whole_number
 
+# A GIF counts time in hundredths of a second, and viewers slow down below two.
+_FASTEST = 50.0
+
 # Drawings of lines need few. One palette for all pictures makes the file a third
 # of what matplotlib's PillowWriter makes it, and keeps colours from flickering.
 _COLORS = 64
@@ -70,10 +73,6 @@ def _palette(picture: Image.Image) -> Image.Image:
     palette = Image.new("P", (1, 1))
     palette.putpalette(colors.ravel().tolist())
     return palette
-
-
-# A GIF counts time in hundredths of a second, and viewers slow down below two.
-_FASTEST = 50.0
 
 
 def animate(

@@ -57,8 +57,6 @@ def estimate(
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> prism = tc.prism()
     >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))

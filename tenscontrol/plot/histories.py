@@ -78,8 +78,6 @@ def history(
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, numpy as np, tenscontrol as tc
     >>> time = np.linspace(0, 1, 50)
     >>> curves = tc.plot.history(

@@ -15,13 +15,22 @@ from tenscontrol.plot.histories import Curves, checked_references, draw_curves, 
 from tenscontrol.plot.style import (
     REFERENCE_COLOR,
     REFERENCE_WIDTH,
+    checked_indices,
     legend_above,
     panel_axes,
     reference_style,
 )
 from tenscontrol.simulation import ControlRecord, CutString, Trajectory
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, instance, whole_number
+from tenscontrol.validation import FloatArray, instance
+
+# Marks for statuses, told apart by their form.
+_MARKERS = ("v", "x", "s", "d", "P", "^")
+
+_ROUND_OFF = float(np.finfo(float).eps)
+
+# Round-off fills the foot of a panel, not the whole of it.
+_LEAST_SPAN = 1e4
 
 
 def with_faults(panel: Curves, run: Trajectory) -> Curves:
@@ -58,10 +67,6 @@ def wound(run: Trajectory) -> FloatArray:
         if isinstance(fault, CutString):
             shown[fault.string, (run.time > fault.time) | (fault.time == 0)] = np.nan
     return shown
-
-
-# Marks for statuses, told apart by their form.
-_MARKERS = ("v", "x", "s", "d", "P", "^")
 
 
 def trajectory(
@@ -104,8 +109,6 @@ def trajectory(
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> prism = tc.prism()
     >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
@@ -152,17 +155,9 @@ def _coordinates(run: Trajectory, nodes: object, directions: object) -> dict[str
     """Return the chosen coordinates by name: ``"x[0]"`` as in the names of a plant's states."""
     if not isinstance(directions, str) or not directions or set(directions) - set("xyz"):
         raise ValueError(f"directions is {directions!r}, expected letters out of 'xyz'")
-    if isinstance(nodes, str) or not isinstance(nodes, Sequence | np.ndarray) or len(nodes) == 0:
-        raise TypeError(f"nodes is {nodes!r}, expected a sequence of node indices, like (0, 1)")
     count = run.nodes.shape[1]
     rows = {}
-    for i, entry in enumerate(nodes):
-        node = whole_number(f"nodes[{i}]", entry, least=0)
-        if node >= count:
-            raise ValueError(
-                f"nodes[{i}] is {node}, expected 0 to {count - 1}: "
-                f"there are {count} nodes, counted from 0"
-            )
+    for node in checked_indices("nodes", nodes, count, "node indices", "(0, 1)"):
         for direction in directions:
             rows[f"{direction}[{node}]"] = run.nodes["xyz".index(direction), node][None]
     return rows
@@ -184,12 +179,6 @@ def _with_statuses(panel: Curves, control: ControlRecord) -> Curves:
     if statuses:
         legend_above(panel.ax)
     return panel
-
-
-_ROUND_OFF = float(np.finfo(float).eps)
-
-# Round-off fills the foot of a panel, not the whole of it.
-_LEAST_SPAN = 1e4
 
 
 def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, Curves]:
@@ -218,8 +207,6 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> model = tc.Model(tc.prism())
     >>> run = tc.simulate(model, 0.2, force_density=[17.3205] * 6 + [9.0] * 3, step=1e-3)

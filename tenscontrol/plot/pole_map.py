@@ -75,8 +75,6 @@ def poles(poles: object, *, ax: Axes | None = None) -> PoleMap:
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
     >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))

@@ -20,6 +20,18 @@ from tenscontrol.plot.style import DOTTED, FAINT, FORCE_MAP, FORCE_WIDTH, NORMAL
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray, instance, non_negative, per_member
 
+# A string below this fraction of the largest force density carries nothing.
+_SLACK = 1e-9
+
+# Distance of a node's number from the node, relative to the size of the structure.
+_LABEL_DISTANCE = 0.08
+
+# Room for the colour scale, inches.
+_SCALE_WIDTH = 0.9
+
+# White behind a number, so that it can be read on top of a member.
+_CARD = {"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+
 SIZE = (5.0, 4.5)  # inches
 
 # Room for the axes in the figure: what they hold keeps away from their edges by itself.
@@ -128,13 +140,6 @@ def _seen(ax: Any, edges: FloatArray) -> float:
     depth = x * abs(np.cos(azimuth)) + y * abs(np.sin(azimuth))
     height = z * abs(np.cos(elevation)) + depth * abs(np.sin(elevation))
     return float(max(width, height))
-
-
-# A string below this fraction of the largest force density carries nothing.
-_SLACK = 1e-9
-
-# Distance of a node's number from the node, relative to the size of the structure.
-_LABEL_DISTANCE = 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,13 +314,6 @@ def sample(label: str, **style: Any) -> Line2D:
     return Line2D([], [], label=label, **style)
 
 
-# Room for the colour scale, inches.
-_SCALE_WIDTH = 0.9
-
-# White behind a number, so that it can be read on top of a member.
-_CARD = {"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
-
-
 def structure(
     structure: Structure,
     nodes: object = None,
@@ -365,8 +363,6 @@ def structure(
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> prism = tc.prism()
     >>> rest = tc.prestress(prism, force_density=17.3205)

@@ -6,7 +6,7 @@ and in how dark they are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
@@ -19,6 +19,8 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+
+from tenscontrol.validation import whole_number
 
 # Okabe & Ito (2008), without the yellow, which is lost on white paper.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
@@ -45,6 +47,15 @@ FORCE_WIDTH = 1.4  # of the usual width of strings
 
 # Up to so many members are drawn at full width; many more at least at this share of it.
 _FEW, _THINNEST = 30, 0.4
+
+# Inches.
+_WIDTH, _ROW_HEIGHT, _SINGLE_HEIGHT = 6.4, 2.2, 3.2
+
+# Width of a legend entry, points: of its sample with the gaps, and of a letter.
+_SAMPLE_WIDTH, _LETTER_WIDTH = 44.0, 5.0
+
+# Of saved figures.
+_DPI = 130
 
 
 @dataclass(frozen=True)
@@ -97,13 +108,6 @@ def reference_style(position: int) -> dict[str, Any]:
     }
 
 
-# Inches.
-_WIDTH, _ROW_HEIGHT, _SINGLE_HEIGHT = 6.4, 2.2, 3.2
-
-# Width of a legend entry, points: of its sample with the gaps, and of a letter.
-_SAMPLE_WIDTH, _LETTER_WIDTH = 44.0, 5.0
-
-
 def flat_axes(ax: object) -> Axes:
     """Return ``ax`` if it is a pair of flat axes, new ones if it is None; else raise."""
     if ax is None:
@@ -122,13 +126,34 @@ def panel_axes(axes: Sequence[Axes] | None, names: Sequence[str]) -> list[Axes]:
         column = list(grid[:, 0])
         figure.align_ylabels(column)
         return column
+    return given_axes(axes, len(names), f"one for each of {', '.join(names)}", _checked)
+
+
+def given_axes(
+    axes: Sequence[Any], count: int, which: str, check: Callable[[str, object], Any]
+) -> list[Any]:
+    """Return the axes that the user gives, or raise if their number or kind is wrong."""
     given = list(np.ravel(np.array(axes, dtype=object)))
-    if len(given) != len(names):
+    if len(given) != count:
         raise ValueError(
-            f"axes has {len(given)} entries, expected {len(names)}: one for each of "
-            f"{', '.join(names)}; leave it out for a new figure"
+            f"axes has {len(given)} entries, expected {count}: {which}; "
+            "leave it out for a new figure"
         )
-    return [_checked(f"axes[{i}]", ax) for i, ax in enumerate(given)]
+    return [check(f"axes[{i}]", ax) for i, ax in enumerate(given)]
+
+
+def checked_indices(name: str, given: object, count: int, things: str, example: str) -> list[int]:
+    """Return the numbers of some of ``count`` things, each checked to be there."""
+    if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or len(given) == 0:
+        raise TypeError(f"{name} is {given!r}, expected a sequence of {things}, like {example}")
+    numbers = [whole_number(f"{name}[{i}]", entry, least=0) for i, entry in enumerate(given)]
+    for i, number in enumerate(numbers):
+        if number >= count:
+            raise ValueError(
+                f"{name}[{i}] is {number}, expected 0 to {count - 1}: there are {count} "
+                f"{things.split()[0]}s, counted from 0"
+            )
+    return numbers
 
 
 def dress(ax: Axes, xlabel: str | None, ylabel: str) -> None:
@@ -182,9 +207,6 @@ def _checked(name: str, ax: object) -> Axes:
     return ax
 
 
-_DPI = 130
-
-
 def save_figure(figure: Figure, path: Path) -> Path:
     """Write a figure to a file, close it, and return where it is.
 
@@ -200,8 +222,7 @@ def save_figure(figure: Figure, path: Path) -> Path:
 
     Examples
     --------
-    >>> import tempfile, pathlib, matplotlib
-    >>> matplotlib.use("Agg")
+    >>> import tempfile, pathlib
     >>> import tenscontrol as tc
     >>> figure = tc.plot.structure(tc.prism()).ax.figure
     >>> with tempfile.TemporaryDirectory() as folder:

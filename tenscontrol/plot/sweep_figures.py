@@ -99,8 +99,6 @@ def sweep(
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> from concurrent.futures import ThreadPoolExecutor
     >>> prism, strings = tc.prism(), tc.LinearStrings(100.0, damping=0.5)
