@@ -151,21 +151,6 @@ def animate(
     goal = None if target is None else run.structure.checked_nodes("target", target)
     times = np.linspace(run.time[0], run.time[-1], max(2, round(length * rate)))
     shapes, gammas = _sampled(run, motion, times)
-    _write(run, place, times, shapes, gammas, goal, rate, dots, (float(eye[0]), float(eye[1])))
-    return place
-
-
-def _write(
-    run: Trajectory,
-    place: Path,
-    times: FloatArray,
-    shapes: FloatArray,
-    gammas: FloatArray,
-    goal: FloatArray | None,
-    rate: float,
-    dots: int,
-    eye: tuple[float, float],
-) -> None:
     figure = Figure(figsize=SIZE, dpi=dots)
     canvas = FigureCanvasAgg(figure)
     figure.subplots_adjust(**FILLED)
@@ -178,7 +163,7 @@ def _write(
     everywhere = [shapes.reshape(3, -1)]
     frame(ax, everywhere if goal is None else [*everywhere, goal], grow=False)
     label_space(ax)
-    ax.view_init(elev=eye[0], azim=eye[1])
+    ax.view_init(elev=float(eye[0]), azim=float(eye[1]))
     figure.legend(handles=samples, loc="upper left", frameon=False, fontsize="small")
     clock = figure.text(0.97, 0.96, "", ha="right", va="top")
 
@@ -189,6 +174,7 @@ def _write(
             yield
 
     write_gif(place, canvas, pictures(), len(times), rate)
+    return place
 
 
 def _sampled(

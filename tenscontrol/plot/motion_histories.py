@@ -33,7 +33,7 @@ _ROUND_OFF = float(np.finfo(float).eps)
 _LEAST_SPAN = 1e4
 
 
-def with_faults(panel: Curves, run: Trajectory) -> Curves:
+def _with_faults(panel: Curves, run: Trajectory) -> Curves:
     """Mark faults in a panel: a line where a string is cut, a bracket while something is broken."""
     if not run.faults:
         return panel
@@ -59,7 +59,7 @@ def with_faults(panel: Curves, run: Trajectory) -> Curves:
     return replace(panel, marks=marks)
 
 
-def wound(run: Trajectory) -> FloatArray:
+def _rest_lengths(run: Trajectory) -> FloatArray:
     """Return the rest lengths of a run, those of cut strings left out, NaN, shape (α, T)."""
     assert run.rest_length is not None  # callers draw rest lengths
     shown = run.rest_length.copy()
@@ -130,7 +130,11 @@ def trajectory(
         by_group = _by_group(run.structure, run.force_density)
         content["force_density"] = (by_group, "γ, N/m", run.rest_length is None)
     if run.rest_length is not None and len(run.structure.strings):
-        content["rest_length"] = (_by_group(run.structure, wound(run)), "rest length, m", True)
+        content["rest_length"] = (
+            _by_group(run.structure, _rest_lengths(run)),
+            "rest length, m",
+            True,
+        )
     places = panel_axes(axes, list(content))
     panels = {}
     for ax, (name, (rows, label, held)) in zip(places, content.items(), strict=True):
@@ -145,7 +149,7 @@ def trajectory(
             references=levels if name == "coordinates" else None,
         )
         if name != "coordinates":
-            panels[name] = with_faults(panels[name], run)
+            panels[name] = _with_faults(panels[name], run)
     if run.control is not None:
         panels[name] = _with_statuses(panels[name], run.control)
     return panels
@@ -216,22 +220,34 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     >>> plt.close(panels["energy"].ax.figure)
     """
     instance("run", run, Trajectory, "make one by simulate(model, ...)")
-    names = ["energy", "momentum"] + ["bar_length_error"] * bool(len(run.structure.bars))
-    places = dict(zip(names, panel_axes(axes, names), strict=True))
-
-    def label(name: str) -> str | None:
-        return "time, s" if axes is not None or name == names[-1] else None
-
-    panels = {
-        "energy": draw_curves(
-            places["energy"], run.time, _energies(run), "energy, J", xlabel=label("energy")
+    mass = float(run.structure.bar_mass.sum() + run.structure.string_node_mass.sum())
+    speed = float(np.linalg.norm(run.velocities, axis=0).max())
+    arm = float(np.linalg.norm(run.nodes, axis=0).max())
+    # Panel: curves, label, and the size of the quantity where the scale is logarithmic.
+    content: dict[str, tuple[dict[str, FloatArray], str, float | None]] = {
+        "energy": (_energies(run), "energy, J", None),
+        "momentum": (
+            {
+                "linear, kg m/s": _change(run.momentum),
+                "angular, kg m²/s": _change(run.angular_momentum),
+            },
+            "momentum change,\nkg m/s, kg m²/s",
+            mass * speed * max(arm, 1.0),
         ),
-        "momentum": _momenta(places["momentum"], run, label("momentum")),
     }
-    if "bar_length_error" in places:
-        panels["bar_length_error"] = _bar_lengths(
-            places["bar_length_error"], run, label("bar_length_error")
-        )
+    if len(run.structure.bars):
+        worst = {"largest of all bars": np.abs(run.bar_length_error).max(axis=0)[None]}
+        longest = float(run.structure.bar_length.max())
+        content["bar_length_error"] = (worst, "bar-length error, m", longest)
+    panels = {}
+    for ax, name in zip(panel_axes(axes, list(content)), content, strict=True):
+        rows, label, size = content[name]
+        last = axes is not None or name == list(content)[-1]
+        xlabel = "time, s" if last else None
+        if size is None:
+            panels[name] = draw_curves(ax, run.time, rows, label, xlabel=xlabel)
+        else:
+            panels[name] = _logarithmic(ax, run.time, rows, label, size, xlabel)
     return panels
 
 
@@ -247,27 +263,8 @@ def _energies(run: Trajectory) -> dict[str, FloatArray]:
     return rows
 
 
-def _momenta(ax: Axes, run: Trajectory, xlabel: str | None) -> Curves:
-    structure = run.structure
-    mass = float(structure.bar_mass.sum() + structure.string_node_mass.sum())
-    speed = float(np.linalg.norm(run.velocities, axis=0).max())
-    arm = float(np.linalg.norm(run.nodes, axis=0).max())
-    changes = {
-        "linear, kg m/s": _change(run.momentum),
-        "angular, kg m²/s": _change(run.angular_momentum),
-    }
-    label = "momentum change,\nkg m/s, kg m²/s"
-    return _logarithmic(ax, run.time, changes, label, mass * speed * max(arm, 1.0), xlabel)
-
-
-def _bar_lengths(ax: Axes, run: Trajectory, xlabel: str | None) -> Curves:
-    errors = {"largest of all bars": np.abs(run.bar_length_error).max(axis=0)}
-    longest = float(run.structure.bar_length.max())
-    return _logarithmic(ax, run.time, errors, "bar-length error, m", longest, xlabel)
-
-
 def _change(vectors: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(vectors - vectors[:, :1], axis=0))
+    return np.asarray(np.linalg.norm(vectors - vectors[:, :1], axis=0))[None]
 
 
 def _logarithmic(
@@ -280,14 +277,9 @@ def _logarithmic(
 ) -> Curves:
     """Draw errors of a quantity of this size; none is drawn below its round-off."""
     floor = _ROUND_OFF * (size if size > 0 else 1.0)
-    curves = draw_curves(
-        ax,
-        time,
-        {name: np.maximum(values, floor)[None] for name, values in errors.items()},
-        ylabel,
-        references={"round-off": np.array(floor)},
-        xlabel=xlabel,
-    )
+    rows = {name: np.maximum(values, floor) for name, values in errors.items()}
+    round_off = {"round-off": np.array(floor)}
+    curves = draw_curves(ax, time, rows, ylabel, references=round_off, xlabel=xlabel)
     largest = max(float(values.max()) for values in errors.values())
     ax.set_yscale("log")
     ax.yaxis.set_minor_locator(NullLocator())

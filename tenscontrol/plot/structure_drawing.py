@@ -16,7 +16,15 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-from tenscontrol.plot.style import DOTTED, FAINT, FORCE_MAP, FORCE_WIDTH, NORMAL, MemberStyle
+from tenscontrol.plot.style import (
+    DOTTED,
+    FAINT,
+    FORCE_MAP,
+    FORCE_WIDTH,
+    NORMAL,
+    MemberStyle,
+    marker_style,
+)
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray, instance, non_negative, per_member
 
@@ -46,12 +54,8 @@ _CORNER = 0.04  # of an edge, without ticks
 _LABEL_PAD = {"x": 2.0, "y": 6.0, "z": 5.0}
 _LABEL_OFFSET, _TICK_OFFSET = 21.0, 8.0
 
-_PAPER: Any = {
-    "axes3d.xaxis.panecolor": (1.0, 1.0, 1.0, 0.0),
-    "axes3d.yaxis.panecolor": (1.0, 1.0, 1.0, 0.0),
-    "axes3d.zaxis.panecolor": (1.0, 1.0, 1.0, 0.0),
-    "grid.color": "0.88",
-    "grid.linewidth": 0.6,
+_PAPER: Any = {"grid.color": "0.88", "grid.linewidth": 0.6} | {
+    f"axes3d.{axis}axis.panecolor": (1.0, 1.0, 1.0, 0.0) for axis in "xyz"
 }
 
 
@@ -225,24 +229,11 @@ def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -
     for members, pairs in ((strings, structure.strings), (bars, structure.bars)):
         if len(pairs):  # Matplotlib cannot find the limits of nothing
             ax.add_collection3d(members)
-    (dots,) = ax.plot(
-        *nodes,
-        linestyle="none",
-        marker="o",
-        markersize=style.node_size,
-        color=style.node_color,
-        zorder=style.layer + 0.6,
-    )
+    dot = marker_style("o", style.node_size, style.node_color)
+    (dots,) = ax.plot(*nodes, zorder=style.layer + 0.6, **dot)
     if len(structure.fixed):  # they stay where they are, so nothing updates them
-        ax.plot(
-            *nodes[:, structure.fixed],
-            linestyle="none",
-            marker="^",
-            markersize=2.2 * style.node_size,
-            markerfacecolor="white",
-            markeredgecolor=style.node_color,
-            zorder=style.layer + 0.5,
-        )
+        triangle = marker_style("^", 2.2 * style.node_size, style.node_color, mfc="white")
+        ax.plot(*nodes[:, structure.fixed], zorder=style.layer + 0.5, **triangle)
     return Drawing(structure, ax, bars, strings, dots, (), (), (), None)
 
 
@@ -295,10 +286,8 @@ def legend_samples(structure: Structure, slack: bool, colored: bool = False) -> 
     """Return the samples of members that a legend shows, of those kinds that there are."""
     bar = {"color": NORMAL.bar_color, "linewidth": NORMAL.bar_width, "solid_capstyle": "round"}
     # Where the colours of strings have a scale of their own, the sample has none of them.
-    string = {
-        "color": "0.4" if colored else NORMAL.string_color,
-        "linewidth": NORMAL.string_width,
-    }
+    color = "0.4" if colored else NORMAL.string_color
+    string = {"color": color, "linewidth": NORMAL.string_width}
     samples = []
     if len(structure.bars):
         samples.append(sample("bar", **bar))

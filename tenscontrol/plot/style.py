@@ -99,6 +99,11 @@ def curve_style(position: int) -> dict[str, Any]:
     }
 
 
+def marker_style(marker: str, size: float, color: str, **more: Any) -> dict[str, Any]:
+    """Return the style of markers without a line; size in points."""
+    return {"linestyle": "none", "marker": marker, "markersize": size, "color": color, **more}
+
+
 def reference_style(position: int) -> dict[str, Any]:
     """Return colour, dashes and width of the reference line at this position."""
     return {

@@ -18,6 +18,7 @@ from tenscontrol.plot.style import (
     REFERENCE_WIDTH,
     dress,
     legend_above,
+    marker_style,
     panel_axes,
 )
 from tenscontrol.robustness import SweepReport
@@ -154,12 +155,8 @@ def _runs(ax: Axes, report: SweepReport, pair: tuple[str, str]) -> dict[str, Lin
         (markers[name],) = ax.plot(
             x[chosen],
             y[chosen],
-            linestyle="none",
-            marker=marker,
-            markersize=size,
-            color=color,
-            markerfacecolor=face,
             label=f"{name} (×{chosen.sum()})",
+            **marker_style(marker, size, color, mfc=face),
         )
     dress(ax, pair[0], pair[1])
     legend_above(ax)
