@@ -25,9 +25,6 @@ from tenscontrol.validation import FloatArray, non_negative, positive_number, wh
 # Of energy_weights, where the scene gives no R.
 _INPUT_WEIGHT = 0.1
 
-# Of γ, in which a reference is kept as well.
-_BOUNDS = ("min_force_density", "max_force_density")
-
 
 def build_controller(
     document: Document, model: Model, rest: Prestress, winches: Winches | None
@@ -55,8 +52,8 @@ def build_controller(
             _limit(e, structure) for e in _entries(table, "outputs", schema.OUTPUT)
         ]
     if "reference" in table:
-        limits = {key: arguments[key] for key in _BOUNDS if key in arguments}
-        limits["winches"] = winches
+        bounds = {"min_force_density", "max_force_density"} & arguments.keys()
+        limits = {key: arguments[key] for key in bounds} | {"winches": winches}
         arguments["reference"] = _build_reference(table, model, rest, limits)
     # A law in continuous time knows neither speeds in a sample nor ramps through it.
     if kind != "feedback_linearization" and input == "rest_length" and "sample_time" in table:
@@ -83,13 +80,10 @@ def _schedule(table: Table, model: Model, arguments: dict[str, Any], input: str)
     with table.checked("plants"):
         count = whole_number("plants", table.need("plants"), least=1)
     reference: Reference = arguments["reference"]
-    assert reference.force_density is not None  # _build_reference gives it
+    assert reference.force_density is not None  # it is a path of equilibria
     with table.checked():
         plants = plants_along(model, reference.nodes, reference.force_density, count, input)
         return GainSchedule([MPC(plant, **arguments) for plant in plants])
-
-
-# ---- what it follows, tracks and keeps within limits ----
 
 
 def _build_reference(
@@ -199,9 +193,6 @@ def _ends(entry: Table, controller: Table, structure: Structure) -> tuple[list[i
         )
     sides = len(structure.bars)
     return list(range(sides)), list(range(sides, 2 * sides))
-
-
-# ---- winches, estimator, faults ----
 
 
 def build_winches(document: Document, structure: Structure) -> Winches | None:

@@ -55,53 +55,48 @@ def load_scene(file: str | Path) -> Scene:
 
     Notes
     -----
-    Nodes and velocities are lists of ``[x, y, z]``, one for each node. All
-    quantities are in SI units. A quantity of the strings is a number for all,
-    a list, or a table by string group. The tables:
+    Nodes and velocities are lists of ``[x, y, z]``, one for each node. All quantities are in SI
+    units. A quantity of the strings is a number for all, a list, or a table by string group.
 
     ``[structure]``
-        ``generator = "prism"`` with the arguments of :func:`prism`, or
-        ``nodes``, ``bars``, ``strings``, ``bar_mass``, ``string_node_mass``,
-        ``string_groups``; with either, ``fixed``.
+        ``generator = "prism"`` with the arguments of :func:`prism`, or those of
+        :class:`Structure`; with either, ``fixed``.
     ``[skin]``, ``[subdivide]``
-        The arguments of :func:`skin` and :func:`subdivide`. A skin comes
-        first; both cut and skinned, its strings are cut too.
+        The arguments of :func:`skin` and :func:`subdivide`. A skin comes first; its strings are
+        cut too.
     ``[strings]``
-        ``law = "linear"`` with ``stiffness`` or ``law = "elastic"`` with
-        ``axial_rigidity``; ``damping``. ``per = "string"``: values of a whole
-        string, which its segments in series keep. ``per = "segment"``: values
-        of each segment.
+        ``law = "linear"`` with ``stiffness`` or ``law = "elastic"`` with ``axial_rigidity``;
+        ``damping``. ``per = "string"``: values of a whole string, which its segments in series
+        keep. ``per = "segment"``: values of each segment.
     ``[loads]``
         ``gravity``; ``forces = [{node = 0, force = [0.0, 0.0, 1.0]}]``.
     ``[prestress]``
-        ``force_density``: a number, for which a state of self-stress is
-        sought as by :func:`prestress`, with ``reference``; or the γ of all
-        strings, in balance or not. ``per`` as above: a segment under the
-        tension of its string has s times its γ. ``shape_gives = true``: this
-        γ is that before weights and loads act; the shape then gives until all
-        are in balance, as :func:`equilibrium` finds it, and that is the shape
-        of the scene.
+        ``force_density``: a number, for which :func:`prestress` finds a state of self-stress, with
+        ``reference``; or the γ of all strings, in balance or not. ``per`` as above: a segment
+        under the tension of its string has s times its γ. ``shape_gives = true``: this is the γ
+        before weights and loads act; the scene has the shape in balance with them, found by
+        :func:`equilibrium`.
     ``[start]``
-        ``velocities``; ``disturbance``, how far the farthest node is moved at
-        random, with ``seed``.
+        ``velocities``; ``disturbance``, the distance by which the farthest node is moved at
+        random, m, with ``seed``.
     ``[run]``
-        ``duration``; ``step`` or ``tolerance``, ``method``,
-        ``output_step``; ``input``, ``"rest_length"`` where there are
-        ``[strings]``, else ``"force_density"``; ``sample_time`` of a law in continuous time.
+        ``duration``; ``step`` or ``tolerance``, ``method``, ``output_step``; ``input``,
+        ``"rest_length"`` if there are ``[strings]``, else ``"force_density"``; ``sample_time`` of
+        a controller in continuous time.
     ``[controller]``
-        ``kind = "mpc"``, ``"nmpc"``, ``"feedback_linearization"`` or ``"lqr"`` with the
-        arguments of :class:`MPC`, :class:`NMPC`, :class:`FeedbackLinearization` or :func:`lqr`.
-        ``input`` as for :func:`linearize`; where it is
-        ``"rest_length"``, MPC and NMPC know the winches of the scene. It is designed
-        about the prestress, on the structure with its strings whole. With ``plants = 8``, MPCs
-        are designed at eight shapes along the reference, and take turns as a :class:`GainSchedule`.
+        ``kind = "mpc"``, ``"nmpc"``, ``"feedback_linearization"`` or ``"lqr"`` with the arguments
+        of :class:`MPC`, :class:`NMPC`, :class:`FeedbackLinearization` or :func:`lqr`. ``input`` as
+        for :func:`linearize`; with ``"rest_length"``, MPC and NMPC know the winches of the scene.
+        It is designed about the prestress, on the structure with its strings whole. With
+        ``plants = 8``, MPCs are designed at eight shapes along the reference and take turns as a
+        :class:`GainSchedule`.
     ``[[controller.reference]]``
-        A shape to be reached at ``time``, s, through equilibria within the controller's bounds
-        of γ and what the winches can do: ``height``, m, and
-        ``twist``, rad, between the nodes ``top`` and ``bottom`` (those of a prism if not
-        given); ``nodes`` with their ``positions``. The move begins at ``start``, s; at the
-        end of the one before if not given. ``force_density``: mean γ of the group of the first
-        string in that shape, N/m; as in the prestress if not given.
+        A shape to be reached at ``time``, s, through equilibria within the controller's bounds of
+        γ and the limits of the winches: ``height``, m, and ``twist``, rad, between the nodes
+        ``top`` and ``bottom`` (those of a prism if not given); ``nodes`` with their ``positions``.
+        The move begins at ``start``, s; at the end of the one before if not given.
+        ``force_density``: mean γ of the group of the first string in that shape, N/m; that of the
+        prestress if not given.
     ``[[controller.outputs]]``, ``[[controller.tracked]]``
         A node coordinate, ``node`` and ``axis = "x"``, ``"y"`` or ``"z"``, less that of the
         node ``relative_to``. As ``outputs`` with ``low`` and ``high``, m, and ``penalty``.

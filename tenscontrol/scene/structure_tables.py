@@ -110,9 +110,6 @@ def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
         return per_member(key, by_string, len(structure.strings), "string")
 
 
-# ---- strings and loads ----
-
-
 def build_law(document: Document, structure: Structure) -> tuple[StringLaw, StringLaw] | None:
     """Return the law of the strings and that of the whole strings, or None if there is no table.
 
@@ -135,24 +132,24 @@ def build_law(document: Document, structure: Structure) -> tuple[StringLaw, Stri
         law: StringLaw = make(**values)
         if whole(structure) is structure:
             return law, law
-        other = {}
-        for name, value in values.items():
-            in_series = name != "axial_rigidity"
-            if by_string:
-                count = segment_counts(structure) if in_series else 1
-                other[name] = value[structure.string_parent] * count
-            else:
-                other[name] = _in_series(structure, value, in_series)
-        return (make(**other), law) if by_string else (law, make(**other))
+        convert = _of_segments if by_string else _of_strings
+        other = make(**{name: convert(structure, name, each) for name, each in values.items()})
+        return (other, law) if by_string else (law, other)
 
 
-def _in_series(structure: Structure, values: FloatArray, in_series: bool) -> FloatArray:
-    """Return the values of whole strings: of segments in series, or the mean of a material's."""
+def _of_segments(structure: Structure, name: str, values: FloatArray) -> FloatArray:
+    """Return the values of segments in series, from those of whole strings."""
+    count = 1 if name == "axial_rigidity" else segment_counts(structure)
+    return np.asarray(values[structure.string_parent] * count)
+
+
+def _of_strings(structure: Structure, name: str, values: FloatArray) -> FloatArray:
+    """Return the values of whole strings, from those of segments in series."""
     parent = structure.string_parent
     assert parent is not None  # a subdivision
     with np.errstate(divide="ignore"):
         total = 1 / np.bincount(parent, weights=1 / values)
-    return np.asarray(total if in_series else np.bincount(parent) * total)
+    return np.asarray(np.bincount(parent) * total if name == "axial_rigidity" else total)
 
 
 def build_loads(document: Document, structure: Structure) -> tuple[object, FloatArray | None]:
@@ -175,9 +172,6 @@ def build_loads(document: Document, structure: Structure) -> tuple[object, Float
         seen.add(node)
         forces[:, node] = force
     return gravity, forces
-
-
-# ---- equilibrium and start ----
 
 
 def build_force_density(document: Document, structure: Structure, load: FloatArray) -> FloatArray:
@@ -209,8 +203,8 @@ def build_force_density(document: Document, structure: Structure, load: FloatArr
             with table.checked("reference"):
                 given.strings_in(table.need("reference"))
         with table.checked("force_density"):
-            found = prestress(given, value, table.get("reference"), load[:, :count])
-        gamma = found.force_density
+            rest = prestress(given, value, table.get("reference"), load[:, :count])
+        gamma = rest.force_density
     elif "reference" in table:
         raise table.error(
             "reference", "in [prestress], reference goes with a single number as force_density"
