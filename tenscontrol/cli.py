@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _demo(options: argparse.Namespace) -> None:
-    from tenscontrol.demo.tour import main as demo
+    from tenscontrol.demo import main as demo
 
     demo(_folder(options.output), figures=not options.no_figures)
 

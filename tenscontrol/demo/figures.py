@@ -1,10 +1,9 @@
-"""The pictures of the demo."""
+"""The figures of the demo."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -13,14 +12,11 @@ from matplotlib.figure import Figure
 
 from tenscontrol import plot
 from tenscontrol.control import LQR
+from tenscontrol.demo.tour import TARGET, Morph
 from tenscontrol.plant import LinearPlant, Modes
-from tenscontrol.plot.files import save_figure
-from tenscontrol.plot.space import new_space
+from tenscontrol.plot import new_space, save_figure
 from tenscontrol.statics import Prestress
 from tenscontrol.validation import FloatArray
-
-if TYPE_CHECKING:
-    from tenscontrol.demo.tour import Morph
 
 
 def save_figures(
@@ -30,47 +26,22 @@ def save_figures(
     regulator: LQR,
     morph: Morph,
 ) -> Iterator[Path]:
-    """Draw and save one figure after the other, and yield where each is.
-
-    Parameters
-    ----------
-    output : Path
-        Folder, which exists.
-    rest : Prestress
-    plants : dict of str to (LinearPlant, Modes)
-        By what is held.
-    regulator : LQR
-    morph : Morph
-
-    Yields
-    ------
-    Path
-    """
-    yield save_figure(prism_figure(rest), output / "prism.png")
+    """Draw and save one figure after the other, and yield where each is."""
+    prism = plot.structure(rest.structure, force_density=rest.force_density)
+    yield save_figure(_figure(prism.ax), output / "prism.png")
     for name, (plant, found) in plants.items():
         shapes = plot.mode_shapes(plant, found)
         yield save_figure(_figure(shapes[0].ax), output / f"modes_{name}.png")
-    yield save_figure(pole_figure(regulator), output / "poles.png")
+    open_loop = np.linalg.eigvals(regulator.plant.A)
+    poles = plot.poles({"open loop": open_loop, "LQR": regulator.poles})
+    yield save_figure(_figure(poles.ax), output / "poles.png")
     yield save_figure(morph_figure(morph), output / "closed_loop.png")
     yield save_figure(_figure(plot.health(morph.run)["energy"].ax), output / "health.png")
     yield plot.animate(morph.run, output / "closed_loop.gif", target=_laid_over(morph), fps=16)
 
 
-def prism_figure(rest: Prestress) -> Figure:
-    """Return the prism with its force densities."""
-    return _figure(plot.structure(rest.structure, force_density=rest.force_density).ax)
-
-
-def pole_figure(regulator: LQR) -> Figure:
-    """Return the poles without and with feedback."""
-    open_loop = np.linalg.eigvals(regulator.plant.A)
-    return _figure(plot.poles({"open loop": open_loop, "LQR": regulator.poles}).ax)
-
-
 def morph_figure(morph: Morph) -> Figure:
-    """Return the way to the new height: start and end in space, height, γ and rest lengths."""
-    from tenscontrol.demo.tour import TARGET
-
+    """Return start and end in space, beside height, γ and rest lengths over time."""
     figure = plt.figure(figsize=(10.5, 6.0))
     space = new_space(figure, 1, 2, 1)
     space.set_position((0.0, 0.04, 0.46, 0.9))
@@ -83,25 +54,19 @@ def morph_figure(morph: Morph) -> Figure:
     plot.history(
         run.time, {"height": morph.height}, "height, m", ax=rows[0], references={"target": TARGET}
     )
-    groups = dict.fromkeys(run.structure.string_groups)
-    plot.history(
-        run.time,
-        {name: run.force_density[run.structure.strings_in(name)] for name in groups},
-        "γ, N/m",
-        ax=rows[1],
-    )
     assert run.rest_length is not None  # the winches hold it
-    plot.history(
-        run.time,
-        {name: run.rest_length[run.structure.strings_in(name)] for name in groups},
-        "rest length, m",
-        ax=rows[2],
-    )
+    groups = dict.fromkeys(run.structure.string_groups)
+    for ax, values, label in (
+        (rows[1], run.force_density, "γ, N/m"),
+        (rows[2], run.rest_length, "rest length, m"),
+    ):
+        by_group = {name: values[run.structure.strings_in(name)] for name in groups}
+        plot.history(run.time, by_group, label, ax=ax)
     return figure
 
 
 def _laid_over(morph: Morph) -> FloatArray:
-    """Return the target with its centre where the prism ends, since nothing holds that in place."""
+    """Return the target with its centre where the prism ends: the free prism may drift."""
     end, target = morph.run.nodes[:, :, -1], morph.target.nodes
     return np.asarray(target + (end - target).mean(axis=1, keepdims=True))
 

@@ -1,14 +1,11 @@
-"""The demo: a prism checked, analysed, put under control and moved to a new height."""
+"""The steps of the demo: equilibrium and modes of a prism, LQR, a new height by MPC."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 
-from tenscontrol import __version__
 from tenscontrol.actuation import Winches, to_rest_length
 from tenscontrol.control import LQR, MPC, energy_weights, lqr
 from tenscontrol.dynamics import LinearStrings, Model
@@ -30,7 +27,7 @@ DISTURBANCE = 0.01  # m
 
 @dataclass(frozen=True, eq=False)
 class Morph:
-    """The closed loop of the demo and the figures read off it."""
+    """The closed loop of the demo, its target and its height."""
 
     run: Trajectory
     controller: MPC
@@ -47,40 +44,14 @@ class Morph:
         return float(self.height[-1] - TARGET)
 
 
-def main(output: Path, figures: bool = True) -> Morph:
-    """Run the demo, print its figures and save its pictures.
-
-    Parameters
-    ----------
-    output : Path
-        Folder for the pictures; made if need be.
-    figures : bool
-        Whether to draw.
-
-    Returns
-    -------
-    Morph
-    """
-    began = perf_counter()
-    print(f"tenscontrol {__version__}: a tensegrity prism, 3 bars of 1 kg, 9 strings\n")
+def demo_model() -> Model:
+    """Return the prism of the demo with its strings."""
     structure = prism(sides=3, radius=0.5, height=HEIGHT, bar_mass=1.0)
-    model = Model(structure, strings=LinearStrings(stiffness=STIFFNESS))
-    rest = show_equilibrium(structure)
-    plants = show_modes(model, rest)
-    regulator = show_lqr(model, plants["force_density"][0])
-    morph = show_mpc(model, rest)
-    if figures:
-        from tenscontrol.demo.figures import save_figures
-
-        print("\n5. Figures")
-        for path in save_figures(output, rest, plants, regulator, morph):
-            print(f"   {path}")
-    print(f"\n{perf_counter() - began:.1f} s in all")
-    return morph
+    return Model(structure, strings=LinearStrings(stiffness=STIFFNESS))
 
 
 def show_equilibrium(structure: Structure) -> Prestress:
-    """Check the closed form γ_v = √3 γ_t against the equations, and that 1 % off does not pass."""
+    """Check the closed form γ_v = √3 γ_t, and that 1 % more is refused."""
     print("1. Equilibrium")
     gamma, _ = prism_force_density(3, TOP_FORCE_DENSITY)
     rest = prestress(structure, gamma)
@@ -189,7 +160,7 @@ def prism_of_height(structure: Structure, height: float) -> Structure:
 
 
 def ramp(structure: Structure, start: float, end: float, duration: float) -> Reference:
-    """Return the way through prisms of all heights in between, smooth at both ends."""
+    """Return the reference through prisms of all heights in between, smooth at both ends."""
     time = np.linspace(0.0, duration, 41)
     share = time / duration
     heights = start + (end - start) * (10 * share**3 - 15 * share**4 + 6 * share**5)

@@ -4,23 +4,22 @@ Each function takes the axes to draw into (a new figure if not given), returns
 what was drawn, and never shows a window.
 """
 
-from tenscontrol.plot.accuracy import (
+from tenscontrol.plot.accuracy_figures import (
     convergence_order,
     long_run,
     stability_map,
     work_precision,
 )
 from tenscontrol.plot.animation import animate
-from tenscontrol.plot.drawing import Drawing
-from tenscontrol.plot.estimate import estimate
-from tenscontrol.plot.files import save_figure
-from tenscontrol.plot.health import health
-from tenscontrol.plot.history import Curves, history
+from tenscontrol.plot.estimation_error import estimate
+from tenscontrol.plot.histories import Curves, history
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
-from tenscontrol.plot.poles import PoleMap, poles
-from tenscontrol.plot.structure import structure
-from tenscontrol.plot.sweep import SweepDrawing, sweep
-from tenscontrol.plot.trajectory import trajectory
+from tenscontrol.plot.motion_histories import health, trajectory
+from tenscontrol.plot.pole_map import PoleMap, poles
+from tenscontrol.plot.structure_drawing import Drawing, structure
+from tenscontrol.plot.structure_drawing import new_space as new_space  # for figures of the demo
+from tenscontrol.plot.style import save_figure
+from tenscontrol.plot.sweep_figures import SweepDrawing, sweep
 
 __all__ = [
     "Curves",

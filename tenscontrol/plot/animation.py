@@ -2,23 +2,77 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from io import BytesIO
 from os import PathLike, fspath
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
-from tenscontrol.plot.drawing import draw, is_slack, legend_samples, sample
-from tenscontrol.plot.gif import write_gif
-from tenscontrol.plot.space import FILLED, SIZE, frame, label_space, new_space
+from tenscontrol.plot.structure_drawing import (
+    FILLED,
+    SIZE,
+    draw,
+    frame,
+    is_slack,
+    label_space,
+    legend_samples,
+    new_space,
+    sample,
+)
 from tenscontrol.plot.style import FAINT, NORMAL
 from tenscontrol.simulation import Trajectory
 from tenscontrol.validation import FloatArray, float_array, instance, positive_number, whole_number
 
 # A GIF counts time in hundredths of a second, and viewers slow down below two.
 _FASTEST = 50.0
+
+# Drawings of lines need few. One palette for all pictures makes the file a third
+# of what matplotlib's PillowWriter makes it, and keeps colours from flickering.
+_COLORS = 64
+
+# Pillow takes the mean of similar colours, and paper turns grey.
+_NEARLY_WHITE = 247
+
+
+def write_gif(path: Path, canvas: Any, pictures: Iterable[None], count: int, rate: float) -> None:
+    """Write what the canvas shows after each step of ``pictures``, ``count`` of them.
+
+    The canvas is one of Agg. Nothing is written before all are drawn. A GIF counts hundredths of a
+    second; pictures take turns in length so that the whole keeps its time.
+    """
+    frames: list[Image.Image] = []
+    palette: Image.Image | None = None
+    for _ in pictures:
+        canvas.draw()
+        picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+        if palette is None:
+            palette = _palette(picture)
+        frames.append(picture.quantize(palette=palette, dither=Image.Dither.NONE))
+    ends = np.round(100 * np.arange(count + 1) / rate).astype(int)
+    buffer = BytesIO()
+    frames[0].save(
+        buffer,
+        format="GIF",
+        save_all=True,
+        append_images=frames[1:],
+        duration=[10 * int(hundredths) for hundredths in np.diff(ends)],
+        loop=0,
+    )
+    path.write_bytes(buffer.getvalue())
+
+
+def _palette(picture: Image.Image) -> Image.Image:
+    """Return an image whose palette is that of the picture, with the paper purely white."""
+    colors = np.array(picture.quantize(_COLORS).getpalette(), dtype=np.uint8).reshape(-1, 3)
+    colors[colors.min(axis=1) >= _NEARLY_WHITE] = 255
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(colors.ravel().tolist())
+    return palette
 
 
 def animate(
@@ -97,21 +151,6 @@ def animate(
     goal = None if target is None else run.structure.checked_nodes("target", target)
     times = np.linspace(run.time[0], run.time[-1], max(2, round(length * rate)))
     shapes, gammas = _sampled(run, motion, times)
-    _write(run, place, times, shapes, gammas, goal, rate, dots, (float(eye[0]), float(eye[1])))
-    return place
-
-
-def _write(
-    run: Trajectory,
-    place: Path,
-    times: FloatArray,
-    shapes: FloatArray,
-    gammas: FloatArray,
-    goal: FloatArray | None,
-    rate: float,
-    dots: int,
-    eye: tuple[float, float],
-) -> None:
     figure = Figure(figsize=SIZE, dpi=dots)
     canvas = FigureCanvasAgg(figure)
     figure.subplots_adjust(**FILLED)
@@ -124,7 +163,7 @@ def _write(
     everywhere = [shapes.reshape(3, -1)]
     frame(ax, everywhere if goal is None else [*everywhere, goal], grow=False)
     label_space(ax)
-    ax.view_init(elev=eye[0], azim=eye[1])
+    ax.view_init(elev=float(eye[0]), azim=float(eye[1]))
     figure.legend(handles=samples, loc="upper left", frameon=False, fontsize="small")
     clock = figure.text(0.97, 0.96, "", ha="right", va="top")
 
@@ -135,6 +174,7 @@ def _write(
             yield
 
     write_gif(place, canvas, pictures(), len(times), rate)
+    return place
 
 
 def _sampled(

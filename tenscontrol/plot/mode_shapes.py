@@ -11,10 +11,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from tenscontrol.plant import LinearPlant, Modes
-from tenscontrol.plot.drawing import Drawing, draw
-from tenscontrol.plot.space import checked_space, frame, new_space
-from tenscontrol.plot.style import SMALL, SMALL_FAINT
-from tenscontrol.validation import FloatArray, instance, positive_number, whole_number
+from tenscontrol.plot.structure_drawing import Drawing, checked_space, draw, frame, new_space
+from tenscontrol.plot.style import SMALL, SMALL_FAINT, checked_indices, given_axes
+from tenscontrol.validation import FloatArray, instance, positive_number
 
 _COLUMNS = 3
 _MOST = 9  # modes shown unless the user says which
@@ -90,8 +89,6 @@ def mode_shapes(
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> prism = tc.prism()
     >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
@@ -109,7 +106,10 @@ def mode_shapes(
             f"modes.shape has shape {modes.shape.shape}, expected {nodes.shape} and one more: "
             "give the plant from which the modes were computed"
         )
-    chosen = _chosen(which, len(modes.label))
+    count = len(modes.label)
+    chosen = list(range(min(count, _MOST)))
+    if which is not None:
+        chosen = checked_indices("which", which, count, "mode numbers", "[0, 5]")
     size = positive_number("scale", scale, "structure sizes") * float(np.ptp(nodes, axis=1).max())
     moved = [nodes + size * _at_largest(modes.shape[:, :, mode]) for mode in chosen]
     drawn = []
@@ -130,36 +130,13 @@ def mode_shapes(
 
 def _panels(axes: Sequence[Any] | None, count: int) -> list[Any]:
     if axes is not None:
-        given = list(np.ravel(np.array(axes, dtype=object)))
-        if len(given) != count:
-            raise ValueError(
-                f"axes has {len(given)} entries, expected {count}: one for each mode drawn; "
-                "leave it out for a new figure"
-            )
-        return [checked_space(f"axes[{i}]", ax) for i, ax in enumerate(given)]
+        return given_axes(axes, count, "one for each mode drawn", checked_space)
     columns = min(count, _COLUMNS)
     rows = ceil(count / columns)
     figure = plt.figure(figsize=(_PANEL * columns, _PANEL * rows + 0.2))
     panels = [new_space(figure, rows, columns, i + 1) for i in range(count)]
     figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.93, wspace=-0.1, hspace=-0.05)
     return panels
-
-
-def _chosen(which: object, count: int) -> list[int]:
-    """Return the numbers of the modes to draw, each checked to be there."""
-    if which is None:
-        return list(range(min(count, _MOST)))
-    if isinstance(which, str) or not isinstance(which, Sequence | np.ndarray) or len(which) == 0:
-        raise TypeError(f"which is {which!r}, expected a sequence of mode numbers, like [0, 5]")
-    chosen = []
-    for i, entry in enumerate(which):
-        mode = whole_number(f"which[{i}]", entry, least=0)
-        if mode >= count:
-            raise ValueError(
-                f"which[{i}] is {mode}, expected 0 to {count - 1}: there are {count} modes"
-            )
-        chosen.append(mode)
-    return chosen
 
 
 def _at_largest(shape: np.ndarray) -> FloatArray:

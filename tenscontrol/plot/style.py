@@ -1,18 +1,26 @@
-"""Colours, line styles and line widths: one look for every figure.
+"""One look for every figure: colours, dashes and widths; flat axes and legends; files.
 
-Nothing depends on colour alone. Curves differ in their dashes too, bars and
-strings in their width and in how dark they are.
+Nothing depends on colour alone. Curves differ in their dashes too, bars and strings in their width
+and in how dark they are.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import ceil
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+
+from tenscontrol.validation import whole_number
 
 # Okabe & Ito (2008), without the yellow, which is lost on white paper.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
@@ -39,6 +47,15 @@ FORCE_WIDTH = 1.4  # of the usual width of strings
 
 # Up to so many members are drawn at full width; many more at least at this share of it.
 _FEW, _THINNEST = 30, 0.4
+
+# Inches.
+_WIDTH, _ROW_HEIGHT, _SINGLE_HEIGHT = 6.4, 2.2, 3.2
+
+# Width of a legend entry, points: of its sample with the gaps, and of a letter.
+_SAMPLE_WIDTH, _LETTER_WIDTH = 44.0, 5.0
+
+# Of saved figures.
+_DPI = 130
 
 
 @dataclass(frozen=True)
@@ -82,6 +99,11 @@ def curve_style(position: int) -> dict[str, Any]:
     }
 
 
+def marker_style(marker: str, size: float, color: str, **more: Any) -> dict[str, Any]:
+    """Return the style of markers without a line; size in points."""
+    return {"linestyle": "none", "marker": marker, "markersize": size, "color": color, **more}
+
+
 def reference_style(position: int) -> dict[str, Any]:
     """Return colour, dashes and width of the reference line at this position."""
     return {
@@ -89,3 +111,129 @@ def reference_style(position: int) -> dict[str, Any]:
         "linestyle": DASHES[(position + 1) % len(DASHES)],
         "linewidth": REFERENCE_WIDTH,
     }
+
+
+def flat_axes(ax: object) -> Axes:
+    """Return ``ax`` if it is a pair of flat axes, new ones if it is None; else raise."""
+    if ax is None:
+        _, new = plt.subplots(figsize=(_WIDTH, _SINGLE_HEIGHT), layout="constrained")
+        return new
+    return _checked("ax", ax)
+
+
+def panel_axes(axes: Sequence[Axes] | None, names: Sequence[str]) -> list[Axes]:
+    """Return one pair of axes for each panel, one below the other if they are new."""
+    if axes is None:
+        size = (_WIDTH, _ROW_HEIGHT * len(names) + 0.4)
+        figure, grid = plt.subplots(
+            len(names), 1, sharex=True, squeeze=False, figsize=size, layout="constrained"
+        )
+        column = list(grid[:, 0])
+        figure.align_ylabels(column)
+        return column
+    return given_axes(axes, len(names), f"one for each of {', '.join(names)}", _checked)
+
+
+def given_axes(
+    axes: Sequence[Any], count: int, which: str, check: Callable[[str, object], Any]
+) -> list[Any]:
+    """Return the axes that the user gives, or raise if their number or kind is wrong."""
+    given = list(np.ravel(np.array(axes, dtype=object)))
+    if len(given) != count:
+        raise ValueError(
+            f"axes has {len(given)} entries, expected {count}: {which}; "
+            "leave it out for a new figure"
+        )
+    return [check(f"axes[{i}]", ax) for i, ax in enumerate(given)]
+
+
+def checked_indices(name: str, given: object, count: int, things: str, example: str) -> list[int]:
+    """Return the numbers of some of ``count`` things, each checked to be there."""
+    if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or len(given) == 0:
+        raise TypeError(f"{name} is {given!r}, expected a sequence of {things}, like {example}")
+    numbers = [whole_number(f"{name}[{i}]", entry, least=0) for i, entry in enumerate(given)]
+    for i, number in enumerate(numbers):
+        if number >= count:
+            raise ValueError(
+                f"{name}[{i}] is {number}, expected 0 to {count - 1}: there are {count} "
+                f"{things.split()[0]}s, counted from 0"
+            )
+    return numbers
+
+
+def dress(ax: Axes, xlabel: str | None, ylabel: str) -> None:
+    """Label the axes, and take away what is not needed."""
+    if xlabel is not None:
+        ax.set_xlabel(xlabel)
+    ax.set_ylabel(ylabel)
+    ax.grid(visible=True, **GRID)  # type: ignore[arg-type]
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def legend_above(ax: Axes) -> None:
+    """Put the legend above the axes, where no curve can be, or none if nothing has a name."""
+    handles, names = ax.get_legend_handles_labels()
+    if not handles:
+        return
+    columns = _legend_columns(names, ax.bbox.width * 72 / ax.figure.dpi)
+    # The legend is filled column by column, but read row by row.
+    order = [i for first in range(columns) for i in range(first, len(handles), columns)]
+    ax.legend(
+        handles=[handles[i] for i in order],
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=columns,
+        frameon=False,
+        fontsize="small",
+        handlelength=2.6,
+        columnspacing=1.4,
+        borderaxespad=0.2,
+        borderpad=0.2,
+    )
+
+
+def _legend_columns(names: Sequence[str], room: float) -> int:
+    """Return how many columns fit into a legend of this width, points."""
+    width = [_SAMPLE_WIDTH + _LETTER_WIDTH * len(name) for name in names]
+    count = len(names)
+    for columns in range(count, 1, -1):
+        if sum(max(width[first::columns]) for first in range(columns)) <= room:
+            return ceil(count / ceil(count / columns))
+    return 1
+
+
+def _checked(name: str, ax: object) -> Axes:
+    if not isinstance(ax, Axes) or ax.name == "3d":
+        found = "three-dimensional" if isinstance(ax, Axes) else f"a {type(ax).__name__}"
+        raise TypeError(
+            f"{name} is {found}, expected flat matplotlib Axes: make them by plt.subplots()"
+        )
+    return ax
+
+
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure to a file, close it, and return where it is.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    path : Path
+        The ending says the format.
+
+    Returns
+    -------
+    Path
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> import tenscontrol as tc
+    >>> figure = tc.plot.structure(tc.prism()).ax.figure
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     tc.plot.save_figure(figure, pathlib.Path(folder) / "prism.png").name
+    'prism.png'
+    """
+    figure.savefig(path, dpi=_DPI)
+    plt.close(figure)
+    return path

@@ -11,9 +11,10 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from tenscontrol.scene.keys import LISTS, TABLES, Keys
-from tenscontrol.scene.lines import Path as KeyPath
-from tenscontrol.scene.lines import key_lines
+from tenscontrol.scene.schema import LISTS, RENAMED, TABLES, Keys
+
+# Table names and keys, and numbers of entries of lists, from the outside in.
+KeyPath = tuple[str | int, ...]
 
 
 class SceneError(ValueError):
@@ -22,15 +23,7 @@ class SceneError(ValueError):
 
 @dataclass(frozen=True)
 class Document:
-    """The tables of a scene file and the line of each key.
-
-    Parameters
-    ----------
-    file : str
-    values : dict
-        As tomllib read them.
-    lines : dict of tuple to int
-    """
+    """The tables of a scene file as tomllib read them, and the line of each key."""
 
     file: str
     values: Mapping[str, Any]
@@ -43,19 +36,10 @@ class Document:
         line = f":{self.lines[path]}" if path else ""
         return SceneError(f"{self.file}{line}: {message}")
 
-    def table(self, name: str, keys: Keys | None = None, which: str = "") -> Table:
-        """Return a table, empty if the file has none, with its keys checked.
-
-        Parameters
-        ----------
-        name : str
-        keys : mapping, optional
-            The keys that it may have; all of this name if not given.
-        which : str
-            What messages say of the choice that gave these keys.
-        """
+    def table(self, name: str, keys: Keys | None = None, note: str = "") -> Table:
+        """Return a table, empty if the file has none; with the keys of one kind if given."""
         known = TABLES[name] if keys is None else keys
-        return Table(self, (name,), f"[{name}]{which}", self.values.get(name, {}), known)
+        return Table(self, (name,), f"[{name}]{note}", self.values.get(name, {}), known)
 
     def has(self, name: str) -> bool:
         """Whether the file has this table."""
@@ -63,36 +47,17 @@ class Document:
 
 
 class Table:
-    """One table of a scene file, its keys and the kinds of its values checked.
-
-    Parameters
-    ----------
-    document : Document
-    path : tuple
-        The way to it.
-    title : str
-        What messages call it.
-    values : dict
-    keys : mapping
-        What it may have.
-
-    Raises
-    ------
-    SceneError
-        If a key is unknown, or a value of another kind.
-    """
+    """One table of a scene file; its keys and the kinds of its values are checked."""
 
     def __init__(
-        self,
-        document: Document,
-        path: KeyPath,
-        title: str,
-        values: Mapping[str, Any],
-        keys: Keys,
+        self, document: Document, path: KeyPath, title: str, values: Mapping[str, Any], keys: Keys
     ) -> None:
         self.document, self.path, self.title = document, path, title
         self.values, self.keys = values, keys
         for key, value in values.items():
+            if (*path, key) in RENAMED:
+                written = RENAMED[(*path, key)]
+                raise self.error(key, f"{title} has no key {key!r} any more; write {written}")
             if key not in keys:
                 raise self.error(key, f"{title} has no key {key!r}{_hint(key, keys)}")
             kind, unit = keys[key]
@@ -108,7 +73,7 @@ class Table:
         return self.document.error(self.path if key is None else (*self.path, key), message)
 
     def get(self, key: str, default: Any = None) -> Any:
-        """Return a value, or what stands for one that is absent."""
+        """Return a value, or the default if it is absent."""
         return self.values.get(key, default)
 
     def need(self, key: str) -> Any:
@@ -123,19 +88,44 @@ class Table:
         """Return a word that is one of the options."""
         value = str(self.need(key) if default is None else self.get(key, default))
         if value not in options:
+            now = RENAMED.get((*self.path, key, value))
+            said = f"in {self.title}, {key} is {value!r}"
+            if now:
+                raise self.error(key, f"{said}, which is now called {now!r}")
             words = ", ".join(repr(option) for option in options)
             near = get_close_matches(value, options, n=1)
             meant = f"did you mean {near[0]!r}? It is one of" if near else "expected one of"
-            raise self.error(key, f"in {self.title}, {key} is {value!r}; {meant} {words}")
+            raise self.error(key, f"{said}; {meant} {words}")
         return value
+
+    def chosen(self, key: str, kinds: Mapping[str, Keys]) -> tuple[str, Table]:
+        """Return the word at a key, and the table with the keys that go with this word."""
+        kind = self.choice(key, tuple(kinds))
+        title = f"{self.title} with {key} = {kind!r}"
+        return kind, Table(self.document, self.path, title, self.values, kinds[kind])
 
     def given(self, *keys: str) -> dict[str, Any]:
         """Return those of the keys that have a value."""
         return {key: self.values[key] for key in keys if key in self.values}
 
+    def without(self, *keys: str) -> dict[str, Any]:
+        """Return the values of all other keys."""
+        return {key: value for key, value in self.values.items() if key not in keys}
+
+    def index(self, key: str, count: int, things: str, said: str | None = None) -> int:
+        """Return the number of one of ``count`` things, counted from 0."""
+        number: int = self.need(key)
+        if not 0 <= number < count:
+            raise self.error(
+                key,
+                f"{said or f'in {self.title}, {key} is'} {number}, expected 0 to {count - 1}: "
+                f"there are {count} {things}, counted from 0",
+            )
+        return number
+
     @contextmanager
     def checked(self, fallback: str | None = None, note: str = "") -> Iterator[None]:
-        """Give the errors of what is done inside the line of the key that they speak of."""
+        """Turn errors raised inside into scene errors, at the key with which they begin."""
         try:
             yield
         except SceneError:
@@ -149,21 +139,7 @@ class Table:
 
 
 def read_document(file: str | Path) -> Document:
-    """Return the tables of a scene file.
-
-    Parameters
-    ----------
-    file : str or Path
-
-    Returns
-    -------
-    Document
-
-    Raises
-    ------
-    SceneError
-        If the file cannot be read, is not TOML, or has other tables than a scene.
-    """
+    """Return the tables of a scene file, or raise a SceneError where it is not one."""
     name = str(file)
     try:
         raw = Path(file).read_bytes()
@@ -212,3 +188,72 @@ def _hint(key: str, known: Mapping[str, Any], what: str = "The keys") -> str:
             f"Quantities are in SI units, and no key names another. {listed}"
         )
     return f"; did you mean {near[0]!r}? {listed}" if near else f". {listed}"
+
+
+# ---- lines of keys, which tomllib does not tell ----
+
+# Texts, comments, and the signs that end keys, values and headers.
+_TOKEN = re.compile(
+    r'"""(?:\\.|[^\\])*?"""+' r"|'''.*?'''+" r'|"(?:\\.|[^"\\])*"' r"|'[^']*'|#[^\n]*|[\[\]{}=\n]",
+    re.DOTALL,
+)
+
+
+def key_lines(text: str) -> dict[KeyPath, int]:
+    """Return the line, from 1, of each table header and key of a text that tomllib has accepted.
+
+    Their paths are like ``("loads", "forces", 0, "node")``. Keys within inline tables and arrays
+    belong to the key before the ``=``. The text is read once.
+    """
+    found: dict[KeyPath, int] = {}
+    last_entry: dict[KeyPath, int] = {}  # of each array of tables
+    table: KeyPath = ()
+    line, depth, begin, in_value = 1, 0, 0, False
+    for token in _TOKEN.finditer(text):
+        sign = token.group()
+        if sign == "=" and depth == 0 and not in_value:
+            _note(found, (*table, *_parts(text[begin : token.start()])), line)
+            in_value = True
+        elif sign in "[{":
+            depth += 1
+        elif sign in "]}":
+            depth -= 1
+            if depth == 0 and not in_value:
+                header = text[begin : token.end()].strip()
+                brackets = 2 if header.startswith("[[") else 1
+                table = _within(_parts(header[brackets:-brackets]), last_entry)
+                if brackets == 2:
+                    last_entry[table] = last_entry.get(table, -1) + 1
+                    found.setdefault(table, line)
+                    table = (*table, last_entry[table])
+                _note(found, table, line)
+        elif sign == "\n" and depth == 0:
+            begin, in_value = token.end(), False
+        line += sign.count("\n")
+    return found
+
+
+def _note(found: dict[KeyPath, int], path: KeyPath, line: int) -> None:
+    """Keep the first line of a path and of every table on the way to it."""
+    for depth in range(1, len(path) + 1):
+        found.setdefault(path[:depth], line)
+
+
+def _within(path: KeyPath, last_entry: Mapping[KeyPath, int]) -> KeyPath:
+    """Return the path with the number of the latest entry after each array of tables."""
+    full: KeyPath = ()
+    for depth, part in enumerate(path, start=1):
+        full = (*full, part)
+        if depth < len(path) and full in last_entry:
+            full = (*full, last_entry[full])
+    return full
+
+
+def _parts(dotted: str) -> KeyPath:
+    """Return the parts of a key such as ``strings.'top left'``, as tomllib reads it."""
+    value: Any = tomllib.loads(f"{dotted.strip()} = 0")
+    parts: list[str] = []
+    while isinstance(value, dict):
+        ((part, value),) = value.items()
+        parts.append(part)
+    return tuple(parts)

@@ -1,8 +1,10 @@
-"""A scene: everything that a simulation needs."""
+"""A scene: everything that a simulation needs; and its motion in a file."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any
 
 from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller
@@ -37,15 +39,14 @@ class Scene:
     winches : Winches or None
         Their limits, one for each whole string.
     sample_time : float or None
-        Of a controller without its own, s.
+        Of a controller in continuous time, s.
     estimator : KalmanFilter or None
-        What tells the controller the motion; None where it sees it.
+        Gives the controller its estimate; None if it gets the motion itself.
     seed : int or None
         Of the noise of the sensors; None without them.
     faults : tuple of Fault
-        What breaks.
     input : str
-        ``"force_density"`` or ``"rest_length"``: what the actuators hold.
+        ``"force_density"`` or ``"rest_length"``: the input of the actuators.
     duration : float
         s.
     step : float or None
@@ -88,16 +89,7 @@ class Scene:
         return self.model.structure
 
     def simulate(self, progress: bool = False) -> Trajectory:
-        """Return the motion.
-
-        Parameters
-        ----------
-        progress : bool
-            Whether to show a progress bar; never shown away from a terminal.
-
-        Returns
-        -------
-        Trajectory
+        """Return the motion, with a progress bar on a terminal if ``progress``.
 
         Raises
         ------
@@ -106,56 +98,36 @@ class Scene:
         SimulationError
             If the motion runs away.
         """
-        held: dict[str, object] = {}
+        names = ["duration", "method", "tolerance", "step", "output_step", "faults"]
         if self.controller is not None:
-            held = {"controller": self.controller, "input": self.input, "winches": self.winches}
-            held |= {"sample_time": self.sample_time, "estimator": self.estimator}
-            held["seed"] = self.seed
-            if self.rest_length is not None:
-                held["rest_length"] = self._wound(self.controller.plant.model.structure)
+            names += ["controller", "input", "winches", "sample_time", "estimator", "seed"]
+        settings: dict[str, Any] = {name: getattr(self, name) for name in names}
+        if self.controller is not None and self.rest_length is not None:
+            settings["rest_length"] = self._initial_winches(self.controller)
         elif self.rest_length is not None:
-            held = {"rest_length": self.rest_length}
-        else:
-            held = {"force_density": self.force_density}
+            settings["rest_length"] = self.rest_length
+        elif self.controller is None:
+            settings["force_density"] = self.force_density
         return simulate(
-            self.model,
-            self.duration,
-            self.nodes,
-            self.velocities,
-            method=self.method,
-            tolerance=self.tolerance,
-            step=self.step,
-            output_step=self.output_step,
-            faults=self.faults,
-            progress=progress,
-            **held,  # type: ignore[arg-type]  # each under its own name
+            self.model, nodes=self.nodes, velocities=self.velocities, progress=progress, **settings
         )
 
-    def _wound(self, design: Structure) -> FloatArray:
-        """Return where the winches stand, m: the sum over the segments of each string."""
+    def _initial_winches(self, controller: Controller) -> FloatArray:
+        """Return rest lengths of whole strings, m: the sum over the segments of each."""
         assert self.rest_length is not None  # the caller saw
-        if len(design.strings) == len(self.structure.strings):
+        if len(controller.plant.model.structure.strings) == len(self.structure.strings):
             return self.rest_length
         return to_strings(self.structure, "rest_length", self.rest_length)
 
     def linearize(self, input: str | None = None, coordinates: str = "internal") -> LinearPlant:
-        """Return the linear plant about the shape of the structure, which must be at rest.
+        """Return the linear plant about the shape of the structure, as :func:`linearize` does.
 
-        Parameters
-        ----------
-        input : {"force_density", "rest_length"}, optional
-            As ``input`` if not given.
-        coordinates : {"internal", "minimal", "nodes"}
-
-        Returns
-        -------
-        LinearPlant
+        ``input`` is that of the scene if not given.
 
         Raises
         ------
         ValueError
-            If the structure is not at rest under its force densities and loads,
-            or as :func:`linearize`.
+            If the structure is not at rest under its force densities and loads.
         """
         try:
             rest = prestress(
@@ -166,3 +138,61 @@ class Scene:
                 f"the scene has no linear plant, as it is not at rest: {error}"
             ) from error
         return linearize(self.model, rest, self.input if input is None else input, coordinates)
+
+
+def save_trajectory(run: Trajectory, file: str | Path) -> Path:
+    """Write everything that a motion holds to a NumPy archive.
+
+    Parameters
+    ----------
+    run : Trajectory
+    file : str or Path
+        Its name ends in ``.npz``.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+
+    Notes
+    -----
+    Read it by ``numpy.load(file)``. The arrays have the names of the attributes of
+    :class:`Trajectory`, those of its structure and of its control record after ``structure_`` and
+    ``control_``. Faults are texts. Attributes that are None and counts of statuses are left out.
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, tenscontrol as tc
+    >>> run = tc.simulate(tc.Model(tc.prism()), 0.1, force_density=20.0, step=1e-2)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = tc.scene.save_trajectory(run, folder + "/run.npz")
+    ...     with np.load(file) as saved:
+    ...         saved["nodes"].shape, str(saved["choice_method"]), saved["structure_bars"].shape
+    ((3, 6, 11), 'rk4', (3, 2))
+    """
+    arrays = _arrays("", run)
+    path = Path(file)
+    with path.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)
+    return path
+
+
+def _arrays(prefix: str, value: Any) -> dict[str, Any]:
+    """Return the fields of a value as arrays by name."""
+    found: dict[str, Any] = {}
+    for field in fields(value):
+        part = getattr(value, field.name)
+        if is_dataclass(part):
+            found |= _arrays(f"{prefix}{field.name}_", part)
+        elif field.name == "fallback":
+            found[f"{prefix}{field.name}"] = np.array([str(each or "") for each in part], dtype=str)
+        elif field.name == "faults":
+            found[field.name] = np.array([repr(fault) for fault in part], dtype=str)
+        elif part is not None and not isinstance(part, dict):
+            found[f"{prefix}{field.name}"] = np.asarray(part)
+    return found

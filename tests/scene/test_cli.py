@@ -130,7 +130,7 @@ def test_a_scene_that_the_simulation_refuses(tmp_path, capsys, scene):
 
 def test_a_motion_that_runs_away_is_saved_up_to_there(tmp_path, capsys, scene):
     text = AT_REST.replace("17.3205", "{top = 0, bottom = 0, vertical = 1e20}")
-    text = text.replace("step = 1e-2", 'step = 1e-2\nhold = "force_density"')
+    text = text.replace("step = 1e-2", 'step = 1e-2\ninput = "force_density"')
     scene.write_text(text, encoding="utf-8")
     folder = tmp_path / "saved"
     assert main(["simulate", str(scene), "--output", str(folder)]) == 2

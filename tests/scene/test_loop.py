@@ -26,7 +26,7 @@ force_density = 17.3205
 duration = 0.3
 step = 2e-3
 """
-LQR = "[controller]\nkind = 'lqr'\ninput = 'rest_length'\nstep = 0.02\n"
+LQR = "[controller]\nkind = 'lqr'\ninput = 'rest_length'\nsample_time = 0.02\n"
 
 
 def commands_alike(one, other, plant):
@@ -49,7 +49,7 @@ def test_nmpc_takes_what_mpc_takes(load):
 kind = "nmpc"
 input = "rest_length"
 horizon = 3
-step = 0.02
+sample_time = 0.02
 time_limit = 60.0
 """
         + text
@@ -70,7 +70,7 @@ time_limit = 60.0
 
 
 def test_mpc_has_a_time_limit(load):
-    mpc = "[controller]\nkind = 'mpc'\nhorizon = 5\nstep = 0.02\nmax_force_density = 60.0\n"
+    mpc = "[controller]\nkind = 'mpc'\nhorizon = 5\nsample_time = 0.02\nmax_force_density = 60.0\n"
     assert load(PLAIN + mpc).controller.law.time_limit == np.inf
     controller = load(PLAIN + mpc + "time_limit = 1e-9\n").controller
     pushed = controller.plant.to_nodes(np.full(9, 0.01))
@@ -85,7 +85,7 @@ def test_lqr_changes_no_faster_than_it_may(load):
     assert run.control.status_count["saturated"] > 5
 
 
-def test_winches_wind_in_pieces(load):
+def test_winches_ramp_in_substeps(load):
     scene = load(PLAIN + LQR + "[winches]\nrate = 0.1\nsubsteps = 4\n[start]\ndisturbance = 0.02\n")
     assert scene.winches.substeps == 4
     seen = np.unique(scene.simulate().rest_length[0].round(9))
@@ -100,7 +100,7 @@ def test_plants_along_the_reference(load):
 kind = "mpc"
 input = "rest_length"
 horizon = 5
-step = 0.02
+sample_time = 0.02
 plants = 3
 [[controller.reference]]
 time = 1.0
@@ -155,7 +155,7 @@ duration = 1.0
 kind = "mpc"
 input = "rest_length"
 horizon = 5
-step = 0.02
+sample_time = 0.02
 min_force_density = 2.0
 [[controller.reference]]
 time = 1.0
@@ -247,18 +247,17 @@ time = 0.205
 def test_the_estimator_knows_what_is_held(load):
     """MPC asks for force densities, winches hold rest lengths between samples."""
     text = "[sensors]\nstring_length = 0.001\n[estimator]\nkind = 'kalman'\n"
-    law = "[controller]\nkind = 'lqr'\nsample_time = 0.01\n"
-    estimator = load(PLAIN + law + text).estimator
+    law = "[controller]\nkind = 'lqr'\n"
+    sampled = PLAIN.replace("[run]\n", "[run]\nsample_time = 0.01\n")
+    estimator = load(sampled + law + text).estimator
     assert (estimator.input, estimator.sample_time) == ("rest_length", 0.01)
-    assert (
-        load(PLAIN + law.replace("sample_time = 0.01\n", "") + text).estimator.sample_time == 2e-3
-    )
-    held = load(PLAIN.replace("[run]\n", "[run]\nhold = 'force_density'\n") + law + text)
-    assert held.estimator.input == "force_density"
+    assert load(PLAIN + law + text).estimator.sample_time == 2e-3
+    other = load(sampled.replace("[run]\n", "[run]\ninput = 'force_density'\n") + law + text)
+    assert other.estimator.input == "force_density"
 
 
-def test_the_estimator_winds_as_the_winches_do(load):
-    """Refused by simulate where it does not; the estimate tells pieces from jumps."""
+def test_the_estimator_ramps_as_the_winches_do(load):
+    """Refused by simulate where it does not; the estimate tells a ramp from jumps."""
     text = (
         PLAIN
         + LQR
@@ -345,3 +344,24 @@ def test_estimate_and_faults_are_saved(tmp_path, capsys):
         assert saved["control_estimate_nodes"].shape == (3, 6, 5)
         assert len(saved["control_estimate_statistics_used"]) == 12
         assert all(saved[name].dtype != object for name in saved.files)
+
+
+def test_an_lqr_with_a_sample_time_is_designed_for_samples(load):
+    """Beside no sample time it is a law in continuous time, sampled by [run]."""
+    law = "[controller]\nkind = 'lqr'\ninput = 'rest_length'\n"
+    discrete = load(PLAIN + law + "sample_time = 0.02\n")
+    continuous = load(PLAIN.replace("[run]\n", "[run]\nsample_time = 0.02\n") + law)
+    plant = discrete.controller.plant
+    Q, R = tc.energy_weights(plant)
+    for scene, own in ((discrete, 0.02), (continuous, None)):
+        same = tc.lqr(plant, Q, 0.1 * R, sample_time=own)
+        assert scene.controller.sample_time == own
+        np.testing.assert_array_equal(scene.controller.gain, same.gain)
+        assert scene.sample_time == (None if own else 0.02)
+        np.testing.assert_allclose(np.diff(scene.simulate().control.time), 0.02)
+
+
+def test_winches_ramp(load):
+    scene = load(PLAIN + LQR + "[winches]\nrate = 0.1\nramp = true\n[start]\ndisturbance = 0.02\n")
+    assert scene.winches.ramp
+    assert scene.winches.substeps == tc.Winches(ramp=True).substeps

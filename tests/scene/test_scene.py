@@ -2,14 +2,15 @@
 
 import tomllib
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.scene import SceneError
-from tenscontrol.scene.lines import key_lines
+from tenscontrol.scene import SceneError, schema
+from tenscontrol.scene.document import key_lines
 from tests.scene.limits import limits
 
 SCENES = Path(__file__).parent.parent.parent / "examples" / "scenes"
@@ -180,10 +181,10 @@ def test_values_of_segments_are_taken_as_they_are():
 def test_controller_commands_whole_strings(load, per, controller):
     scene = load(
         PRISM.replace("100.0", f"100.0\nper='{per}'\ndamping=1")
-        .replace("step = 1e-2", "tolerance = 1e-6")
+        .replace("step = 1e-2", "tolerance = 1e-6\nsample_time = 0.01")
         .replace("17.3205", f"17.3205\nper='{per}'")
         + "[subdivide]\nsegments = 2\nnode_mass = 0.001\n"
-        f"[controller]\nkind = 'lqr'\nsample_time = 0.01\n{controller}\n"
+        f"[controller]\nkind = 'lqr'\n{controller}\n"
         "[winches]\nrate = {top=1.0,bottom=1.0,vertical=2.0}\n[start]\ndisturbance = 0.005\n"
     )
     plant = scene.controller.plant
@@ -430,30 +431,30 @@ def test_predictive_controllers_of_rest_lengths(load):
     assert np.abs(commands[0] - plant.rest_length).max() <= 0.3 * 0.02 + 1e-12
 
 
-@pytest.mark.parametrize(("held", "pieces"), [
+@pytest.mark.parametrize(("input", "substeps"), [
     ("force_density", 1), ("rest_length", 1), ("rest_length", 4),
 ])  # fmt: skip
-def test_nmpc_of_a_scene(load, held, pieces):
-    limit = "max_force_density = 60.0\n" if held == "force_density" else ""
-    winches = f"[winches]\nrate = 0.3\nsubsteps = {pieces}\n"
+def test_nmpc_of_a_scene(load, input, substeps):
+    limit = "max_force_density = 60.0\n" if input == "force_density" else ""
+    winches = f"[winches]\nrate = 0.3\nsubsteps = {substeps}\n"
     scene = load(
         PRISM
-        + f"[controller]\nkind = 'nmpc'\ninput = '{held}'\nhorizon = 3\nstep = 0.02\n"
+        + f"[controller]\nkind = 'nmpc'\ninput = '{input}'\nhorizon = 3\nsample_time = 0.02\n"
         + f"iterations = 2\n{limit}{winches}"
     )
     plant = scene.controller.plant
-    given = {"winches": tc.Winches(rate=0.3, substeps=pieces)} if held == "rest_length" else {}
-    largest = 60.0 if held == "force_density" else None
+    given = {"winches": tc.Winches(rate=0.3, substeps=substeps)} if input == "rest_length" else {}
+    largest = 60.0 if input == "force_density" else None
     same = tc.NMPC(
         plant, horizon=3, sample_time=0.02, max_force_density=largest, iterations=2, **given
     )
     pushed = plant.to_nodes(0.01 * np.arange(9))
     commands = [e.command(0.0, pushed, np.zeros((3, 6))).value for e in (scene.controller, same)]
     np.testing.assert_array_equal(*commands)
-    assert plant.input == held
+    assert plant.input == input
 
 
-def test_shape_control_of_a_scene(load):
+def test_feedback_linearization_of_a_scene(load):
     scene = load(
         PRISM
         + SHAPE
@@ -486,9 +487,10 @@ def changed(old, new):
 
 
 LQR = "[controller]\nkind = 'lqr'\n"
-MPC = "[controller]\nkind = 'mpc'\nhorizon = 5\nstep = 0.02\n"
+MPC = "[controller]\nkind = 'mpc'\nhorizon = 5\nsample_time = 0.02\n"
 SHAPE = (
-    "[controller]\nkind = 'shape_control'\nstep = 0.02\nfrequency = 2.0\nmax_force_density = 60.0\n"
+    "[controller]\nkind = 'feedback_linearization'\nsample_time = 0.02\nfrequency = 2.0\n"
+    "max_force_density = 60.0\n"
 )
 AIM = "[[controller.reference]]\n"
 SEEN = "[sensors]\nstring_length = 0.001\nbar_direction = 0.01\n[estimator]\nkind = 'kalman'\n"
@@ -557,8 +559,8 @@ BROKEN = {
         r":12: in \[subdivide\], segments\[0\] is 1.5, expected a whole number",
     ),
     "controller step": (
-        PRISM + "[controller]\nkind = 'mpc'\nstep = 0\n",
-        r":13: in \[controller\] .*step is 0, expected a positive",
+        PRISM + "[controller]\nkind = 'mpc'\nsample_time = 0\n",
+        r":13: in \[controller\] .*sample_time is 0, expected a positive",
     ),
     "date": (
         changed("0.1", "2020-01-01"),
@@ -739,13 +741,13 @@ BROKEN = {
         r":10: in \[start\], disturbance moves nothing",
     ),
     "lone seed": (PRISM + "[start]\nseed = 1\n", r":12: in \[start\], seed goes with disturbance"),
-    "hold": (
-        changed("1e-2", "1e-2\nhold = 'restlength'"),
-        r":11: in \[run\], hold is 'restlength'; did you mean 'rest_length'\?",
+    "input": (
+        changed("1e-2", "1e-2\ninput = 'restlength'"),
+        r":11: in \[run\], input is 'restlength'; did you mean 'rest_length'\?",
     ),
-    "hold without law": (
-        BAR + RUN + "hold = 'rest_length'\n",
-        r":8: in \[run\], hold is 'rest_length', which needs a table \[strings\]",
+    "input without law": (
+        BAR + RUN + "input = 'rest_length'\n",
+        r":8: in \[run\], input is 'rest_length', which needs a table \[strings\]",
     ),
     "method": (
         changed("1e-2", "1e-2\nmethod = 'rk5'"),
@@ -782,14 +784,39 @@ BROKEN = {
     "lqr weight": (PRISM + LQR + "R = -1.0\n", r":13: in \[controller\] .*R has the eigenvalue -1"),
     "lqr no sample": (
         changed("step = 1e-2", "") + LQR,
-        r":11: \[controller\] lacks the key sample_time or step",
+        r":11: \[controller\] lacks the key sample_time, s, and \[run\] has no sample_time or step",
     ),
     "lqr both samples": (
-        PRISM + LQR + "step = 0.01\nsample_time = 0.01\n",
-        r":14: in \[controller\], sample_time is given beside step",
+        changed("1e-2", "1e-2\nsample_time = 0.01") + LQR + "sample_time = 0.01\n",
+        r":11: in \[run\], sample_time is that of a law in continuous time, but \[controller\]",
+    ),
+    "sample time alone": (
+        changed("1e-2", "1e-2\nsample_time = 0.01"),
+        r":11: in \[run\], sample_time goes with a table \[controller\]",
+    ),
+    "sample time negative": (
+        changed("1e-2", "1e-2\nsample_time = -1") + LQR,
+        r":11: in \[run\], sample_time is -1, expected a positive",
+    ),
+    "renamed step": (
+        PRISM + LQR + "step = 0.01\n",
+        r":13: \[controller\] has no key 'step' any more; write sample_time",
+    ),
+    "renamed hold": (
+        changed("1e-2", "1e-2\nhold = 'force_density'"),
+        r":11: \[run\] has no key 'hold' any more; write input",
+    ),
+    "renamed pieces": (
+        PRISM + LQR + "[winches]\npieces = 4\n",
+        r":14: \[winches\] has no key 'pieces' any more; write substeps",
+    ),
+    "renamed kind": (
+        PRISM + "[controller]\nkind = 'shape_control'\n",
+        r":12: in \[controller\], kind is 'shape_control', which is now called "
+        r"'feedback_linearization'",
     ),
     "lqr input": (
-        changed("1e-2", "1e-2\nhold = 'force_density'") + LQR + "input = 'rest_length'\n",
+        changed("1e-2", "1e-2\ninput = 'force_density'") + LQR + "input = 'rest_length'\n",
         r":14: in \[controller\], input is 'rest_length', but \[run\] holds force_density",
     ),
     "mpc limit missing": (
@@ -808,15 +835,15 @@ BROKEN = {
         PRISM + MPC.replace("mpc", "nmpc"),
         r":11: \[controller\] with kind = 'nmpc' lacks the key max_force_density",
     ),
-    "shape control frequency missing": (
+    "feedback linearization frequency missing": (
         PRISM + SHAPE.replace("frequency = 2.0\n", ""),
-        r":11: \[controller\] with kind = 'shape_control' lacks the key frequency: .* in Hz",
+        r":11: \[controller\] with kind = 'feedback_linearization' lacks the key frequency: .* in Hz",
     ),
-    "shape control too fast": (
+    "feedback linearization too fast": (
         PRISM + SHAPE.replace("2.0", "20.0"),
         r":14: in \[controller\] .*frequency 20 Hz .* the error would grow",
     ),
-    "shape control of rest lengths": (
+    "feedback linearization of rest lengths": (
         PRISM + SHAPE + "input = 'rest_length'\n",
         r":11: in \[controller\] .*plant has input='rest_length'",
     ),
@@ -895,7 +922,7 @@ BROKEN = {
         r":11: \[winches\] goes with a table \[controller\]",
     ),
     "winches and force": (
-        changed("1e-2", "1e-2\nhold = 'force_density'") + LQR + "[winches]\nrate = 1\n",
+        changed("1e-2", "1e-2\ninput = 'force_density'") + LQR + "[winches]\nrate = 1\n",
         r":14: \[winches\] limits rest lengths",
     ),
     "mpc time limit": (
@@ -925,6 +952,14 @@ BROKEN = {
     "no plants": (
         PRISM + MPC + "max_force_density = 60\nplants = 0\n" + AIM + "time = 1.0\nheight = 0.9\n",
         r":16: .*plants is 0, expected a whole number of at least 1",
+    ),
+    "ramp": (
+        PRISM + LQR + "[winches]\nramp = 4\n",
+        r":14: in \[winches\], ramp is 4, expected true or false",
+    ),
+    "ramp without substeps": (
+        PRISM + LQR + "[winches]\nramp = true\nsubsteps = 1\n",
+        r":15: in \[winches\], substeps is 1, expected at least 2 for a ramp",
     ),
     "substeps": (
         PRISM + LQR + "[winches]\nsubsteps = 0\n",
@@ -1092,3 +1127,58 @@ def test_lines_of_keys_are_found_in_any_toml():
 def test_windows_line_ends_count_once(load):
     with pytest.raises(SceneError, match=":9: "):
         load(changed("0.1", "-1").replace("\n", "\r\n"))
+
+
+class CountedText(str):
+    """A text that counts the characters that are read of it by slices and searches."""
+
+    read = 0
+
+    def __getitem__(self, key):
+        found = super().__getitem__(key)
+        self.read += len(found)
+        return found
+
+    def count(self, sub, start=0, end=None):
+        end = len(self) if end is None else end
+        self.read += end - start
+        return super().count(sub, start, end)
+
+    def find(self, sub, start=0, end=None):
+        found = super().find(sub, start, len(self) if end is None else end)
+        self.read += (found if found >= 0 else len(self)) - start
+        return found
+
+
+def test_lines_are_found_in_work_that_grows_as_the_file(monkeypatch):
+    """Ten times as many keys take ten times as much, not a hundred times."""
+    from tenscontrol.scene import document
+
+    work = []
+    for count in (2_000, 20_000):
+        text = CountedText("".join(f"key{i:05d} = [1, 2]\n" for i in range(count)))
+        passes, tokens = 0, document._TOKEN
+
+        class Counted:
+            def finditer(self, text, tokens=tokens):
+                nonlocal passes
+                passes += 1
+                return tokens.finditer(text)
+
+        monkeypatch.setattr(document, "_TOKEN", Counted())
+        lines = key_lines(text)
+        monkeypatch.undo()
+        assert lines[f"key{count - 1:05d}",] == count
+        assert passes == 1
+        work.append(text.read / len(text))
+    assert work[0] < 1
+    assert work[1] == pytest.approx(work[0])
+
+
+def test_every_argument_of_a_class_is_a_key_or_comes_from_elsewhere():
+    assert "sample_time" in schema.CONTROLLER_KEYS["lqr"]
+    for kind, make in (schema.CONTROLLERS | schema.FAULTS).items():
+        keys = (schema.CONTROLLER_KEYS | schema.FAULT_KEYS)[kind]
+        missing = set(signature(make).parameters) - set(keys)
+        assert missing <= {"plant", "winches", "machine_code"}
+        assert set(schema.required(make)) <= set(keys)

@@ -1,4 +1,4 @@
-"""A motion beside what a filter made of its readings."""
+"""Estimated lengths beside the true ones, and their error."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from tenscontrol.plot.axes import legend_above, panel_axes
-from tenscontrol.plot.history import Curves, draw_curves, mark_statuses
-from tenscontrol.plot.style import PALETTE, curve_style
+from tenscontrol.plot.histories import Curves, draw_curves, mark_statuses
+from tenscontrol.plot.style import PALETTE, curve_style, legend_above, panel_axes
 from tenscontrol.simulation import Trajectory
 from tenscontrol.validation import FloatArray, IntArray, instance, whole_number
 
@@ -58,8 +57,6 @@ def estimate(
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> prism = tc.prism()
     >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))

@@ -12,8 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Annotation
 
-from tenscontrol.plot.axes import dress, flat_axes, legend_above
-from tenscontrol.plot.style import PALETTE
+from tenscontrol.plot.style import PALETTE, dress, flat_axes, legend_above, marker_style
 
 # Poles closer than this fraction of the largest are drawn as one: round-off
 # splits a double pole by less.
@@ -76,8 +75,6 @@ def poles(poles: object, *, ax: Axes | None = None) -> PoleMap:
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, numpy as np, tenscontrol as tc
     >>> prism = tc.prism()
     >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
@@ -106,15 +103,9 @@ def poles(poles: object, *, ax: Axes | None = None) -> PoleMap:
         (markers[name],) = ax.plot(
             values.real,
             values.imag,
-            linestyle="none",
-            marker=marker,
-            markersize=size,
-            markerfacecolor="none",
-            markeredgewidth=1.4,
-            color=color,
             label=name,
-            clip_on=False,
             zorder=3 + 0.1 * position,
+            **marker_style(marker, size, color, mfc="none", mew=1.4, clip_on=False),
         )
         multiplicities[name] = tuple(
             ax.annotate(

@@ -9,8 +9,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from tenscontrol.plot.axes import dress, flat_axes, legend_above
-from tenscontrol.plot.style import PALETTE, curve_style, reference_style
+from tenscontrol.plot.style import (
+    PALETTE,
+    curve_style,
+    dress,
+    flat_axes,
+    legend_above,
+    marker_style,
+    reference_style,
+)
 from tenscontrol.validation import FloatArray, float_array
 
 
@@ -72,8 +79,6 @@ def history(
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, numpy as np, tenscontrol as tc
     >>> time = np.linspace(0, 1, 50)
     >>> curves = tc.plot.history(
@@ -192,36 +197,21 @@ def mark_statuses(
     markers: Mapping[str, str],
     height: float = 0.0,
 ) -> Curves:
-    """Mark on the time axis of a panel the samples with one of the statuses that have a marker.
+    """Mark the samples with one of the statuses that have a marker, at a height in the panel.
 
-    The legend is left as it is.
-
-    Parameters
-    ----------
-    panel : Curves
-    time : ndarray, shape (K,)
-        s.
-    statuses : sequence of str, length K
-    markers : mapping of str to str
-        Statuses that are marked, in the order of their colours.
-    height : float
-        Of the marks above the axis, as a part of the panel.
+    ``time`` (K,) is in s. The legend is left as it is.
     """
     marks: dict[str, Line2D] = {}
     for position, (status, marker) in enumerate(markers.items()):
         at = np.array([found == status for found in statuses])
         if not at.any():
             continue
+        color = PALETTE[(position + 1) % len(PALETTE)]
         (marks[status],) = panel.ax.plot(
             time[at],
             np.full(int(at.sum()), height),
             transform=panel.ax.get_xaxis_transform(),
-            linestyle="none",
-            marker=marker,
-            markersize=5.0,
-            color=PALETTE[(position + 1) % len(PALETTE)],
-            clip_on=False,
-            zorder=4,
             label=f"{status} (×{int(at.sum())})",
+            **marker_style(marker, 5.0, color, clip_on=False, zorder=4),
         )
     return replace(panel, marks=panel.marks | marks)

@@ -10,8 +10,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from tenscontrol.plot.axes import dress, legend_above, panel_axes
-from tenscontrol.plot.style import CURVE_WIDTH, DOTTED, PALETTE, REFERENCE_COLOR, REFERENCE_WIDTH
+from tenscontrol.plot.style import (
+    CURVE_WIDTH,
+    DOTTED,
+    PALETTE,
+    REFERENCE_COLOR,
+    REFERENCE_WIDTH,
+    dress,
+    legend_above,
+    marker_style,
+    panel_axes,
+)
 from tenscontrol.robustness import SweepReport
 from tenscontrol.validation import FloatArray, float_array, instance
 
@@ -91,8 +100,6 @@ def sweep(
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> from concurrent.futures import ThreadPoolExecutor
     >>> prism, strings = tc.prism(), tc.LinearStrings(100.0, damping=0.5)
@@ -148,12 +155,8 @@ def _runs(ax: Axes, report: SweepReport, pair: tuple[str, str]) -> dict[str, Lin
         (markers[name],) = ax.plot(
             x[chosen],
             y[chosen],
-            linestyle="none",
-            marker=marker,
-            markersize=size,
-            color=color,
-            markerfacecolor=face,
             label=f"{name} (×{chosen.sum()})",
+            **marker_style(marker, size, color, mfc=face),
         )
     dress(ax, pair[0], pair[1])
     legend_above(ax)

@@ -9,12 +9,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
+from matplotlib.text import Annotation
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from tenscontrol.accuracy import ConvergenceOrder, LongRun, StabilityMap, WorkPrecision
-from tenscontrol.plot.axes import dress, flat_axes, legend_above
-from tenscontrol.plot.history import Curves
-from tenscontrol.plot.style import DASHES, PALETTE, REFERENCE_COLOR, REFERENCE_WIDTH
+from tenscontrol.plot.histories import Curves
+from tenscontrol.plot.style import (
+    DASHES,
+    PALETTE,
+    REFERENCE_COLOR,
+    REFERENCE_WIDTH,
+    dress,
+    flat_axes,
+    legend_above,
+)
 from tenscontrol.validation import FloatArray, instance
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
@@ -60,8 +68,6 @@ def work_precision(result: WorkPrecision, *, ax: Axes | None = None) -> Curves:
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, numpy as np, tenscontrol as tc
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
     >>> case = tc.Case(tc.Model(tc.prism()), 0.2, input="force_density", value=gamma)
@@ -89,23 +95,22 @@ def work_precision(result: WorkPrecision, *, ax: Axes | None = None) -> Curves:
         time = np.array([row.time for row in rows])
         clear = np.array([result.is_resolved(row) for row in rows])
         (line,) = ax.plot(error, time, label=name, **style)
-        (pale,) = ax.plot(error[~clear], time[~clear], linestyle="none", marker=style["marker"])
-        pale.set(color=style["color"], markersize=6.5, label="_", zorder=4)
-        pale.set_markerfacecolor("white")
-        lines[name] = (line, pale)
+        own = {"marker": style["marker"], "color": style["color"], "markerfacecolor": "white"}
+        (hollow,) = ax.plot(
+            error[~clear], time[~clear], ls="none", markersize=6.5, label="_", zorder=4, **own
+        )
+        lines[name] = (line, hollow)
         ends[name] = (float(error[-1]), float(time[-1]), style["color"])
     if not ends:
         raise ValueError("result has no run with an error below the size of the structure")
-    ax.set(xscale="log", yscale="log")
-    ax.invert_xaxis()
-    dress(ax, "largest error of a node, m", "run time, s")
-    reference = _reference_band(ax, result.reference.error)
-    _name_ends(ax, ends)
-    _ticks(ax)
     title = f"{result.case.name or 'error against run time'}, {result.case.duration:g} s"
     if result.failures:
         title += f"; {len(result.failures)} of {len(result.rows)} runs failed"
-    ax.set_title(title, loc="left", fontsize="medium")
+    _logarithmic(ax, "largest error of a node, m", "run time, s", title)
+    ax.invert_xaxis()
+    reference = _reference_band(ax, result.reference.error)
+    _name_ends(ax, ends)
+    _ticks(ax)
     return Curves(ax, lines, {"reference": reference}, {})
 
 
@@ -131,8 +136,6 @@ def convergence_order(result: ConvergenceOrder, *, ax: Axes | None = None) -> Cu
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, numpy as np, tenscontrol as tc
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
     >>> case = tc.Case(tc.Model(tc.prism()), 0.2, input="force_density", value=gamma)
@@ -150,7 +153,7 @@ def convergence_order(result: ConvergenceOrder, *, ax: Axes | None = None) -> Cu
     left_out = "_not fitted" if clean.all() else "not fitted"
     (others,) = ax.plot(result.step[~clean], result.error[~clean], label=left_out, **style)
     others.set_markerfacecolor("white")
-    ax.set(xscale="log", yscale="log")
+    _logarithmic(ax, "step, s", "largest error of a node, m")
     references = {}
     if np.isfinite(result.order):
         ends = np.array([result.step[clean].min(), result.step[clean].max()])
@@ -166,7 +169,6 @@ def convergence_order(result: ConvergenceOrder, *, ax: Axes | None = None) -> Cu
         result.reference_error, color=REFERENCE_COLOR, linestyle=DASHES[2], linewidth=1.0
     )
     references["reference"].set_label("error of the reference")
-    dress(ax, "step, s", "largest error of a node, m")
     legend_above(ax)
     _ticks(ax)
     return Curves(ax, {result.method: (fitted, others)}, references, {})
@@ -194,8 +196,6 @@ def stability_map(result: StabilityMap, *, ax: Axes | None = None) -> Curves:
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> found = tc.stability_map("rk4", [1e2, 1e3], [0.1], steps=200)
     >>> list(tc.plot.stability_map(found).lines)
@@ -222,12 +222,10 @@ def stability_map(result: StabilityMap, *, ax: Axes | None = None) -> Curves:
             )
         if np.isfinite(step[-1]):
             ends[name] = (float(result.stiffness[-1]), float(step[-1]), style["color"])
-    ax.set(xscale="log", yscale="log")
-    dress(ax, "stiffness of a string, N/m", "largest stable step, s")
     text = f"{result.method}: markers measured"
     if has_bound:
         text += f", lines h ω = {result.limit:.3f}"
-    ax.set_title(text, loc="left", fontsize="medium")
+    _logarithmic(ax, "stiffness of a string, N/m", "largest stable step, s", text)
     _name_ends(ax, ends)
     _ticks(ax)
     return Curves(ax, lines, references, {})
@@ -256,8 +254,6 @@ def long_run(result: LongRun, *, ax: Axes | None = None) -> Curves:
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("Agg")
     >>> import matplotlib.pyplot as plt, numpy as np, tenscontrol as tc
     >>> gamma = np.repeat([17.3205, 17.3205, 9.0], 3)
     >>> case = tc.Case(tc.Model(tc.prism()), 1.0, input="force_density", value=gamma)
@@ -294,26 +290,31 @@ def long_run(result: LongRun, *, ax: Axes | None = None) -> Curves:
     return Curves(ax, {drift.name: (line,)}, {"slope": slope}, {})
 
 
+def _logarithmic(ax: Axes, xlabel: str, ylabel: str, title: str = "") -> None:
+    ax.set(xscale="log", yscale="log")
+    dress(ax, xlabel, ylabel)
+    if title:
+        ax.set_title(title, loc="left", fontsize="medium")
+
+
+def _note(
+    ax: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **style: Any
+) -> Annotation:
+    """Write a text at a place of the data, moved by an offset in points."""
+    return ax.annotate(text, at, xytext=offset, textcoords="offset points", **style)
+
+
 def _method_style(position: int) -> dict[str, Any]:
-    return {
-        "color": PALETTE[position % len(PALETTE)],
-        "marker": _MARKERS[position % len(_MARKERS)],
-        "markersize": 5.5,
-        "linestyle": "solid",
-        "linewidth": 1.5,
-        "zorder": 3,
-    }
+    color, marker = PALETTE[position % len(PALETTE)], _MARKERS[position % len(_MARKERS)]
+    line = {"linestyle": "solid", "linewidth": 1.5, "zorder": 3}
+    return {"color": color, "marker": marker, "markersize": 5.5, **line}
 
 
 def _peer_style(position: int) -> dict[str, Any]:
-    return {
-        "color": _PEER_GREYS[position % len(_PEER_GREYS)],
-        "marker": _MARKERS[(position + 4) % len(_MARKERS)],
-        "markersize": 4.5,
-        "linestyle": DASHES[1 + position % (len(DASHES) - 1)],
-        "linewidth": 1.1,
-        "zorder": 2,
-    }
+    color = _PEER_GREYS[position % len(_PEER_GREYS)]
+    marker = _MARKERS[(position + 4) % len(_MARKERS)]
+    line = {"linestyle": DASHES[1 + position % (len(DASHES) - 1)], "linewidth": 1.1, "zorder": 2}
+    return {"color": color, "marker": marker, "markersize": 4.5, **line}
 
 
 def _reference_band(ax: Axes, error: float) -> Line2D:
@@ -323,17 +324,9 @@ def _reference_band(ax: Axes, error: float) -> Line2D:
     # Far beyond the limits, so that the shade stays when a user zooms out.
     ax.axvspan(1e-30, error, color="0.95", linewidth=0, zorder=0)
     ax.set_xlim(ax.get_xlim()[0], min(low, error / 1.5))
-    ax.annotate(
-        "error of the reference",
-        (error, 0.02),
-        xycoords=("data", "axes fraction"),
-        xytext=(4, 0),
-        textcoords="offset points",
-        ha="left",
-        va="bottom",
-        fontsize="x-small",
-        color=REFERENCE_COLOR,
-    )
+    style = {"ha": "left", "va": "bottom", "fontsize": "x-small", "color": REFERENCE_COLOR}
+    share = ("data", "axes fraction")
+    _note(ax, "error of the reference", (error, 0.02), (4, 0), xycoords=share, **style)
     return line
 
 
@@ -358,16 +351,8 @@ def _name_ends(ax: Axes, ends: dict[str, tuple[float, float, Any]]) -> None:
         ]
         move = moves[0] if moves else 0.0
         taken.append((across, up + move, width))
-        text = ax.annotate(
-            name,
-            (x, y),
-            xytext=(7, move),
-            textcoords="offset points",
-            va="center",
-            fontsize="small",
-            color=color,
-            zorder=5,
-        )
+        style = {"va": "center", "fontsize": "small", "color": color, "zorder": 5}
+        text = _note(ax, name, (x, y), (7, move), **style)
         text.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
 
 
@@ -381,18 +366,9 @@ def _slope_triangle(ax: Axes, ends: FloatArray, result: ConvergenceOrder) -> Non
     y = foot * np.array([1.0, 1.0, width**order, 1.0])
     ax.plot(x, y, color="0.35", linewidth=0.9, label="_")
     at = (float(x[1]), float(foot * width ** (order / 2)))
-    ax.annotate(
-        str(order), at, xytext=(4, 0), textcoords="offset points", va="center", color="0.35"
-    )
-    ax.annotate(
-        "1",
-        (float(np.sqrt(x[0] * x[1])), foot),
-        xytext=(0, -4),
-        textcoords="offset points",
-        va="top",
-        ha="center",
-        color="0.35",
-    )
+    below = (float(np.sqrt(x[0] * x[1])), foot)
+    _note(ax, str(order), at, (4, 0), va="center", color="0.35")
+    _note(ax, "1", below, (0, -4), va="top", ha="center", color="0.35")
 
 
 def _ticks(ax: Axes) -> None:

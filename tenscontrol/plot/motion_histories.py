@@ -1,0 +1,287 @@
+"""Time histories of a motion: its coordinates and strings, its energy, momentum and bar lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import cycle
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import NullLocator
+
+from tenscontrol.control import Status
+from tenscontrol.plot.histories import Curves, checked_references, draw_curves, mark_statuses
+from tenscontrol.plot.style import (
+    REFERENCE_COLOR,
+    REFERENCE_WIDTH,
+    checked_indices,
+    legend_above,
+    panel_axes,
+    reference_style,
+)
+from tenscontrol.simulation import ControlRecord, CutString, Trajectory
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, instance
+
+# Marks for statuses, told apart by their form.
+_MARKERS = ("v", "x", "s", "d", "P", "^")
+
+_ROUND_OFF = float(np.finfo(float).eps)
+
+# Round-off fills the foot of a panel, not the whole of it.
+_LEAST_SPAN = 1e4
+
+
+def _with_faults(panel: Curves, run: Trajectory) -> Curves:
+    """Mark faults in a panel: a line where a string is cut, a bracket while something is broken."""
+    if not run.faults:
+        return panel
+    marks, last = dict(panel.marks), float(run.time[-1])
+    for position, fault in enumerate(fault for fault in run.faults if fault.start <= last):
+        end = min(fault.end, last)
+        for_good = isinstance(fault, CutString)
+        times, heights = ([fault.start] * 2, [0, 1]) if for_good else (
+            [fault.start, fault.start, end, end], [0, 1, 1, 0]
+        )  # fmt: skip
+        style = reference_style(position) | {"linewidth": REFERENCE_WIDTH * (1 if for_good else 2)}
+        (marks[f"{fault.label} at {fault.start:g} s"],) = panel.ax.plot(
+            times,
+            heights,
+            transform=panel.ax.get_xaxis_transform(),
+            zorder=1.7,
+            marker="x" if for_good else "none",
+            markeredgecolor=REFERENCE_COLOR,
+            label=f"{fault.label} at {fault.start:g} s",
+            **style,
+        )
+    legend_above(panel.ax)
+    return replace(panel, marks=marks)
+
+
+def _rest_lengths(run: Trajectory) -> FloatArray:
+    """Return the rest lengths of a run, those of cut strings left out, NaN, shape (α, T)."""
+    assert run.rest_length is not None  # callers draw rest lengths
+    shown = run.rest_length.copy()
+    for fault in run.faults:
+        if isinstance(fault, CutString):
+            shown[fault.string, (run.time > fault.time) | (fault.time == 0)] = np.nan
+    return shown
+
+
+def trajectory(
+    run: Trajectory,
+    *,
+    nodes: Sequence[int] = (0,),
+    directions: str = "xyz",
+    references: Mapping[str, object] | None = None,
+    axes: Sequence[Axes] | None = None,
+) -> dict[str, Curves]:
+    """Draw the time histories of a motion, one panel for each kind of quantity.
+
+    The panels are ``"coordinates"``; ``"force_density"``, with one style for
+    each string group, if there are strings; and ``"rest_length"`` if rest
+    lengths were held. What was held is drawn in steps. Samples at which a
+    controller's status was not ``"ok"`` are marked on the lowest time axis, faults
+    in the panels of force densities and rest lengths; a cut string has no rest length.
+
+    Parameters
+    ----------
+    run : Trajectory
+    nodes : sequence of int
+        The nodes whose coordinates are drawn.
+    directions : str
+        Which coordinates: letters out of ``"xyz"``.
+    references : mapping of str to float or array_like, shape (T,), optional
+        Lines to compare the coordinates with, m: a target height, say.
+    axes : sequence of Axes, optional
+        Where to draw, one for each panel; a new figure if not given.
+
+    Returns
+    -------
+    dict of str to Curves
+        What was drawn, by panel.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit, or there is no such node.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
+    >>> start = tc.to_rest_length(model, prism.nodes, [17.3205] * 6 + [9.0] * 3).rest_length
+    >>> run = tc.simulate(model, 0.2, rest_length=start, step=1e-3)
+    >>> panels = tc.plot.trajectory(run, directions="z", references={"at start": 1.0})
+    >>> list(panels), list(panels["force_density"].lines)
+    (['coordinates', 'force_density', 'rest_length'], ['top', 'bottom', 'vertical'])
+    >>> plt.close(panels["coordinates"].ax.figure)
+    """
+    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    coordinates = _coordinates(run, nodes, directions)
+    levels = checked_references(references, len(run.time))
+    # Panel: curves, label, and whether the quantity was held from sample to sample.
+    content: dict[str, tuple[dict[str, FloatArray], str, bool]] = {
+        "coordinates": (coordinates, "node position, m", False)
+    }
+    if len(run.structure.strings):
+        by_group = _by_group(run.structure, run.force_density)
+        content["force_density"] = (by_group, "γ, N/m", run.rest_length is None)
+    if run.rest_length is not None and len(run.structure.strings):
+        content["rest_length"] = (
+            _by_group(run.structure, _rest_lengths(run)),
+            "rest length, m",
+            True,
+        )
+    places = panel_axes(axes, list(content))
+    panels = {}
+    for ax, (name, (rows, label, held)) in zip(places, content.items(), strict=True):
+        last = axes is not None or name == list(content)[-1]
+        panels[name] = draw_curves(
+            ax,
+            run.time,
+            rows,
+            label,
+            held=held,
+            xlabel="time, s" if last else None,
+            references=levels if name == "coordinates" else None,
+        )
+        if name != "coordinates":
+            panels[name] = _with_faults(panels[name], run)
+    if run.control is not None:
+        panels[name] = _with_statuses(panels[name], run.control)
+    return panels
+
+
+def _coordinates(run: Trajectory, nodes: object, directions: object) -> dict[str, FloatArray]:
+    """Return the chosen coordinates by name: ``"x[0]"`` as in the names of a plant's states."""
+    if not isinstance(directions, str) or not directions or set(directions) - set("xyz"):
+        raise ValueError(f"directions is {directions!r}, expected letters out of 'xyz'")
+    count = run.nodes.shape[1]
+    rows = {}
+    for node in checked_indices("nodes", nodes, count, "node indices", "(0, 1)"):
+        for direction in directions:
+            rows[f"{direction}[{node}]"] = run.nodes["xyz".index(direction), node][None]
+    return rows
+
+
+def _by_group(structure: Structure, values: FloatArray) -> dict[str, FloatArray]:
+    groups = dict.fromkeys(structure.string_groups)
+    return {group: values[structure.strings_in(group)] for group in groups}
+
+
+def _with_statuses(panel: Curves, control: ControlRecord) -> Curves:
+    """Mark the samples whose status is not ok on the time axis of a panel."""
+    told = [
+        ": ".join(filter(None, pair)) for pair in zip(control.status, control.fallback, strict=True)
+    ]
+    statuses = [each for each in dict.fromkeys(told) if each != Status.OK]
+    markers = dict(zip(statuses, cycle(_MARKERS), strict=False))
+    panel = mark_statuses(panel, control.time, told, markers)
+    if statuses:
+        legend_above(panel.ax)
+    return panel
+
+
+def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, Curves]:
+    """Draw what tells whether to trust a motion.
+
+    The panels are ``"energy"``; ``"momentum"``, the change since the start; and
+    ``"bar_length_error"``, the largest of all bars, if there are bars. The
+    last two have logarithmic scales: a straight rise is a drift. What is below
+    round-off is drawn at round-off.
+
+    Parameters
+    ----------
+    run : Trajectory
+    axes : sequence of Axes, optional
+        Where to draw, one for each panel; a new figure if not given.
+
+    Returns
+    -------
+    dict of str to Curves
+        What was drawn, by panel.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``run`` is not a trajectory or ``axes`` does not fit.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt, tenscontrol as tc
+    >>> model = tc.Model(tc.prism())
+    >>> run = tc.simulate(model, 0.2, force_density=[17.3205] * 6 + [9.0] * 3, step=1e-3)
+    >>> panels = tc.plot.health(run)
+    >>> list(panels), panels["bar_length_error"].ax.get_yscale()
+    (['energy', 'momentum', 'bar_length_error'], 'log')
+    >>> plt.close(panels["energy"].ax.figure)
+    """
+    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    mass = float(run.structure.bar_mass.sum() + run.structure.string_node_mass.sum())
+    speed = float(np.linalg.norm(run.velocities, axis=0).max())
+    arm = float(np.linalg.norm(run.nodes, axis=0).max())
+    # Panel: curves, label, and the size of the quantity where the scale is logarithmic.
+    content: dict[str, tuple[dict[str, FloatArray], str, float | None]] = {
+        "energy": (_energies(run), "energy, J", None),
+        "momentum": (
+            {
+                "linear, kg m/s": _change(run.momentum),
+                "angular, kg m²/s": _change(run.angular_momentum),
+            },
+            "momentum change,\nkg m/s, kg m²/s",
+            mass * speed * max(arm, 1.0),
+        ),
+    }
+    if len(run.structure.bars):
+        worst = {"largest of all bars": np.abs(run.bar_length_error).max(axis=0)[None]}
+        longest = float(run.structure.bar_length.max())
+        content["bar_length_error"] = (worst, "bar-length error, m", longest)
+    panels = {}
+    for ax, name in zip(panel_axes(axes, list(content)), content, strict=True):
+        rows, label, size = content[name]
+        last = axes is not None or name == list(content)[-1]
+        xlabel = "time, s" if last else None
+        if size is None:
+            panels[name] = draw_curves(ax, run.time, rows, label, xlabel=xlabel)
+        else:
+            panels[name] = _logarithmic(ax, run.time, rows, label, size, xlabel)
+    return panels
+
+
+def _energies(run: Trajectory) -> dict[str, FloatArray]:
+    change = float(run.energy[-1] - run.energy[0])
+    rows = {
+        "kinetic": run.kinetic_energy[None],
+        "potential": run.potential_energy[None],
+        f"total (change {change:+.2g} J)": run.energy[None],
+    }
+    if run.released_energy.any():
+        rows["lost with cut strings"] = run.released_energy[None]
+    return rows
+
+
+def _change(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(vectors - vectors[:, :1], axis=0))[None]
+
+
+def _logarithmic(
+    ax: Axes,
+    time: FloatArray,
+    errors: dict[str, FloatArray],
+    ylabel: str,
+    size: float,
+    xlabel: str | None,
+) -> Curves:
+    """Draw errors of a quantity of this size; none is drawn below its round-off."""
+    floor = _ROUND_OFF * (size if size > 0 else 1.0)
+    rows = {name: np.maximum(values, floor) for name, values in errors.items()}
+    round_off = {"round-off": np.array(floor)}
+    curves = draw_curves(ax, time, rows, ylabel, references=round_off, xlabel=xlabel)
+    largest = max(float(values.max()) for values in errors.values())
+    ax.set_yscale("log")
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.set_ylim(floor / 5, max(_LEAST_SPAN * floor, 5 * largest))
+    return curves

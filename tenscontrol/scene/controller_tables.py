@@ -1,0 +1,264 @@
+"""The tables of a scene that close the loop: controller, winches, sensors, estimator, faults."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from tenscontrol.actuation import Winches
+from tenscontrol.control import MPC, Controller, GainSchedule, OutputLimit, energy_weights
+from tenscontrol.dynamics import Model
+from tenscontrol.estimation import KalmanFilter, Sensors, kalman
+from tenscontrol.plant import Reference, linearize
+from tenscontrol.scene import schema
+from tenscontrol.scene.document import Document, Table
+from tenscontrol.scene.structure_tables import per_string, whole
+from tenscontrol.shape import (
+    Demand,
+    Height,
+    NodesAt,
+    ShapeTarget,
+    Twist,
+    plants_along,
+    shape_path,
+    shape_target,
+)
+from tenscontrol.simulation import Fault
+from tenscontrol.statics import Prestress
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, non_negative, positive_number, whole_number
+
+# Of energy_weights, where the scene gives no R.
+_INPUT_WEIGHT = 0.1
+
+
+def build_controller(
+    document: Document, model: Model, rest: Prestress, winches: Winches | None
+) -> Controller:
+    """Return the controller, designed on whole strings about an equilibrium."""
+    kind, table = document.table("controller").chosen("kind", schema.CONTROLLER_KEYS)
+    input = table.choice("input", ("force_density", "rest_length"), "force_density")
+    if "sample_time" in table:
+        with table.checked("sample_time"):
+            positive_number("sample_time", table.get("sample_time"), "s")
+    for key in schema.required(schema.CONTROLLERS[kind]):
+        table.need(key)
+    if kind in ("mpc", "nmpc") and input == "force_density":
+        table.need("max_force_density")
+    structure = model.structure
+    arguments: dict[str, Any] = {
+        key: per_string(table, key, structure) if isinstance(value, dict) else value
+        for key, value in table.without("kind", "input", "plants").items()
+    }
+    if "tracked" in table:
+        rows = [_row(entry, structure) for entry in _entries(table, "tracked", schema.TRACKED)]
+        arguments["tracked"] = np.vstack(rows)
+    if "outputs" in table:
+        arguments["outputs"] = [
+            _limit(e, structure) for e in _entries(table, "outputs", schema.OUTPUT)
+        ]
+    if "reference" in table:
+        bounds = {"min_force_density", "max_force_density"} & arguments.keys()
+        limits = {key: arguments[key] for key in bounds} | {"winches": winches}
+        arguments["reference"] = _build_reference(table, model, rest, limits)
+    # A law in continuous time knows neither speeds in a sample nor ramps through it.
+    if kind != "feedback_linearization" and input == "rest_length" and "sample_time" in table:
+        arguments["winches"] = winches
+    if "plants" in table:
+        return _schedule(table, model, arguments, input)
+    with table.checked():
+        plant = linearize(model, rest, input=input)
+        if kind == "lqr":
+            Q, R = energy_weights(plant)
+            arguments = {"Q": Q, "R": _INPUT_WEIGHT * R} | arguments
+        controller: Controller = schema.CONTROLLERS[kind](plant, **arguments)
+    return controller
+
+
+def _schedule(table: Table, model: Model, arguments: dict[str, Any], input: str) -> GainSchedule:
+    """Return MPCs designed along the reference, which take turns."""
+    if "reference" not in table:
+        raise table.error(
+            "plants",
+            f"in {table.title}, plants counts those along the reference, but there is none: add "
+            "[[controller.reference]]",
+        )
+    with table.checked("plants"):
+        count = whole_number("plants", table.need("plants"), least=1)
+    reference: Reference = arguments["reference"]
+    assert reference.force_density is not None  # it is a path of equilibria
+    with table.checked():
+        plants = plants_along(model, reference.nodes, reference.force_density, count, input)
+        return GainSchedule([MPC(plant, **arguments) for plant in plants])
+
+
+def _build_reference(
+    table: Table, model: Model, rest: Prestress, limits: dict[str, Any]
+) -> Reference:
+    """Return the path by the shapes of ``[[controller.reference]]``, through equilibria.
+
+    It begins at ``rest`` and keeps within the limits of γ and of the winches.
+    """
+    sample_time = table.need("sample_time")
+    groups = np.array(model.structure.string_groups)
+    level = float(rest.force_density[groups == groups[0]].mean())
+    here: Prestress | ShapeTarget = rest
+    nodes, now = model.structure.nodes, 0.0
+    times: list[FloatArray] = [np.zeros(1)]
+    shapes, gammas = [nodes[:, :, None]], [rest.force_density[:, None]]
+    for entry in _entries(table, "reference", schema.WAYPOINT):
+        begin, end = _span(entry, now)
+        demands = _demands(entry, table, model.structure)
+        with entry.checked("time"):
+            gamma = entry.get("force_density", level)
+            goal = shape_target(model, demands, force_density=gamma, start=nodes, **limits)
+            path = shape_path(model, here, goal, duration=end - begin, step=sample_time, **limits)
+        # Before a later start the shape is held: it is there twice.
+        first = 0 if begin > now else 1
+        times.append(begin + path.time[first:])
+        shapes.append(path.nodes[:, :, first:])
+        gammas.append(path.force_density[:, first:])
+        here, nodes, now = goal, goal.nodes, end
+    return Reference(
+        np.concatenate(times), np.concatenate(shapes, axis=2), np.concatenate(gammas, axis=1)
+    )
+
+
+def _entries(table: Table, key: str, known: schema.Keys) -> Iterator[Table]:
+    given = table.need(key)
+    if not given:
+        raise table.error(key, f"in {table.title}, {key} is empty; leave it out, or give an entry")
+    for i, values in enumerate(given):
+        title = f"[[controller.{key}]] number {i + 1}"
+        yield Table(table.document, (*table.path, key, i), title, values, known)
+
+
+def _limit(entry: Table, structure: Structure) -> OutputLimit:
+    if "low" not in entry and "high" not in entry:
+        raise entry.error(None, f"{entry.title} limits nothing: give low or high, m")
+    row = _row(entry, structure)
+    with entry.checked():
+        return OutputLimit(row[None], **entry.given("low", "high", "penalty"))
+
+
+def _row(entry: Table, structure: Structure) -> FloatArray:
+    """Return a node coordinate, or its difference from that of another node, as a row of C."""
+    count = structure.nodes.shape[1]
+    axis = entry.choice("axis", ("x", "y", "z"))
+    row = np.zeros((count, 3))
+    row[entry.index("node", count, "nodes"), "xyz".index(axis)] += 1.0
+    if "relative_to" in entry:
+        row[entry.index("relative_to", count, "nodes"), "xyz".index(axis)] -= 1.0
+    if not row.any():
+        raise entry.error(
+            "relative_to", f"in {entry.title}, relative_to is node itself, expected another"
+        )
+    return row.ravel()
+
+
+def _span(entry: Table, now: float) -> tuple[float, float]:
+    """Return when a move begins and ends, s."""
+    with entry.checked("time"):
+        end = positive_number("time", entry.need("time"), "s")
+    begin = now
+    if "start" in entry:
+        with entry.checked("start"):
+            begin = float(non_negative("start", np.array([entry.get("start")]), "s")[0])
+            if not begin >= now:
+                raise ValueError(f"start is {begin:g} s, expected at least {now:g} s")
+    if not end > begin:
+        raise entry.error(
+            "time", f"in {entry.title}, time is {end:g} s, expected more than {begin:g} s"
+        )
+    return begin, end
+
+
+def _demands(entry: Table, controller: Table, structure: Structure) -> list[Demand]:
+    found: list[Demand] = []
+    with entry.checked():
+        for key, demand in (("height", Height), ("twist", Twist)):
+            if key in entry:
+                found.append(demand(entry.get(key), *_ends(entry, controller, structure)))
+        if "nodes" in entry or "positions" in entry:
+            at = np.array(entry.need("positions"), dtype=float).reshape(-1, 3)
+            found.append(NodesAt(entry.need("nodes"), at.T))
+    if not found:
+        raise entry.error(
+            None, f"{entry.title} asks for no shape: give height, twist, or nodes and positions"
+        )
+    return found
+
+
+def _ends(entry: Table, controller: Table, structure: Structure) -> tuple[list[int], list[int]]:
+    """Return the nodes at the top and at the bottom: as given, or those of a prism."""
+    if "top" in entry or "bottom" in entry:
+        return entry.need("top"), entry.need("bottom")
+    if controller.document.table("structure").get("generator") != "prism":
+        raise entry.error(
+            None, f"{entry.title} lacks the keys top and bottom: lists of node numbers"
+        )
+    sides = len(structure.bars)
+    return list(range(sides)), list(range(sides, 2 * sides))
+
+
+def build_winches(document: Document, structure: Structure) -> Winches | None:
+    """Return the limits of the winches, one for each whole string, or None."""
+    if not document.has("winches"):
+        return None
+    table = document.table("winches")
+    settings = table.given("ramp", "substeps")
+    for key in table.without("ramp", "substeps"):
+        settings[key] = per_string(table, key, whole(structure))
+    with table.checked():
+        return Winches(**settings)
+
+
+def build_estimator(
+    document: Document,
+    model: Model,
+    rest: Prestress,
+    input: str,
+    sample_time: float,
+    winches: Winches | None,
+) -> KalmanFilter | None:
+    """Return the Kalman filter on whole strings, for the input of the actuators, or None."""
+    sensors, estimator = document.table("sensors"), document.table("estimator")
+    for name, other in (("sensors", "estimator"), ("estimator", "sensors")):
+        if document.has(name) and not document.has(other):
+            raise document.error((name,), f"[{name}] goes with a table [{other}]")
+    if not document.has("estimator"):
+        return None
+    estimator.choice("kind", ("kalman",))
+    with sensors.checked():
+        whole_number("seed", sensors.get("seed", 0), least=0)
+        readings = Sensors(structure=model.structure, **sensors.without("seed"))
+    with estimator.checked():
+        plant = linearize(model, rest, input=input)
+        settings = estimator.without("kind")
+        return kalman(plant, readings, sample_time=sample_time, winches=winches, **settings)
+
+
+def build_faults(document: Document, strings: int, winches: int | None) -> tuple[Fault, ...]:
+    """Return the faults of ``[[faults]]``.
+
+    ``strings`` can be cut, segments if there are any; ``winches`` is None without a controller.
+    """
+    found: list[Fault] = []
+    for i in range(len(document.values.get("faults", ()))):
+        title, values = f"[[faults]] number {i + 1}", document.values["faults"][i]
+        table = Table(document, ("faults", i), title, values, schema.TABLES["faults"])
+        kind, entry = table.chosen("kind", schema.FAULT_KEYS)
+        if kind != "cut_string" and winches is None:
+            raise entry.error("kind", f"{entry.title} goes with a table [controller]")
+        for key in schema.required(schema.FAULTS[kind]):
+            entry.need(key)
+        if kind == "cut_string":
+            entry.index("string", strings, "strings")
+        elif kind == "stuck_winch":
+            assert winches is not None  # refused above
+            entry.index("string", winches, "winches")
+        with entry.checked():
+            found.append(schema.FAULTS[kind](**entry.without("kind")))
+    return tuple(found)

@@ -1,0 +1,275 @@
+"""The tables and keys of a scene file, with the kind and the unit of each value.
+
+A table has the arguments of the class or function that it is given to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from inspect import Parameter, signature
+from math import isfinite
+
+from tenscontrol.actuation import Winches
+from tenscontrol.control import MPC, NMPC, Controller, FeedbackLinearization, OutputLimit, lqr
+from tenscontrol.dynamics import ElasticStrings, LinearStrings
+from tenscontrol.estimation import Sensors, kalman
+from tenscontrol.simulation import CutString, LostMeasurement, StuckWinch
+from tenscontrol.structure import Structure, prism, skin, subdivide
+
+# Beyond, squares and products leave the range of double precision.
+_LEAST, _MOST = 1e-30, 1e30
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of value: its name in messages, a test, and the kind of entries of a list or table."""
+
+    text: str
+    fits: Callable[[object], bool]
+    entry: Kind | None = None
+
+    def fault(self, name: str, value: object, unit: str) -> str | None:
+        """Return what is wrong with the value of this name, whose numbers have this unit."""
+        if not self.fits(value):
+            wanted = self.text + (f" in {unit}" if unit else "")
+            hint = ""
+            if isinstance(value, str) and unit and value[:1].isdigit():
+                hint = "; quantities are in SI units, without quotes and without the unit"
+            return f"{name} is {_described(value)}, expected {wanted}{hint}"
+        for number in value if isinstance(value, list) else [value]:
+            if not _is_in_range(number):
+                return (
+                    f"{name} holds {_described(number)}, expected numbers of a size between "
+                    f"{_LEAST:g} and {_MOST:g}, or 0"
+                )
+        if self.entry is None or not isinstance(value, dict | list):
+            return None
+        if isinstance(value, dict):
+            entries = {f"{name}.{key}": entry for key, entry in value.items()}
+        else:
+            entries = {f"{name}[{i}]": entry for i, entry in enumerate(value)}
+        faults = (self.entry.fault(place, entry, unit) for place, entry in entries.items())
+        return next(filter(None, faults), None)
+
+
+def _described(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return f"the text {value!r}" if len(value) < 40 else "a text"
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, int):
+        return str(value) if abs(value) < 10**20 else "a number of more than 20 digits"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, list):
+        return str(value) if len(str(value)) < 40 else f"a list of {len(value)}"
+    return f"a {type(value).__name__}"
+
+
+def _is_in_range(value: object) -> bool:
+    """Whether a value is no number, 0, or of a size in range; nan and inf are refused later."""
+    if not isinstance(value, int | float) or value == 0:
+        return True
+    if isinstance(value, float) and not isfinite(value):
+        return True
+    return _LEAST <= abs(value) <= _MOST
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**53
+
+
+def _row(length: int, fits: Callable[[object], bool]) -> Callable[[object], bool]:
+    return lambda row: isinstance(row, list) and len(row) == length and all(map(fits, row))
+
+
+def _a(*kinds: type) -> Callable[[object], bool]:
+    return lambda value: isinstance(value, kinds)
+
+
+def _number_or(*kinds: type) -> Callable[[object], bool]:
+    return lambda value: _is_number(value) or isinstance(value, kinds)
+
+
+_is_list, _is_table, _is_point = _a(list), _a(dict), _row(3, _is_number)
+NUMBER = Kind("a number", _is_number)
+WHOLE = Kind("a whole number", _is_whole)
+TEXT = Kind("text", _a(str))
+TRUTH = Kind("true or false", _a(bool))
+POINT = Kind("[x, y, z]", _is_point)
+TEXTS = Kind("a list of texts", _is_list, TEXT)
+NODES = Kind("a list of node numbers", _is_list, WHOLE)
+INDICES = Kind("a list of indices from 0", _is_list, WHOLE)
+PAIR = Kind("a pair of node numbers", _row(2, _is_whole))
+PAIRS = Kind("a list of pairs of node numbers", _is_list, PAIR)
+POINTS = Kind("a list of [x, y, z]", _is_list, POINT)
+NUMBERS = Kind("a number or a list of numbers", _number_or(list), NUMBER)
+BY_STRING = Kind(
+    "a number, a list with one per string, or a table by string group",
+    _number_or(list, dict),
+    NUMBER,
+)
+COUNT_BY_STRING = Kind(
+    "a whole number, a list with one per string, or a table by string group",
+    lambda value: _is_whole(value) or isinstance(value, list | dict),
+    WHOLE,
+)
+VECTOR = Kind("a number or [x, y, z]", lambda value: _is_number(value) or _is_point(value))
+WEIGHT = Kind(
+    "a number, a diagonal or a matrix",
+    _number_or(list),
+    Kind("a number or a row of numbers", _number_or(list), NUMBER),
+)
+PANELS = Kind(
+    "a panel name, or a list of panel names and node loops",
+    _a(str, list),
+    Kind("a panel name or a loop of nodes", _a(str, list), WHOLE),
+)
+FORCES = Kind(
+    "a list of {node = ..., force = [x, y, z]}",
+    _is_list,
+    Kind("{node = ..., force = [x, y, z]}", _is_table),
+)
+TABLES_OF_KEYS = Kind("a list of tables", _is_list, Kind("a table", _is_table))
+
+Keys = Mapping[str, tuple[Kind, str]]
+
+# What a name means in every table that does not say otherwise.
+_MEANINGS: Keys = {
+    name: (kind, unit)
+    for kind, unit, names in (
+        (TEXT, "", "kind law per input method form prediction generator handedness group axis"),
+        (TRUTH, "", "diagonals shape_gives ramp load"),
+        (WHOLE, "", "sides iterations seed node relative_to string"),
+        (WHOLE, "", "horizon max_iterations plants substeps delay patience"),
+        (NUMBER, "m", "radius height top_radius disturbance low high"),
+        (NUMBER, "s", "duration step output_step sample_time time_limit start time until"),
+        (NUMBER, "rad", "twist"),
+        (NUMBER, "Hz", "frequency"),
+        (NUMBER, "1/m", "penalty"),
+        (NUMBER, "kg", "node_mass"),
+        (NUMBER, "", "tolerance regularization string_penalty load_gain drop_rate outlier_rate"),
+        (NUMBER, "", "process_noise load_noise gate start_spread"),
+        (NUMBERS, "kg", "bar_mass string_node_mass panel_mass"),
+        (NUMBERS, "kg/m²", "areal_density"),
+        (NUMBERS, "m", "node_position string_length"),
+        (NUMBERS, "N", "string_tension"),
+        (NUMBERS, "", "bar_direction"),
+        (BY_STRING, "N/m", "stiffness force_density max_force_density min_force_density"),
+        (BY_STRING, "N", "axial_rigidity max_tension"),
+        (BY_STRING, "N/m or m", "max_change"),
+        (BY_STRING, "N s/m", "damping"),
+        (BY_STRING, "kg", "string_mass"),
+        (BY_STRING, "m/s", "rate"),
+        (BY_STRING, "m", "shortest longest"),
+        (COUNT_BY_STRING, "", "segments"),
+        (NODES, "", "fixed nodes top bottom"),
+        (INDICES, "", "strings bars tension_strings"),
+        (POINTS, "m", "positions"),
+        (POINTS, "m/s", "velocities"),
+        (POINT, "N", "force"),
+        (VECTOR, "m/s²", "gravity"),
+        (FORCES, "", "forces"),
+        (TEXTS, "", "string_groups"),
+        (PANELS, "", "panels"),
+        (WEIGHT, "", "Q R"),
+        (TABLES_OF_KEYS, "", "tracked outputs reference"),
+    )
+    for name in names.split()
+}
+
+# Arguments that come from another table or from the scene itself.
+_ELSEWHERE = "structure parent string_parent plant sensors winches machine_code matrix"
+
+
+def arguments(function: Callable[..., object]) -> dict[str, Parameter]:
+    """Return the arguments of a function or class that a table of a scene file gives."""
+    found = signature(function).parameters
+    return {name: argument for name, argument in found.items() if name not in _ELSEWHERE.split()}
+
+
+def required(function: Callable[..., object]) -> list[str]:
+    """Return the keys without which a function or class cannot be called."""
+    return [name for name, each in arguments(function).items() if each.default is Parameter.empty]
+
+
+def _keys(
+    names: str, *functions: Callable[..., object], without: str = "", **own: tuple[Kind, str]
+) -> dict[str, tuple[Kind, str]]:
+    """Return the keys of a table: names, arguments of functions, and own meanings of some."""
+    found = [*names.split(), *(name for each in functions for name in arguments(each))]
+    return {
+        name: own[name] if name in own else _MEANINGS[name]
+        for name in dict.fromkeys(found)
+        if name not in without.split()
+    }
+
+
+# Keys of a table for one choice of its first key; those of the other choices are unknown.
+PRISM = _keys("generator", prism) | _keys("fixed")
+MEMBERS = _keys("", Structure, nodes=(POINTS, "m"), bars=(PAIRS, ""), strings=(PAIRS, ""))
+LAWS: Mapping[str, Keys] = {
+    "linear": _keys("law", LinearStrings) | _keys("per"),
+    "elastic": _keys("law", ElasticStrings) | _keys("per"),
+}
+CONTROLLERS: Mapping[str, Callable[..., Controller]] = {
+    "lqr": lqr,
+    "mpc": MPC,
+    "nmpc": NMPC,
+    "feedback_linearization": FeedbackLinearization,
+}
+CONTROLLER_KEYS: Mapping[str, Keys] = {
+    kind: _keys("kind input", make, damping=(NUMBER, "")) | _keys("plants" if kind == "mpc" else "")
+    for kind, make in CONTROLLERS.items()
+}
+FAULTS: Mapping[str, type[CutString | StuckWinch | LostMeasurement]] = {
+    "cut_string": CutString,
+    "stuck_winch": StuckWinch,
+    "lost_measurement": LostMeasurement,
+}
+FAULT_KEYS: Mapping[str, Keys] = {kind: _keys("kind", fault) for kind, fault in FAULTS.items()}
+
+TABLES: Mapping[str, Keys] = {
+    "structure": PRISM | MEMBERS,
+    "skin": _keys("", skin),
+    "subdivide": _keys("", subdivide),
+    "strings": _keys("law stiffness axial_rigidity damping per"),
+    "loads": _keys("gravity forces"),
+    "prestress": _keys("force_density reference per shape_gives", reference=(TEXT, "")),
+    "start": _keys("velocities disturbance seed"),
+    "run": _keys(
+        "duration step tolerance output_step method input sample_time",
+        tolerance=(NUMBER, "m and m/s"),
+    ),
+    "controller": {key: each for keys in CONTROLLER_KEYS.values() for key, each in keys.items()},
+    "winches": _keys("", Winches),
+    "sensors": _keys("", Sensors) | _keys("seed"),
+    "estimator": _keys("kind", kalman, without="sample_time start"),
+    "faults": {key: each for keys in FAULT_KEYS.values() for key, each in keys.items()},
+}
+# Those of which a file has a list, each with a heading like [[faults]].
+LISTS = ("faults",)
+
+# Entries of lists.
+FORCE = _keys("node force")
+TRACKED = _keys("node relative_to axis")
+OUTPUT = TRACKED | _keys("", OutputLimit)
+WAYPOINT = _keys(
+    "start time height twist top bottom nodes positions force_density",
+    force_density=(NUMBER, "N/m"),
+)
+
+# Keys, and values of keys, by the way to them: what older files have, and what to write.
+RENAMED: Mapping[tuple[str | int, ...], str] = {
+    ("controller", "step"): "sample_time",
+    ("controller", "kind", "shape_control"): "feedback_linearization",
+    ("run", "hold"): "input",
+    ("winches", "pieces"): "substeps",
+}

@@ -1,0 +1,285 @@
+"""The tables of a scene that say what moves: structure, strings, loads, prestress, start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+
+from tenscontrol.dynamics import ElasticStrings, LinearStrings, Model, StringLaw
+from tenscontrol.scene.document import Document, Table
+from tenscontrol.scene.schema import FORCE, LAWS, MEMBERS, PRISM
+from tenscontrol.statics import Prestress, prestress
+from tenscontrol.structure import (
+    Structure,
+    prism,
+    restore_bar_lengths,
+    skin,
+    spread_force_density,
+    subdivide,
+    to_segments,
+    to_strings,
+)
+from tenscontrol.validation import (
+    FloatArray,
+    non_negative,
+    per_member,
+    positive_number,
+    whole_number,
+)
+
+# What a value "per" refers to where strings are cut: the whole string, or each segment.
+_PER = ("string", "segment")
+
+
+def build_structure(document: Document) -> Structure:
+    """Return the structure: generated or given, then skinned, then cut."""
+    structure = _uncut(document)
+    if document.has("skin"):
+        table = document.table("skin")
+        table.need("panels")
+        with table.checked():
+            structure = skin(structure, **table.values)
+    if document.has("subdivide"):
+        table = document.table("subdivide")
+        table.need("segments")
+        values = dict(table.values)
+        for key in {"segments", "string_mass"} & set(values):
+            if isinstance(values[key], dict):
+                values[key] = per_string(table, key, structure)
+        with table.checked():
+            structure = subdivide(structure, **values)
+    return structure
+
+
+def _uncut(document: Document) -> Structure:
+    if "generator" in document.values["structure"]:
+        table = document.table("structure", PRISM, " with a generator")
+        table.choice("generator", ("prism",))
+        with table.checked():
+            made = prism(**table.without("generator", "fixed"))
+            return replace(made, **table.given("fixed"))
+    table = document.table("structure", MEMBERS, " without a generator")
+    if not table.values:
+        raise table.error(
+            None, "[structure] is empty, expected generator = 'prism', or nodes, bars and strings"
+        )
+    for key in ("nodes", "bars", "strings", *(["bar_mass"] if table.get("bars") else [])):
+        table.need(key)
+    with table.checked():
+        return Structure(
+            nodes=np.array(table.need("nodes"), dtype=float).reshape(-1, 3).T,
+            bar_mass=table.get("bar_mass", []),
+            **table.without("nodes", "bar_mass"),
+        )
+
+
+def whole(structure: Structure) -> Structure:
+    """Return the structure with its strings whole: its parent if it was cut."""
+    if structure.string_parent is None or structure.parent is None:
+        return structure
+    return structure.parent
+
+
+def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
+    """Return one value for each string: given as a number, a list or a table by group."""
+    value = table.need(key)
+    if not isinstance(value, dict):
+        with table.checked(key):
+            return per_member(key, value, len(structure.strings), "string")
+    groups = tuple(dict.fromkeys(structure.string_groups))
+    for group in value:
+        if group not in groups:
+            near = get_close_matches(group, groups, n=1)
+            meant = f"; did you mean {near[0]!r}?" if near else "."
+            raise table.error(
+                key,
+                f"in {table.title}, {key} names the string group {group!r}, which the structure "
+                f"does not have{meant} Its groups are: {', '.join(groups) or 'none'}",
+            )
+    missing = [group for group in groups if group not in value]
+    if missing:
+        raise table.error(
+            key,
+            f"in {table.title}, {key} lacks the string group {missing[0]!r}, expected a value for "
+            f"each of: {', '.join(groups)}",
+        )
+    with table.checked(key):
+        by_string = [value[group] for group in structure.string_groups]
+        return per_member(key, by_string, len(structure.strings), "string")
+
+
+def build_law(document: Document, structure: Structure) -> tuple[StringLaw, StringLaw] | None:
+    """Return the law of the strings and that of the whole strings, or None if there is no table.
+
+    Segments act in series: a string of stiffness k and damping c has segments of
+    s k and s c. Axial rigidity is that of the material and stays.
+    """
+    if not document.has("strings"):
+        return None
+    kind, table = document.table("strings").chosen("law", LAWS)
+    main = "stiffness" if kind == "linear" else "axial_rigidity"
+    table.need(main)
+    make = LinearStrings if kind == "linear" else ElasticStrings
+    by_string = table.choice("per", _PER, "string") == "string"
+    given = whole(structure) if by_string else structure
+    values = {main: per_string(table, main, given)}
+    values["damping"] = np.zeros(len(given.strings))
+    if "damping" in table:
+        values["damping"] = per_string(table, "damping", given)
+    with table.checked():
+        law: StringLaw = make(**values)
+        if whole(structure) is structure:
+            return law, law
+        convert = to_segments if by_string else to_strings
+        other = make(**{name: convert(structure, name, each) for name, each in values.items()})
+        return (other, law) if by_string else (law, other)
+
+
+def build_loads(document: Document, structure: Structure) -> tuple[object, FloatArray | None]:
+    """Return gravity, or None, and the forces on the nodes, N, shape (3, n), or None."""
+    table = document.table("loads")
+    gravity = table.get("gravity")
+    if "forces" not in table:
+        return gravity, None
+    count = structure.nodes.shape[1]
+    forces, seen = np.zeros((3, count)), set()
+    for i, values in enumerate(table.need("forces")):
+        said = f"in [loads], forces[{i}]"
+        entry = Table(document, ("loads", "forces", i), f"[loads] forces[{i}]", values, FORCE)
+        node = entry.index("node", count, "nodes", f"{said} is on node")
+        force = entry.need("force")
+        if node in seen:
+            raise entry.error("node", f"{said} is on node {node} once more")
+        if not np.isfinite(force).all():
+            raise entry.error("force", f"{said}.force is {force}, not finite")
+        seen.add(node)
+        forces[:, node] = force
+    return gravity, forces
+
+
+def build_force_density(document: Document, structure: Structure, load: FloatArray) -> FloatArray:
+    """Return γ of each string in the shape of the structure, N/m, shape (α,).
+
+    A single number is the mean γ of the reference strings in a state of self-stress under the
+    load (3, n), N; a list or a table is taken as it is, in balance or not.
+    """
+    if not document.has("prestress"):
+        if len(structure.strings):
+            raise document.error(
+                (), "the table [prestress] is missing; a scene with strings needs force_density"
+            )
+        return np.zeros(0)
+    table = document.table("prestress")
+    by_string = table.choice("per", _PER, "string") == "string"
+    given = whole(structure) if by_string else structure
+    value = table.need("force_density")
+    if isinstance(value, int | float):
+        count = given.nodes.shape[1]
+        if load[:, count:].any():
+            raise table.error(
+                "force_density",
+                "in [prestress], force_density is a single number, for which a balance is sought, "
+                "but the loads act on the nodes within strings, which are in no balance while the "
+                "strings are straight; give a table by string group",
+            )
+        if "reference" in table:
+            with table.checked("reference"):
+                given.strings_in(table.need("reference"))
+        with table.checked("force_density"):
+            rest = prestress(given, value, table.get("reference"), load[:, :count])
+        gamma = rest.force_density
+    elif "reference" in table:
+        raise table.error(
+            "reference", "in [prestress], reference goes with a single number as force_density"
+        )
+    else:
+        gamma = per_string(table, "force_density", given)
+        with table.checked("force_density"):
+            non_negative("force_density", gamma, "a string can only pull")
+    return spread_force_density(structure, gamma) if given is not structure else gamma
+
+
+def build_design(
+    document: Document,
+    structure: Structure,
+    law: StringLaw | None,
+    gravity: object,
+    forces: FloatArray | None,
+    gamma: FloatArray,
+) -> tuple[Model, Prestress]:
+    """Return the model with its strings whole, for controller and estimator, and its equilibrium.
+
+    ``law`` is that of the whole strings; loads and γ (α,) are those of the structure.
+    """
+    design = whole(structure)
+    load: Any = False if forces is None else forces[:, : design.nodes.shape[1]]
+    model = Model(design, strings=law, external_force=load, gravity=gravity)
+    with document.table("prestress").checked("force_density", "for a controller "):
+        if design is not structure:
+            together = to_strings(structure, "force_density", gamma)
+            if not np.allclose(to_segments(structure, "force_density", together), gamma):
+                raise ValueError("force_density differs between the segments of a string")
+            gamma = together
+        return model, prestress(design, gamma, external_force=model.constant_force)
+
+
+def build_start(document: Document, structure: Structure) -> tuple[FloatArray, FloatArray]:
+    """Return node positions and velocities at the start, m and m/s, shape (3, n)."""
+    table = document.table("start")
+    nodes, velocities = structure.nodes, np.zeros_like(structure.nodes)
+    if "velocities" in table:
+        rows = np.array(table.need("velocities"), dtype=float).reshape(-1, 3)
+        with table.checked("velocities"):
+            if rows.shape != nodes.T.shape:
+                raise ValueError(
+                    f"velocities has {len(rows)} entries, expected {nodes.shape[1]}: "
+                    "[x, y, z] for each node"
+                )
+            velocities = structure.checked_nodes("velocities", rows.T)
+            _refuse_impossible(structure, velocities)
+    if "seed" in table and "disturbance" not in table:
+        raise table.error("seed", "in [start], seed goes with disturbance")
+    if "disturbance" in table:
+        with table.checked("disturbance"):
+            size = positive_number("disturbance", table.need("disturbance"), "m")
+            seed = whole_number("seed", table.get("seed", 0), least=0)
+            nodes = _disturbed(structure, size, seed)
+    return nodes, velocities
+
+
+def _refuse_impossible(structure: Structure, velocities: FloatArray) -> None:
+    """Raise if fixed nodes move, or bars are stretched."""
+    for node in structure.fixed:
+        if velocities[:, node].any():
+            raise ValueError(f"velocities[{node}] moves a fixed node, expected [0, 0, 0]")
+    bars, rates = structure.bar_vectors(structure.nodes), structure.bar_vectors(velocities)
+    stretching = np.abs((bars * rates).sum(axis=0)) / structure.bar_length
+    if stretching.size and stretching.max() > 1e-8 * max(float(np.abs(velocities).max()), 1e-300):
+        bar = int(stretching.argmax())
+        raise ValueError(
+            f"velocities stretch bar {bar} at {stretching[bar]:.3g} m/s, expected 0: bars are rigid"
+        )
+
+
+def _disturbed(structure: Structure, size: float, seed: int) -> FloatArray:
+    """Return a shape with true bar lengths whose farthest node is moved by ``size``, m."""
+    moves = np.zeros_like(structure.nodes)
+    random = np.random.default_rng(seed)
+    moves[:, structure.free] = random.normal(size=(3, len(structure.free)))
+    step = size / 4
+    for _ in range(40):  # the distance is nearly linear in the step: this converges at once
+        nodes = restore_bar_lengths(structure, structure.nodes + step * moves)
+        off = float(np.linalg.norm(nodes - structure.nodes, axis=0).max())
+        if off == 0:
+            raise ValueError("disturbance moves nothing: no node is free")
+        if abs(off / size - 1) < 1e-12:
+            return nodes
+        step *= size / off
+    largest = float(np.ptp(structure.nodes, axis=1).max())
+    raise ValueError(
+        f"disturbance is {size:g} m, which rigid bars cannot follow; expected much less than the "
+        f"size of the structure, {largest:g} m"
+    )

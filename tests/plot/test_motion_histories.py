@@ -1,0 +1,229 @@
+"""Time histories of a motion, with its faults; energy, momentum and bar lengths."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+
+
+def legend(ax):
+    return sorted(text.get_text() for text in ax.get_legend().get_texts())
+
+
+def record(run, status):
+    """Return the run with a control record of these statuses, 10 ms each."""
+    count = len(status)
+    zeros = np.zeros((9, count))
+    return replace(
+        run,
+        control=tc.simulation.ControlRecord(
+            time=0.01 * np.arange(count),
+            command=zeros,
+            applied=zeros,
+            fallback=(None,) * count,
+            detail=("",) * count,
+            status=tuple(status),
+            winch_rate=zeros,
+            rate_limited=np.zeros(count, int),
+            range_limited=np.zeros(count, int),
+            computing_time=np.zeros(count),
+        ),
+    )
+
+
+class TestTrajectory:
+    def test_panels_of_held_rest_lengths(self, slack_run):
+        panels = tc.plot.trajectory(slack_run)
+        assert list(panels) == ["coordinates", "force_density", "rest_length"]
+        labels = [panel.ax.get_ylabel() for panel in panels.values()]
+        assert labels == ["node position, m", "γ, N/m", "rest length, m"]
+        assert [panel.ax.get_xlabel() for panel in panels.values()] == ["", "", "time, s"]
+
+    def test_panels_of_held_force_density(self, free_run):
+        panels = tc.plot.trajectory(free_run)
+        assert list(panels) == ["coordinates", "force_density"]
+
+    def test_draws_the_coordinates_asked_for(self, slack_run):
+        lines = tc.plot.trajectory(slack_run, nodes=(0, 4), directions="xz")["coordinates"].lines
+        assert list(lines) == ["x[0]", "z[0]", "x[4]", "z[4]"]
+        assert np.array_equal(lines["z[4]"][0].get_ydata(), slack_run.nodes[2, 4])
+
+    def test_draws_every_string_in_the_style_of_its_group(self, slack_run):
+        lines = tc.plot.trajectory(slack_run)["force_density"].lines
+        assert [len(group) for group in lines.values()] == [3, 3, 3]
+        for group in ("top", "vertical"):
+            indices = slack_run.structure.strings_in(group)
+            for line, i in zip(lines[group], indices, strict=True):
+                assert np.array_equal(line.get_ydata(), slack_run.force_density[i])
+            assert len({line.get_color() for line in lines[group]}) == 1
+        assert lines["top"][0].get_color() != lines["vertical"][0].get_color()
+
+    def test_held_quantities_are_drawn_in_steps(self, slack_run, free_run):
+        def style(run, panel):
+            (line, *_) = tc.plot.trajectory(run)[panel].lines["top"]
+            return line.get_drawstyle()
+
+        assert style(slack_run, "rest_length") == style(free_run, "force_density") == "steps-pre"
+        assert style(slack_run, "force_density") == "default"
+
+    def test_references_stand_with_the_coordinates(self, slack_run):
+        panels = tc.plot.trajectory(slack_run, directions="z", references={"target height": 0.85})
+        assert (panels["coordinates"].references["target height"].get_ydata() == 0.85).all()
+        assert panels["force_density"].references == {}
+
+    def test_bad_statuses_are_marked_on_the_lowest_time_axis(self, slack_run):
+        status = ["ok"] * 40
+        status[3] = status[4] = "infeasible"
+        status[20] = "time limit"
+        panels = tc.plot.trajectory(record(slack_run, status))
+        lowest = panels["rest_length"]
+        assert list(lowest.marks) == ["infeasible", "time limit"]
+        assert np.allclose(lowest.marks["infeasible"].get_xdata(), [0.03, 0.04])
+        assert (lowest.marks["infeasible"].get_ydata() == 0).all()
+        assert lowest.marks["infeasible"].get_transform() is not lowest.ax.transData
+        first, second = lowest.marks.values()
+        assert first.get_marker() != second.get_marker()
+        assert {"infeasible (×2)", "time limit (×1)"} < set(legend(lowest.ax))
+        assert panels["coordinates"].marks == {}
+
+    def test_nothing_is_marked_where_all_went_well(self, slack_run):
+        panels = tc.plot.trajectory(record(slack_run, ["ok"] * 40))
+        assert panels["rest_length"].marks == {}
+
+    def test_given_axes_are_used_and_all_labelled(self, slack_run):
+        import matplotlib.pyplot as plt
+
+        _, axes = plt.subplots(3)
+        panels = tc.plot.trajectory(slack_run, axes=axes)
+        assert [panel.ax for panel in panels.values()] == list(axes)
+        assert {ax.get_xlabel() for ax in axes} == {"time, s"}
+
+    @pytest.mark.parametrize(
+        ("arguments", "error", "message"),
+        [
+            ({"nodes": [6]}, ValueError, r"nodes\[0\] is 6, expected 0 to 5"),
+            ({"nodes": [-1]}, ValueError, r"nodes\[0\] is -1"),
+            ({"nodes": 2}, TypeError, "nodes is 2, expected a sequence"),
+            ({"directions": "xw"}, ValueError, "directions is 'xw', expected letters"),
+            ({"references": {"a": [1, 2]}}, ValueError, r"references\['a'\]"),
+            ({"axes": []}, ValueError, "axes has 0 entries, expected 3: one for each of"),
+        ],
+    )
+    def test_wrong_arguments_are_named(self, slack_run, arguments, error, message):
+        with pytest.raises(error, match=message):
+            tc.plot.trajectory(slack_run, **arguments)
+
+    def test_other_objects_are_refused(self, prism):
+        with pytest.raises(TypeError, match="run is a Structure, expected Trajectory"):
+            tc.plot.trajectory(prism)
+
+
+class TestHealth:
+    def test_panels_have_units(self, slack_run):
+        panels = tc.plot.health(slack_run)
+        labels = {name: panel.ax.get_ylabel() for name, panel in panels.items()}
+        assert labels == {
+            "energy": "energy, J",
+            "momentum": "momentum change,\nkg m/s, kg m²/s",
+            "bar_length_error": "bar-length error, m",
+        }
+
+    def test_draws_the_energies(self, slack_run):
+        lines = tc.plot.health(slack_run)["energy"].lines
+        change = slack_run.energy[-1] - slack_run.energy[0]
+        assert list(lines) == ["kinetic", "potential", f"total (change {change:+.2g} J)"]
+        kinetic, potential, total = lines.values()
+        assert np.array_equal(kinetic[0].get_ydata(), slack_run.kinetic_energy)
+        assert np.array_equal(potential[0].get_ydata(), slack_run.potential_energy)
+        assert np.array_equal(total[0].get_ydata(), slack_run.energy)
+
+    def test_draws_the_largest_bar_length_error(self, slack_run):
+        panel = tc.plot.health(slack_run)["bar_length_error"]
+        drawn = panel.lines["largest of all bars"][0].get_ydata()
+        worst = np.abs(slack_run.bar_length_error).max(axis=0)
+        assert panel.ax.get_yscale() == "log"
+        assert np.array_equal(drawn[1:], np.maximum(worst[1:], drawn[0]))
+        assert np.isclose(drawn[0], np.finfo(float).eps * slack_run.structure.bar_length.max())
+        assert panel.ax.get_ylim()[0] < drawn.min()
+        assert panel.ax.get_ylim()[1] > drawn.max()
+
+    def test_a_kick_shows_as_change_of_momentum(self, slack_run):
+        momentum = slack_run.momentum.copy()
+        momentum[0, 200:] += 0.5
+        panel = tc.plot.health(replace(slack_run, momentum=momentum))["momentum"]
+        drawn = panel.lines["linear, kg m/s"][0].get_ydata()
+        assert drawn[199] < 1e-12
+        assert np.isclose(drawn[200], 0.5)
+
+    def test_a_structure_at_rest_is_drawn(self, prism, rest):
+        run = tc.simulate(tc.Model(prism), 0.01, force_density=rest.force_density, step=1e-3)
+        still = replace(
+            run,
+            velocities=0 * run.velocities,
+            momentum=0 * run.momentum,
+            angular_momentum=0 * run.angular_momentum,
+            bar_length_error=0 * run.bar_length_error,
+        )
+        panels = tc.plot.health(still)
+        panels["energy"].ax.figure.canvas.draw()
+        assert np.isfinite(panels["momentum"].ax.get_ylim()).all()
+
+    def test_wrong_axes_are_named(self, slack_run, flat):
+        with pytest.raises(ValueError, match="axes has 1 entries, expected 3: one for each of ene"):
+            tc.plot.health(slack_run, axes=[flat])
+        with pytest.raises(TypeError, match="run is a str"):
+            tc.plot.health("run")
+
+
+@pytest.fixture(scope="module")
+def broken_run():
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(100.0))
+    plant = tc.linearize(model, tc.prestress(prism, 17.3205), "rest_length")
+    regulator = tc.lqr(plant, *tc.energy_weights(plant), sample_time=0.02)
+    faults = [tc.StuckWinch(4, 0.02, 0.06), tc.CutString(6, 0.07), tc.LostMeasurement(0.04, 9.0)]
+    late = tc.CutString(1, 5.0)  # the run is over by then
+    return tc.simulate(model, 0.1, controller=regulator, step=2e-3, faults=[*faults, late])
+
+
+def test_faults_are_marked_with_what_they_act_on(broken_run):
+    panels = tc.plot.trajectory(broken_run)
+    names = ["winch 4 stuck at 0.02 s", "string 6 cut at 0.07 s", "measurement lost at 0.04 s"]
+    assert list(panels["coordinates"].marks) == []
+    assert list(panels["force_density"].marks) == names
+    assert list(panels["rest_length"].marks)[:3] == names
+    assert any(name.startswith("measurement not finite") for name in panels["rest_length"].marks)
+    stuck, cut, lost = (panels["force_density"].marks[name].get_xdata() for name in names)
+    np.testing.assert_allclose(stuck, [0.02, 0.02, 0.06, 0.06])
+    np.testing.assert_allclose(cut, [0.07, 0.07])
+    np.testing.assert_allclose(lost, [0.04, 0.04, 0.1, 0.1])
+    shown = {text.get_text() for text in panels["force_density"].ax.get_legend().get_texts()}
+    assert set(names) <= shown
+
+
+def test_a_cut_string_has_no_rest_length(broken_run):
+    """The million sizes that keep it slack are not drawn."""
+    lines = tc.plot.trajectory(broken_run)["rest_length"].lines["vertical"]
+    rows = np.array([line.get_ydata() for line in lines])
+    late = broken_run.time > 0.07
+    assert np.isnan(rows[0, late]).all()
+    np.testing.assert_array_equal(rows[0, ~late], broken_run.rest_length[6, ~late])
+    assert np.isfinite(rows[1:]).all()
+    assert broken_run.rest_length[6, -1] > 1e5
+
+
+def test_a_run_without_faults_has_no_marks():
+    prism = tc.prism()
+    run = tc.simulate(tc.Model(prism), 0.1, force_density=17.0)
+    assert tc.plot.trajectory(run)["force_density"].marks == {}
+
+
+def test_the_energy_that_was_lost_is_drawn():
+    prism = tc.prism()
+    cut = tc.CutString(0, 0.05)
+    run = tc.simulate(tc.Model(prism), 0.1, force_density=17.0, faults=[cut])
+    (line,) = tc.plot.health(run)["energy"].lines["lost with cut strings"]
+    np.testing.assert_array_equal(line.get_ydata(), run.released_energy)
+    assert line.get_ydata()[-1] > 1.0
