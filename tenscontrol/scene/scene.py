@@ -6,6 +6,8 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller
 from tenscontrol.dynamics import Model
