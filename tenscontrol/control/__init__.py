@@ -8,9 +8,12 @@ from tenscontrol.control.lqr import LQR, lqr
 from tenscontrol.control.mpc import (
     MPC,
     NMPC,
+    MPCSettings,
     MPCStatistics,
     NMPCStatistics,
     OutputLimit,
+    QPSolution,
+    QPSolver,
     clearance,
 )
 from tenscontrol.control.shape_statistics import FeedbackLinearizationStatistics
@@ -28,9 +31,12 @@ __all__ = [
     "FeedbackLinearizationStatistics",
     "GainSchedule",
     "HeldLoop",
+    "MPCSettings",
     "MPCStatistics",
     "NMPCStatistics",
     "OutputLimit",
+    "QPSolution",
+    "QPSolver",
     "Status",
     "clearance",
     "energy_weights",

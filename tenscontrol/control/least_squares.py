@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tenscontrol.control.mpc.osqp_adapter import QPSolution, QuadraticProgram
+from tenscontrol.control.mpc import OSQPSolver, QPSolution
 from tenscontrol.validation import FloatArray
 
 
@@ -46,7 +46,7 @@ class BoundedLeastSquares:
         """Forget the last answer, and what the solver adapted to it and to the matrices before."""
         self.forget()
         # Where A is updated, OSQP scales it anew by what the cost was then: only a new one forgets.
-        self._program = QuadraticProgram(*self._made_of, polish=True)
+        self._program = OSQPSolver(*self._made_of, polish=True)
 
     def solve(
         self, J: FloatArray, d: FloatArray, c: FloatArray, low: FloatArray, high: FloatArray

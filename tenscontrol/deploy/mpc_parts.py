@@ -14,11 +14,11 @@ from collections.abc import Callable
 import numpy as np
 
 from tenscontrol.control import MPC
-from tenscontrol.control.mpc.mpc_law import MPCLaw
+from tenscontrol.control.mpc.linear import MPCLaw
 from tenscontrol.control.mpc.osqp_adapter import START_RHO
-from tenscontrol.control.mpc.problem import Ahead
+from tenscontrol.control.mpc.problem import StageData
 from tenscontrol.deploy.over_time import over_time
-from tenscontrol.deploy.parts import Parts, refuse_time_limit
+from tenscontrol.deploy.parts import Parts, osqp_program, refuse_time_limit
 from tenscontrol.validation import FloatArray
 
 # What is read off must give what the controller does at any other point, to this fraction.
@@ -39,17 +39,19 @@ class _Reader:
     def vectors(self, time: float, given: FloatArray) -> FloatArray:
         """Return q, l and u, end to end, for what is given."""
         z, standing, reachable, load = self._split(given, *self.sizes)
-        return np.concatenate(self._law.vectors(self._ahead(time, load), z, standing, reachable))
+        return np.concatenate(
+            self._law.vectors(self._stage_data(time, load), z, standing, reachable)
+        )
 
     def inputs(self, time: float, known: FloatArray) -> FloatArray:
         """Return the planned inputs for solution and what is given."""
         x, z, standing, _, load = self._split(known, self.unknowns, *self.sizes)
-        return self._law.inputs(x, self._ahead(time, load), z, standing).ravel()
+        return self._law.inputs(x, self._stage_data(time, load), z, standing).ravel()
 
     def coasting(self, time: float, given: FloatArray) -> FloatArray:
         """Return the state a sample later without the input to come, for what is given."""
         z, standing, _, load = self._split(given, *self.sizes)
-        return self._law.coasting(self._ahead(time, load), z, standing)
+        return self._law.free_response(self._stage_data(time, load), z, standing)
 
     def row(self, time: float) -> FloatArray:
         """Return all that depends on time alone."""
@@ -57,14 +59,14 @@ class _Reader:
         parts = [
             self.vectors(time, point),
             self.inputs(time, np.zeros(self.unknowns + len(point))),
-            self._ahead(time, np.zeros(self.loads)).before,
+            self._stage_data(time, np.zeros(self.loads)).previous_origin,
         ]
         if self.loads:
             parts.append(self.coasting(time, point))
         return np.concatenate(parts)
 
-    def _ahead(self, time: float, load: FloatArray) -> Ahead:
-        return self._law.ahead(time, load if self.loads else None)
+    def _stage_data(self, time: float, load: FloatArray) -> StageData:
+        return self._law.stage_data(time, load if self.loads else None)
 
     @staticmethod
     def _split(given: FloatArray, *sizes: int) -> list[FloatArray]:
@@ -80,12 +82,13 @@ def mpc_parts(controller: MPC) -> Parts:
         If it has a time limit, or its reference lasts too long for a table.
     """
     law = controller.law
-    refuse_time_limit(law.time_limit)
+    refuse_time_limit(law.settings.longest_time)
     reader = _Reader(law)
     unknowns, rows = reader.unknowns, reader.rows
     problem, sampled = law.design.problem, law.design.sampled
-    first, table = over_time(law.path.span, law.sample_time, problem.length, reader.row)
-    times = first * law.sample_time, (first + len(table) - 1) * law.sample_time
+    sample_time = law.settings.sample_time
+    first, table = over_time(law.path.span, sample_time, problem.length, reader.row)
+    times = first * sample_time, (first + len(table) - 1) * sample_time
     given = sum(reader.sizes)
     offset, slope = _read(reader.vectors, given, times)
     # Upper and lower bounds move alike, where they are not infinite.
@@ -113,7 +116,7 @@ def mpc_parts(controller: MPC) -> Parts:
     }
     templates = "program.c", "over_time.c", "mpc.c"
     # Of its own: the solver of the controller may be in the middle of a run.
-    return Parts(templates, constants, arrays, matrices, law.program(), (first, table))
+    return Parts(templates, constants, arrays, matrices, osqp_program(law.solver()), (first, table))
 
 
 def _read(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control.mpc.osqp_adapter import QuadraticProgram
+from tenscontrol.control.mpc import OSQPSolver, QPSolver
 from tenscontrol.validation import FloatArray
 
 
@@ -25,7 +25,7 @@ class Parts:
         Constants of one or two dimensions.
     matrices : dict of str to ndarray
         Constants that are multiplied with, without their zeros.
-    program : QuadraticProgram or None
+    program : OSQPSolver or None
         The program to be solved, as it is before the first solve.
     table : tuple of int and ndarray, shape (K, m), or None
         Number of the first sample, and what depends on time alone, a row a sample.
@@ -37,7 +37,7 @@ class Parts:
     constants: dict[str, int | float]
     arrays: dict[str, np.ndarray]
     matrices: dict[str, FloatArray]
-    program: QuadraticProgram | None = None
+    program: OSQPSolver | None = None
     table: tuple[int, FloatArray] | None = None
     functions: dict[str, ca.Function] = field(default_factory=dict)
 
@@ -49,3 +49,13 @@ def refuse_time_limit(limit: float) -> None:
             f"controller has time_limit={limit:g} s, and C code without an operating system has no "
             "clock: make it without, and limit the work by max_iterations"
         )
+
+
+def osqp_program(solver: QPSolver) -> OSQPSolver:
+    """Return the solver of a controller, or raise ValueError where C code cannot be written."""
+    if not isinstance(solver, OSQPSolver):
+        raise ValueError(
+            f"controller solves its programs by {type(solver).__name__}, and C code is written for "
+            "OSQP: make it with solver='osqp'"
+        )
+    return solver
