@@ -148,23 +148,6 @@ class MPCProblem:
         """Number of entries of all v together."""
         return int(self.length * self.input_matrix.shape[1])
 
-    def steady_data(self, reference: FloatArray) -> StageData:
-        """Return data in which only the reference of the state changes, without limited rows."""
-        N = self.length
-        still = np.zeros((N, len(self.low)))
-        return StageData(
-            reference=reference,
-            input_reference=still,
-            drift=np.tile(self.drift, (N, 1)),
-            low=np.tile(self.low, (N, 1)),
-            high=np.tile(self.high, (N, 1)),
-            shift=still,
-            row_low=np.zeros((N, 0)),
-            row_high=np.zeros((N, 0)),
-            origin=still,
-            previous_origin=still[0],
-        )
-
 
 class Form(ABC):
     """One way to write the problem as ``min ½ xᵀ P x + qᵀ x, l ≤ A x ≤ u``."""

@@ -7,7 +7,7 @@ import tenscontrol as tc
 from tenscontrol.control import Status
 from tenscontrol.control.mpc import OSQPSolver, QPSolution
 from tenscontrol.control.mpc.condensed import Condensed
-from tenscontrol.control.mpc.problem import MPCProblem
+from tenscontrol.control.mpc.problem import MPCProblem, StageData
 from tenscontrol.control.mpc.sparse import Sparse
 
 STILL = np.zeros((3, 6))
@@ -35,6 +35,15 @@ def kkt_residual(P, q, A, l, u, x, y):  # noqa: E741
     )
 
 
+def steady_data(problem, reference):
+    """Return stage data in which only the reference of the state changes."""
+    N = problem.length
+    still, none = np.zeros((N, len(problem.low))), np.zeros((N, 0))
+    bounds = (np.tile(bound, (N, 1)) for bound in (problem.low, problem.high))
+    drift = np.tile(problem.drift, (N, 1))
+    return StageData(reference, still, drift, *bounds, still, none, none, still, still[0])
+
+
 @pytest.mark.parametrize("form", ["condensed", "sparse"])
 @pytest.mark.parametrize("max_change", [None, 2.0])
 @pytest.mark.parametrize("size", [0.01, 0.1])
@@ -50,7 +59,7 @@ def test_solution_satisfies_the_optimality_conditions(plant, form, max_change, s
         R=1e-3,
     )
     state = plant.measure(pushed(plant, size), STILL)
-    data = mpc.law.design.problem.steady_data(np.zeros((20, 18)))
+    data = steady_data(mpc.law.design.problem, np.zeros((20, 18)))
     vectors = mpc.law.form.vectors(state, data, np.zeros(9))
     answer = mpc._solver.solve(*vectors)
     assert answer.status is Status.OK
@@ -119,7 +128,7 @@ def test_horizon_cost_is_the_sum_it_stands_for(plant):
 
     first, second = rng.normal(size=(2, N, a))
     for form in (Condensed(problem), Sparse(problem)):
-        data = problem.steady_data(reference)
+        data = steady_data(problem, reference)
         q, low, _ = form.vectors(state, data, np.zeros(a))
         values = []
         for plan in (first, second):
