@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tenscontrol.dynamics import Equation, Model
-from tenscontrol.simulation.start import checked_load, held_value, initial_state
+from tenscontrol.simulation import checked_load, held_value, initial_state
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number
 

@@ -14,7 +14,7 @@ from tenscontrol.accuracy.peer import Peer
 from tenscontrol.accuracy.result import WorkPrecision
 from tenscontrol.accuracy.runs import Bench, Measurement
 from tenscontrol.integrate import METHODS, Method
-from tenscontrol.simulation.progress import progress_bar
+from tenscontrol.progress import progress_bar
 from tenscontrol.validation import instance, positive_number, truth, whole_number
 
 if TYPE_CHECKING:

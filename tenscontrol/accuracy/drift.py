@@ -13,7 +13,7 @@ from tenscontrol.accuracy.invariants import conserves_energy, conserves_momentum
 from tenscontrol.accuracy.methods import method_named
 from tenscontrol.accuracy.trend import BLOCKS, trend
 from tenscontrol.integrate import IntegrationError, Work
-from tenscontrol.simulation.progress import progress_bar
+from tenscontrol.progress import progress_bar
 from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import FloatArray, frozen, positive_number, truth, whole_number
 

@@ -12,7 +12,7 @@ from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.methods import as_taken, checked_settings, default_settings, method_named
 from tenscontrol.accuracy.runs import Bench
-from tenscontrol.simulation.progress import progress_bar
+from tenscontrol.progress import progress_bar
 from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import FloatArray, frozen, truth, whole_number
 

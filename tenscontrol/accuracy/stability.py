@@ -15,7 +15,7 @@ from tenscontrol.accuracy.limits import theoretical_limit
 from tenscontrol.accuracy.methods import checked_settings, method_named
 from tenscontrol.accuracy.spectrum import fastest_rate
 from tenscontrol.integrate import IntegrationError, Method
-from tenscontrol.simulation.progress import progress_bar
+from tenscontrol.progress import progress_bar
 from tenscontrol.tables import aligned
 from tenscontrol.validation import FloatArray, frozen, instance, truth, whole_number
 

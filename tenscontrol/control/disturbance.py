@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_reference import checked_tracked
+from tenscontrol.plant import LinearPlant, checked_tracked
 from tenscontrol.validation import FloatArray, frozen
 
 # Weight of the departure of inputs in the choice of where to rest, against that of what is

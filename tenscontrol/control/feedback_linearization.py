@@ -19,10 +19,7 @@ from tenscontrol.control.shape_design import (
 from tenscontrol.control.shape_statistics import FeedbackLinearizationStatistics, statistics
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_dynamics import tracked_motion
-from tenscontrol.plant.reduced_reference import checked_reference
-from tenscontrol.plant.reference import SmoothReference
+from tenscontrol.plant import LinearPlant, SmoothReference, checked_reference, tracked_motion
 from tenscontrol.validation import (
     FloatArray,
     float_array,

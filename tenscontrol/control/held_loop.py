@@ -7,8 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.plant import LinearPlant, OperatingPoint, command_parents, linearize
-from tenscontrol.plant.string_outputs import StringMap, gather_lengths, spread, string_map
+from tenscontrol.plant import (
+    LinearPlant,
+    OperatingPoint,
+    StringMap,
+    command_parents,
+    linearize,
+    string_map,
+    to_commanded_strings,
+    to_model_strings,
+)
 from tenscontrol.validation import FloatArray, instance, positive_number, shaped
 
 # γ given to slack strings, relative to the tautest: the loop is looked at from the taut side.
@@ -101,8 +109,8 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     by_shape = strings.gamma_by_state.copy()
     by_shape[:, states // 2 :] = 0.0  # the conversion knows no rates
     by_length = np.diag(strings.gamma_by_input)[:, None]
-    wanted = np.column_stack([spread(plant, "force_density", column) for column in -K.T]) - by_shape
-    wound = gather_lengths(plant, (wanted / by_length).T).T
+    wanted = to_model_strings(plant, "force_density", -K.T).T - by_shape
+    wound = to_commanded_strings(plant, "rest_length", (wanted / by_length).T).T
     if plant.commanded is not plant.model.structure:
         held = command_parents(held)
     transition, input_matrix, _ = held.discretize(sample_time)
@@ -113,7 +121,7 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
 
 def _with_held_lengths(plant: LinearPlant) -> tuple[LinearPlant, StringMap]:
     """Return the plant with rest lengths as its input, all strings taut, and its string map."""
-    gamma = spread(plant, "force_density", plant.force_density)
+    gamma = to_model_strings(plant, "force_density", plant.force_density)
     least = _TAUT * (float(gamma.max()) or float(np.min(_softest(plant))))
     at = OperatingPoint(plant.nodes, np.maximum(gamma, least), plant.external_force)
     held = linearize(
@@ -179,9 +187,9 @@ def held_error_rate(
     """
     r, (a, b) = plant.degrees_of_freedom, rates
     moved = matrix @ plant.basis
-    spreading = [spread(plant, "force_density", row) for row in np.eye(plant.B.shape[1])]
+    spread = to_model_strings(plant, "force_density", np.eye(plant.B.shape[1])).T
     # The mean over the segments of a string, whose γ are alike.
-    gather = np.linalg.pinv(np.column_stack(spreading))
+    gather = np.linalg.pinv(spread)
     by_shape = gather @ string_map(plant, "rest_length").gamma_by_state[:, :r]
     D = -0.5 * sample_time * moved @ plant.B[r:] @ by_shape @ np.linalg.pinv(moved)
     damping = a + max(0.0, float(np.linalg.eigvals(D).real.max()))

@@ -12,8 +12,7 @@ from tenscontrol.control.input_bounds import input_bounds, largest_change
 from tenscontrol.control.status import Status
 from tenscontrol.control.weights import energy_weights, weight_matrix
 from tenscontrol.dynamics import coordinates
-from tenscontrol.plant import LinearPlant, controllability, lost_poles
-from tenscontrol.plant.sampling import sampled
+from tenscontrol.plant import LinearPlant, controllability, lost_poles, sampled
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number
 
 # A Riccati residual above this fraction of its terms means that the solution is wrong.

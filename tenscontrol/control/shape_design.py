@@ -6,8 +6,7 @@ from math import ceil, floor, log10, pi
 
 import numpy as np
 
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_reference import checked_tracked
+from tenscontrol.plant import LinearPlant, checked_tracked
 from tenscontrol.validation import FloatArray, choice, positive_number
 
 

@@ -1,8 +1,7 @@
 """State estimation: sensors, and a Kalman filter in reduced coordinates."""
 
-from tenscontrol.estimation.estimate import Estimate, FilterStatistics
 from tenscontrol.estimation.kalman import kalman
-from tenscontrol.estimation.kalman_filter import KalmanFilter
-from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.estimation.kalman_filter import Estimate, FilterStatistics, KalmanFilter
+from tenscontrol.estimation.sensors import KINDS, Sensors
 
-__all__ = ["Estimate", "FilterStatistics", "KalmanFilter", "Sensors", "kalman"]
+__all__ = ["KINDS", "Estimate", "FilterStatistics", "KalmanFilter", "Sensors", "kalman"]

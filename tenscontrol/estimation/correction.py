@@ -1,15 +1,18 @@
-"""The correction of a predicted state by those readings that agree with it and with each other."""
+"""Correction of a predicted state by readings that pass a gate: iterated extended Kalman."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.estimation.design import FilterDesign
-from tenscontrol.estimation.gate import Gate
+from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.validation import FloatArray
+
+if TYPE_CHECKING:
+    from tenscontrol.estimation.kalman_filter import FilterDesign
 
 # The correction is repeated about its own result until it moves by less than this part of the
 # standard deviation before it, but not more often than this.
@@ -26,13 +29,80 @@ class Fit:
     nis: float
 
 
-class Correction:
-    """Corrects states; remembers nothing.
+class Gate:
+    """Chi-square gate of single readings, so that a corrupt one does not spoil the others.
 
-    Parameters
-    ----------
-    design : FilterDesign
+    A reading with the innovation ν and its covariance S passes where ``νᵀ S⁻¹ ν`` is at
+    most the quantile of the chi-square distribution with as many degrees of freedom as the reading
+    has entries. ``probability`` is that of refusing a good reading.
     """
+
+    def __init__(self, sensors: Sensors, probability: float) -> None:
+        from scipy.special import chdtri
+
+        self._of = sensors.reading_of
+        self._count = len(sensors.readings)
+        sizes = np.bincount(self._of)
+        starts = np.r_[0, np.cumsum(sizes)[:-1]]
+        self._single = np.flatnonzero(sizes == 1)
+        self._triple = np.flatnonzero(sizes == 3)
+        self._single_rows = starts[self._single]
+        self._triple_rows = starts[self._triple][:, None] + np.arange(3)
+        self._limit = chdtri(sizes.astype(float), probability)
+        self.is_tension = np.array([name.startswith("string_tension") for name in sensors.readings])
+
+    def lost(self, y: FloatArray) -> np.ndarray:
+        """Return which readings are lost: NaN in an entry, shape (readings,)."""
+        return np.asarray(np.bincount(self._of, weights=np.isnan(y), minlength=self._count) > 0)
+
+    def finite(self, y: FloatArray) -> np.ndarray:
+        """Return which readings are numbers, shape (readings,)."""
+        return np.asarray(
+            np.bincount(self._of, weights=~np.isfinite(y), minlength=self._count) == 0
+        )
+
+    def passes(self, innovation: FloatArray, S: FloatArray) -> np.ndarray:
+        """Return which readings are near enough, shape (readings,); never one that is not finite.
+
+        S, shape (m, m), is the covariance of the innovation, shape (m,).
+        """
+        distance = np.zeros(self._count)
+        one, three = self._single_rows, self._triple_rows
+        parts, blocks = innovation[three], S[three[:, :, None], three[:, None, :]]
+        # What is not finite, or too large to square, does not pass.
+        with np.errstate(invalid="ignore", over="ignore"):
+            distance[self._single] = innovation[one] ** 2 / S[one, one]
+            weighed = np.linalg.solve(blocks, parts[..., None])[..., 0]
+            distance[self._triple] = (parts * weighed).sum(axis=1)
+            return np.asarray(distance <= self._limit)
+
+    def beyond(
+        self, innovation: FloatArray, weight: FloatArray, rows: np.ndarray, used: np.ndarray
+    ) -> FloatArray:
+        """Return the distance of readings from all others, in limits, shape (readings,).
+
+        The innovation of a reading given those of all others is ``W⁻¹ₖₖ (W ν)ₖ`` with
+        ``W = S⁻¹``, and its covariance ``W⁻¹ₖₖ``, with blocks k of the reading. ``rows`` are the
+        entries of y in ν, shape (p,), and W, (p, p); ``used`` says of which readings, shape
+        (readings,). Zero where unused.
+        """
+        weighed = np.zeros(len(self._of))
+        weighed[rows] = weight @ innovation
+        blocks = np.zeros((len(self._of),) * 2)
+        blocks[np.ix_(rows, rows)] = weight
+        distance = np.zeros(self._count)
+        single, triple = used[self._single], used[self._triple]
+        one, three = self._single_rows[single], self._triple_rows[triple]
+        distance[self._single[single]] = weighed[one] ** 2 / blocks[one, one]
+        inner = np.linalg.solve(
+            blocks[three[:, :, None], three[:, None, :]], weighed[three][..., None]
+        )
+        distance[self._triple[triple]] = (weighed[three] * inner[..., 0]).sum(axis=1)
+        return np.asarray(distance / self._limit)
+
+
+class Correction:
+    """The measurement update of a filter, without memory."""
 
     def __init__(self, design: FilterDesign) -> None:
         plant = design.plant
@@ -56,27 +126,15 @@ class Correction:
         usable: np.ndarray,
         z: FloatArray,
         P: FloatArray,
-        before: FloatArray | None,
+        previous_input: FloatArray | None,
     ) -> Fit:
-        """Return the most likely state by the readings that are near enough.
+        """Return the most likely state by the readings y, shape (m,), that are near enough.
 
-        First each reading is held against the prediction alone. Of those that pass, the one
-        farthest from what all others and the prediction together say is taken out, until
-        every one agrees with the rest.
-
-        Parameters
-        ----------
-        y : ndarray, shape (m,)
-        usable : ndarray of bool, shape (readings,)
-            Which readings are whole and finite.
-        z : ndarray, shape (s,)
-            Predicted state.
-        P : ndarray, shape (s, s)
-            Its covariance.
-        before : ndarray, shape (α,), or None
-            The input that acted on the tensions.
+        First each of the usable readings is gated against the prediction z with its covariance P.
+        Of those that pass, the one farthest from all others and the prediction together is
+        refused, until every one agrees with the rest. The previous input acts on the tensions.
         """
-        held = self._rest if before is None else before
+        held = self._rest if previous_input is None else previous_input
         innovation, C = self._innovation(y, z, held)
         passed = usable & self.gate.passes(innovation, C @ P @ C.T + np.diag(self._noise))
         while passed.any():

@@ -1,21 +1,23 @@
-"""The design of a Kalman filter: what may be seen, its noise, its steady gain, checked."""
+"""Design of a Kalman filter: observability, noise and steady gain, checked."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.estimation.design import FilterDesign
-from tenscontrol.estimation.kalman_filter import KalmanFilter
-from tenscontrol.estimation.observability import refuse_unobservable, refuse_unseen_loads
-from tenscontrol.estimation.outputs import observed_plant, output_function, output_matrix
+from tenscontrol.estimation.kalman_filter import FilterDesign, KalmanFilter
+from tenscontrol.estimation.observability import (
+    observed_plant,
+    output_function,
+    output_matrix,
+    refuse_unobservable,
+    refuse_unseen_loads,
+)
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.estimation.unknown_load import with_load
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_dynamics import sampled_dynamics
-from tenscontrol.plant.reduced_reference import acceleration_response
-from tenscontrol.plant.sampling import sampled
+from tenscontrol.plant import LinearPlant, Sampled, acceleration_response, sampled, sampled_dynamics
 from tenscontrol.structure import refuse_wrong_bar_lengths, same_members
 from tenscontrol.validation import (
     FloatArray,
@@ -31,6 +33,9 @@ PREDICTIONS = ("linear", "nonlinear")
 
 # Part of the size by which string lengths at the start may be off in the coordinates.
 _START_TOLERANCE = 1e-3
+
+# Standard deviation of the load at the start, as a part of the pull of a string.
+_LOAD_START = 0.3
 
 # A Riccati residual above this fraction of its terms means that the solution is wrong.
 _RESIDUAL_TOLERANCE = 1e-6
@@ -51,11 +56,11 @@ def kalman(
     start_spread: float = 0.03,
     winches: Winches | None = None,
 ) -> KalmanFilter:
-    """Return a Kalman filter that finds the motion of a plant from readings.
+    """Return a Kalman filter that estimates the motion of a plant from readings.
 
-    The plant's input must be what the actuators hold between samples: of winches, linearize
-    with ``input="rest_length"``, whatever the controller commands. A plant in internal
-    coordinates gets those motions as one body added that the readings see.
+    The plant's input must be what the actuators hold between samples: for winches linearize
+    with ``input="rest_length"``, whatever the controller commands. To internal coordinates the
+    motions as one body that the readings see are added.
 
     Parameters
     ----------
@@ -71,28 +76,26 @@ def kalman(
         acceleration that each string would give if it pulled alone with its tension
         at the operating point.
     load : bool
-        Whether to estimate a load that the model does not know, an acceleration q̈ in each
-        coordinate. Strings of another stiffness count as one, near the operating point. Without
-        it such a load shifts the estimate.
+        Whether to estimate an unknown load, an acceleration q̈ in each coordinate. Without it
+        such a load, or strings of another stiffness, shift the estimate.
     load_noise : float
-        Standard deviation by which that acceleration changes from one sample to the next, in the
-        unit of ``process_noise``. More follows faster, and lets more noise through.
+        Standard deviation of the change of that acceleration from one sample to the next, in the
+        unit of ``process_noise``. A larger one follows faster and filters less.
     prediction : {"linear", "nonlinear"}
-        From sample to sample by the plant, or by the equations of motion themselves. The
-        first is for the neighbourhood of the operating point, the second for large motions.
+        By the plant, near its operating point, or by the equations of motion.
     gate : float
         Probability that a good reading is refused, above 0 and below 1.
     patience : int
-        After so many samples in a row with most readings refused, the filter and not the
-        sensors is taken to be wrong: it starts anew from the readings. At least 1.
+        After so many samples in a row with most readings refused, the filter restarts from the
+        readings. At least 1.
     start : array_like, shape (3, n), optional
-        Shape at the start as far as it is known, m, at rest; the operating point if not given.
+        Expected shape at the start, m, at rest; the operating point if not given.
     start_spread : float
-        Standard deviation of the nodes from there, as a part of the size of the
-        structure; that of the speeds is what the forces of the strings give over this distance.
+        Standard deviation of the nodes from there, as a part of the size of the structure; that
+        of the speeds follows from the forces of the strings over this distance.
     winches : Winches, optional
-        Those that set the rest lengths, where they wind through samples
-        (``Winches(substeps=...)``): the prediction winds as they do. Their limits do not matter.
+        Winches with ramps, ``Winches(substeps=...)``, which the prediction follows. Their limits
+        do not matter.
 
     Returns
     -------
@@ -101,18 +104,17 @@ def kalman(
     Raises
     ------
     TypeError, ValueError
-        If an argument is of the wrong kind or does not fit; if a motion that does not decay
-        by itself is not seen (the message says how many states, and which readings in
-        addition would do), or a load is not; if no string pulls at the operating point; if
-        the solution of the Riccati equation does not stand the check of its residual and poles.
+        If an argument is of the wrong kind or does not fit; if an undamped motion, or the load,
+        is not observable (the message says which readings in addition would do); if no string
+        pulls at the operating point; if the Riccati solution fails its check.
 
     Notes
     -----
     ``z⁺ = Φ z + Γ v + d + Ψ (w + a)``, ``y = h(z, u) + e``, with Φ, Γ and Ψ exact for what
-    is held over a sample; for winches that wind there from v_before, ``Γ_b v_before`` is added.
-    The acceleration a by the unknown load has ``a⁺ = a + w'`` where it is estimated, and is 0
-    else. The steady gain for ``C = ∂h/∂z`` at the operating point is that of python-control's
-    ``dlqe``, solved with whitened readings, and checked.
+    is held over a sample; a ramp adds ``Γ_p v_previous``. The acceleration a by the unknown load
+    has ``a⁺ = a + w'`` where it is estimated, and is 0 otherwise. The steady gain for
+    ``C = ∂h/∂z`` at the operating point is that of python-control's ``dlqe``, solved with
+    whitened readings, and checked.
 
     Examples
     --------
@@ -184,7 +186,7 @@ def kalman(
     )
     push = share * pull * by_load
     if load:
-        design = with_load(design, pull, walk)
+        design = _with_load(design, pull, walk)
         r = plant.degrees_of_freedom
         none = np.zeros((2 * r, r))
         push = np.block([[push, none], [none[:r], walk * pull * np.eye(r)]])
@@ -249,6 +251,56 @@ def _start(plant: LinearPlant, spread: float, pull: float) -> FloatArray:
     size = float(np.ptp(plant.nodes, axis=1).max())
     shift = spread * size * np.sqrt(n) / float(np.linalg.norm(plant.basis))
     return np.diag(np.r_[np.full(r, shift**2), np.full(r, 2 * pull * shift)])
+
+
+def _with_load(design: FilterDesign, pull: float, walk: float) -> FilterDesign:
+    """Return the design with the acceleration a that a load gives as states after z.
+
+    ``z⁺ = Φ z + … + Ψ a``, with Ψ what unit accelerations do in a sample, and
+    ``a⁺ = a + w'``: a random walk, w' in units of ``pull``, the acceleration that a string gives.
+    """
+    by_load = acceleration_response(design.plant, design.sample_time)
+    size, r = by_load.shape
+    eye, zero = np.eye(r), np.zeros((size, r))
+    moved, none = design.sampled, np.zeros((r, design.plant.B.shape[1]))
+
+    def joined(of_state: FloatArray, share: float) -> FloatArray:
+        return np.block([[of_state, zero], [zero.T, (share * pull) ** 2 * eye]])
+
+    motion = design.motion
+    if motion is not None:
+        step = design.sample_time / design.substeps
+        in_step = acceleration_response(design.plant, step)
+        key, linear = ("under_load", step), motion
+        motion = design.plant.prepared.get(key, lambda: _under_load(linear, in_step))
+    return replace(
+        design,
+        load=True,
+        sampled=Sampled(
+            sample_time=moved.sample_time,
+            transition=np.block([[moved.transition, by_load], [zero.T, eye]]),
+            by_previous=np.vstack([moved.by_previous, none]),
+            by_input=np.vstack([moved.by_input, none]),
+            drift=np.r_[moved.drift, np.zeros(r)],
+            ramp=moved.ramp,
+        ),
+        process_covariance=joined(design.process_covariance, walk),
+        start_covariance=joined(design.start_covariance, _LOAD_START),
+        start=np.r_[design.start, np.zeros(r)],
+        outputs=output_function(design.plant, design.sensors, more=r),
+        motion=motion,
+    )
+
+
+def _under_load(motion: ca.Function, by_load: FloatArray) -> ca.Function:
+    """Return ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)`` under a load, to first order in the load."""
+    size, r = by_load.shape
+    z, u = ca.MX.sym("z", size + r), ca.MX.sym("u", motion.size1_in(1))
+    end, of_state, of_input = motion(z[:size], u)
+    end = ca.vertcat(end + ca.DM(by_load) @ z[size:], z[size:])
+    rows = ca.blockcat([[of_state, ca.DM(by_load)], [ca.DM(r, size), ca.DM.eye(r)]])
+    below = ca.vertcat(of_input, ca.DM(r, motion.size1_in(1)))
+    return ca.Function("loaded", [z, u], [ca.densify(each) for each in (end, rows, below)])
 
 
 def _steady(

@@ -1,19 +1,22 @@
-"""The running of a Kalman filter: correction by readings, refusals, delay, prediction."""
+"""Kalman filter: correction by readings, refusals, delay, prediction."""
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
+from dataclasses import dataclass
 from typing import Any, final
 
+import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.estimation.correction import Correction
-from tenscontrol.estimation.design import FilterDesign
-from tenscontrol.estimation.estimate import Estimate, FilterStatistics, Tally
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.plant import LinearPlant
-from tenscontrol.validation import FloatArray, frozen, measured, shaped
+from tenscontrol.plant import LinearPlant, Sampled
+from tenscontrol.validation import FloatArray, IntArray, frozen, measured, shaped
+
+OK, PARTLY, LOST, REFUSED = "ok", "partly used", "lost", "refused"
+WAITING, RESTARTED = "waiting", "started anew"
 
 # From one start anew to the next, without a good sample between, the spread grows by this.
 _WIDER = 10.0
@@ -22,15 +25,168 @@ _WIDER = 10.0
 _NOTHING_KNOWN = 1e12
 
 
+@dataclass(frozen=True, eq=False)
+class FilterDesign:
+    """A filter made by :func:`kalman`, in the coordinates of ``plant``.
+
+    Where a load is estimated, z has r more entries: the acceleration q̈ that it gives. Covariances
+    have the shape (s, s), ``outputs`` is ``(z, u) -> (y, ∂y/∂z)``, and ``motion`` is ``(z, u) ->
+    (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)`` over a substep, None for a linear prediction.
+    """
+
+    plant: LinearPlant
+    sensors: Sensors
+    sample_time: float
+    load: bool
+    substeps: int
+    sampled: Sampled
+    process_covariance: FloatArray
+    start_covariance: FloatArray
+    start: FloatArray
+    outputs: ca.Function
+    motion: ca.Function | None
+    gate: float
+    patience: int
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Motion estimated by a filter. Made by :meth:`KalmanFilter.update`.
+
+    Attributes
+    ----------
+    nodes, velocities : ndarray, shape (3, n)
+        m and m/s. Bars have their lengths. Motions as one body that no reading shows are left out.
+    load : ndarray, shape (3, n), or None
+        Unknown force on each node, N, that acts on the bars in proportion to their mass: of all
+        loads that move the structure so, one. None if the filter estimates none.
+    state : ndarray, shape (s,)
+        z in the coordinates of the filter; where a load is estimated, with the accelerations that
+        it gives at the end.
+    covariance : ndarray, shape (s, s)
+        Of the state, as the filter has it.
+    node_deviation : ndarray, shape (3, n)
+        Standard deviation of each coordinate of the nodes, m, to first order.
+    length_deviation : ndarray, shape (α,)
+        That of the length of each string, m.
+    status : str
+        ``"ok"`` if all readings were used, ``"partly used"``, ``"lost"`` if none came,
+        ``"refused"`` if those that came were, ``"waiting"`` for the first ones while delayed,
+        ``"started anew"`` if the filter was taken to be wrong.
+    """
+
+    nodes: FloatArray
+    velocities: FloatArray
+    load: FloatArray | None
+    state: FloatArray
+    covariance: FloatArray
+    node_deviation: FloatArray
+    length_deviation: FloatArray
+    status: str
+
+
+@dataclass(frozen=True, eq=False)
+class FilterStatistics:
+    """Use of the readings of K samples. Made by :attr:`KalmanFilter.statistics`.
+
+    Attributes
+    ----------
+    status_count : dict of str to int
+        How often each status came.
+    used, lost, not_finite, refused : ndarray of int, shape (readings,)
+        How often each reading was used, did not come, was infinite, or was refused by the gate.
+    normalized_innovation : ndarray, shape (K,)
+        ``νᵀ S⁻¹ ν`` of the entries that were used, NaN if there were none. If the filter's
+        noise is that of the plant, it is chi-square distributed.
+    degrees_of_freedom : ndarray of int, shape (K,)
+        Number of these entries.
+    restarts : int
+        How often the filter was taken to be wrong and started anew.
+    """
+
+    status_count: dict[str, int]
+    used: IntArray
+    lost: IntArray
+    not_finite: IntArray
+    refused: IntArray
+    normalized_innovation: FloatArray
+    degrees_of_freedom: IntArray
+    restarts: int
+
+
+class Tally:
+    """Counts of the use of so many readings."""
+
+    def __init__(self, readings: int) -> None:
+        self._counts = np.zeros((4, readings), dtype=np.int64)
+        self._rows: list[tuple[str, float, int]] = []
+        self._restarts = 0
+        self._fresh = False
+
+    @property
+    def last(self) -> str:
+        """Status of the last sample."""
+        return self._rows[-1][0]
+
+    def wait(self) -> None:
+        """Count a sample at which nothing can have arrived."""
+        self._close(WAITING, np.nan, 0)
+
+    def start_over(self, after: bool = False) -> None:
+        """Count a restart: at the sample to be counted next, or after the last one."""
+        self._restarts += 1
+        if after:
+            self._rows[-1] = (RESTARTED, *self._rows[-1][1:])
+        else:
+            self._fresh = True
+
+    def add(
+        self,
+        lost: np.ndarray,
+        usable: np.ndarray,
+        passed: np.ndarray,
+        nis: float,
+        entries: int,
+    ) -> None:
+        """Count a sample by which readings were lost, usable and used."""
+        self._counts += np.array([passed, lost, ~usable & ~lost, usable & ~passed])
+        if passed.all():
+            status = OK
+        elif passed.any():
+            status = PARTLY
+        else:
+            status = LOST if lost.all() else REFUSED
+        self._close(status, nis, entries)
+
+    def _close(self, status: str, nis: float, entries: int) -> None:
+        self._rows.append((RESTARTED if self._fresh else status, nis, entries))
+        self._fresh = False
+
+    def statistics(self) -> FilterStatistics:
+        """Return the counts so far."""
+        used, lost, not_finite, refused = (frozen(row) for row in self._counts)
+        return FilterStatistics(
+            status_count=dict(Counter(status for status, _, _ in self._rows)),
+            used=used,
+            lost=lost,
+            not_finite=not_finite,
+            refused=refused,
+            normalized_innovation=frozen(np.array([nis for _, nis, _ in self._rows], dtype=float)),
+            degrees_of_freedom=frozen(
+                np.array([count for _, _, count in self._rows], dtype=np.int64)
+            ),
+            restarts=self._restarts,
+        )
+
+
 @final
 class KalmanFilter:
-    """Finds the motion of a plant from readings, sample by sample. Made by :func:`kalman`.
+    """Estimates the motion of a plant from readings, sample by sample. Made by :func:`kalman`.
 
-    A pickled one is loaded as new, with nothing of the readings that it has had.
-
-    At each sample call :meth:`update` with what was read, and :meth:`predict` with
+    At each sample call :meth:`update` with the readings, and :meth:`predict` with
     the input that is then held. The covariance is carried along, since readings are lost
-    and refused; while all are used near the operating point it settles at the steady one.
+    and refused; while all are used near the operating point it settles at the steady one. A
+    pickled filter is loaded without memory.
 
     Attributes
     ----------
@@ -84,21 +240,21 @@ class KalmanFilter:
 
     @property
     def input(self) -> str:
-        """What it is told: ``"force_density"`` or ``"rest_length"``."""
+        """Kind of input: ``"force_density"`` or ``"rest_length"``."""
         return self.plant.input
 
     @property
     def substeps(self) -> int:
-        """Equal parts in which the input is taken to move through a sample."""
+        """Steps of the ramp of the input in a sample; 1 without a ramp."""
         return self._design.substeps
 
     @property
     def statistics(self) -> FilterStatistics:
-        """What became of the readings since the last reset."""
+        """Use of the readings since the last reset."""
         return self._tally.statistics()
 
     def reset(self, state: object = None, covariance: object = None, held: object = None) -> None:
-        """Forget everything, and start anew.
+        """Restart without memory.
 
         Parameters
         ----------
@@ -107,8 +263,8 @@ class KalmanFilter:
         covariance : array_like, shape (s, s), optional
             Its covariance; by ``start_spread`` of :func:`kalman` if not given.
         held : array_like, shape (α,), optional
-            What the actuators hold at the start, as for :meth:`predict`. If not given,
-            tensions are not used before the next sample, and winches do not wind in the first.
+            Input at the start, as for :meth:`predict`. If not given, the first sample uses no
+            tensions and has no ramp.
 
         Raises
         ------
@@ -123,23 +279,22 @@ class KalmanFilter:
         if covariance is not None:
             P = _checked_covariance(covariance, self._size)
         self._z, self._P = z, P
-        # Inputs since the moment of the state; the one before it acts on the tensions then.
+        # Inputs since the moment of the state; the previous one acts on the tensions then.
         self._inputs: deque[FloatArray] = deque()
-        self._before = None if held is None else self._checked_input(held)
+        self._previous_input = None if held is None else self._checked_input(held)
         self._mostly_refused = 0
         self._tally = Tally(len(self.sensors.readings))
 
     def update(self, measurement: object) -> Estimate:
-        """Return the estimate for now, after what was read.
+        """Return the estimate for now, corrected by readings.
 
-        What is NaN is lost. What is infinite, or farther off than the gate allows,
-        is refused. Of both the filter uses nothing.
+        A reading that is NaN is lost; one that is infinite, or beyond the gate, is refused.
+        Neither is used.
 
         Parameters
         ----------
         measurement : array_like, shape (m,), or None
-            y of the moment ``sensors.delay`` samples ago; None if it is lost. Before there
-            is such a moment it is not used.
+            y of ``sensors.delay`` samples ago; None if it is lost. Not used before then.
 
         Returns
         -------
@@ -159,23 +314,23 @@ class KalmanFilter:
         else:
             self._correct(y)
         z, P = self._z, self._P
-        before = self._before
+        previous = self._previous_input
         for held in self._inputs:
-            z, P = self._advanced(z, P, before, held)
-            before = held
+            z, P = self._advanced(z, P, previous, held)
+            previous = held
         if not self._correction.reaches(z):
             self._start_over(after=True)
             z, P = self._z, self._P
         return self._estimate(z, P)
 
     def predict(self, held: object) -> None:
-        """Go on to the next sample.
+        """Predict the state at the next sample.
 
         Parameters
         ----------
         held : array_like, shape (α,)
-            γ, N/m, or rest lengths, m, that the actuators hold from this sample to
-            the next, or have wound to by then: what was done, not what was asked for.
+            γ, N/m, or rest lengths, m, that the actuators hold until the next sample, or reach
+            by then: the applied input, not the command.
 
         Raises
         ------
@@ -185,8 +340,8 @@ class KalmanFilter:
         self._inputs.append(self._checked_input(held))
         if len(self._inputs) <= self.sensors.delay:
             return
-        before, self._before = self._before, self._inputs.popleft()
-        self._z, self._P = self._advanced(self._z, self._P, before, self._before)
+        previous, self._previous_input = self._previous_input, self._inputs.popleft()
+        self._z, self._P = self._advanced(self._z, self._P, previous, self._previous_input)
         spread = np.diag(self._P) / np.diag(self._design.start_covariance)
         if not self._correction.reaches(self._z) or spread.max() > _NOTHING_KNOWN:
             self._start_over()
@@ -198,18 +353,18 @@ class KalmanFilter:
         """Correct the state of the moment that was measured."""
         gate = self._correction.gate
         usable = gate.finite(y)
-        # Without the input that acted before, tensions say nothing.
-        if self._before is None:
+        # Without the previous input, tensions say nothing.
+        if self._previous_input is None:
             usable &= ~gate.is_tension
             y = np.where(gate.is_tension[self.sensors.reading_of], np.nan, y)
-        found = self._correction.fit(y, usable, self._z, self._P, self._before)
+        found = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
         if 2 * int(found.passed.sum()) < int(usable.sum()):
             self._mostly_refused += 1
             late = self._mostly_refused - self._design.patience
             if late >= 0:
                 self._P = self._design.start_covariance * _WIDER**late
                 self._tally.start_over()
-                found = self._correction.fit(y, usable, self._z, self._P, self._before)
+                found = self._correction.fit(y, usable, self._z, self._P, self._previous_input)
         elif usable.any():
             self._mostly_refused = 0
         entries = int(found.passed[self.sensors.reading_of].sum())
@@ -217,16 +372,16 @@ class KalmanFilter:
         self._tally.add(gate.lost(y), usable, found.passed, found.nis, entries)
 
     def _advanced(
-        self, z: FloatArray, P: FloatArray, before: FloatArray | None, held: FloatArray
+        self, z: FloatArray, P: FloatArray, previous: FloatArray | None, held: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return state and covariance a sample later, the input moved from before to held."""
-        design, start = self._design, held if before is None else before
+        """Return state and covariance a sample later; a ramp goes from the previous input."""
+        design, start = self._design, held if previous is None else previous
         if self._motion is None:
             moved, rest = design.sampled, self.plant.equilibrium_input
             transition = moved.transition
             z = transition @ z + moved.by_input @ (held - rest) + moved.drift
             if moved.ramp:
-                z = z + moved.by_before @ (start - rest)
+                z = z + moved.by_previous @ (start - rest)
         else:
             transition = np.eye(len(z))
             for left in range(design.substeps - 1, -1, -1):
@@ -239,7 +394,7 @@ class KalmanFilter:
         """Start from the operating point: the estimate is of no shape of the structure."""
         self._z, self._P = np.zeros_like(self._z), self._design.start_covariance
         self._inputs.clear()
-        self._before = None
+        self._previous_input = None
         self._tally.start_over(after)
 
     def _estimate(self, z: FloatArray, P: FloatArray) -> Estimate:

@@ -1,16 +1,29 @@
-"""Which motions the readings do not tell of, and what would."""
+"""Readings as a function of state and input, and the observability of a plant from them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from tenscontrol.estimation.outputs import output_matrix
+from tenscontrol.dynamics import kernel
 from tenscontrol.estimation.sensors import KINDS, Sensors
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.controllability import distinct_poles, reached_dimension
-from tenscontrol.validation import FloatArray
+from tenscontrol.plant import (
+    LinearPlant,
+    distinct_poles,
+    in_coordinates,
+    model_input,
+    reached_dimension,
+    reduced_motion,
+)
+from tenscontrol.structure import left_by_supports, rigid_motions
+from tenscontrol.validation import FloatArray, frozen
+
+# A motion as one body that moves the readings less than this fraction of another is not seen.
+_UNSEEN = 1e-9
 
 # A singular value below this fraction of the largest is zero.
 _TOLERANCE = 1e-9
@@ -19,24 +32,104 @@ _TOLERANCE = 1e-9
 _SLOW = 1e-6
 
 
+def output_function(plant: LinearPlant, sensors: Sensors, more: int = 0) -> ca.Function:
+    """Return ``(z, u) -> (y, ∂y/∂z)``, dense; exact, with bars of constant length.
+
+    z may have more entries after the state of the plant, which do not change the readings.
+    """
+    key = "output_function", more, sensors.measured
+    return plant.prepared.get(key, lambda: _output_function(plant, sensors, more))
+
+
+def _output_function(plant: LinearPlant, sensors: Sensors, more: int) -> ca.Function:
+    structure = plant.model.structure
+    z, u = ca.SX.sym("z", len(plant.A) + more), ca.SX.sym("u", plant.B.shape[1])
+    N, V = reduced_motion(plant, z[: len(plant.A)])
+    parts = []
+    if sensors.nodes is not None:
+        parts.append(ca.vec(N[:, sensors.nodes.tolist()]))
+    S, Sd = (kernel.differences(part, structure.strings) for part in (N, V))
+    length = ca.sqrt(kernel.dots(S, S)).T
+    if sensors.strings is not None:
+        parts.append(length[sensors.strings.tolist()])
+    if sensors.bars is not None:
+        bars = sensors.bars.tolist()
+        scale = ca.DM(1 / structure.bar_length[bars]).T
+        parts.append(
+            ca.vec(kernel.scale_columns(kernel.differences(N, structure.bars[bars]), scale))
+        )
+    if sensors.tension_strings is not None:
+        gamma = model_input(plant, u)
+        if plant.input == "rest_length":
+            law = plant.model.strings
+            assert law is not None  # linearize needs one for this input
+            gamma = law.symbolic_force_density(length, gamma, kernel.dots(S, Sd).T / length)
+        parts.append((gamma * length)[sensors.tension_strings.tolist()])
+    y = ca.vertcat(*parts)
+    results = [ca.densify(y), ca.densify(ca.jacobian(y, z))]
+    return ca.Function("readings", [z, u], ca.cse(results))
+
+
+def output_matrix(plant: LinearPlant, sensors: Sensors) -> FloatArray:
+    """Return C = ∂y/∂z at the operating point, shape (m, 2r)."""
+    function = output_function(plant, sensors)
+    return np.array(function(np.zeros(len(plant.A)), plant.equilibrium_input)[1].full())
+
+
+def observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
+    """Return the plant with the motions as one body that the sensors see.
+
+    Internal coordinates have none. Node positions and bar directions see some: those are added,
+    so that a structure that drifts or turns is not mistaken for one that changes its shape.
+    A plant in minimal coordinates, which has them all, is returned as it is.
+    """
+    if plant.coordinates.kind != "internal":
+        return plant
+    if sensors.nodes is None and sensors.bars is None:
+        return plant
+    key = "observed_plant", sensors.measured, sensors.noise.tobytes()
+    return plant.prepared.get(key, lambda: _observed_plant(plant, sensors))
+
+
+def _observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
+    whole = in_coordinates(plant, "minimal")
+    r = whole.degrees_of_freedom
+    fields = left_by_supports(whole.model.structure, rigid_motions(whole.nodes))
+    rigid = np.linalg.qr(whole.coordinates.project(fields))[0]
+    moved = output_matrix(whole, sensors)[:, :r] @ rigid / sensors.noise[:, None]
+    _, sizes, Vt = np.linalg.svd(moved)
+    seen = Vt[: int(np.count_nonzero(sizes > _UNSEEN * sizes.max(initial=0.0)))]
+    # Of the minimal coordinates, the internal ones and the motions that are seen.
+    inside = whole.coordinates.project(plant.basis)
+    keep = np.hstack([inside, rigid @ seen.T])
+    return _restricted(whole, keep)
+
+
+def _restricted(plant: LinearPlant, keep: FloatArray) -> LinearPlant:
+    """Return the plant on the space of orthonormal columns of its coordinates, shape (r, k)."""
+    frame = plant.coordinates
+    twice = np.kron(np.eye(2), keep)
+    projection = keep.T @ frame.project(np.eye(plant.nodes.size))
+    return replace(
+        plant,
+        coordinates=replace(
+            frame, basis=frozen(frame.basis @ keep), _projection=frozen(projection)
+        ),
+        A=frozen(twice.T @ plant.A @ twice),
+        B=frozen(twice.T @ plant.B),
+        drift=frozen(twice.T @ plant.drift),
+    )
+
+
 def refuse_unobservable(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> None:
     """Refuse readings that leave a motion which does not decay unseen, and say what would do."""
     seen = C / sensors.noise[:, None]
     poles = unseen_poles(plant, seen)
     if not len(poles):
         return
-    remedies = []
-    for kind, _, chooser, _ in KINDS:
-        there = sensors.count_of(chooser)
-        measured = getattr(sensors, chooser)
-        if there and (measured is None or len(measured) < there):
-            arguments: dict[str, Any] = {"structure": sensors.structure, kind: 1.0}
-            more = output_matrix(plant, Sensors(**arguments))
-            if not len(unseen_poles(plant, np.vstack([seen, more]))):
-                remedies.append(f"{kind} of all {chooser.removeprefix('tension_')}")
-    advice = "No single kind of reading in addition would do"
-    if remedies:
-        advice = f"Measure in addition {', or '.join(remedies)}"
+    advice = _remedy(
+        plant, sensors, lambda more: not len(unseen_poles(plant, np.vstack([seen, more])))
+    )
     A, scaled, _ = _scaled(plant, seen)
     count = len(A) - reached_dimension(A.T, scaled.T)
     listed = ", ".join(f"{pole:.4g}" for pole in poles)
@@ -53,24 +146,30 @@ def refuse_unseen_loads(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> 
     ``q̈`` of the load as states comes down to this: ``∂y/∂q`` has full column rank.
     """
     r = plant.degrees_of_freedom
-    count = r - _rank((C / sensors.noise[:, None])[:, :r])
+    seen = (C / sensors.noise[:, None])[:, :r]
+    count = r - _rank(seen)
     if not count:
         return
-    remedies = []
-    for kind, _, chooser, _ in KINDS:
-        if sensors.count_of(chooser):
-            arguments: dict[str, Any] = {"structure": sensors.structure, kind: 1.0}
-            more = output_matrix(plant, Sensors(**arguments))[:, :r]
-            seen = (C / sensors.noise[:, None])[:, :r]
-            if _rank(np.vstack([seen, more])) == r:
-                remedies.append(f"{kind} of all {chooser.removeprefix('tension_')}")
-    advice = "No single kind of reading in addition would do; leave out load"
-    if remedies:
-        advice = f"Measure in addition {', or '.join(remedies)}, or leave out load"
+    advice = _remedy(plant, sensors, lambda more: _rank(np.vstack([seen, more[:, :r]])) == r)
+    leave = f"{advice}{', or' if advice.startswith('Measure') else ';'} leave out load"
     raise ValueError(
         f"load: {count} of the {r} ways to shift the structure change nothing that {sensors!r} "
-        f"read, to first order, so that a load which does it is not seen. {advice}"
+        f"read, to first order, so that a load which does it is not seen. {leave}"
     )
+
+
+def _remedy(plant: LinearPlant, sensors: Sensors, helps: Callable[[FloatArray], bool]) -> str:
+    """Return the kinds of reading whose rows C, measured in addition, would help."""
+    remedies = []
+    for kind, _, chooser, _ in KINDS:
+        there, chosen = sensors.count_of(chooser), getattr(sensors, chooser)
+        if there and (chosen is None or len(chosen) < there):
+            arguments: dict[str, Any] = {"structure": sensors.structure, kind: 1.0}
+            if helps(output_matrix(plant, Sensors(**arguments))):
+                remedies.append(f"{kind} of all {chooser.removeprefix('tension_')}")
+    if not remedies:
+        return "No single kind of reading in addition would do"
+    return f"Measure in addition {', or '.join(remedies)}"
 
 
 def _rank(rows: FloatArray) -> int:

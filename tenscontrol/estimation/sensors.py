@@ -183,6 +183,12 @@ class Sensors:
         )
         return frozen(np.repeat(np.arange(len(sizes)), sizes))
 
+    @property
+    def measured(self) -> tuple[bytes | None, ...]:
+        """Key of what is measured, in which sensors of other noise, delay and losses agree."""
+        chosen = (getattr(self, chooser) for _, _, chooser, _ in KINDS)
+        return tuple(None if which is None else which.tobytes() for which in chosen)
+
     @cached_property
     def noise(self) -> FloatArray:
         """Standard deviation of each entry of y, shape (m,), in its unit."""

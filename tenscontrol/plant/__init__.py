@@ -1,6 +1,12 @@
 """Linear plants and what controllers and filters need of them."""
 
-from tenscontrol.plant.controllability import Controllability, controllability, lost_poles
+from tenscontrol.plant.controllability import (
+    Controllability,
+    controllability,
+    distinct_poles,
+    lost_poles,
+    reached_dimension,
+)
 from tenscontrol.plant.equilibrium import equilibrium
 from tenscontrol.plant.linear_plant import INPUTS, LinearPlant
 from tenscontrol.plant.linearize import (
@@ -10,7 +16,33 @@ from tenscontrol.plant.linearize import (
     linearize,
 )
 from tenscontrol.plant.modes import Modes, modes
-from tenscontrol.plant.reference import Reference
+from tenscontrol.plant.reduced_dynamics import (
+    acceleration_slopes,
+    checked_tracked,
+    explicit_substeps,
+    reduced_acceleration,
+    reduced_motion,
+    sampled_dynamics,
+    tracked_motion,
+)
+from tenscontrol.plant.reference import (
+    Preview,
+    Reference,
+    ReferencePreview,
+    SmoothReference,
+    checked_reference,
+)
+from tenscontrol.plant.sampling import Sampled, acceleration_response, sampled
+from tenscontrol.plant.string_outputs import (
+    StringMap,
+    model_input,
+    string_forces,
+    string_map,
+    to_commanded_strings,
+    to_model_strings,
+    to_segments,
+    to_strings,
+)
 
 __all__ = [
     "INPUTS",
@@ -18,12 +50,36 @@ __all__ = [
     "LinearPlant",
     "Modes",
     "OperatingPoint",
+    "Preview",
     "Reference",
+    "ReferencePreview",
+    "Sampled",
+    "SmoothReference",
+    "StringMap",
+    "acceleration_response",
+    "acceleration_slopes",
+    "checked_reference",
+    "checked_tracked",
     "command_parents",
     "controllability",
+    "distinct_poles",
     "equilibrium",
+    "explicit_substeps",
     "in_coordinates",
     "linearize",
     "lost_poles",
+    "model_input",
     "modes",
+    "reached_dimension",
+    "reduced_acceleration",
+    "reduced_motion",
+    "sampled",
+    "sampled_dynamics",
+    "string_forces",
+    "string_map",
+    "to_commanded_strings",
+    "to_model_strings",
+    "to_segments",
+    "to_strings",
+    "tracked_motion",
 ]

@@ -149,15 +149,9 @@ def _reachable(plant: LinearPlant) -> int:
 
 
 def reached_dimension(A: FloatArray, block: FloatArray) -> int:
-    """Return the dimension of the space that A and the columns of a block span together.
+    """Return the dimension of the Krylov space of A, of size one, and a block, shape (s, k).
 
     By block Arnoldi with full orthogonalization.
-
-    Parameters
-    ----------
-    A : ndarray, shape (s, s)
-        In units in which its size is of order one.
-    block : ndarray, shape (s, k)
     """
     basis = np.zeros((len(A), 0))
     while block.shape[1] and basis.shape[1] < len(A):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tenscontrol.dynamics import Coordinates, Model, Prepared
+from tenscontrol.plant.sampling import zero_order_hold
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, positive_number
 
@@ -86,6 +87,14 @@ class LinearPlant:
         assert self.rest_length is not None  # linearize needs a string law for this input
         return self.rest_length
 
+    @property
+    def load_input(self) -> list[FloatArray]:
+        """W as an argument of the model's functions: what is not built in, on the free nodes."""
+        model = self.model
+        if not model.has_external_force:
+            return []
+        return [(self.external_force - model.constant_force)[:, model.structure.free]]
+
     @cached_property
     def prepared(self) -> Prepared:
         """What was built for this plant once, for every later call; not for users."""
@@ -123,16 +132,8 @@ class LinearPlant:
         TypeError, ValueError
             If the step is not a positive finite number.
         """
-        from scipy.linalg import expm
-
         sample_time = positive_number("sample_time", sample_time, "s")
-        states, inputs = self.B.shape
-        exponent = np.zeros((states + inputs + 1, states + inputs + 1))
-        exponent[:states, :states] = self.A
-        exponent[:states, states:-1] = self.B
-        exponent[:states, -1] = self.drift
-        grown = expm(sample_time * exponent)[:states]
-        return grown[:, :states], grown[:, states:-1], grown[:, -1]
+        return zero_order_hold(self.A, self.B, self.drift, sample_time)
 
     @property
     def state_names(self) -> list[str]:

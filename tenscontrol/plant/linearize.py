@@ -11,6 +11,7 @@ import numpy as np
 from tenscontrol.dynamics import KINDS, Model, pack_state
 from tenscontrol.dynamics import coordinates as frame_of
 from tenscontrol.plant.linear_plant import INPUTS, LinearPlant
+from tenscontrol.plant.string_outputs import to_model_strings, to_segments, to_strings
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import (
     Structure,
@@ -19,9 +20,6 @@ from tenscontrol.structure import (
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
     rigid_motions,
-    segment_counts,
-    spread_force_density,
-    spread_rest_length,
 )
 from tenscontrol.validation import (
     FloatArray,
@@ -217,13 +215,15 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
     LinearPlant(15 minimal coordinates, input force_density, 9 inputs)
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    whole = plant.commanded is not plant.model.structure
-    gamma = plant.force_density
-    if whole:
-        gamma = spread_force_density(plant.model.structure, gamma)
-    at = OperatingPoint(plant.nodes, gamma, plant.external_force)
-    other = linearize(plant.model, at, plant.input, kind, require_equilibrium=False)
-    return command_parents(other) if whole else other
+
+    def build() -> LinearPlant:
+        gamma = to_model_strings(plant, "force_density", plant.force_density)
+        at = OperatingPoint(plant.nodes, gamma, plant.external_force)
+        other = linearize(plant.model, at, plant.input, kind, require_equilibrium=False)
+        return other if plant.commanded is plant.model.structure else command_parents(other)
+
+    choice("kind", kind, KINDS)
+    return plant.prepared.get(("in_coordinates", kind), build)
 
 
 def command_parents(plant: LinearPlant) -> LinearPlant:
@@ -261,25 +261,19 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     structure = plant.model.structure
-    parent, of = structure.parent, structure.string_parent
-    if parent is None or of is None:
+    parent = structure.parent
+    if parent is None:
         raise ValueError(
             "the plant is not that of a subdivided structure; subdivide(structure, ...) makes one"
         )
     if plant.commanded is parent:
         return plant
-    count = len(parent.strings)
-    segments = segment_counts(structure)
-    gamma = np.bincount(of, weights=plant.force_density / segments**2, minlength=count)
+    gamma = to_strings(structure, "force_density", plant.force_density)
     rest_length = None
     if plant.rest_length is not None:
-        rest_length = np.bincount(of, weights=plant.rest_length, minlength=count)
-    if plant.input == "force_density":
-        whole, given = spread_force_density(structure, gamma), plant.force_density
-    else:
-        assert rest_length is not None  # it is the input
-        assert plant.rest_length is not None  # and so is that of the segments
-        whole, given = spread_rest_length(structure, rest_length), plant.rest_length
+        rest_length = to_strings(structure, "rest_length", plant.rest_length)
+    given = plant.equilibrium_input
+    whole = to_segments(structure, plant.input, to_strings(structure, plant.input, given))
     if not np.allclose(whole, given, rtol=1e-9):
         what = plant.input.replace("_", " ")
         raise ValueError(
@@ -287,9 +281,7 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
             "string gives the operating point. Weight makes force densities differ along a "
             "string: linearize with input='rest_length'"
         )
-    spread = np.zeros((len(of), count))
-    share = segments if plant.input == "force_density" else 1 / segments
-    spread[np.arange(len(of)), of] = share
+    spread = to_segments(structure, plant.input, np.eye(len(parent.strings))).T
     return replace(
         plant,
         B=frozen(plant.B @ spread),

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import ceil
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.string_outputs import spreading, string_forces
-from tenscontrol.validation import FloatArray
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.string_outputs import model_input, string_forces
+from tenscontrol.validation import FloatArray, float_array
 
 # Radians of the fastest vibration in a step of RK4: its error is then about 1e-4 of it.
 _RADIANS = 0.35
@@ -20,19 +21,17 @@ _MOST_SUBSTEPS = 1000
 
 
 def reduced_acceleration(plant: LinearPlant, taut: bool = False) -> ca.Function:
-    """Return ``(z, u) -> q̈``, exact while nothing moves as one body.
+    """Return ``(z, u) -> q̈ = Tᵀ M vec(N̈)``, exact while nothing moves as one body.
 
-    Bars keep their lengths in every shape of q, so that no state stands for them. Since q is
-    linear in the node positions, ``q̈ = Tᵀ M vec(N̈)``.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-        In internal or minimal coordinates; its operating point is the reference shape.
-    taut : bool
-        Whether strings of held rest lengths push where they would be slack, as in the linear
-        plant: smooth, so that Newton's method converges however stiff they are.
+    Bars keep their lengths in every shape of q: the plant is in internal or minimal coordinates.
+    If ``taut``, strings of given rest lengths push where they would be slack, as in the linear
+    plant: smooth, so that Newton's method converges however stiff they are.
     """
+    build = partial(_reduced_acceleration, plant, taut)
+    return plant.prepared.get(("reduced_acceleration", taut), build)
+
+
+def _reduced_acceleration(plant: LinearPlant, taut: bool) -> ca.Function:
     z, u = (ca.SX.sym(name, size) for name, size in zip("zu", plant.B.shape, strict=True))
     moved = _motion(plant, z, u, taut)[2]
     rows = plant.model.structure.free_rows
@@ -43,18 +42,15 @@ def reduced_acceleration(plant: LinearPlant, taut: bool = False) -> ca.Function:
 
 
 def tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
-    """Return ``z -> (y, ẏ, ÿ at zero γ, ∂ÿ/∂γ)`` of combinations ``y = C vec(N)``.
+    """Return ``z -> (y, ẏ, ÿ at zero γ, ∂ÿ/∂γ)`` of ``y = C vec(N)``, C of shape (p, 3n).
 
-    Exact as :func:`reduced_acceleration` is. ÿ is affine in γ, so that the last two say
-    all of it.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-        In internal or minimal coordinates, with γ as the input.
-    matrix : ndarray, shape (p, 3n)
-        C, node by node.
+    Exact as :func:`reduced_acceleration` is; with γ as the input ÿ is affine in it.
     """
+    key = "tracked_motion", matrix.shape, matrix.tobytes()
+    return plant.prepared.get(key, partial(_tracked_motion, plant, matrix))
+
+
+def _tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
     z, gamma = (ca.SX.sym(name, size) for name, size in zip("zg", plant.B.shape, strict=True))
     N, V, moved = _motion(plant, z, gamma)
     C = ca.sparsify(ca.DM(matrix))
@@ -68,46 +64,43 @@ def tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
     return ca.Function("tracked", [z], ca.cse([ca.densify(each) for each in outputs]))
 
 
+def checked_tracked(plant: LinearPlant, tracked: object) -> FloatArray:
+    """Return combinations of node positions, shape (p, 3n), or raise naming the argument."""
+    matrix = float_array("tracked", tracked)
+    if matrix.ndim != 2 or matrix.shape[1] != plant.nodes.size or not len(matrix):
+        raise ValueError(
+            f"tracked has shape {matrix.shape}, expected (p, {plant.nodes.size}): "
+            "one column per coordinate of a node"
+        )
+    return matrix
+
+
 def _motion(plant: LinearPlant, z: Any, u: Any, taut: bool = False) -> tuple[Any, Any, Any]:
     """Return all nodes and velocities, and the accelerations of the free nodes, node by node."""
     model, structure = plant.model, plant.model.structure
     N, V = reduced_motion(plant, z)
     free = structure.free.tolist()
     x = ca.vertcat(ca.vec(N[:, free]), ca.vec(V[:, free]))
-    loads = []
-    if model.has_external_force:
-        loads.append(ca.DM((plant.external_force - model.constant_force)[:, free]))
-    held, equation = spreading(plant, u), model.state_equation(plant.input)
+    held, equation = model_input(plant, u), model.state_equation(plant.input)
     if taut and plant.input == "rest_length":
         held, equation = string_forces(plant, plant.input, N, V, held)[0], model.dynamics
-    slope = equation(x, held, *loads)
+    slope = equation(x, held, *map(ca.DM, plant.load_input))
     return N, V, slope[slope.shape[0] // 2 :]
 
 
 def sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Function, ca.Function]:
-    """Return the motion over a sample, and the same with its derivatives.
+    """Return ``(z, u) -> z⁺`` over a sample, and ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
 
-    By RK4 in steps that resolve the fastest vibration. The derivatives are those of the
-    RK4 steps themselves.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-    sample_time : float
-        Sample time, s.
-
-    Returns
-    -------
-    motion : casadi.Function
-        ``(z, u) -> z⁺``.
-    linearized : casadi.Function
-        ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
-
-    Raises
-    ------
-    ValueError
-        If there are more steps than can be meant.
+    Nonlinear, by RK4 in steps that resolve the fastest vibration, and the derivatives of these
+    steps; :func:`sampled` is the exact counterpart of the linear plant. A ValueError says so where
+    the steps would be too many.
     """
+    return plant.prepared.get(
+        ("sampled_dynamics", sample_time), partial(_sampled_dynamics, plant, sample_time)
+    )
+
+
+def _sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Function, ca.Function]:
     count = explicit_substeps(plant, sample_time)
     if count > _MOST_SUBSTEPS:
         raise ValueError(
@@ -130,14 +123,7 @@ def sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Functio
 
 
 def explicit_substeps(plant: LinearPlant, sample_time: float) -> int:
-    """Return how many RK4 steps a sample takes.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-    sample_time : float
-        Sample time, s.
-    """
+    """Return the number of RK4 steps in a sample."""
     return max(1, ceil(sample_time * _fastest(plant) / _RADIANS))
 
 

@@ -1,12 +1,18 @@
-"""What a controller is to follow: shapes over time."""
+"""References of controllers: shapes over time, and what holds the plant in them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 
+from tenscontrol.dynamics import evaluate_columns
+from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.sampling import Sampled, acceleration_response
+from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
 from tenscontrol.validation import (
     FloatArray,
     float_array,
@@ -18,6 +24,13 @@ from tenscontrol.validation import (
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+# Force densities of a reference shape may leave those of the operating point only as far as the
+# balance of forces gains from it, by this fraction of the largest singular value.
+_RIDGE = 1e-3
+
+# A string can be wound up to this fraction of what its law allows.
+_STRONGEST = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,40 +178,8 @@ class Reference:
         )
 
 
-class ReducedReference:
-    """A reference in the coordinates of a plant, ready to be read at any times.
-
-    Parameters
-    ----------
-    time : ndarray, shape (K,)
-    coordinates : ndarray, shape (K, r)
-        q at these times.
-    """
-
-    def __init__(self, time: FloatArray, coordinates: FloatArray) -> None:
-        self._time, self._coordinates = time, coordinates
-        # Rates between the times, zero before the first and after the last.
-        slopes = np.diff(coordinates, axis=0) / np.diff(time)[:, None]
-        still = np.zeros((1, coordinates.shape[1]))
-        self._rates = np.vstack([still, slopes, still])
-
-    def at(self, times: FloatArray) -> FloatArray:
-        """Return ``z = [q; q̇]`` at these times, shape (len(times), 2r)."""
-        right = np.searchsorted(self._time, times, side="right")
-        nearest = np.clip(right - 1, 0, None)
-        past = np.clip(times - self._time[nearest], 0.0, None)[:, None]
-        rates = self._rates[right]
-        return np.hstack([self._coordinates[nearest] + past * rates, rates])
-
-
 class SmoothReference:
-    """Values over time with rates and accelerations: cubic splines, at rest at both ends.
-
-    Parameters
-    ----------
-    time : ndarray, shape (K,)
-    values : ndarray, shape (K, p)
-    """
+    """Clamped cubic splines through values, shape (K, p), at given times, shape (K,)."""
 
     def __init__(self, time: FloatArray, values: FloatArray) -> None:
         from scipy.interpolate import CubicSpline
@@ -213,3 +194,244 @@ class SmoothReference:
             held = self._ends[int(time >= self._end)]
             return held, np.zeros_like(held), np.zeros_like(held)
         return self._spline(time), self._spline(time, 1), self._spline(time, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Preview:
+    """A reference at K times, with the input that holds the plant in each shape.
+
+    :meth:`ReferencePreview.over_horizon` gives the K = N + 1 starts of samples, but N rows of
+    ``reference`` and ``drift``: r_1 … r_N, and the d_k of a state measured from the operating
+    point.
+    """
+
+    reference: FloatArray  # (K, s), [q; q̇]
+    rest: FloatArray  # (K, s), [q; 0]
+    input: FloatArray  # (K, α), origin of v: holds the plant there
+    force_density: FloatArray  # (K, α'), N/m, of the strings of the model there
+    tension: FloatArray  # (K, α'), N
+    drift: FloatArray  # (K, s), by which the state drifts from there in a sample all the same
+    previous_input: FloatArray  # (α,), before the first sample
+
+
+class ReferencePreview:
+    """A reference in the coordinates of a plant, with the inputs that hold its shapes.
+
+    With γ as the input, the plant is linear about its operating point throughout. With rest
+    lengths, the lengths of the strings in the shapes themselves are used: for a stiff string,
+    second-order errors of its length matter.
+
+    The reference is checked: a Reference, a shape (3, n), or None for the operating point.
+    ``span`` are its first and last time, s: it is at rest before and after.
+    """
+
+    def __init__(self, plant: LinearPlant, reference: object, sampled: Sampled) -> None:
+        reference = checked_reference(plant, reference)
+        still = np.zeros_like(plant.nodes)
+        r = plant.degrees_of_freedom
+        shapes = [reference.nodes[:, :, k] for k in range(len(reference.time))]
+        q = np.array([plant.measure(N, still)[:r] for N in shapes])
+        self._plant, self._sampled = plant, sampled
+        self.span = float(reference.time[0]), float(reference.time[-1])
+        self._time, self._coordinates = reference.time, q
+        # Rates between the times, zero before the first and after the last.
+        slopes = np.diff(q, axis=0) / np.diff(reference.time)[:, None]
+        self._rates = np.vstack([np.zeros((1, r)), slopes, np.zeros((1, r))])
+        self._held_time: FloatArray | None = None
+        if plant.input == "rest_length":
+            self._held_time = _refined(reference.time, sampled.sample_time)
+            rests = self.wanted(self._held_time)[:, :r]
+            gamma = plant.force_density[:, None] * np.ones(len(self._held_time))
+            if reference.force_density is not None:
+                gamma = np.array(
+                    [
+                        np.interp(self._held_time, reference.time, row)
+                        for row in reference.force_density
+                    ]
+                )
+            response = acceleration_response(plant, sampled.sample_time)
+            self._table = _held(plant, rests, gamma, response)
+
+    def following(self, reference: object) -> ReferencePreview:
+        """Return the preview of another reference, given as to the constructor."""
+        return ReferencePreview(self._plant, reference, self._sampled)
+
+    def wanted(self, times: FloatArray) -> FloatArray:
+        """Return ``[q; q̇]`` of the reference, shape (K, s)."""
+        right = np.searchsorted(self._time, times, side="right")
+        nearest = np.clip(right - 1, 0, None)
+        past = np.clip(times - self._time[nearest], 0.0, None)[:, None]
+        rates = self._rates[right]
+        return np.hstack([self._coordinates[nearest] + past * rates, rates])
+
+    def aims(self, times: FloatArray, ramp: bool) -> tuple[FloatArray, FloatArray]:
+        """Return the aims of N samples: ``[q; q̇]`` at their ends, (N, s), and inputs, (N, α).
+
+        ``times``, shape (N + 1,), are the starts of the samples and the end of the last. Inputs
+        are those of the starts of samples; a ramp reaches them at the ends. Speeds are means over
+        two samples then: between its shapes a reference is straight, and stiff strings would have
+        to follow its jumps of speed.
+        """
+        if not ramp:
+            return self.wanted(times[1:]), self.at(times[:-1]).input
+        sample_time = times[1] - times[0]
+        q = self.wanted(np.append(times, times[-1] + sample_time))[
+            :, : self._plant.degrees_of_freedom
+        ]
+        return np.hstack([q[1:-1], (q[2:] - q[:-2]) / (2 * sample_time)]), self.at(times[1:]).input
+
+    def at(self, times: FloatArray) -> Preview:
+        """Return the preview at these times, shape (K,), s."""
+        plant, count = self._plant, len(times)
+        if self._held_time is None:
+            gamma = to_model_strings(plant, "force_density", plant.force_density)
+            tension = gamma * plant.model.structure.string_length(plant.nodes)
+            still = np.zeros(len(plant.A))
+            row = np.concatenate([still, plant.force_density, gamma, tension, self._sampled.drift])
+            rows = np.tile(row, (count, 1))
+        elif len(self._held_time) == 1:
+            rows = np.tile(self._table, (count, 1))
+        else:
+            right = np.clip(np.searchsorted(self._held_time, times), 1, len(self._held_time) - 1)
+            left, end = self._held_time[right - 1], self._held_time[right]
+            share = np.clip((times - left) / (end - left), 0.0, 1.0)[:, None]
+            rows = (1 - share) * self._table[right - 1] + share * self._table[right]
+        (s, a), strings = plant.B.shape, len(plant.model.structure.strings)
+        ends = np.cumsum([s, a, strings, strings])
+        rest, held, gamma, tension, drift = np.split(rows, ends, axis=1)
+        return Preview(self.wanted(times), rest, held, gamma, tension, drift, held[0])
+
+    def over_horizon(self, time: float, length: int) -> Preview:
+        """Return the preview of so many samples from a time on, s.
+
+        Inputs that are held: the plant moves about shapes at rest. Ramps: it is linear about the
+        motion of the reference, along which its strings have no force to spare, and damping and
+        inertia alone lead away. (About a shape at rest, a stiff string would have to be known to a
+        hundredth of its stiffness.)
+        """
+        sampled, plant = self._sampled, self._plant
+        sample_time, r = sampled.sample_time, plant.degrees_of_freedom
+        if not sampled.ramp:
+            preview = self.at(time + sample_time * np.arange(length + 1.0))
+            rest = preview.rest[:-1]
+            drift = rest - rest @ sampled.transition.T + preview.drift[:-1]
+            return replace(preview, reference=preview.reference[1:], drift=drift)
+        times = time + sample_time * np.arange(-1.0, length + 2)
+        preview = self.at(times[1:])
+        q = self.wanted(times)[:, :r]
+        rates = (q[2:] - q[:-2]) / (2 * sample_time)
+        motion = np.hstack([q[1:-1], rates])
+        mean, gained = (rates[1:] + rates[:-1]) / 2, np.diff(rates, axis=0) / sample_time
+        spare = mean @ plant.A[r:, r:].T - gained
+        response = acceleration_response(plant, sample_time)
+        drift = (
+            motion[1:]
+            - motion[:-1] @ sampled.transition.T
+            + spare @ response.T
+            + preview.drift[1:-1]
+        )
+        return Preview(
+            reference=motion[1:],
+            rest=preview.rest[1:],
+            input=preview.input[1:],
+            force_density=preview.force_density[1:],
+            tension=preview.tension[1:],
+            drift=drift,
+            previous_input=preview.previous_input,
+        )
+
+
+def checked_reference(plant: LinearPlant, reference: object) -> Reference:
+    """Return a reference for a plant, or raise naming it; the operating point for None."""
+    shape = plant.nodes.shape
+    if reference is None:
+        reference = plant.nodes
+    if not isinstance(reference, Reference):
+        nodes = float_array("reference", reference)
+        if nodes.shape != shape:
+            raise ValueError(
+                f"reference has shape {nodes.shape}, expected {shape}: one column per node; "
+                "shapes over time go in a Reference(time, nodes)"
+            )
+        reference = Reference([0.0], nodes[:, :, None])
+    if reference.nodes.shape[:2] != shape:
+        raise ValueError(
+            f"reference.nodes has shape {reference.nodes.shape}, "
+            f"expected {(*shape, len(reference.time))}: one column per node"
+        )
+    count, gamma = plant.B.shape[1], reference.force_density
+    if gamma is not None and len(gamma) != count:
+        raise ValueError(
+            f"reference.force_density has shape {gamma.shape}, expected "
+            f"({count}, {len(reference.time)}): one row per string"
+        )
+    return reference
+
+
+def _refined(time: FloatArray, sample_time: float) -> FloatArray:
+    """Return times with no gap above a sample."""
+    parts = [
+        np.linspace(start, end, max(1, int(np.ceil((end - start) / sample_time))), endpoint=False)
+        for start, end in pairwise(time)
+    ]
+    return np.concatenate([*parts, time[-1:]])
+
+
+def _held(
+    plant: LinearPlant, q: FloatArray, wanted: FloatArray, response: FloatArray
+) -> FloatArray:
+    """Return rest, input, γ, tension and drift of each shape, side by side, shape (K, ·).
+
+    γ is the wanted one, shape (α, K), changed as little as the balance of forces asks for; what
+    cannot be balanced shows as drift.
+    """
+    structure, law = plant.model.structure, plant.model.strings
+    assert law is not None  # the rest length is the input
+    shapes = np.array([plant.to_nodes(each) for each in q])
+    offset, slope = _accelerations(plant, shapes)
+    chosen = to_model_strings(plant, "force_density", wanted.T)
+    left = offset + (slope @ chosen[..., None])[..., 0]
+    # Ridge regression from the operating point, shape by shape.
+    U, sizes, Vt = np.linalg.svd(slope, full_matrices=False)
+    floor = _RIDGE * sizes[:, :1]
+    gain = sizes / (sizes**2 + floor**2)
+    along = gain * (U.swapaxes(1, 2) @ left[..., None])[..., 0]
+    gamma = chosen - (Vt.swapaxes(1, 2) @ along[..., None])[..., 0]
+    gamma = np.clip(gamma, 0.0, _STRONGEST * law.largest_force_density)
+    left = offset + (slope @ gamma[..., None])[..., 0]
+    lengths = np.array([structure.string_length(N) for N in shapes])
+    rest_length = np.array(
+        [law.rest_length(length, each) for length, each in zip(lengths, gamma, strict=True)]
+    )
+    rests = np.hstack([q, np.zeros_like(q)])
+    wound = to_commanded_strings(plant, "rest_length", rest_length)
+    return np.hstack([rests, wound, gamma, gamma * lengths, left @ response.T])
+
+
+def _accelerations(plant: LinearPlant, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return q̈ at zero γ, shape (K, r), and its derivative by γ, (K, r, α'), at rest in shapes."""
+    function = plant.prepared.get("acceleration_at_rest", lambda: _acceleration_at_rest(plant))
+    columns = shapes[:, :, plant.model.structure.free].transpose(0, 2, 1).reshape(len(shapes), -1).T
+    offset, slope = evaluate_columns(function, np.asfortranarray(columns))
+    r = plant.degrees_of_freedom
+    return offset.T.copy(), slope.T.reshape(len(shapes), -1, r).swapaxes(1, 2).copy()
+
+
+def _acceleration_at_rest(plant: LinearPlant) -> ca.Function:
+    """Return ``N -> (q̈ at zero γ, ∂q̈/∂γ)`` of free nodes at rest, node by node."""
+    model = plant.model
+    free = model.structure.free
+    N, gamma = ca.SX.sym("N", 3 * len(free)), ca.SX.sym("gamma", len(model.structure.strings))
+    nodes = ca.reshape(N, 3, len(free))
+    still = ca.DM.zeros(3, len(free))
+    moved = model.acceleration(nodes, still, gamma, *map(ca.DM, plant.load_input))
+    project = plant.coordinates.project(np.eye(plant.nodes.size))
+    q = ca.mtimes(ca.DM(project[:, model.structure.free_rows]), ca.vec(moved))
+    return ca.Function(
+        "held",
+        [N],
+        [
+            ca.densify(ca.substitute(q, gamma, ca.SX.zeros(gamma.shape))),
+            ca.vec(ca.densify(ca.jacobian(q, gamma))),
+        ],
+    )

@@ -1,161 +1,92 @@
-"""What a sample does to a plant whose input jumps at its start, or winds through it."""
+"""Exact sampled models of a linear plant: zero-order-hold and ramp inputs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_reference import Stretch
-from tenscontrol.validation import FloatArray, freeze_arrays
+from tenscontrol.validation import FloatArray, freeze_arrays, frozen
+
+if TYPE_CHECKING:
+    from tenscontrol.plant.linear_plant import LinearPlant
 
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """The exact model of a sample, ``z⁺ = Φ z + Γ_b v_before + Γ v + d``.
+    """The exact model of a sample, ``z⁺ = Φ z + Γ_p v_previous + Γ v + d``."""
 
-    Attributes
-    ----------
-    transition : ndarray, shape (s, s)
-        Φ.
-    by_before : ndarray, shape (s, α)
-        Γ_b: what the input of the sample before still does.
-    by_input : ndarray, shape (s, α)
-        Γ.
-    drift : ndarray, shape (s,)
-        d.
-    ramp : bool
-        Whether the input moves through the sample; if not, ``by_before`` is zero.
-    """
-
-    transition: FloatArray
-    by_before: FloatArray
-    by_input: FloatArray
-    drift: FloatArray
-    ramp: bool
+    sample_time: float  # s
+    transition: FloatArray  # Φ, (s, s)
+    by_previous: FloatArray  # Γ_p, (s, α); zero without a ramp
+    by_input: FloatArray  # Γ, (s, α)
+    drift: FloatArray  # d, (s,)
+    ramp: bool  # whether the input moves through the sample, from v_previous to v
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
     @property
     def augmented(self) -> tuple[FloatArray, FloatArray]:
-        """Φ and Γ of the state ``[z; v_before]``, or of z where the input jumps."""
+        """Φ and Γ of the state ``[z; v_previous]``, or of z without a ramp."""
         if not self.ramp:
             return self.transition, self.by_input
         s, a = self.by_input.shape
-        rows = np.hstack([self.transition, self.by_before])
+        rows = np.hstack([self.transition, self.by_previous])
         return np.vstack([rows, np.zeros((a, s + a))]), np.vstack([self.by_input, np.eye(a)])
 
-    def coasting(self, state: FloatArray, before: FloatArray, origin: FloatArray) -> FloatArray:
-        """Return what becomes of a state without the input to come, shape (s,), and without drift.
+    def free_response(
+        self, state: FloatArray, previous: FloatArray, origin: FloatArray
+    ) -> FloatArray:
+        """Return the next state, shape (s,), at zero input and without drift.
 
-        Parameters
-        ----------
-        state : ndarray, shape (s,)
-            z.
-        before : ndarray, shape (α,)
-            v_before.
-        origin : ndarray, shape (α,)
-            What v is measured from.
+        ``previous``, shape (α,), is v_previous; ``origin``, shape (α,), is what v is measured from.
         """
         return np.asarray(
-            self.transition @ state + self.by_before @ before - self.by_input @ origin
+            self.transition @ state + self.by_previous @ previous - self.by_input @ origin
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Lead:
-    """What a reference asks for over a horizon of N samples.
-
-    Attributes
-    ----------
-    path : Stretch
-        Of N + 1 moments: the first N are those whose inputs are the origins of v.
-    before : ndarray, shape (α,)
-        The input that the path has before the first sample.
-    reference : ndarray, shape (N, s)
-        r_1 … r_N.
-    drift : ndarray, shape (N, s)
-        d_k of the state measured from the operating point.
-    """
-
-    path: Stretch
-    before: FloatArray
-    reference: FloatArray
-    drift: FloatArray
-
-
-def along_jumps(path: Stretch, reference: FloatArray, sampled: Sampled) -> Lead:
-    """Return the lead for inputs that stand still within samples: the plant swings about rests.
-
-    Parameters
-    ----------
-    path : Stretch
-        At the starts of the samples, and the end of the last.
-    reference : ndarray, shape (N, s)
-    sampled : Sampled
-    """
-    rest = path.rest[:-1]
-    drift = rest - rest @ sampled.transition.T + path.drift[:-1]
-    return Lead(path, path.input[0], reference, drift)
-
-
-def along_winding(
-    path: Stretch,
-    q: FloatArray,
-    sampled: Sampled,
-    plant: LinearPlant,
-    push: FloatArray,
-    sample_time: float,
-) -> Lead:
-    """Return the lead for inputs that move through samples as the shapes do.
-
-    The plant is linear about the motion: with the rest lengths of the path its strings
-    have no force to spare at any time, and damping and inertia alone lead away from it. (About a
-    shape at rest, a stiff string would have to be known to a hundredth of its stiffness.)
-
-    Parameters
-    ----------
-    path : Stretch
-        At the starts of the samples, and twice beyond.
-    q : ndarray, shape (N + 3, r)
-        Reference at a sample before the first, at those, and once more.
-    sampled : Sampled
-    plant : LinearPlant
-    push : ndarray, shape (s, r)
-        What unit accelerations do to the state in a sample.
-    sample_time : float
-        s.
-    """
-    r = plant.degrees_of_freedom
-    rates = (q[2:] - q[:-2]) / (2 * sample_time)
-    motion = np.hstack([q[1:-1], rates])
-    mean, gained = (rates[1:] + rates[:-1]) / 2, np.diff(rates, axis=0) / sample_time
-    spare = mean @ plant.A[r:, r:].T - gained
-    later = Stretch(*(value[1:] for value in vars(path).values()))
-    drift = motion[1:] - motion[:-1] @ sampled.transition.T + spare @ push.T + later.drift[:-1]
-    return Lead(later, path.input[0], motion[1:], drift)
-
-
 def sampled(plant: LinearPlant, sample_time: float, substeps: int) -> Sampled:
-    """Return what a sample does.
+    """Return the sampled model; the input reaches v in equal substeps, at once if there is one."""
 
-    Parameters
-    ----------
-    plant : LinearPlant
-    sample_time : float
-        Sample time, s.
-    substeps : int
-        Equal parts in which the input moves from ``v_before`` to v; 1 if it jumps at once.
-    """
-    transition, input_matrix, drift = plant.discretize(sample_time / substeps)
-    whole, moved = np.eye(len(transition)), np.zeros_like(drift)
-    before, now = np.zeros_like(input_matrix), np.zeros_like(input_matrix)
-    for piece in range(1, substeps + 1):
-        share = piece / substeps
-        before = transition @ before + (1 - share) * input_matrix
-        now = transition @ now + share * input_matrix
-        moved = transition @ moved + drift
-        whole = transition @ whole
-    return Sampled(whole, before, now, moved, substeps > 1)
+    def build() -> Sampled:
+        transition, by_input, drift = plant.discretize(sample_time / substeps)
+        whole, moved = np.eye(len(transition)), np.zeros_like(drift)
+        previous, now = np.zeros_like(by_input), np.zeros_like(by_input)
+        for substep in range(1, substeps + 1):
+            share = substep / substeps
+            previous = transition @ previous + (1 - share) * by_input
+            now = transition @ now + share * by_input
+            moved = transition @ moved + drift
+            whole = transition @ whole
+        return Sampled(sample_time, whole, previous, now, moved, substeps > 1)
+
+    return plant.prepared.get(("sampled", sample_time, substeps), build)
+
+
+def acceleration_response(plant: LinearPlant, sample_time: float) -> FloatArray:
+    """Return the response of the state to unit accelerations held over a sample, shape (s, r)."""
+
+    def build() -> FloatArray:
+        r = plant.degrees_of_freedom
+        unit = np.vstack([np.zeros((r, r)), np.eye(r)])
+        return frozen(zero_order_hold(plant.A, unit, plant.drift, sample_time)[1])
+
+    return plant.prepared.get(("acceleration_response", sample_time), build)
+
+
+def zero_order_hold(
+    A: FloatArray, B: FloatArray, drift: FloatArray, sample_time: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return Φ, Γ and d of ``z⁺ = Φ z + Γ v + d``, exact for v held over a sample."""
+    from scipy.linalg import expm
+
+    states, inputs = B.shape
+    exponent = np.zeros((states + inputs + 1, states + inputs + 1))
+    exponent[:states, :states] = A
+    exponent[:states, states:-1] = B
+    exponent[:states, -1] = drift
+    grown = expm(sample_time * exponent)[:states]
+    return grown[:, :states], grown[:, states:-1], grown[:, -1]

@@ -16,8 +16,7 @@ from tenscontrol.robustness.distance import farthest_node
 from tenscontrol.robustness.errors import SweepError
 from tenscontrol.robustness.outcome import Outcome
 from tenscontrol.robustness.varied import varied_sensors, varied_strings
-from tenscontrol.simulation import HealthLimits, Trajectory, simulate
-from tenscontrol.simulation.faults import Fault, Faults
+from tenscontrol.simulation import Fault, Faults, HealthLimits, Trajectory, simulate
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,

@@ -9,11 +9,11 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.plant import LinearPlant, Reference
+from tenscontrol.progress import progress_bar
 from tenscontrol.robustness.distance import farthest_node
 from tenscontrol.robustness.stiffness_loops import LATE, Task, natural_weights
 from tenscontrol.robustness.stiffness_report import StiffnessReport, StiffnessRow
 from tenscontrol.shape import ShapeTarget
-from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import refuse_wrong_bar_lengths
 from tenscontrol.validation import (

@@ -10,6 +10,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
+from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import store
 from tenscontrol.robustness.distributions import Distribution
 from tenscontrol.robustness.errors import SweepError
@@ -18,7 +19,6 @@ from tenscontrol.robustness.pool import spread, workers
 from tenscontrol.robustness.record import Record
 from tenscontrol.robustness.report import SweepReport, collected
 from tenscontrol.robustness.worker import run_one
-from tenscontrol.simulation.progress import progress_bar
 from tenscontrol.validation import instance, truth, whole_number
 
 

@@ -8,8 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from tenscontrol.dynamics import StringLaw
-from tenscontrol.estimation import Sensors
-from tenscontrol.estimation.sensors import KINDS
+from tenscontrol.estimation import KINDS, Sensors
 from tenscontrol.robustness.errors import SweepError
 from tenscontrol.validation import float_array, per_member, positive_number
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reference import Reference
+from tenscontrol.plant import LinearPlant, Reference
 from tenscontrol.shape.along import plants_along
 from tenscontrol.shape.continuation import Continuation, Waypoint
 from tenscontrol.shape.ends import path_end, refuse_same

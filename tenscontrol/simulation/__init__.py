@@ -1,11 +1,16 @@
 """Open- and closed-loop simulation."""
 
-from tenscontrol.simulation.faults import CutString, Fault, LostMeasurement, StuckWinch
-from tenscontrol.simulation.health import AccuracyWarning, Health, HealthLimits
+from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
 from tenscontrol.simulation.loop import SimulationError
 from tenscontrol.simulation.observation import EstimateRecord
-from tenscontrol.simulation.simulate import simulate
-from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
+from tenscontrol.simulation.simulate import checked_load, held_value, initial_state, simulate
+from tenscontrol.simulation.trajectory import (
+    AccuracyWarning,
+    ControlRecord,
+    Health,
+    HealthLimits,
+    Trajectory,
+)
 
 __all__ = [
     "AccuracyWarning",
@@ -13,11 +18,15 @@ __all__ = [
     "CutString",
     "EstimateRecord",
     "Fault",
+    "Faults",
     "Health",
     "HealthLimits",
     "LostMeasurement",
     "SimulationError",
     "StuckWinch",
     "Trajectory",
+    "checked_load",
+    "held_value",
+    "initial_state",
     "simulate",
 ]

@@ -1,4 +1,4 @@
-"""What may break in a simulation: strings, winches, measurements."""
+"""Faults of a simulation: cut strings, stuck winches, lost measurements."""
 
 from __future__ import annotations
 
@@ -23,9 +23,23 @@ _SLACK = 1e6
 
 
 class Fault(ABC):
-    """Something that breaks during a simulation; see :func:`simulate`."""
+    """A fault during a simulation; see :func:`simulate`."""
 
-    time: float  # of every kind
+    time: float
+    until: float | None = None
+
+    def __post_init__(self) -> None:
+        if hasattr(self, "string"):
+            object.__setattr__(self, "string", whole_number("string", self.string, least=0))
+        time = float_array("time", self.time)
+        if time.ndim != 0 or time < 0:
+            raise ValueError(f"time is {self.time}, expected a time in s of at least 0")
+        object.__setattr__(self, "time", float(time))
+        if self.until is not None:
+            end = positive_number("until", self.until, "s")
+            if end <= self.time:
+                raise ValueError(f"until is {end:g} s, expected after time, {self.time:g} s")
+            object.__setattr__(self, "until", end)
 
     @property
     def start(self) -> float:
@@ -33,9 +47,9 @@ class Fault(ABC):
         return self.time
 
     @property
-    @abstractmethod
     def end(self) -> float:
         """When it is over, s; infinite if never."""
+        return np.inf if self.until is None else self.until
 
     @property
     @abstractmethod
@@ -52,7 +66,7 @@ class CutString(Fault):
     is integrated in spans that end there. Where rest lengths are held, the string
     is given one of a million sizes of the structure, so that it stays slack. The
     energy that it stored is lost (:attr:`Trajectory.released_energy`). The
-    controller is not told.
+    controller does not notice.
 
     Parameters
     ----------
@@ -81,15 +95,6 @@ class CutString(Fault):
     string: int
     time: float
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "string", whole_number("string", self.string, least=0))
-        object.__setattr__(self, "time", _checked_time("time", self.time))
-
-    @property
-    def end(self) -> float:
-        """Infinite: it is not mended."""
-        return np.inf
-
     @property
     def label(self) -> str:
         """Which string is cut."""
@@ -102,8 +107,8 @@ class StuckWinch(Fault):
     """An actuator that holds what it has, whatever is commanded.
 
     Commands take effect at samples, so those from ``time`` on, before ``until``,
-    have none. Where γ is held, the actuator holds its γ. The controller is told
-    what stands (:meth:`Controller.applied`).
+    have none. Where γ is held, the actuator holds its γ. The controller gets
+    the applied input (:meth:`Controller.applied`).
 
     Parameters
     ----------
@@ -131,17 +136,6 @@ class StuckWinch(Fault):
     string: int
     time: float
     until: float | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "string", whole_number("string", self.string, least=0))
-        object.__setattr__(self, "time", _checked_time("time", self.time))
-        if self.until is not None:
-            object.__setattr__(self, "until", _checked_end(self.until, self.time))
-
-    @property
-    def end(self) -> float:
-        """When it is free again, s."""
-        return np.inf if self.until is None else self.until
 
     @property
     def label(self) -> str:
@@ -180,13 +174,8 @@ class LostMeasurement(Fault):
     until: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time", _checked_time("time", self.time))
-        object.__setattr__(self, "until", _checked_end(self.until, self.time))
-
-    @property
-    def end(self) -> float:
-        """When it is back, s."""
-        return self.until
+        positive_number("until", self.until, "s")  # it always ends
+        super().__post_init__()
 
     @property
     def label(self) -> str:
@@ -195,22 +184,9 @@ class LostMeasurement(Fault):
 
 
 class Faults:
-    """The faults of a run: which of them act when.
+    """The faults of a run, checked, of a structure of a size, m, under an input of a kind."""
 
-    Parameters
-    ----------
-    faults : sequence of Fault
-    size : float
-        Size of the structure, m.
-    held : {"force_density", "rest_length"}
-
-    Raises
-    ------
-    TypeError
-        If one is no fault.
-    """
-
-    def __init__(self, faults: object, size: float, held: str) -> None:
+    def __init__(self, faults: object, size: float, input: str) -> None:
         if isinstance(faults, Fault) or not isinstance(faults, Sequence):
             raise TypeError(
                 f"faults is a {type(faults).__name__}, expected a list, like "
@@ -223,23 +199,10 @@ class Faults:
         self._cuts = [fault for fault in faults if isinstance(fault, CutString)]
         self._stuck = [fault for fault in faults if isinstance(fault, StuckWinch)]
         self._lost = [fault for fault in faults if isinstance(fault, LostMeasurement)]
-        self._slack = 0.0 if held == "force_density" else _SLACK * size
+        self._slack = 0.0 if input == "force_density" else _SLACK * size
 
     def refuse_unknown(self, strings: int, winches: int | None) -> None:
-        """Raise if a fault names what is not there.
-
-        Parameters
-        ----------
-        strings : int
-            Number of the model's strings.
-        winches : int or None
-            Number of commanded strings; None where there is no controller.
-
-        Raises
-        ------
-        ValueError
-            Naming the fault.
-        """
+        """Refuse indices beyond the model's strings, or the winches; None without a controller."""
         for i, fault in enumerate(self.listed):
             if isinstance(fault, CutString):
                 _refuse_index(i, fault.string, strings, "strings in the model")
@@ -257,7 +220,7 @@ class Faults:
         return sorted({cut.time for cut in self._cuts if start < cut.time < end})
 
     def without_cut(self, held: FloatArray, time: float) -> FloatArray:
-        """Return what is held, shape (α,), as strings that are cut at a time let it act."""
+        """Return the input held, shape (α,), with that of strings cut by a time replaced."""
         cut = [fault.string for fault in self._cuts if fault.time <= time]
         if not cut:
             return held
@@ -272,20 +235,6 @@ class Faults:
     def lost(self, time: float) -> bool:
         """Return whether there is no measurement at a time, s."""
         return any(fault.start <= time < fault.end for fault in self._lost)
-
-
-def _checked_time(name: str, value: object) -> float:
-    time = float_array(name, value)
-    if time.ndim != 0 or time < 0:
-        raise ValueError(f"{name} is {value}, expected a time in s of at least 0")
-    return float(time)
-
-
-def _checked_end(until: object, start: float) -> float:
-    end = positive_number("until", until, "s")
-    if end <= start:
-        raise ValueError(f"until is {end:g} s, expected after time, {start:g} s")
-    return end
 
 
 def _refuse_index(place: int, string: int, count: int, what: str) -> None:

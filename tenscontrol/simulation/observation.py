@@ -1,4 +1,4 @@
-"""What a controller is told of a simulated motion, where it is estimated from readings."""
+"""Measurement of a simulated motion, and its estimate for the controller."""
 
 from __future__ import annotations
 
@@ -7,23 +7,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.control.controller import Controller
+from tenscontrol.control import Controller
 from tenscontrol.dynamics import Evaluator, Model, pack_state
 from tenscontrol.estimation import Estimate, FilterStatistics, KalmanFilter, Sensors
+from tenscontrol.plant import to_strings
 from tenscontrol.structure import same_members
 from tenscontrol.validation import FloatArray, frozen, whole_number
 
 
 @dataclass(frozen=True, eq=False)
 class EstimateRecord:
-    """What was read and estimated, sample by sample; the last part of a control record.
+    """Measurements and estimates, sample by sample; the last part of a control record.
 
     Attributes
     ----------
     time : ndarray, shape (K,)
         Start of each sample, s.
     nodes, velocities : ndarray, shape (3, n, K)
-        Estimated motion, m and m/s: what the controller was told.
+        Estimated motion that the controller was given, m and m/s.
     node_deviation : ndarray, shape (3, n, K)
         Standard deviation of each coordinate, m, as the filter has it.
     length_deviation : ndarray, shape (α, K)
@@ -31,7 +32,7 @@ class EstimateRecord:
     state : ndarray, shape (s, K)
         In the coordinates of the filter.
     measurement : ndarray, shape (m, K)
-        What came at each sample, NaN where nothing did.
+        What arrived at each sample, NaN where nothing did.
     status : tuple of str, length K
         What became of it; see :class:`Estimate`.
     statistics : FilterStatistics
@@ -54,26 +55,10 @@ class EstimateRecord:
 
 
 class Observation:
-    """Takes readings of the simulated motion, and keeps what the filter makes of them.
+    """Sensors of a simulated motion and the filter that estimates it, checked to go together.
 
-    Parameters
-    ----------
-    estimator : KalmanFilter
-    sensors : Sensors or None
-        What the readings are taken by; those of the estimator if None.
-    seed : int or None
-        Of the noise; 0 if None.
-    model : Model
-        Of the simulated motion.
-    hold : str
-        What its actuators hold.
-    controller : Controller
-    sample : float
-        Sample time, s.
-    start : ndarray, shape (α,), or None
-        Where the winches stand at the start, m, if that is known.
-    substeps : int
-        In which they wind through a sample.
+    ``sensors`` are those of the estimator if None; ``start`` are the rest lengths at the start, m,
+    shape (α,), if they are known; ``substeps`` those of the winches.
     """
 
     def __init__(
@@ -91,7 +76,7 @@ class Observation:
         if not isinstance(estimator, KalmanFilter):
             raise TypeError(
                 f"estimator is a {type(estimator).__name__}, expected KalmanFilter: make one by "
-                "kalman(plant, sensors, step)"
+                "kalman(plant, sensors, sample_time=...)"
             )
         if sensors is None:
             sensors = estimator.sensors
@@ -113,10 +98,10 @@ class Observation:
         self._rows: list[tuple[FloatArray, Estimate]] = []
         estimator.reset(held=start)
 
-    def look(self, nodes: FloatArray, velocities: FloatArray, lost: bool) -> Estimate:
-        """Return what the filter makes of the readings that are there at this sample.
+    def estimate(self, nodes: FloatArray, velocities: FloatArray, lost: bool) -> Estimate:
+        """Measure the motion, and return the estimate from what arrives at this sample.
 
-        What is read now may be lost, and is then missed as late as it would have come.
+        A measurement that is lost now is missing when it would have arrived.
         """
         seen = self._sensors.structure.nodes.shape[1]
         exact = self._sensors.measure(nodes[:, :seen], self._tension(nodes, velocities))
@@ -127,16 +112,13 @@ class Observation:
         self._rows.append((reading, estimate))
         return estimate
 
-    def hold(self, applied: FloatArray, held: FloatArray) -> None:
-        """Tell the filter what the actuators hold: one entry a winch, and one a string."""
+    def predict(self, applied: FloatArray, held: FloatArray) -> None:
+        """Predict under the input of the winches, shape (α,), and of the strings, (α',)."""
         self._filter.predict(applied)
         self._held = held
 
     def _tension(self, nodes: FloatArray, velocities: FloatArray) -> FloatArray | None:
-        """Return the tension of each string of the sensors' structure; None before anything acts.
-
-        Of a string that is cut into segments, the mean over them.
-        """
+        """Return the tension of each string of the sensors' structure; None before any input."""
         if self._sensors.string_tension is None or self._held is None:
             return None
         structure = self._model.structure
@@ -144,23 +126,21 @@ class Observation:
         if self._law is not None:
             (gamma,) = self._law(pack_state(structure, nodes, velocities), self._held)
         tension = np.atleast_1d(gamma) * structure.string_length(nodes)
-        count = len(self._sensors.structure.strings)
-        if len(tension) == count:
+        if len(tension) == len(self._sensors.structure.strings):
             return tension
-        of = structure.string_parent
-        assert of is not None  # the loop has checked that the structures go together
-        return np.asarray(np.bincount(of, weights=tension) / np.bincount(of))
+        return to_strings(structure, "tension", tension)
 
     def record(self, time: FloatArray) -> EstimateRecord:
-        """Return what was read and estimated at these times."""
+        """Return measurements and estimates at these times."""
         readings, estimates = zip(*self._rows, strict=True)
+        names = "nodes", "velocities", "node_deviation", "length_deviation", "state"
+        series = {
+            name: frozen(np.stack([getattr(each, name) for each in estimates], axis=-1))
+            for name in names
+        }
         return EstimateRecord(
             time=frozen(time),
-            nodes=frozen(np.stack([each.nodes for each in estimates], axis=-1)),
-            velocities=frozen(np.stack([each.velocities for each in estimates], axis=-1)),
-            node_deviation=frozen(np.stack([each.node_deviation for each in estimates], axis=-1)),
-            length_deviation=frozen(np.column_stack([each.length_deviation for each in estimates])),
-            state=frozen(np.column_stack([each.state for each in estimates])),
+            **series,
             measurement=frozen(np.column_stack(readings)),
             status=tuple(each.status for each in estimates),
             statistics=self._filter.statistics,

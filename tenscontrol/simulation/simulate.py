@@ -8,17 +8,30 @@ from collections.abc import Sequence
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control.controller import Controller
-from tenscontrol.dynamics import Model
+from tenscontrol.control import Controller
+from tenscontrol.dynamics import Model, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
-from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
 from tenscontrol.simulation.loop import Loop, SimulationError
-from tenscontrol.simulation.progress import progress_bar
-from tenscontrol.simulation.start import checked_load, held_value, initial_state
-from tenscontrol.simulation.trajectory import Trajectory
-from tenscontrol.validation import choice, instance, positive_number, truth
+from tenscontrol.simulation.trajectory import AccuracyWarning, HealthLimits, Trajectory
+from tenscontrol.structure import (
+    refuse_moved_supports,
+    refuse_strings_without_length,
+    refuse_wrong_bar_lengths,
+)
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    instance,
+    non_negative,
+    per_member,
+    positive,
+    positive_number,
+    shaped,
+    truth,
+)
 
 # States kept of an adaptive run, unless the user says otherwise.
 _OUTPUTS = 1000
@@ -70,8 +83,8 @@ def simulate(
         Motion at the start, m and m/s; the reference shape at rest if not given.
         Bars must have their lengths, and must not be stretching.
     rest_length : float or array_like, shape (α,), optional
-        Rest lengths, m. With a controller: where the winches stand at the
-        start, one per string that it commands.
+        Rest lengths, m. With a controller: those at the start, one per string
+        that it commands.
     force_density : float or array_like, shape (α,), optional
         γ, N/m.
     controller : Controller, optional
@@ -87,8 +100,8 @@ def simulate(
     sample_time : float, optional
         For a controller without a sample time of its own, s; else ``step``.
     faults : sequence of CutString, StuckWinch and LostMeasurement
-        What breaks. The controller is not told of cuts, but of what actuators hold
-        (:meth:`Controller.applied`).
+        The controller gets the input that is applied (:meth:`Controller.applied`), but
+        does not notice cuts.
     external_force : array_like, shape (3, n), optional
         Constant load W, N, for a model built with ``external_force=True``.
     method : str
@@ -118,12 +131,11 @@ def simulate(
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
     estimator : KalmanFilter, optional
-        From :func:`kalman`. The controller is then told its estimate in place of the motion, and
-        the estimator what the actuators hold. It is reset first. Its step is that of the
-        samples, and its winches move in as many substeps as those here.
+        From :func:`kalman`. The controller then gets its estimate in place of the motion, and
+        the estimator the applied input. It is reset first. Its sample time and the substeps of
+        its winches are those of the run.
     sensors : Sensors, optional
-        What the readings are taken by, if other than the estimator believes: noise, delay and
-        losses may differ.
+        The actual sensors, if noise, delay or losses differ from those of the estimator.
     seed : int, optional
         Of the noise of the readings; 0 if not given. The same seed gives the same run.
 
@@ -173,7 +185,7 @@ def simulate(
         raise ValueError("sensors and seed go with an estimator; kalman(...) makes one")
     if not len(model.structure.free):
         raise ValueError("every node of the model is fixed: nothing can move")
-    what = _held(model, rest_length, force_density, controller, input)
+    what = _input_kind(model, rest_length, force_density, controller, input)
     breaking = Faults(faults, float(np.ptp(model.structure.nodes, axis=1).max()), what)
     winch_count = None if controller is None else len(controller.plant.commanded.strings)
     breaking.refuse_unknown(len(model.structure.strings), winch_count)
@@ -226,7 +238,7 @@ def _check(run: Trajectory, limits: HealthLimits) -> None:
     warnings.warn(text, AccuracyWarning, stacklevel=3)
 
 
-def _held(
+def _input_kind(
     model: Model,
     rest_length: object,
     force_density: object,
@@ -272,3 +284,55 @@ def _output_step(loop: Loop, output_step: float | None, duration: float) -> floa
             "A longer output_step keeps fewer"
         )
     return value
+
+
+def held_value(model: Model, rest_length: object, force_density: object) -> FloatArray:
+    """Return what is held, shape (α,): the one that is not None, checked."""
+    if force_density is None:
+        values = per_member("rest_length", rest_length, len(model.structure.strings), "string")
+        return positive("rest_length", values, "length in m")
+    gamma = per_member("force_density", force_density, len(model.structure.strings), "string")
+    return non_negative("force_density", gamma, "a string can only pull")
+
+
+def checked_load(model: Model, external_force: object) -> FloatArray:
+    """Return all that acts on the nodes from outside, N, shape (3, n)."""
+    if not model.has_external_force:
+        if external_force is not None:
+            raise ValueError(
+                "the model takes no load as an input; build it as "
+                "Model(structure, external_force=True)"
+            )
+        return model.constant_force
+    shape = model.structure.nodes.shape
+    if external_force is None:
+        raise ValueError("the model takes a load: give external_force, shape (3, n), N")
+    given = shaped("external_force", external_force, shape, "one force per node")
+    return given + model.constant_force
+
+
+def initial_state(model: Model, nodes: object, velocities: object, input: str) -> FloatArray:
+    """Return the state at the start, after checking that the structure can be in it."""
+    structure = model.structure
+    N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
+    V = np.zeros_like(N)
+    if velocities is not None:
+        V = structure.checked_nodes("velocities", velocities)
+    refuse_wrong_bar_lengths("nodes", structure, N)
+    refuse_moved_supports("nodes", structure, N)
+    moving = np.flatnonzero(V[:, structure.fixed].any(axis=0))
+    if len(moving):
+        node = structure.fixed[moving[0]]
+        raise ValueError(f"velocities move the fixed node {node} by {V[:, node]} m/s, expected 0")
+    if input == "rest_length":
+        refuse_strings_without_length("nodes", structure, N)
+    bars, rates = structure.bar_vectors(N), structure.bar_vectors(V)
+    stretching = np.abs((bars * rates).sum(axis=0)) / structure.bar_length
+    allowed = 1e-8 * max(float(np.abs(V).max()), 1e-300)
+    if stretching.size and stretching.max() > allowed:
+        worst = int(stretching.argmax())
+        raise ValueError(
+            f"velocities stretch bar {worst} at {stretching[worst]:.3g} m/s, expected 0: bars "
+            "are rigid. plant.to_velocities(q, rates) gives velocities that bars can have"
+        )
+    return pack_state(structure, N, V)

@@ -1,35 +1,33 @@
-"""The motion that a simulation returns, with the figures that tell whether to trust it."""
+"""Trajectories of simulations, their control records, and figures of their accuracy."""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from tenscontrol.control import Fallback, Status
-from tenscontrol.dynamics import Model, evaluate_columns, unpack_states
 from tenscontrol.integrate import Choice, Work
 from tenscontrol.simulation.faults import Fault
-from tenscontrol.simulation.health import Health
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.validation import FloatArray, choice, positive_number
 
 
 @dataclass(frozen=True, eq=False)
 class ControlRecord:
-    """What the controller and the winches did, sample by sample.
+    """Commands and moves of the winches, sample by sample.
 
     Attributes
     ----------
     time : ndarray, shape (K,)
         Start of each sample, s.
     command : ndarray, shape (α, K)
-        What the controller asked for, in the unit of its input.
+        Desired input, in the unit of the controller.
     applied : ndarray, shape (α, K)
-        What the actuators held: γ, N/m, or rest lengths, m, one a string of
-        the controller; where winches wind, what they reach by the end.
+        Applied input: γ, N/m, or rest lengths, m, one a string of the controller;
+        of a ramp, its end.
     status : tuple of Status, length K
         Status of each command; ``Status.OK`` where all went well.
     fallback : tuple, length K
@@ -38,14 +36,13 @@ class ControlRecord:
         Figures to the status.
     winch_rate : ndarray, shape (α, K)
         Change of the rest length in each sample over the sample time, m/s;
-        zero where γ is held. The first counts from where the winches stood, if
-        that was given.
+        zero where γ is held. The first counts from the start, if that is known.
     rate_limited, range_limited : ndarray of int, shape (K,)
         Number of winches that met a limit.
     computing_time : ndarray, shape (K,)
         Time the controller took, s.
     estimate : EstimateRecord or None
-        What was read and estimated; None where the controller saw the motion itself.
+        Measurements and estimates; None without an estimator.
     """
 
     time: FloatArray
@@ -69,6 +66,116 @@ class ControlRecord:
     def fallback_count(self) -> dict[Fallback, int]:
         """How often each fallback was taken."""
         return dict(Counter(fallback for fallback in self.fallback if fallback is not None))
+
+
+class AccuracyWarning(RuntimeWarning):
+    """A motion that is not accurate."""
+
+
+@dataclass(frozen=True)
+class Health:
+    """Figures that tell whether to trust a motion. Made by :attr:`Trajectory.health`.
+
+    Attributes
+    ----------
+    energy_error : float or None
+        Largest change of the energy since the start, as part of the largest
+        kinetic energy; what cut strings stored is allowed for. None where the
+        energy may change: strings are damped, or a controller acts.
+    momentum_change, angular_momentum_change : float or None
+        Largest change, as part of the largest momentum that the kinetic energy
+        could give; None where supports or loads may change it.
+    bar_length_error : float
+        Largest change of the length of a bar, as part of its length.
+    position_error : float or None
+        Estimate of the error of the nodes at the end, as part of the size of
+        the structure: see :attr:`Trajectory.position_error`.
+    work : Work
+        Steps, rejections, evaluations and switches.
+    """
+
+    energy_error: float | None
+    momentum_change: float | None
+    angular_momentum_change: float | None
+    bar_length_error: float
+    position_error: float | None
+    work: Work
+
+
+@dataclass(frozen=True)
+class HealthLimits:
+    """Limits on the figures of :class:`Health`; None for no limit.
+
+    Parameters
+    ----------
+    energy_error : float, optional
+        As part of the largest kinetic energy.
+    momentum_change, angular_momentum_change : float, optional
+        As part of the largest momentum that the kinetic energy could give.
+    bar_length_error : float, optional
+        As part of the length.
+    position_error : float, optional
+        As part of the size of the structure.
+    steps, evaluations, switches : float, optional
+        Counts.
+    action : {"warn", "raise"}
+        What happens where a limit is passed: an :class:`AccuracyWarning`, or a
+        :class:`SimulationError` that carries the motion.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a limit is not positive, or ``action`` is another word.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> model = tc.Model(tc.prism())
+    >>> limits = tc.HealthLimits(bar_length_error=1e-9, action="raise")
+    >>> run = tc.simulate(model, 1.0, force_density=[17.3205] * 6 + [9.0] * 3, limits=limits)
+    >>> run.health.bar_length_error < 1e-9
+    True
+    """
+
+    energy_error: float | None = 0.05
+    momentum_change: float | None = None
+    angular_momentum_change: float | None = None
+    bar_length_error: float | None = 1e-3
+    position_error: float | None = 0.1
+    steps: float | None = None
+    evaluations: float | None = None
+    switches: float | None = None
+    action: str = "warn"
+
+    def __post_init__(self) -> None:
+        choice("action", self.action, ("warn", "raise"))
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name != "action" and value is not None:
+                positive_number(field.name, value, "a limit; None for none")
+
+    def passed(self, health: Health) -> list[str]:
+        """Return a sentence for each limit that is passed.
+
+        Parameters
+        ----------
+        health : Health
+
+        Returns
+        -------
+        list of str
+        """
+        found = []
+        for field in fields(self):
+            limit = getattr(self, field.name)
+            if field.name == "action" or limit is None:
+                continue
+            source = health if hasattr(health, field.name) else health.work
+            value = getattr(source, field.name)
+            if value is not None and value > limit:
+                what = field.name.replace("_", " ")
+                found.append(f"{what} {value:.2g} is above its limit {limit:g}")
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,17 +213,16 @@ class Trajectory:
     conserves_momentum : bool
         Whether nothing holds or pushes the structure from outside.
     control : ControlRecord or None
-        What the controller did; None in open loop.
+        Commands and moves of the winches; None in open loop.
     released_energy : ndarray, shape (T,)
         What strings stored that have been cut before each time, J: lost with them.
     stopped : str or None
         Why the motion ends early; None where it does not.
     position_error : float or None
         Estimate of the error of the nodes at the end, as part of the size of the
-        structure: twice what parts of the motion, taken again in half the
-        steps, are off by; with a tolerance, that times the steps. None where few
-        states were kept, or the motion ends early. It does not know of motions
-        that magnify errors: see :func:`predictability`.
+        structure: by step doubling over parts of the motion; with a tolerance, that
+        times the steps. None where few states were kept, or the motion ends early.
+        Motions that magnify errors need :func:`predictability`.
     faults : tuple of Fault
         What was made to break.
     """
@@ -242,7 +348,7 @@ class Trajectory:
         return "\n".join(lines)
 
     def _details(self) -> list[str]:
-        """Return what is told only where there is something to tell."""
+        """Return the lines that appear only where they apply."""
         lines = []
         if self.stopped is not None:
             lines.append(f"ended early       {self.stopped}")
@@ -265,65 +371,6 @@ class Trajectory:
 
     def __repr__(self) -> str:
         return f"Trajectory({self.time[-1]:g} s, {len(self.time)} states, {self.method})"
-
-
-def build_trajectory(
-    model: Model,
-    load: FloatArray,
-    held: str,
-    time: FloatArray,
-    states: FloatArray,
-    inputs: FloatArray,
-    choice: Choice,
-    work: Work,
-    control: ControlRecord | None,
-    stopped: str | None,
-    position_error: float | None,
-    released_energy: FloatArray,
-    faults: tuple[Fault, ...],
-) -> Trajectory:
-    """Return the trajectory of states (6n, T) under held inputs (α, T).
-
-    Energies and momenta are evaluated by the model's own functions, all times at once.
-    """
-    structure, strings = model.structure, model.strings
-    nodes, velocities = unpack_states(structure, states)
-    if held == "force_density":
-        force_density, rest_length = inputs, None
-        (potential,) = evaluate_columns(model.potential_energy, states, inputs)
-    else:
-        (force_density,) = evaluate_columns(model.string_force_density, states, inputs)
-        rest_length = frozen(inputs)
-        (potential,) = evaluate_columns(model.elastic_energy, states, inputs)
-    if load.any():
-        potential = potential - np.einsum("in,int->t", load, nodes)
-    (kinetic,) = evaluate_columns(model.kinetic_energy, states)
-    linear, angular = evaluate_columns(model.momentum, states)
-    bars = nodes[:, structure.bars[:, 1]] - nodes[:, structure.bars[:, 0]]
-    error = np.linalg.norm(bars, axis=0) - structure.bar_length[:, None]
-    return Trajectory(
-        structure=structure,
-        time=frozen(time),
-        nodes=frozen(nodes),
-        velocities=frozen(velocities),
-        force_density=frozen(force_density),
-        rest_length=rest_length,
-        kinetic_energy=frozen(kinetic[0]),
-        potential_energy=frozen(potential[0]),
-        momentum=frozen(linear),
-        angular_momentum=frozen(angular),
-        bar_length_error=frozen(error),
-        choice=choice,
-        work=work,
-        conserves_energy=control is None
-        and (held == "force_density" or (strings is not None and not strings.is_damped)),
-        conserves_momentum=not load.any() and not len(structure.fixed),
-        control=control,
-        stopped=stopped,
-        position_error=position_error,
-        released_energy=frozen(released_energy),
-        faults=faults,
-    )
 
 
 def _share(change: float, scale: float) -> float:

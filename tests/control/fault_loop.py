@@ -12,7 +12,7 @@ import tenscontrol as tc
 from tenscontrol.control import Status
 from tenscontrol.control.mpc import OSQPSolver, QPSolution
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.plant.reduced_dynamics import sampled_dynamics
+from tenscontrol.plant import sampled_dynamics
 
 STEP, GAMMA = 0.02, 17.3205
 CHANGE = {"force_density": 6.0, "rest_length": 0.03}  # N/m and m a sample

@@ -6,7 +6,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.control.disturbance import LoadObserver, load_model
 from tenscontrol.demo import tour as demo
-from tenscontrol.plant.reduced_reference import acceleration_response
+from tenscontrol.plant import acceleration_response
 
 SAMPLE, LOAD = 0.02, 2.0
 

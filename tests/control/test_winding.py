@@ -7,7 +7,7 @@ import tenscontrol as tc
 from tenscontrol.control import Status
 from tenscontrol.control.mpc.settings import MPCSettings, design
 from tenscontrol.demo import tour as demo
-from tenscontrol.plant.sampling import sampled
+from tenscontrol.plant import sampled
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))
@@ -94,11 +94,11 @@ def test_one_piece_is_the_zero_order_hold_and_pieces_add_up():
     transition, input_matrix, drift = plant.discretize(SAMPLE)
     jump, wind = (sampled(plant, SAMPLE, pieces) for pieces in (1, 9))
     assert not jump.ramp
-    assert not jump.by_before.any()
+    assert not jump.by_previous.any()
     for model in (jump, wind):
         np.testing.assert_allclose(model.transition, transition, atol=1e-9)
         # An input that does not change acts alike.
-        np.testing.assert_allclose(model.by_before + model.by_input, input_matrix, atol=1e-9)
+        np.testing.assert_allclose(model.by_previous + model.by_input, input_matrix, atol=1e-9)
         np.testing.assert_allclose(model.drift, drift, atol=1e-9)
 
 
@@ -189,7 +189,7 @@ def test_the_regulator_is_that_of_the_state_and_of_what_winches_hold():
         wanted = law._decide(0.0, state)
         assert wanted.status is Status.OK
         off = wanted.value - plant.rest_length
-        end = model.transition @ state + model.by_before @ unit[s:] + model.by_input @ off
+        end = model.transition @ state + model.by_previous @ unit[s:] + model.by_input @ off
         loop[:, i] = np.concatenate([end, off]) / 1e-7
     found = np.linalg.eigvals(loop)
     assert len(law.poles) == s + a

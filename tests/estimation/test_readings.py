@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.estimation.outputs import observed_plant, output_function, output_matrix
+from tenscontrol.estimation.observability import observed_plant, output_function, output_matrix
 from tests.estimation.conftest import EVERY, STEP
 
 

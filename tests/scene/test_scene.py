@@ -353,7 +353,7 @@ def twist(nodes):
 def reference_of(scene):
     """The reference that a scene gave its controller, node by node."""
     controller = scene.controller
-    path = controller.law.path._reference
+    path = controller.law.path
     q = path._coordinates
     nodes = np.stack([controller.plant.to_nodes(each) for each in q], axis=-1)
     return tc.Reference(path._time, nodes)

@@ -12,7 +12,7 @@ from tenscontrol.accuracy.suite.result import SuiteResult
 from tenscontrol.accuracy.suite.scenes import extremes
 from tenscontrol.accuracy.suite.truth import truth
 from tenscontrol.accuracy.suite.verdict import Verdict, judge
-from tenscontrol.simulation.progress import progress_bar
+from tenscontrol.progress import progress_bar
 from tenscontrol.validation import truth as checked_truth
 
 

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tenscontrol.control.mpc.problem import MPCProblem, Rows, StageData
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_reference import Stretch
-from tenscontrol.plant.string_outputs import StringMap
+from tenscontrol.plant import LinearPlant, Preview, StringMap
 from tenscontrol.structure import bar_distances
 from tenscontrol.validation import (
     FloatArray,
@@ -250,7 +248,7 @@ class Constraints:
         none = [] if self.blocks else [np.zeros(0)]
         return np.concatenate(none + [getattr(block, name) for block in self.blocks])
 
-    def bounds(self, stretch: Stretch, length: int) -> tuple[FloatArray, FloatArray]:
+    def bounds(self, preview: Preview, length: int) -> tuple[FloatArray, FloatArray]:
         """Return bounds of the rows, shape (N, p) each, on a path at N samples and their end."""
         low, high = [np.zeros((length, 0))], [np.zeros((length, 0))]
         for block in self.blocks:
@@ -258,8 +256,8 @@ class Constraints:
             if block.quantity:
                 # What the strings have where the path rests, less what the rows make of that rest.
                 by_state = (block.by_state + block.by_next_state)[:, : self._states]
-                base = getattr(stretch, block.quantity)[:length]
-                base = base - stretch.rest[:length] @ by_state.T
+                base = getattr(preview, block.quantity)[:length]
+                base = base - preview.rest[:length] @ by_state.T
             low.append(block.low - base)
             high.append(block.high - base)
         return np.hstack(low), np.hstack(high)

@@ -15,9 +15,7 @@ from tenscontrol.control.mpc.problem import Form, MPCProblem, QPSolver, StageDat
 from tenscontrol.control.mpc.settings import Design, MPCSettings, SettingsKeywords, design
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Fallback, Status
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_reference import Path, acceleration_response
-from tenscontrol.plant.sampling import Lead, along_jumps, along_winding
+from tenscontrol.plant import LinearPlant, ReferencePreview, acceleration_response
 from tenscontrol.validation import FloatArray, choice, frozen, instance
 
 _FORMS = ("auto", "condensed", "sparse")
@@ -63,11 +61,9 @@ class MPCLaw:
     settings : MPCSettings
     design : Design
     form : Form
-    response : ndarray, shape (s, r)
-        What unit accelerations, held over a sample, do to the state.
     load : LoadModel or None
         None where no load is estimated.
-    path : Path
+    path : ReferencePreview
         What is followed.
     """
 
@@ -75,9 +71,8 @@ class MPCLaw:
     settings: MPCSettings
     design: Design
     form: Form
-    response: FloatArray
     load: LoadModel | None
-    path: Path
+    path: ReferencePreview
 
     def solver(self) -> QPSolver:
         """Return the solver of the programs, as it is before the first solve."""
@@ -89,21 +84,20 @@ class MPCLaw:
         The load is accelerations, shape (r,); None where none is estimated.
         """
         problem, ramp = self.design.problem, self.design.sampled.ramp
-        lead = self._lead(time)
-        path, origin = lead.path, lead.path.input[:-1]
-        drift, reference = lead.drift, lead.reference
+        preview = self.path.over_horizon(time, problem.length)
+        origin, drift, reference = preview.input[:-1], preview.drift, preview.reference
         effort = np.zeros_like(origin)
         if self.load is not None and load is not None:
             drift = drift + self.load.response @ load
             r = self.plant.degrees_of_freedom
-            ends = path.rest[:-1] if ramp else path.rest[1:]
+            ends = preview.rest[:-1] if ramp else preview.rest[1:]
             known = (reference - ends)[:, :r] @ self.plant.A[r:, :r].T
             offset, effort = self.load.rest(known + load)
             reference = reference + np.hstack([offset, np.zeros_like(offset)])
         if ramp:
             none = np.zeros_like(origin)
             drift, reference = np.hstack([drift, none]), np.hstack([reference, none])
-        row_low, row_high = self.design.constraints.bounds(path, problem.length)
+        row_low, row_high = self.design.constraints.bounds(preview, problem.length)
         return StageData(
             reference=reference,
             input_reference=effort,
@@ -114,20 +108,8 @@ class MPCLaw:
             row_low=row_low,
             row_high=row_high,
             origin=origin,
-            previous_origin=lead.before,
+            previous_origin=preview.previous_input,
         )
-
-    def _lead(self, time: float) -> Lead:
-        """Return what the reference asks for over the horizon."""
-        sampled, length = self.design.sampled, self.design.problem.length
-        sample_time = self.settings.sample_time
-        if not sampled.ramp:
-            times = time + sample_time * np.arange(length + 1.0)
-            return along_jumps(self.path.at(times), self.path.wanted(times[1:]), sampled)
-        times = time + sample_time * np.arange(-1.0, length + 2)
-        q = self.path.wanted(times)[:, : self.plant.degrees_of_freedom]
-        path = self.path.at(times[1:])
-        return along_winding(path, q, sampled, self.plant, self.response, sample_time)
 
     def vectors(
         self,
@@ -153,7 +135,7 @@ class MPCLaw:
     ) -> FloatArray:
         """Return the state a sample later, the load but not the input of the sample included."""
         before = previous_input - data.previous_origin
-        free = self.design.sampled.coasting(state, before, data.origin[0])
+        free = self.design.sampled.free_response(state, before, data.origin[0])
         return free + data.drift[0, : len(state)]
 
     def _first_state(
@@ -240,9 +222,9 @@ class MPC(Controller):
         given = MPCSettings(**settings)
         made, sample_time = design(plant, given), given.sample_time
         super().__init__(plant, sample_time, made.low, made.high, made.problem.change)
-        response = acceleration_response(plant, sample_time)
         observer = None
         if given.load_gain is not None:
+            response = acceleration_response(plant, sample_time)
             observer = load_observer(plant, response, given.load_gain, given.tracked)
         self._observer = observer
         self._law = MPCLaw(
@@ -250,9 +232,8 @@ class MPC(Controller):
             settings=given,
             design=made,
             form=form_of(made.problem, form),
-            response=response,
             load=None if observer is None else observer.model,
-            path=Path(plant, given.reference, sample_time, response, made.sampled.drift),
+            path=ReferencePreview(plant, given.reference, made.sampled),
         )
         self._solver, self._longest_time = self._law.solver(), given.longest_time
         self.reset()

@@ -16,8 +16,7 @@ from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, Traject
 from tenscontrol.control.mpc.settings import MPCSettings, SettingsKeywords, design
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Fallback, Status
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_reference import Path, acceleration_response
+from tenscontrol.plant import LinearPlant, ReferencePreview, acceleration_response
 from tenscontrol.validation import FloatArray, frozen, instance, truth, whole_number
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
@@ -75,7 +74,7 @@ class NMPCLaw:
         None where no load is estimated.
     rounds : int
         Programs solved in a sample at most.
-    path : Path
+    path : ReferencePreview
         What is followed.
     """
 
@@ -87,7 +86,7 @@ class NMPCLaw:
     units: FloatArray
     load: LoadModel | None
     rounds: int
-    path: Path
+    path: ReferencePreview
 
     def subproblem(self) -> Sparse:
         """Return the SQP subproblem, before anything is linearized."""
@@ -205,10 +204,10 @@ class NMPC(Controller):
         given = MPCSettings(**settings)
         made, sample_time, winches = design(plant, given), given.sample_time, given.winches
         super().__init__(plant, sample_time, made.low, made.high, made.problem.change)
-        response = acceleration_response(plant, sample_time)
-        path = Path(plant, given.reference, sample_time, response, made.sampled.drift)
+        path = ReferencePreview(plant, given.reference, made.sampled)
         self._observer = None
         if given.load_gain is not None:
+            response = acceleration_response(plant, sample_time)
             self._observer = load_observer(plant, response, given.load_gain, given.tracked)
         # After all checks: it may be compiled.
         substeps = 1 if winches is None else winches.substeps

@@ -18,19 +18,19 @@ from tenscontrol.control.mpc.shooting import (
     StageJacobians,
     executable,
     stage_jacobians,
-    taut_acceleration,
     taut_slopes,
 )
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_dynamics import (
+from tenscontrol.plant import (
+    LinearPlant,
     explicit_substeps,
+    model_input,
     reduced_acceleration,
     reduced_motion,
+    string_forces,
 )
-from tenscontrol.plant.string_outputs import spreading, string_forces
 from tenscontrol.validation import FloatArray
 
 # At a shape that changes its stiffness by a tenth these leave 1e-5 of what was off.
@@ -77,12 +77,9 @@ class TrajectoryModel:
         prepared = plant.prepared
         if self.implicit:
             self.discretization = RadauIIA(plant, sample_time, length, substeps, machine_code)
-            self.acceleration = taut_acceleration(plant)
         else:
             self.discretization = RK4(plant, sample_time, length, machine_code)
-            self.acceleration = prepared.get(
-                "reduced acceleration", lambda: reduced_acceleration(plant)
-            )
+        self.acceleration = reduced_acceleration(plant, taut=self.implicit)
         self.back_end = self.discretization.back_end
         self._plant, self._sample_time = plant, sample_time
         balance = prepared.get(
@@ -175,7 +172,7 @@ def limited_rows(plant: LinearPlant, constraints: Constraints, at_end: bool = Fa
     s, a = plant.B.shape
     z, u, later = ca.SX.sym("z", s), ca.SX.sym("u", a), ca.SX.sym("later", s)
     at = reduced_motion(plant, later if at_end else z)
-    forces = string_forces(plant, plant.input, *at, spreading(plant, u))
+    forces = string_forces(plant, plant.input, *at, model_input(plant, u))
     kinds = {"force_density": forces[0], "tension": forces[1]}
     shape = ca.vec(reduced_motion(plant, later)[0])
     y = ca.vertcat(*(

@@ -21,9 +21,14 @@ from tenscontrol.control.mpc.constraints import (
 from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.problem import Form, MPCProblem, QPSolver
 from tenscontrol.control.weights import energy_weights, weight_matrix
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.sampling import Sampled, sampled
-from tenscontrol.plant.string_outputs import gather_lengths, spread, string_map
+from tenscontrol.plant import (
+    LinearPlant,
+    Sampled,
+    sampled,
+    string_map,
+    to_commanded_strings,
+    to_model_strings,
+)
 from tenscontrol.validation import (
     FloatArray,
     frozen,
@@ -272,7 +277,8 @@ def design(plant: LinearPlant, settings: MPCSettings) -> Design:
     level = float(plant.force_density.max()) or float(high.max())
     if plant.input == "rest_length":
         lengths = plant.model.structure.string_length(plant.nodes)
-        level = float((gather_lengths(plant, lengths) - plant.equilibrium_input).max())
+        lengths = to_commanded_strings(plant, "length", lengths)
+        level = float((lengths - plant.equilibrium_input).max())
     winches, sample_time = settings.winches, settings.sample_time
     model = sampled(plant, sample_time, 1 if winches is None else winches.substeps)
     transition, input_matrix = model.augmented
@@ -333,15 +339,15 @@ def _least_force_density(plant: LinearPlant, settings: MPCSettings) -> FloatArra
 
 def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> list[RowBlock]:
     blocks, held = [], plant.input
-    strings = plant.prepared.get(("string map", held), lambda: string_map(plant, held))
+    strings = string_map(plant, held)
     count = plant.B.shape[1]
     if held == "rest_length":
         high = np.full(len(strings.force_density), np.inf)
         if settings.max_force_density is not None:
             largest = per_member("max_force_density", settings.max_force_density, count, "string")
             positive("max_force_density", largest, "force density in N/m")
-            high = spread(plant, "force_density", largest)
-        low = spread(plant, "force_density", _least_force_density(plant, settings))
+            high = to_model_strings(plant, "force_density", largest)
+        low = to_model_strings(plant, "force_density", _least_force_density(plant, settings))
         level = float(strings.force_density.max())
         blocks.append(string_block("force_density", strings, low, high, level, penalty))
     if settings.max_tension is not None:

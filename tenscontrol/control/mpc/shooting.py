@@ -13,15 +13,16 @@ import numpy as np
 from tenscontrol.control.disturbance import solve_stacked
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.dynamics.compiled import compiled
-from tenscontrol.plant import LinearPlant
-from tenscontrol.plant.reduced_dynamics import (
+from tenscontrol.plant import (
+    LinearPlant,
+    acceleration_response,
     acceleration_slopes,
+    model_input,
     reduced_acceleration,
     reduced_motion,
     sampled_dynamics,
+    string_forces,
 )
-from tenscontrol.plant.reduced_reference import acceleration_response
-from tenscontrol.plant.string_outputs import spreading, string_forces
 from tenscontrol.validation import FloatArray
 
 # Radau IIA with three stages: Hairer & Wanner, Solving Ordinary Differential Equations II, IV.5.
@@ -174,9 +175,7 @@ class RK4(Discretization):
     def __init__(
         self, plant: LinearPlant, sample_time: float, length: int, machine_code: bool
     ) -> None:
-        self._sampled, self.linearized = plant.prepared.get(
-            ("RK4", sample_time), lambda: sampled_dynamics(plant, sample_time)
-        )
+        self._sampled, self.linearized = sampled_dynamics(plant, sample_time)
         along, self.back_end = plant.prepared.get(
             ("RK4", sample_time, length, machine_code),
             lambda: executable(self.linearized.map(length), machine_code),
@@ -276,7 +275,7 @@ class RadauIIA(Discretization):
         return self._plant.prepared.get(key, self._build_sampled)
 
     def _build_sampled(self) -> ca.Function:
-        acceleration = taut_acceleration(self._plant)
+        acceleration = reduced_acceleration(self._plant, taut=True)
         r, h = self._r, self._sample_time
         names = ("z", "before", "u") if self.ramp else ("z", "u")
         sizes = [acceleration.size1_in(0 if name == "z" else 1) for name in names]
@@ -414,20 +413,16 @@ class RadauIIA(Discretization):
         return system, left, by_q, by_v, by_u
 
 
-def taut_acceleration(plant: LinearPlant) -> ca.Function:
-    """Return ``(z, u) -> q̈`` with strings that push where they would be slack."""
-    key = "reduced acceleration", True
-    function: ca.Function = plant.prepared.get(key, lambda: reduced_acceleration(plant, taut=True))
-    return function
-
-
 def taut_slopes(plant: LinearPlant) -> Any:
-    """Return ``(z, u) -> (q̈, ∂q̈/∂q, ∂q̈/∂q̇, ∂q̈/∂u)`` of the same."""
-    return plant.prepared.get("taut slopes", lambda: acceleration_slopes(taut_acceleration(plant)))
+    """Return ``(z, u) -> (q̈, ∂q̈/∂q, ∂q̈/∂q̇, ∂q̈/∂u)`` with strings that push where slack."""
+    return plant.prepared.get(
+        "taut slopes", lambda: acceleration_slopes(reduced_acceleration(plant, taut=True))
+    )
 
 
 def _taut_force_density(plant: LinearPlant) -> ca.Function:
     """Return ``(z, u) -> γ``, negative where a string is slack."""
     z, u = ca.SX.sym("z", plant.B.shape[0]), ca.SX.sym("u", plant.B.shape[1])
-    gamma = string_forces(plant, plant.input, *reduced_motion(plant, z), spreading(plant, u))[0]
+    motion = reduced_motion(plant, z)
+    gamma = string_forces(plant, plant.input, *motion, model_input(plant, u))[0]
     return ca.Function("taut", [z, u], [ca.densify(gamma)])

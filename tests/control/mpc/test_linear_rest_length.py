@@ -5,8 +5,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.demo import tour as demo
-from tenscontrol.plant.reduced_reference import Path, acceleration_response
-from tenscontrol.plant.string_outputs import string_map
+from tenscontrol.plant import ReferencePreview, sampled, string_map
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))
@@ -168,9 +167,8 @@ def test_path_holds_each_shape_of_a_reference():
     """Rest lengths along the way balance all forces there, and shapes in balance drift nowhere."""
     prism = tc.prism()
     plant = at_target(1e4)
-    push = acceleration_response(plant, SAMPLE)
     reference = demo.ramp(prism, 1.0, demo.TARGET, 2.0)
-    path = Path(plant, reference, SAMPLE, push, np.zeros(18))
+    path = ReferencePreview(plant, reference, sampled(plant, SAMPLE, 1))
     stretch = path.at(reference.time[[0, 7, 40]])
     for k, at in enumerate((0, 7, 40)):
         nodes = reference.nodes[:, :, at]
@@ -185,7 +183,6 @@ def test_path_holds_each_shape_of_a_reference():
 
 def test_shape_out_of_balance_shows_as_drift():
     plant = at_target(1e3)
-    push = acceleration_response(plant, SAMPLE)
     # Turned tops: no force density holds that.
     angle = 0.2
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0]])
@@ -193,7 +190,8 @@ def test_shape_out_of_balance_shows_as_drift():
         np.hstack([(turn @ TARGET.nodes)[:, :3], TARGET.nodes[:2, 3:]]), TARGET.nodes[2:]
     ]), STILL)[:9]  # fmt: skip
     shape = plant.to_nodes(q)
-    path = Path(plant, tc.Reference([0.0], shape[:, :, None]), SAMPLE, push, np.zeros(18))
+    reference = tc.Reference([0.0], shape[:, :, None])
+    path = ReferencePreview(plant, reference, sampled(plant, SAMPLE, 1))
     stretch = path.at(np.zeros(1))
     run = tc.simulate(plant.model, SAMPLE, shape, rest_length=stretch.input[0], step=1e-4)
     found = plant.measure(run.nodes[:, :, -1], run.velocities[:, :, -1])

@@ -8,7 +8,7 @@ from tenscontrol.control import NMPC, Status
 from tenscontrol.control.mpc import OSQPSolver, QPSolution
 from tenscontrol.demo import tour as demo
 from tenscontrol.dynamics.compiler import compiler
-from tenscontrol.plant.reduced_dynamics import explicit_substeps, sampled_dynamics
+from tenscontrol.plant import explicit_substeps, sampled_dynamics
 from tests.control.mpc.nmpc_oracle import IpoptNMPC, closed_loop_cost
 from tests.control.mpc.test_linear import kkt_residual
 

@@ -8,8 +8,13 @@ import tenscontrol as tc
 from tenscontrol.control.mpc.shooting import RadauIIA
 from tenscontrol.demo import tour as demo
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.plant.reduced_dynamics import reduced_acceleration, sampled_dynamics
-from tenscontrol.plant.reduced_reference import Path, acceleration_response, checked_reference
+from tenscontrol.plant import (
+    ReferencePreview,
+    checked_reference,
+    reduced_acceleration,
+    sampled,
+    sampled_dynamics,
+)
 
 SAMPLE = 0.02
 
@@ -65,8 +70,7 @@ def test_stiff_strings_follow_their_winches_as_at_rest(stiffness):
     """Wound along equilibria, the prism goes through them, a thousandth of the way off."""
     prism, plant = tc.prism(), plant_of(stiffness)
     reference = checked_reference(plant, demo.ramp(prism, 1.0, 0.97, 3.0))
-    push = acceleration_response(plant, SAMPLE)
-    path = Path(plant, reference, SAMPLE, push, plant.discretize(SAMPLE)[2])
+    path = ReferencePreview(plant, reference, sampled(plant, SAMPLE, 1))
     wound = path.at(SAMPLE * np.arange(151.0))
     motion, z = RadauIIA(plant, SAMPLE, 1, 500, False), np.zeros(18)
     way = np.abs(wound.rest[-1]).max()
