@@ -11,9 +11,12 @@ from tenscontrol.control.lqr import LQR, lqr
 from tenscontrol.control.mpc import (
     MPC,
     NMPC,
+    MPCSettings,
     MPCStatistics,
     NMPCStatistics,
     OutputLimit,
+    QPSolution,
+    QPSolver,
     clearance,
 )
 from tenscontrol.control.status import Fallback, Status
@@ -30,9 +33,12 @@ __all__ = [
     "FeedbackLinearizationStatistics",
     "GainSchedule",
     "HeldLoop",
+    "MPCSettings",
     "MPCStatistics",
     "NMPCStatistics",
     "OutputLimit",
+    "QPSolution",
+    "QPSolver",
     "Status",
     "clearance",
     "energy_weights",

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.control.solved import solved
 from tenscontrol.plant import LinearPlant, checked_tracked
-from tenscontrol.validation import FloatArray, frozen, positive_number
+from tenscontrol.validation import FloatArray, frozen
 
 # Weight of the departure of inputs in the choice of where to rest, against that of what is
 # tracked: small enough that nothing is given up for it.
@@ -21,7 +20,7 @@ class LoadModel:
 
     Attributes
     ----------
-    push : ndarray, shape (s, r)
+    response : ndarray, shape (s, r)
         Ψ: what unit accelerations, held over a sample, do to the state.
     gain : ndarray, shape (r, s)
         g Ψ⁺: the accelerations that an unexpected change of the state is laid to.
@@ -37,7 +36,7 @@ class LoadModel:
         Units of q̈ by q, and of v.
     """
 
-    push: FloatArray
+    response: FloatArray
     gain: FloatArray
     shift: FloatArray
     effort: FloatArray
@@ -49,64 +48,53 @@ class LoadModel:
     def rest(self, accelerations: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return changes of q and v, shapes (K, r) and (K, α), at which the plant rests.
 
-        Parameters
-        ----------
-        accelerations : ndarray, shape (K, r)
-            All that have to be balanced.
+        All accelerations that have to be balanced are given, shape (K, r).
         """
         return accelerations @ self.shift.T, accelerations @ self.effort.T
 
     def rest_of(
-        self, accelerations: FloatArray, stiffness: FloatArray, acting: FloatArray
+        self, accelerations: FloatArray, stiffness: FloatArray, by_input: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the same as :meth:`rest`, for K plants with derivatives of q̈ of their own.
 
-        Parameters
-        ----------
-        accelerations : ndarray, shape (K, r)
-        stiffness, acting : ndarray, shapes (K, r, r) and (K, r, α)
-            By q and by v.
+        These are by q and by v, shapes (K, r, r) and (K, r, α).
         """
         (K, r), whole = accelerations.shape, len(self.weight)
-        balance = np.concatenate([stiffness / self.reach, acting * self.unit / self.reach], axis=2)
+        by_unit = by_input * self.unit / self.reach
+        balance = np.concatenate([stiffness / self.reach, by_unit], axis=2)
         system = np.zeros((K, whole + r, whole + r))
         system[:, :whole, :whole] = self.weight
         system[:, whole:, :whole], system[:, :whole, whole:] = balance, balance.swapaxes(1, 2)
         sides = np.zeros((K, whole + r, 1))
         sides[:, whole:, 0] = -accelerations / self.reach
-        answer = solved(system, sides)[:, :, 0]
+        answer = solve_stacked(system, sides)[:, :, 0]
         return answer[:, :r], self.unit * answer[:, r:whole]
 
 
-def load_model(plant: LinearPlant, push: FloatArray, gain: float, tracked: FloatArray) -> LoadModel:
+def load_model(
+    plant: LinearPlant, response: FloatArray, gain: float, tracked: FloatArray
+) -> LoadModel:
     """Return what a load does, and where to rest under it.
 
-    Parameters
-    ----------
-    plant : LinearPlant
-    push : ndarray, shape (s, r)
-        Ψ.
-    gain : float
-        g, above 0 and at most 1.
-    tracked : ndarray, shape (p, r)
-        What is to be brought to the reference, as combinations of q.
+    Response and gain are Ψ and g; tracked combinations of q, shape (p, r), are to be brought to
+    the reference.
     """
     r, count = plant.degrees_of_freedom, plant.B.shape[1]
     # min ‖H q‖² + thrift (‖q‖² + ‖v‖²), in units of each, where A₂₁ q + B₂ v + a = 0.
-    stiffness, acting = plant.A[r:, :r], plant.B[r:]
+    stiffness, by_input = plant.A[r:, :r], plant.B[r:]
     reach = max(float(np.linalg.norm(stiffness, 2)), 1e-300)
-    unit = reach / float(np.linalg.norm(acting, 2))
+    unit = reach / float(np.linalg.norm(by_input, 2))
     size = max(float(np.linalg.norm(tracked, 2)), 1e-300)
     weight = np.zeros((r + count, r + count))
     weight[:r, :r] = tracked.T @ tracked / size**2
     weight += _THRIFT * np.eye(r + count)
-    balance = np.hstack([stiffness / reach, acting * unit / reach])
+    balance = np.hstack([stiffness / reach, by_input * unit / reach])
     system = np.block([[weight, balance.T], [balance, np.zeros((r, r))]])
     unit_loads = np.vstack([np.zeros((r + count, r)), np.eye(r)])
     answer = np.linalg.lstsq(system, unit_loads, rcond=None)[0]
     return LoadModel(
-        push=push,
-        gain=frozen(gain * np.linalg.pinv(push)),
+        response=response,
+        gain=frozen(gain * np.linalg.pinv(response)),
         shift=frozen(-answer[:r] / reach),
         effort=frozen(-unit * answer[r : r + count] / reach),
         share=gain,
@@ -125,10 +113,6 @@ class LoadObserver:
     entries as are tracked is what offset-free tracking takes (Pannocchia & Rawlings 2003,
     doi:10.1002/aic.690490213).
 
-    Parameters
-    ----------
-    model : LoadModel
-
     Attributes
     ----------
     acceleration : ndarray, shape (r,)
@@ -141,61 +125,48 @@ class LoadObserver:
 
     def reset(self) -> None:
         """Forget the estimate."""
-        self.acceleration = np.zeros(self.model.push.shape[1])
-        self._coasting: FloatArray | None = None
+        self.acceleration = np.zeros(self.model.response.shape[1])
+        self._free_response: FloatArray | None = None
 
     def correct(
-        self, state: FloatArray, pushed: FloatArray, push: FloatArray | None = None
+        self, state: FloatArray, input_response: FloatArray, response: FloatArray | None = None
     ) -> None:
-        """Compare a measured state with what was expected.
+        """Compare a measured state, shape (s,), with what was expected.
 
-        Parameters
-        ----------
-        state : ndarray, shape (s,)
-        pushed : ndarray, shape (s,)
-            What the input that was held since the last sample did to the state. Where it is
-            not finite, nothing is learned.
-        push : ndarray, shape (s, r), optional
-            Ψ of that sample. Where strings are stiff, that of another shape says nothing.
+        The input response, shape (s,), is what the input that was held since the last sample did
+        to the state. Where it is not finite, nothing is learned. The response is Ψ of that sample,
+        if it is not that of the model: where strings are stiff, that of another shape says nothing.
         """
-        if self._coasting is not None:
-            off = state - (self._coasting + pushed)
+        if self._free_response is not None:
+            off = state - (self._free_response + input_response)
             # The nonlinear dynamics have no value where a bar turns beyond the coordinates.
             if np.isfinite(off).all():
                 gain = self.model.gain
-                if push is not None:
-                    gain = np.asarray(self.model.share * np.linalg.pinv(push), dtype=float)
+                if response is not None:
+                    gain = np.asarray(self.model.share * np.linalg.pinv(response), dtype=float)
                 self.acceleration = self.acceleration + gain @ off
 
     def expect(self, state: FloatArray | None) -> None:
         """Note the state at the next sample, the load but no input included; None if unknown."""
-        self._coasting = state
+        self._free_response = state
 
 
 def load_observer(
-    plant: LinearPlant, push: FloatArray, gain: float | None, tracked: object
-) -> LoadObserver | None:
-    """Return an observer for what a user asked for, None where no gain was given.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-    push : ndarray, shape (s, r)
-    gain : float or None
-    tracked : array_like, shape (p, 3n), or None
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument does not fit.
-    """
-    if gain is None:
-        if tracked is not None:
-            raise ValueError("tracked says what is free of offset under a load: give load_gain")
-        return None
-    if positive_number("load_gain", gain, "no unit") > 1:
-        raise ValueError(f"load_gain is {gain:g}, expected above 0 and at most 1")
+    plant: LinearPlant, response: FloatArray, gain: float, tracked: object
+) -> LoadObserver:
+    """Return an observer of this gain, for combinations of node positions that are tracked."""
     combinations = np.eye(plant.degrees_of_freedom)
     if tracked is not None:
         combinations = checked_tracked(plant, tracked) @ plant.basis
-    return LoadObserver(load_model(plant, push, gain, combinations))
+    return LoadObserver(load_model(plant, response, gain, combinations))
+
+
+def solve_stacked(systems: FloatArray, sides: FloatArray) -> FloatArray:
+    """Return the solutions of K systems of linear equations; none is a number where one has none.
+
+    Systems have shape (K, m, m), sides and solutions (K, m, columns).
+    """
+    try:
+        return np.asarray(np.linalg.solve(systems, sides), dtype=float)
+    except np.linalg.LinAlgError:
+        return np.full(sides.shape, np.nan)

@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol.control.controller import Command, Controller
 from tenscontrol.control.held_loop import warn_of_slow_errors
 from tenscontrol.control.input_bounds import input_bounds, largest_change
-from tenscontrol.control.mpc.osqp_adapter import QPSolution, QuadraticProgram
+from tenscontrol.control.mpc import OSQPSolver, QPSolution
 from tenscontrol.control.status import Fallback, Status
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import (
@@ -340,7 +340,7 @@ class BoundedLeastSquares:
         """Forget the last answer, and what the solver adapted to it and to earlier matrices."""
         self.forget()
         # OSQP scales an updated A by the cost at that time: only a new program forgets.
-        self._program = QuadraticProgram(*self._arguments, polish=True)
+        self._program = OSQPSolver(*self._arguments, polish=True)
 
     def solve(
         self, J: FloatArray, d: FloatArray, c: FloatArray, low: FloatArray, high: FloatArray

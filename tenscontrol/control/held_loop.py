@@ -10,6 +10,7 @@ import numpy as np
 from tenscontrol.plant import (
     LinearPlant,
     OperatingPoint,
+    StringMap,
     command_parents,
     linearize,
     string_map,
@@ -104,13 +105,7 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
         )
     count, states = plant.B.shape[1], len(plant.A)
     K = shaped("gain", gain, (count, states), "one row per string, one column per state")
-    gamma = to_model_strings(plant, "force_density", plant.force_density)
-    least = _TAUT * (float(gamma.max()) or float(np.min(_softest(plant))))
-    at = OperatingPoint(plant.nodes, np.maximum(gamma, least), plant.external_force)
-    held = linearize(
-        plant.model, at, "rest_length", plant.coordinates.kind, require_equilibrium=False
-    )
-    strings = string_map(held, "rest_length")
+    held, strings = plant.prepared.get("held rest lengths", lambda: _with_held_lengths(plant))
     by_shape = strings.gamma_by_state.copy()
     by_shape[:, states // 2 :] = 0.0  # the conversion ignores rates
     by_length = np.diag(strings.gamma_by_input)[:, None]
@@ -122,6 +117,17 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     designed_transition, designed_input, _ = plant.discretize(sample_time)
     loops = (transition + input_matrix @ length_gain, designed_transition - designed_input @ K)
     return HeldLoop(*(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops))
+
+
+def _with_held_lengths(plant: LinearPlant) -> tuple[LinearPlant, StringMap]:
+    """Return the plant with rest lengths as its input, all strings taut, and its string map."""
+    gamma = to_model_strings(plant, "force_density", plant.force_density)
+    least = _TAUT * (float(gamma.max()) or float(np.min(_softest(plant))))
+    at = OperatingPoint(plant.nodes, np.maximum(gamma, least), plant.external_force)
+    held = linearize(
+        plant.model, at, "rest_length", plant.coordinates.kind, require_equilibrium=False
+    )
+    return held, string_map(held, "rest_length")
 
 
 def _softest(plant: LinearPlant) -> FloatArray:

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control import Controller
-from tenscontrol.control.mpc.osqp_adapter import QuadraticProgram
+from tenscontrol.control.mpc import OSQPSolver
 from tenscontrol.deploy.controllers import LawCode
 from tenscontrol.deploy.measurement import measurement
 from tenscontrol.validation import FloatArray
@@ -143,7 +143,7 @@ def _casadi(functions: list[ca.Function], name: str) -> dict[str, str]:
         return {path.name: path.read_text("utf-8") for path in Path(folder).iterdir()}
 
 
-def _solver(program: QuadraticProgram, name: str, others: set[str]) -> dict[str, str]:
+def _solver(program: OSQPSolver, name: str, others: set[str]) -> dict[str, str]:
     """Return the files of OSQP, all side by side."""
     with TemporaryDirectory(prefix="tenscontrol-") as folder:
         inside = Path(folder) / "osqp"

@@ -17,14 +17,14 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control import LQR, MPC, NMPC
-from tenscontrol.control.mpc.mpc_law import MPCLaw
+from tenscontrol.control.mpc import OSQPSolver, QPSolver
+from tenscontrol.control.mpc.linear import MPCLaw
 from tenscontrol.control.mpc.nonlinear import CONVERGED
-from tenscontrol.control.mpc.osqp_adapter import START_RHO, QuadraticProgram
-from tenscontrol.control.mpc.problem import Ahead, Horizon
-from tenscontrol.control.mpc.shooting import ExplicitMotion
-from tenscontrol.control.mpc.sparse import TrajectoryProgram
-from tenscontrol.control.mpc.stage_jacobians import Tangents
-from tenscontrol.control.mpc.trajectory_model import NEWTON_STEPS
+from tenscontrol.control.mpc.osqp_adapter import START_RHO
+from tenscontrol.control.mpc.problem import MPCProblem, StageData
+from tenscontrol.control.mpc.real_time_iteration import NEWTON_STEPS
+from tenscontrol.control.mpc.shooting import RK4, StageJacobians
+from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.validation import FloatArray, IntArray
 
 # Maps read from a controller must agree with it at any other point, to this fraction.
@@ -42,7 +42,7 @@ class LawCode:
     constants: dict[str, int | float]  # of the preprocessor
     arrays: dict[str, np.ndarray]  # of one or two dimensions
     matrices: dict[str, FloatArray]  # written without their zeros
-    program: QuadraticProgram | None = None  # before its first solve
+    program: OSQPSolver | None = None  # before its first solve
     # Number of the first sample, and what depends on time alone, shape (K, m), a row a sample.
     table: tuple[int, FloatArray] | None = None
     functions: dict[str, ca.Function] = field(default_factory=dict)  # besides the measurement
@@ -76,17 +76,17 @@ class _Reader:
     def vectors(self, time: float, given: FloatArray) -> FloatArray:
         """Return q, l and u, end to end, for what is given."""
         z, previous, bounded, load = self._split(given, *self.sizes)
-        return np.concatenate(self._law.vectors(self._ahead(time, load), z, previous, bounded))
+        return np.concatenate(self._law.vectors(self._stage_data(time, load), z, previous, bounded))
 
     def inputs(self, time: float, known: FloatArray) -> FloatArray:
         """Return the planned inputs for solution and what is given."""
         x, z, previous, _, load = self._split(known, self.unknowns, *self.sizes)
-        return self._law.inputs(x, self._ahead(time, load), z, previous).ravel()
+        return self._law.inputs(x, self._stage_data(time, load), z, previous).ravel()
 
     def free_response(self, time: float, given: FloatArray) -> FloatArray:
         """Return the state a sample later without the input to come, for what is given."""
         z, previous, _, load = self._split(given, *self.sizes)
-        return self._law.coasting(self._ahead(time, load), z, previous)
+        return self._law.free_response(self._stage_data(time, load), z, previous)
 
     def row(self, time: float) -> FloatArray:
         """Return all that depends on time alone."""
@@ -94,14 +94,14 @@ class _Reader:
         parts = [
             self.vectors(time, point),
             self.inputs(time, np.zeros(self.unknowns + len(point))),
-            self._ahead(time, np.zeros(self.loads)).before,
+            self._stage_data(time, np.zeros(self.loads)).previous_origin,
         ]
         if self.loads:
             parts.append(self.free_response(time, point))
         return np.concatenate(parts)
 
-    def _ahead(self, time: float, load: FloatArray) -> Ahead:
-        return self._law.ahead(time, load if self.loads else None)
+    def _stage_data(self, time: float, load: FloatArray) -> StageData:
+        return self._law.stage_data(time, load if self.loads else None)
 
     @staticmethod
     def _split(given: FloatArray, *sizes: int) -> list[FloatArray]:
@@ -114,12 +114,12 @@ def mpc_code(controller: MPC) -> LawCode:
     Raises ValueError if it has a time limit, or its reference lasts too long for a table.
     """
     law = controller.law
-    _refuse_time_limit(law.time_limit)
+    _refuse_time_limit(law.settings.longest_time)
     reader = _Reader(law)
     unknowns, rows = reader.unknowns, reader.rows
     problem, sampled = law.design.problem, law.design.sampled
-    first, table = _time_table(law.path.span, law.sample_time, problem.length, reader.row)
-    times = first * law.sample_time, (first + len(table) - 1) * law.sample_time
+    first, table = _time_table(law.path.span, law.settings.sample_time, problem.length, reader.row)
+    times = first * law.settings.sample_time, (first + len(table) - 1) * law.settings.sample_time
     given = sum(reader.sizes)
     offset, slope = _read(reader.vectors, given, times)
     # Upper and lower bounds move alike, where they are not infinite.
@@ -144,7 +144,7 @@ def mpc_code(controller: MPC) -> LawCode:
     }
     templates = "program.c", "time_table.c", "mpc.c"
     # A new program: that of the controller may be in the middle of a run.
-    return LawCode(templates, constants, arrays, matrices, law.program(), (first, table))
+    return LawCode(templates, constants, arrays, matrices, _osqp(law.solver()), (first, table))
 
 
 def _read(
@@ -176,9 +176,9 @@ def nmpc_code(controller: NMPC) -> LawCode:
     long for a table.
     """
     law = controller.law
-    _refuse_time_limit(law.time_limit)
+    _refuse_time_limit(law.settings.longest_time)
     problem, model = law.problem, law.model
-    if not isinstance(model.motion, ExplicitMotion):
+    if not isinstance(model.discretization, RK4):
         raise ValueError(
             "controller is an NMPC that predicts stiff strings or winches that wind, by implicit "
             "steps, which are not written as C code: give a shorter step and winches that jump, "
@@ -187,18 +187,18 @@ def nmpc_code(controller: NMPC) -> LawCode:
     N, (s, a) = problem.length, problem.input_matrix.shape
     p = 0 if problem.rows is None else len(problem.rows.scale)
     # A new program: that of the controller may be in the middle of a run.
-    program = law.program()
-    fixed = program.pattern.data
+    program = law.subproblem()
+    fixed = program.A.data.copy()
     still = _flat(N, s, s, a), None if p == 0 else _flat(N, p, s, a, s)
     program.linearize(*still)
-    nothing = np.zeros(s), np.zeros((N, s)), np.zeros((N, a))
+    nothing = np.zeros(s), law.stage_data(np.zeros((N, s)), np.zeros((N, a)))
 
     def row(time: float) -> FloatArray:
         reference, origin = law.targets(time)
-        q, _, _ = program.vectors(nothing[0], reference, origin, np.zeros(a))
+        q, _, _ = program.vectors(nothing[0], law.stage_data(reference, origin), np.zeros(a))
         return np.concatenate([q, reference.ravel(), origin.ravel()])
 
-    first, table = _time_table(law.path.span, law.sample_time, N, row)
+    first, table = _time_table(law.path.span, law.settings.sample_time, N, row)
     low, high = program.vectors(*nothing, np.zeros(a))[1:]
     slopes = np.zeros((len(low), a))
     # Rows of a change are bounded on both sides, and move alike; no others move.
@@ -207,8 +207,11 @@ def nmpc_code(controller: NMPC) -> LawCode:
         slopes[bounded, i] = program.vectors(*nothing, unit)[1][bounded] - low[bounded]
     source, factor = _places(program, fixed, (N, s, a, p))
     limit_of_row, limit_scale = _limits(program, problem)
-    x, y = program.moved(np.arange(1.0, program.pattern.shape[1] + 1), np.arange(1.0, len(low) + 1))
-    functions = {"advance": model.motion.sampled, "linearize": model.motion.linearized}
+    x, y = program.shifted(np.arange(1.0, program.A.shape[1] + 1), np.arange(1.0, len(low) + 1))
+    functions = {
+        "advance": model.discretization.sampled,
+        "linearize": model.discretization.linearized,
+    }
     if model.limited is not None:
         functions["limited"] = model.limited
     matrices = {"by_previous_input": slopes, "feedback": -problem.feedback}
@@ -218,15 +221,15 @@ def nmpc_code(controller: NMPC) -> LawCode:
         functions["accelerate"] = model.acceleration
         matrices |= {
             "load_gain": law.load.gain,
-            "load_response": law.load.push,
+            "load_response": law.load.response,
             "load_shift": law.load.shift,
             "load_effort": law.load.effort,
         } | _gradients(program, problem)
     return LawCode(
         templates=("program.c", "time_table.c", "nmpc.c"),
         constants={
-            "UNKNOWNS": program.pattern.shape[1],
-            "ROWS": program.pattern.shape[0],
+            "UNKNOWNS": program.A.shape[1],
+            "ROWS": program.A.shape[0],
             "ENTRIES": len(fixed),
             "HORIZON": N,
             "PLANNED": problem.input_count,
@@ -250,19 +253,19 @@ def nmpc_code(controller: NMPC) -> LawCode:
             "source_of_y": y.astype(np.int64) - 1,
         },
         matrices=matrices,
-        program=law.program().quadratic,
+        program=_osqp(law.solver(law.subproblem())),
         table=(first, table),
         functions=functions,
     )
 
 
-def _flat(N: int, values: int, *arguments: int) -> Tangents:
+def _flat(N: int, values: int, *arguments: int) -> StageJacobians:
     """Return the tangents of functions that are zero."""
-    return Tangents(np.zeros((N, values)), tuple(np.zeros((N, j, values)) for j in arguments))
+    return StageJacobians(np.zeros((N, values)), tuple(np.zeros((N, j, values)) for j in arguments))
 
 
 def _places(
-    program: TrajectoryProgram, fixed: FloatArray, sizes: tuple[int, int, int, int]
+    program: Sparse, fixed: FloatArray, sizes: tuple[int, int, int, int]
 ) -> tuple[IntArray, FloatArray]:
     """Return which slope each entry of the matrix is, −1 for none, and its factor or its value.
 
@@ -271,29 +274,29 @@ def _places(
     N, s, a, p = sizes
     starts = np.cumsum([0, N * s * s, N * s * a, N * p * s, N * p * a])
     source, factor = np.full(len(fixed), -1), fixed.copy()
-    motion, parts = program.places.motion, program.places.rows
+    motion, parts = program.motion_indices, program.row_indices
     for begin, slots in [
         *zip(starts[:2], motion, strict=True),
         *((begin, slots) for part in parts for begin, slots in zip(starts[2:], part, strict=True)),
     ]:
-        source[slots.place], factor[slots.place] = begin + slots.source, slots.factor
+        source[slots.index], factor[slots.index] = begin + slots.source, slots.factor
     return source, factor
 
 
-def _gradients(program: TrajectoryProgram, problem: Horizon) -> dict[str, FloatArray]:
+def _gradients(program: Sparse, problem: MPCProblem) -> dict[str, FloatArray]:
     """Return what references and origins of a sample do to q: that is −P times them, in units."""
     N, (s, a) = problem.length, problem.input_matrix.shape
     starts = {"by_reference": 0, "by_last": (N - 1) * s, "by_origin": N * s}
     found = {}
     for name, start in starts.items():
         unit = np.full(a, problem.level) if name == "by_origin" else program.units
-        found[name] = -program.hessian[start:, start:][: len(unit), : len(unit)].toarray() / unit
+        found[name] = -program.P[start:, start:][: len(unit), : len(unit)].toarray() / unit
     return found
 
 
-def _limits(program: TrajectoryProgram, problem: Horizon) -> tuple[IntArray, FloatArray]:
+def _limits(program: Sparse, problem: MPCProblem) -> tuple[IntArray, FloatArray]:
     """Return which of the N p limited values each row bounds, −1 for none, and its unit."""
-    count, N, rows = program.pattern.shape[0], problem.length, problem.rows
+    count, N, rows = program.A.shape[0], problem.length, problem.rows
     limit, unit = np.full(count, -1), np.ones(count)
     for places, start in program.limits.parts:
         assert rows is not None  # there are parts
@@ -332,3 +335,13 @@ def _refuse_time_limit(limit: float) -> None:
             f"controller has time_limit={limit:g} s, and C code without an operating system has no "
             "clock: make it without, and limit the work by max_iterations"
         )
+
+
+def _osqp(solver: QPSolver) -> OSQPSolver:
+    """Return the solver of a controller, or raise where C code cannot be written."""
+    if not isinstance(solver, OSQPSolver):
+        raise ValueError(
+            f"controller solves its programs by {type(solver).__name__}, and C code is written for "
+            "OSQP: make it with solver='osqp'"
+        )
+    return solver

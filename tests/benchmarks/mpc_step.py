@@ -101,7 +101,7 @@ def run(mpc, measured, rebuilt):
     for moment in measured:
         began = perf_counter()
         if rebuilt:
-            mpc._program = mpc.law.program()
+            mpc._solver = mpc.law.solver()
         command = mpc.command(*moment)
         times.append(perf_counter() - began)
         if command.status != "ok":

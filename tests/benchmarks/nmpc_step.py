@@ -24,7 +24,7 @@ import tenscontrol as tc
 from tenscontrol.control import NMPC, Command, Controller, Status
 from tenscontrol.demo import tour as demo
 from tests.benchmarks.command_line import options
-from tests.control.nmpc_oracle import IpoptNMPC, closed_loop_cost
+from tests.control.mpc.nmpc_oracle import IpoptNMPC, closed_loop_cost
 
 LIMIT = 33.0  # N/m, little above the prestress, so that bounds are met
 STARTS, SAMPLES, HORIZON = 5, 25, 20

@@ -28,11 +28,11 @@ from scipy.sparse import csc_array, csc_matrix, triu
 
 import tenscontrol as tc
 from tenscontrol.control import NMPC
-from tenscontrol.control.mpc.osqp_adapter import QuadraticProgram
+from tenscontrol.control.mpc import OSQPSolver
 from tenscontrol.demo import tour as demo
 from tests.benchmarks.command_line import options
-from tests.control.nmpc_oracle import closed_loop_cost
-from tests.control.test_mpc import kkt_residual
+from tests.control.mpc.nmpc_oracle import closed_loop_cost
+from tests.control.mpc.test_linear import kkt_residual
 
 LIMIT = 33.0  # N/m, little above the prestress, so that bounds are met
 STARTS, SAMPLES, HORIZON = 2, 15, 20
@@ -85,7 +85,7 @@ def recordings(starts, samples, horizon):
     }
     for name, controller in controllers.items():
         nonlinear = name == "NMPC"
-        owner, what = (nmpc._program, "quadratic") if nonlinear else (controller, "_program")
+        owner, what = (nmpc._plan, "solver") if nonlinear else (controller, "_solver")
         program = getattr(owner, what)
         kept = Recorder(program)
         setattr(owner, what, kept)
@@ -94,8 +94,8 @@ def recordings(starts, samples, horizon):
             state = np.r_[0.05 * rng.normal(size=9), 0.25 * rng.normal(size=9)]
             closed_loop_cost(nmpc, controller, nmpc.sampled, state, samples)
         setattr(owner, what, program)
-        form = None if nonlinear else controller.law.form
-        P, A = (owner.hessian, owner.pattern) if nonlinear else (form.P, form.A)
+        form = owner.form if nonlinear else controller.law.form
+        P, A = form.P, form.A.copy()
         A.sort_indices()
         data = [(A.data if values is None else values, *rest) for values, *rest in kept.data]
         yield Recorded(name, P, A, horizon, nonlinear, name != "condensed MPC", data)
@@ -194,9 +194,7 @@ class Ours:
     """The adapter of the package, as the controllers use it."""
 
     def __init__(self, recorded):
-        self._program = QuadraticProgram(
-            recorded.P, recorded.A, ADMM, MOST, equations=recorded.changing
-        )
+        self._program = OSQPSolver(recorded.P, recorded.A, ADMM, MOST, equations=recorded.changing)
         self._changing = recorded.changing
 
     def solve(self, values, q, l, u, start):  # noqa: E741

@@ -10,7 +10,7 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.control.mpc.osqp_adapter import QPSolution, QuadraticProgram
+from tenscontrol.control.mpc import OSQPSolver, QPSolution
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import sampled_dynamics
 
@@ -142,7 +142,7 @@ class FaultLoop:
         strings = self.rng.choice(9, size=self.rng.integers(1, 4), replace=False)
         if fault in SOLVER:
             with monkeypatch.context() as patch:
-                patch.setattr(QuadraticProgram, "solve", unsolved(SOLVER[fault]))
+                patch.setattr(OSQPSolver, "solve", unsolved(SOLVER[fault]))
                 return [self.sample() for _ in range(samples)]
         if fault == "cut":
             strings = strings[:1]

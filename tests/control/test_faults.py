@@ -9,7 +9,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.control.mpc.osqp_adapter import QuadraticProgram
+from tenscontrol.control.mpc import OSQPSolver
 from tests.control.fault_loop import (
     CHANGE,
     CONTROLLERS,
@@ -226,7 +226,7 @@ def test_out_of_time_is_counted_and_over_when_there_is_time(kind, held, monkeypa
         assert str(command).startswith("out of time: ")
     assert sum(made.statistics.status_count.values()) == 3
     assert made.statistics.iterations.sum() == 0
-    monkeypatch.setattr(made, "_law", replace(made.law, time_limit=1e3))
+    monkeypatch.setattr(made, "_longest_time", 1e3)
     assert made.command(0.1, pushed(held), STILL).status == "ok"
 
 
@@ -250,7 +250,7 @@ def test_time_that_osqp_counts_before_the_solve_is_given_back(monkeypatch):
         "tenscontrol.control.mpc.osqp_adapter.perf_counter", lambda: 0.25 * next(looks)
     )
     dense, zero = np.random.default_rng(0).normal(size=(5, 5)), np.zeros(5)
-    program = QuadraticProgram(identity(5).tocsc(), csc_array(dense), 1e-6, 4000)
+    program = OSQPSolver(identity(5).tocsc(), csc_array(dense), 1e-6, 4000)
     given = []
     program._solver.update_settings = lambda **settings: given.append(settings["time_limit"])
     program.update(dense.T.ravel())  # OSQP counts no update into the first solve
@@ -272,7 +272,7 @@ def test_a_plan_that_is_used_up_ends_in_what_is_safe(kind, held, monkeypatch):
     assert made.command(0.0, pushed(held), STILL).status == "ok"
     plan, horizon = made.plan, HORIZON[kind]
     with monkeypatch.context() as patch:
-        patch.setattr(QuadraticProgram, "solve", unsolved(Status.INFEASIBLE))
+        patch.setattr(OSQPSolver, "solve", unsolved(Status.INFEASIBLE))
         before = made.command(STEP, pushed(held), STILL).value
         np.testing.assert_allclose(before, plan[:, 1], atol=1e-12)
         for k in range(2, horizon + 20):
@@ -320,13 +320,13 @@ def test_nmpc_begins_anew_where_its_plan_has_no_value(monkeypatch):
     """Along a plan the dynamics may have no value; with the next measurement all is well."""
     made, at = controller("nmpc", "rest_length"), plant("rest_length")
     model = made.law.model
-    tangents, failing = model.tangents, [False]
+    linearize, failing = model.linearize, [False]
 
     def spoilt(*plan):
-        motion, rows = tangents(*plan)
+        motion, rows = linearize(*plan)
         return (replace(motion, offset=np.nan * motion.offset) if failing[0] else motion), rows
 
-    monkeypatch.setattr(model, "tangents", spoilt)
+    monkeypatch.setattr(model, "linearize", spoilt)
     first = made.command(0.0, at.nodes, STILL)
     assert first.status == "ok"
     np.testing.assert_allclose(first.value, at.rest_length, atol=1e-4)  # up to OSQP's tolerance

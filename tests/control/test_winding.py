@@ -5,7 +5,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.control.mpc.settings import Wishes, design
+from tenscontrol.control.mpc.settings import MPCSettings, design
 from tenscontrol.demo import tour as demo
 from tenscontrol.plant import sampled
 
@@ -106,7 +106,8 @@ def test_prediction_and_limits_of_winding_winches_are_those_of_the_plant():
     """What the program plans is what the linear plant then does, and γ is limited at the ends."""
     plant = plant_of()
     N, winches = 4, tc.Winches(rate=0.1, substeps=6)
-    made = design(plant, N, SAMPLE, None, None, Wishes(None, 5.0, None, None, winches, (), 1e2))
+    settings = MPCSettings(horizon=N, sample_time=SAMPLE, min_force_density=5.0, winches=winches)
+    made = design(plant, settings)
     mpc = tc.MPC(plant, horizon=N, sample_time=SAMPLE, winches=winches, min_force_density=5.0)
     nodes = plant.to_nodes(np.random.default_rng(2).normal(size=9) * 2e-3)
     mpc.command(0.0, nodes, STILL)
@@ -126,7 +127,7 @@ def test_prediction_and_limits_of_winding_winches_are_those_of_the_plant():
         gamma = tc.to_force_density(plant.model, plant.to_nodes(z[:9]), plant.rest_length + v[k])
         still = augmented.copy()
         still[9:18] = 0.0
-        row = plant.force_density + block.after @ still + block.inputs @ v[k]
+        row = plant.force_density + block.by_next_state @ still + block.by_input @ v[k]
         assert np.abs(row - gamma).max() < 0.05 * np.abs(gamma - plant.force_density).max() + 1e-3
 
 

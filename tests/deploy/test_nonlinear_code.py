@@ -60,7 +60,7 @@ def test_no_load_is_told_from_a_motion_without_a_value(loaded):
     loaded.reset()
     pulled, nodes = np.linspace(1e4, 1e6, 9), plant.to_nodes(np.full(9, 0.01))
     assert np.isnan(
-        loaded.one.law.model.motion.advance(plant.measure(nodes, still), pulled, pulled)[0]
+        loaded.one.law.model.discretization.advance(plant.measure(nodes, still), pulled, pulled)[0]
     ).any()
     for k in range(6):
         loaded.command(k * scenes.SAMPLE, nodes, still)

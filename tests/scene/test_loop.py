@@ -71,7 +71,7 @@ time_limit = 60.0
 
 def test_mpc_has_a_time_limit(load):
     mpc = "[controller]\nkind = 'mpc'\nhorizon = 5\nsample_time = 0.02\nmax_force_density = 60.0\n"
-    assert load(PLAIN + mpc).controller.law.time_limit == np.inf
+    assert load(PLAIN + mpc).controller.law.settings.longest_time == np.inf
     controller = load(PLAIN + mpc + "time_limit = 1e-9\n").controller
     pushed = controller.plant.to_nodes(np.full(9, 0.01))
     assert controller.command(0.0, pushed, np.zeros((3, 6))).status.startswith("out of time")

@@ -1,7 +1,7 @@
-"""The finite-horizon problem of MPC, in two forms of the same quadratic program.
+"""The problem of linear MPC without its states: a small, dense quadratic program.
 
-Both forms have a pattern that never changes; only vectors do from sample to sample.
-Inputs are measured in units of a level, and the cost is scaled so that its least
+This form and the sparse one have a pattern that never changes; only vectors do from sample to
+sample. Inputs are measured in units of a level, and the cost is scaled so that its least
 curvature by such an input is at least one: a residual ε of the solver then means an input
 within about ε levels of the optimum, whatever the weights.
 """
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.limit_rows import LimitRows, moved
-from tenscontrol.control.mpc.problem import Course, Form, Horizon
+from tenscontrol.control.mpc.constraints import LimitRows, shifted
+from tenscontrol.control.mpc.problem import Form, MPCProblem, StageData
 from tenscontrol.validation import FloatArray
 
 if TYPE_CHECKING:
@@ -31,15 +31,15 @@ class Condensed(Form):
     the problem in the v_k takes tens.
     """
 
-    def __init__(self, horizon: Horizon) -> None:
+    def __init__(self, problem: MPCProblem) -> None:
         from scipy.linalg import solve_triangular
         from scipy.sparse import block_diag, csc_array, diags_array, hstack, identity
 
-        self._horizon = horizon
-        N, states = horizon.length, len(horizon.drift)
-        scale = horizon.cost_scale
-        free, forced, drifts = _prediction(horizon)
-        feedback = np.kron(np.eye(N), horizon.feedback)
+        self._length, self._count = problem.length, problem.input_count
+        N, states = problem.length, len(problem.drift)
+        scale = problem.cost_scale
+        free, forced, drifts = _prediction(problem)
+        feedback = np.kron(np.eye(N), problem.feedback)
         # v = by_state z_0 + by_choice c + by_drift d: the law sees z_0 … z_{N−1}.
         before = [np.vstack([first, part[:-states]]) for first, part in (
             (np.eye(states), free),
@@ -48,19 +48,18 @@ class Condensed(Form):
         )]  # fmt: skip
         by_state, by_choice, by_drift = (-feedback @ part for part in before)
         by_choice += np.eye(len(by_choice))
-        weighted = _weigh(horizon, forced)
-        effort = np.kron(np.eye(N), horizon.input_weight) @ by_choice
+        weighted = _weigh(problem, forced)
+        effort = np.kron(np.eye(N), problem.input_weight) @ by_choice
         hessian = scale * (forced.T @ weighted + by_choice.T @ effort)
         factor = np.linalg.cholesky(0.5 * (hessian + hessian.T))
         # c = unit x, with unitᵀ hessian unit = I.
         unit = solve_triangular(factor, np.eye(len(factor)), lower=True).T
         self._to_inputs = by_choice @ unit
-        self._from_inputs = np.linalg.inv(self._to_inputs)
         self._by_state, self._by_drift = by_state, by_drift
-        limits = LimitRows(horizon)
+        limits = LimitRows(problem)
         self._limits, self._violations = limits, len(limits.price)
         on_choice = limits.on_inputs @ _trimmed(self._to_inputs)
-        if horizon.rows is not None:
+        if problem.rows is not None:
             on_choice = on_choice + limits.on_states @ _trimmed(forced @ unit)
         self.A = csc_array(hstack([on_choice, limits.on_violations]))
         self.P = csc_array(block_diag([identity(len(unit)), diags_array(limits.price)]))
@@ -77,43 +76,28 @@ class Condensed(Form):
         self._by_this_drift = (self._drift, self._drift, self._drift)
 
     def vectors(
-        self,
-        state: FloatArray,
-        reference: FloatArray,
-        previous: FloatArray,
-        course: Course | None = None,
+        self, state: FloatArray, data: StageData, previous: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """See :meth:`Form.vectors`."""
-        course = self._horizon.steady_course if course is None else course
-        slope, motion, _ = self._drifted(course)
-        q = self._from_state @ state + self._from_reference @ reference.ravel() + slope
-        if course.input_reference.any():
-            q += self._from_input_reference @ course.input_reference.ravel()
-        low, high = self._limits.bounds(previous, course)
+        slope, motion, _ = self._drifted(data)
+        q = self._from_state @ state + self._from_reference @ data.reference.ravel() + slope
+        if data.input_reference.any():
+            q += self._from_input_reference @ data.input_reference.ravel()
+        low, high = self._limits.bounds(previous, data)
         offset = self._moved_by_state @ state + motion
         return np.concatenate([q, self._limits.price]), low - offset, high - offset
 
-    def inputs(self, x: FloatArray, state: FloatArray, course: Course | None = None) -> FloatArray:
+    def inputs(self, x: FloatArray, state: FloatArray, data: StageData) -> FloatArray:
         """See :meth:`Form.inputs`."""
-        v = self._to_inputs @ x[: self._horizon.input_count] + self._base(state, course)
-        return np.asarray(v.reshape(self._horizon.length, -1))
+        base = self._by_state @ state + self._drifted(data)[2]
+        v = self._to_inputs @ x[: self._count] + base
+        return np.asarray(v.reshape(self._length, -1))
 
-    def unknowns(
-        self, plan: FloatArray, state: FloatArray, course: Course | None = None
-    ) -> FloatArray:
-        """See :meth:`Form.unknowns`."""
-        choice = self._from_inputs @ (plan.ravel() - self._base(state, course))
-        return np.concatenate([choice, np.zeros(self._violations)])
-
-    def _base(self, state: FloatArray, course: Course | None) -> FloatArray:
-        course = self._horizon.steady_course if course is None else course
-        return np.asarray(self._by_state @ state + self._drifted(course)[2])
-
-    def _drifted(self, course: Course) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _drifted(self, data: StageData) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return what the drift does to q, to the limited rows and to v; kept while it stays."""
-        if not np.array_equal(self._drift, course.drift):
-            drift = course.drift.ravel()
-            self._drift = course.drift.copy()
+        if not np.array_equal(self._drift, data.drift):
+            drift = data.drift.ravel()
+            self._drift = data.drift.copy()
             self._by_this_drift = (
                 self._from_drift @ drift, self._moved_by_drift @ drift, self._by_drift @ drift
             )  # fmt: skip
@@ -122,100 +106,17 @@ class Condensed(Form):
     def shifted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See :meth:`Form.shifted`."""
         # After the horizon the law is followed as it is.
-        N, count = self._horizon.length, len(self._horizon.low)
-        widths = [count, self._violations // N]
-        return moved(x, N, widths, repeat=False), moved(y, N, self._limits.widths, repeat=False)
-
-
-@final
-class Sparse(Form):
-    """States, inputs and violations are unknown, the dynamics are constraints: large, sparse."""
-
-    def __init__(self, horizon: Horizon) -> None:
-        from scipy.sparse import (
-            block_diag,
-            csc_array,
-            diags_array,
-            eye,
-            hstack,
-            identity,
-            kron,
-            vstack,
-        )
-
-        self._horizon = horizon
-        N, states = horizon.length, len(horizon.drift)
-        scale, level = horizon.cost_scale, horizon.level
-        tracking = [scale * horizon.state_weight] * (N - 1) + [scale * horizon.terminal_weight]
-        effort = [scale * level**2 * horizon.input_weight] * N
-        limits = LimitRows(horizon)
-        self._limits, self._violations = limits, len(limits.price)
-        squares = [diags_array(limits.price)]
-        # Zeros inside the blocks are left out: the pattern is fixed all the same.
-        self.P = csc_array(block_diag([csc_array(block) for block in tracking + effort] + squares))
-        self._weights = csc_array(block_diag([csc_array(block) for block in tracking]))
-        self._efforts = csc_array(block_diag([csc_array(block / level) for block in effort]))
-        dynamics = hstack([
-            identity(N * states) - kron(eye(N, k=-1), horizon.transition),
-            -kron(identity(N), level * horizon.input_matrix),
-            csc_array((N * states, self._violations)),
-        ])  # fmt: skip
-        rows = hstack([limits.on_states, level * limits.on_inputs, limits.on_violations])
-        self.A = csc_array(vstack([dynamics, rows]))
-        self._state_count = N * states
-
-    def vectors(
-        self,
-        state: FloatArray,
-        reference: FloatArray,
-        previous: FloatArray,
-        course: Course | None = None,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See :meth:`Form.vectors`."""
-        horizon = self._horizon
-        course = horizon.steady_course if course is None else course
-        tracking = -(self._weights @ reference.ravel())
-        effort = -(self._efforts @ course.input_reference.ravel())
-        q = np.concatenate([tracking, effort, self._limits.price])
-        motion = course.drift.ravel().copy()
-        motion[: len(state)] += horizon.transition @ state
-        low, high = self._limits.bounds(previous, course)
-        offset = self._limits.on_first @ state
-        return q, np.concatenate([motion, low - offset]), np.concatenate([motion, high - offset])
-
-    def inputs(self, x: FloatArray, state: FloatArray, course: Course | None = None) -> FloatArray:
-        """See :meth:`Form.inputs`."""
-        inputs = x[self._state_count :][: self._horizon.input_count]
-        return self._horizon.level * inputs.reshape(self._horizon.length, -1)
-
-    def unknowns(
-        self, plan: FloatArray, state: FloatArray, course: Course | None = None
-    ) -> FloatArray:
-        """See :meth:`Form.unknowns`."""
-        horizon = self._horizon
-        course = horizon.steady_course if course is None else course
-        states = np.empty((horizon.length, len(state)))
-        for k, v in enumerate(plan):
-            state = horizon.transition @ state + horizon.input_matrix @ v + course.drift[k]
-            states[k] = state
-        return np.concatenate(
-            [states.ravel(), plan.ravel() / horizon.level, np.zeros(self._violations)]
-        )
-
-    def shifted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See :meth:`Form.shifted`."""
-        N, states, count = self._horizon.length, len(self._horizon.drift), len(self._horizon.low)
-        widths = [states, count, self._violations // N]
+        N = self._length
         return (
-            moved(x, N, widths, repeat=True),
-            moved(y, N, [states, *self._limits.widths], repeat=False),
+            shifted(x, N, [self._count // N, self._violations // N], repeat=False),
+            shifted(y, N, self._limits.widths, repeat=False),
         )
 
 
-def _prediction(horizon: Horizon) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _prediction(problem: MPCProblem) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return S, G, H of ``Z = S z_0 + G C + H D`` with Z = [z_1; …; z_N] and v = −K z + c."""
-    N, (states, inputs) = horizon.length, horizon.input_matrix.shape
-    closed = horizon.transition - horizon.input_matrix @ horizon.feedback
+    N, (states, inputs) = problem.length, problem.input_matrix.shape
+    closed = problem.transition - problem.input_matrix @ problem.feedback
     free = np.zeros((N, states, states))
     forced = np.zeros((N, states, N, inputs))
     drifts = np.zeros((N, states, N, states))
@@ -225,7 +126,7 @@ def _prediction(horizon: Horizon) -> tuple[FloatArray, FloatArray, FloatArray]:
         if k:
             # What c_j does to z_{k+1} is what c_{j−1} did to z_k.
             forced[k, :, 1:], drifts[k, :, 1:] = forced[k - 1, :, :-1], drifts[k - 1, :, :-1]
-        forced[k, :, 0], drifts[k, :, 0] = before @ horizon.input_matrix, before
+        forced[k, :, 0], drifts[k, :, 0] = before @ problem.input_matrix, before
     return (
         free.reshape(N * states, states),
         forced.reshape(N * states, N * inputs),
@@ -233,10 +134,10 @@ def _prediction(horizon: Horizon) -> tuple[FloatArray, FloatArray, FloatArray]:
     )
 
 
-def _weigh(horizon: Horizon, forced: FloatArray) -> FloatArray:
-    blocks = forced.reshape(horizon.length, len(horizon.drift), -1)
-    weighted = np.einsum("ij,kjm->kim", horizon.state_weight, blocks)
-    weighted[-1] = horizon.terminal_weight @ blocks[-1]
+def _weigh(problem: MPCProblem, forced: FloatArray) -> FloatArray:
+    blocks = forced.reshape(problem.length, len(problem.drift), -1)
+    weighted = np.einsum("ij,kjm->kim", problem.state_weight, blocks)
+    weighted[-1] = problem.terminal_weight @ blocks[-1]
     return np.asarray(weighted.reshape(forced.shape))
 
 

@@ -2,36 +2,132 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import final
+from typing import Unpack, final
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import Command, Controller
-from tenscontrol.control.disturbance import LoadObserver, load_observer
-from tenscontrol.control.mpc.constraints import OutputLimit
-from tenscontrol.control.mpc.nmpc_law import NMPCLaw
-from tenscontrol.control.mpc.nmpc_statistics import NMPCStatistics, statistics
-from tenscontrol.control.mpc.real_time_iteration import TrajectoryPlan
-from tenscontrol.control.mpc.settings import Wishes, checked_time_limit, default_penalty, design
-from tenscontrol.control.mpc.trajectory_model import TrajectoryModel
+from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
+from tenscontrol.control.mpc.problem import MPCProblem, QPSolver, StageData
+from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
+from tenscontrol.control.mpc.settings import MPCSettings, SettingsKeywords, design
+from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview, acceleration_response
-from tenscontrol.validation import (
-    FloatArray,
-    frozen,
-    instance,
-    positive_number,
-    truth,
-    whole_number,
-)
+from tenscontrol.validation import FloatArray, frozen, instance, truth, whole_number
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
 CONVERGED = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class NMPCStatistics:
+    """What became of the samples since the last reset.
+
+    The arrays have an entry for each of the K samples whose measurement was used; a fallback for
+    want of a measurement is counted in ``status_count`` alone.
+
+    Attributes
+    ----------
+    status_count : dict of Status to int
+        How often each status came; ``Status.OK`` is a solved program.
+    fallback_count : dict of Fallback to int
+        How often each fallback was taken.
+    programs : ndarray of int, shape (K,)
+        Quadratic programs solved in each sample.
+    iterations : ndarray of int, shape (K,)
+        Iterations of the solver in each sample.
+    last_change : ndarray, shape (K,)
+        Largest change of an input by the last program of each sample, in units of an input: how
+        far the plan is from converged. Infinite where that program was not solved.
+    preparation_time, feedback_time : ndarray, shape (K,)
+        Before the measurement is needed, and after it is there, s.
+    """
+
+    status_count: dict[Status, int]
+    fallback_count: dict[Fallback, int]
+    programs: np.ndarray
+    iterations: np.ndarray
+    last_change: FloatArray
+    preparation_time: FloatArray
+    feedback_time: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class NMPCLaw:
+    """What a nonlinear MPC computes with, except what it remembers.
+
+    Attributes
+    ----------
+    settings : MPCSettings
+    model : TrajectoryModel
+    problem : MPCProblem
+        Its rows are those of the model.
+    bounds, row_bounds : tuple of ndarray
+        Least and largest inputs, shape (α,) each, and limited rows, shape (p,) each.
+    units : ndarray, shape (s,)
+        Units of the state.
+    load : LoadModel or None
+        None where no load is estimated.
+    rounds : int
+        Programs solved in a sample at most.
+    path : ReferencePreview
+        What is followed.
+    """
+
+    settings: MPCSettings
+    model: TrajectoryModel
+    problem: MPCProblem
+    bounds: tuple[FloatArray, FloatArray]
+    row_bounds: tuple[FloatArray, FloatArray]
+    units: FloatArray
+    load: LoadModel | None
+    rounds: int
+    path: ReferencePreview
+
+    def subproblem(self) -> Sparse:
+        """Return the SQP subproblem, before anything is linearized."""
+        return Sparse(self.problem, self.units, varying=True)
+
+    def solver(self, form: Sparse) -> QPSolver:
+        """Return the solver of a subproblem, as it is before the first solve."""
+        # Slopes by implicit steps are of different sizes in these units: the solver scales them.
+        return self.settings.make_solver(form, equations=not self.model.implicit)
+
+    def targets(self, time: float) -> tuple[FloatArray, FloatArray]:
+        """Return r_1 … r_N, shape (N, s), and s_0 … s_{N−1}, shape (N, α), without a load."""
+        times = time + self.settings.sample_time * np.arange(self.problem.length + 1.0)
+        return self.path.aims(times, self.model.discretization.ramp)
+
+    def stage_data(self, reference: FloatArray, inputs: FloatArray) -> StageData:
+        """Return the data with these targets, without a load; inputs are measured from zero."""
+        N, nothing = self.problem.length, np.zeros_like(inputs)
+        low, high, row_low, row_high = (
+            np.tile(bound, (N, 1)) for bound in (*self.bounds, *self.row_bounds)
+        )
+        return StageData(
+            reference=reference,
+            input_reference=inputs,
+            drift=np.zeros_like(reference),
+            low=low,
+            high=high,
+            shift=nothing,
+            row_low=row_low,
+            row_high=row_high,
+            origin=nothing,
+            previous_origin=nothing[0],
+        )
+
+    def first_input(self, time: float, inputs: FloatArray) -> FloatArray:
+        """Return the previous input at the first command, where no other is known, shape (α,).
+
+        It is s_0; as a ramp reaches that at the end of the sample only, then that of the path.
+        """
+        ramp = self.model.discretization.ramp
+        return np.asarray(self.path.at(np.array([time])).input[0] if ramp else inputs[0])
 
 
 @final
@@ -47,7 +143,7 @@ class NMPC(Controller):
 
     If a program is not solved, or the measurement is not one that the structure can
     have, the plan is followed for another sample; after its end γ of the operating
-    point is commanded, or the rest lengths that stand. The status says so. Changes
+    point is commanded, or the rest lengths that the actuators hold. The status says so. Changes
     are limited from what the actuators hold (:meth:`applied`). A plan that was followed
     to its end is forgotten, and the next measurement starts a new one.
 
@@ -56,42 +152,17 @@ class NMPC(Controller):
     plant : LinearPlant
         In internal coordinates, at an equilibrium. It says which input, and
         gives the terminal cost, that of its discrete LQR.
-    horizon : int
-        Number N of samples predicted, 1 to 10,000.
-    sample_time : float
-        Sample time, s.
-    max_force_density : float or array_like, shape (α,)
-        Largest γ, N/m. May be left out where the input is the rest length.
-    Q : float or array_like, shape (2r,) or (2r, 2r), optional
-        As for :class:`MPC`.
-    R : float or array_like, shape (α,) or (α, α), optional
-        As for :class:`MPC`.
-    max_change : float or array_like, shape (α,), optional
-        Largest change of the input from sample to sample, N/m or m.
-    winches : Winches, optional
-        Speed and range that bound rest lengths. Where they wind through samples, γ is limited at
-        the ends of samples.
-    reference : Reference or array_like, shape (3, n), optional
-        Shapes to follow, seen ahead. The operating point if not given.
     iterations : int
         Programs solved in a sample at most; fewer if the plan has converged.
-    tolerance : float
-        OSQP's absolute and relative tolerance, in units of an input.
-    max_iterations : int
-        OSQP's limit.
-    min_force_density, max_tension, outputs, string_penalty : optional
-        Limits as for :class:`MPC`, on what is predicted, linearized along the plan. Where the
-        input is the rest length, limits of γ are soft, and one of 0 keeps strings taut.
-    load_gain, tracked : optional
-        An unknown load, as for :class:`MPC`; the shape at rest under it is that of the
-        nonlinear plant.
     machine_code : bool
         Compile the derivatives, where there is a C compiler: the same numbers, sooner. The
         library is kept for the next run; the first time it takes some ten seconds.
-    time_limit : float, optional
-        Time for a command, s, from its call; preparation counts where it was not
-        done before. A program that is not solved by then is given up at the end
-        of an OSQP iteration, and no other is begun.
+    **settings
+        Horizon and sample time, and bounds, weights, limits and solver, as keyword arguments of
+        :class:`MPCSettings`. Limits are on what is predicted, linearized along the plan. Where the
+        input is the rest length, limits of γ are soft, and one of 0 keeps strings taut. The shape
+        at rest under an unknown load is that of the nonlinear plant. In the time limit preparation
+        counts where it was not done before, and no other program is begun after it.
 
     Raises
     ------
@@ -102,7 +173,7 @@ class NMPC(Controller):
     -----
     Diehl, Bock & Schlöder (2005), doi:10.1137/S0363012902400713.
 
-    A sample is predicted by RK4; where winches wind, or held strings are so stiff that it takes
+    A sample is predicted by RK4; where inputs are ramps, or held strings are so stiff that it takes
     more than 4 steps, by one implicit step. Strings that would be slack push in it, as in linear
     MPC, and a load is not estimated then; ``min_force_density`` keeps plans clear of that.
 
@@ -123,70 +194,47 @@ class NMPC(Controller):
         self,
         plant: LinearPlant,
         *,
-        horizon: int,
-        sample_time: float,
-        max_force_density: object = None,
-        Q: object = None,
-        R: object = None,
-        max_change: object = None,
-        winches: Winches | None = None,
-        reference: object = None,
         iterations: int = 1,
-        tolerance: float = 1e-4,
-        max_iterations: int = 4000,
-        min_force_density: object = 0.0,
-        max_tension: object = None,
-        outputs: Sequence[OutputLimit] = (),
-        string_penalty: float | None = None,
-        load_gain: float | None = None,
-        tracked: object = None,
         machine_code: bool = False,
-        time_limit: float | None = None,
+        **settings: Unpack[SettingsKeywords],
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-        if winches is not None:
-            instance("winches", winches, Winches, "make them by Winches(rate=...)")
-        sample_time = positive_number("sample_time", sample_time, "s")
         truth("machine_code", machine_code, "whether to compile the derivatives")
         rounds = whole_number("iterations", iterations, least=1)
-        tolerance = positive_number("tolerance", tolerance, "units of an input")
-        max_iterations = whole_number("max_iterations", max_iterations, least=1)
-        longest = checked_time_limit(time_limit)
-        wishes = Wishes(
-            max_force_density, min_force_density, max_tension, max_change, winches, outputs,
-            default_penalty(string_penalty),
-        )  # fmt: skip
-        made = design(plant, horizon, sample_time, Q, R, wishes)
+        given = MPCSettings(**settings)
+        made, sample_time, winches = design(plant, given), given.sample_time, given.winches
         super().__init__(plant, sample_time, made.low, made.high, made.problem.change)
-        push = acceleration_response(plant, sample_time)
-        path = ReferencePreview(plant, reference, made.sampled)
-        self._observer = observer = load_observer(plant, push, load_gain, tracked)
+        path = ReferencePreview(plant, given.reference, made.sampled)
+        self._observer = None
+        if given.load_gain is not None:
+            response = acceleration_response(plant, sample_time)
+            self._observer = load_observer(plant, response, given.load_gain, given.tracked)
         # After all checks: it may be compiled.
         substeps = 1 if winches is None else winches.substeps
         model = TrajectoryModel(
-            plant, sample_time, made.problem.length, made.constraints, substeps, machine_code
+            plant, sample_time, given.horizon, made.constraints, substeps, machine_code
         )
         self._law = NMPCLaw(
-            sample_time=sample_time,
+            settings=given,
             model=model,
-            problem=replace(made.unwound, rows=model.with_places(made.problem.rows)),
+            problem=replace(made.plant_problem, rows=model.with_pattern(made.problem.rows)),
             bounds=self.bounds,
             row_bounds=made.constraints.limits,
             units=model.units(made.problem.level),
-            load=None if observer is None else observer.model,
+            load=None if self._observer is None else self._observer.model,
             rounds=rounds,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            time_limit=longest,
             path=path,
         )
-        self._program = self._law.program()
-        self._plan = TrajectoryPlan(model, self._program, self._law.problem, self.bounds)
+        self._longest_time = given.longest_time
+        form = self._law.subproblem()
+        self._plan = RealTimeIterate(
+            model, form, self._law.solver(form), self._law.problem, self.bounds
+        )
         self.reset()
 
     @property
     def law(self) -> NMPCLaw:
-        """All that it goes by, except what it remembers; not for users, and may change."""
+        """What it computes with, except what it remembers; not for users, and may change."""
         return self._law
 
     @property
@@ -196,8 +244,8 @@ class NMPC(Controller):
 
     @property
     def sampled(self) -> ca.Function:
-        """The prediction model ``(z, u) -> z⁺``; ``(z, u_before, u) -> z⁺`` where winches wind."""
-        return self._law.model.motion.sampled
+        """The prediction ``(z, u) -> z⁺``; ``(z, u_before, u) -> z⁺`` where inputs are ramps."""
+        return self._law.model.discretization.sampled
 
     @property
     def back_end(self) -> str:
@@ -206,7 +254,7 @@ class NMPC(Controller):
 
     @property
     def weights(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Q, R and the terminal P, which is of ``[z; u_before]`` where winches wind."""
+        """Q, R and the terminal P, which is of ``[z; u_before]`` where inputs are ramps."""
         problem = self._law.problem
         return problem.state_weight, problem.input_weight, problem.terminal_weight
 
@@ -219,7 +267,16 @@ class NMPC(Controller):
     @property
     def statistics(self) -> NMPCStatistics:
         """What became of the samples since the last reset."""
-        return statistics(self.status_count, self.fallback_count, self._records)
+        table = np.array(self._records).reshape(-1, 5)
+        return NMPCStatistics(
+            status_count=self.status_count,
+            fallback_count=self.fallback_count,
+            programs=frozen(table[:, 0].astype(np.int64)),
+            iterations=frozen(table[:, 1].astype(np.int64)),
+            last_change=frozen(table[:, 2]),
+            preparation_time=frozen(table[:, 3]),
+            feedback_time=frozen(table[:, 4]),
+        )
 
     @property
     def load(self) -> FloatArray | None:
@@ -239,7 +296,9 @@ class NMPC(Controller):
         TypeError, ValueError
             If it does not fit the structure.
         """
-        self._law = replace(self._law, path=self._law.path.following(reference))
+        settings = replace(self._law.settings, reference=reference)
+        path = self._law.path.following(reference)
+        self._law = replace(self._law, settings=settings, path=path)
 
     def targets(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Return what the cost measures from: r_1 … r_N, shape (N, s), and s_0 …, shape (N, α).
@@ -249,16 +308,15 @@ class NMPC(Controller):
         time : float
             Of the sample that starts now, s.
         """
-        reference, origin = self._law.targets(time)
+        reference, inputs = self._law.targets(time)
         if self._observer is None:
-            return reference, origin
-        return self._law.model.at_rest(reference, origin, self._observer)
+            return reference, inputs
+        return self._law.model.at_rest(reference, inputs, self._observer)
 
     def reset(self) -> None:
-        """Forget the plan, what stands, the estimated load and the statistics."""
+        """Forget the plan, the previous input, the estimated load and the statistics."""
         super().reset()
         self._plan.reset()
-        self._program.reset()
         self._followed = 0
         self._seen: tuple[FloatArray, FloatArray] | None = None
         self._records: list[tuple[float, ...]] = []
@@ -269,7 +327,7 @@ class NMPC(Controller):
     def take_over(self, command: FloatArray) -> None:
         """See :meth:`Controller.take_over`."""
         super().take_over(command)
-        self._plan.reset()
+        self._plan.clear()
         self._followed, self._seen = 0, None
 
     def prepare(self) -> None:
@@ -278,30 +336,31 @@ class NMPC(Controller):
         A command prepares itself where this was not called before it. Before the
         first command there is no plan, and nothing to do.
         """
-        if self._plan.prepared or self._plan.inputs is None:
+        if self._plan.linearized or self._plan.inputs is None:
             return
         began = perf_counter()
         self._plan.prepare()
         self._preparing = perf_counter() - began
 
     def _decide(self, time: float, state: FloatArray) -> Command:
-        deadline = self._called + self._law.time_limit
+        law = self._law
+        deadline = self._called + self._longest_time
         load = None if self._observer is None else self._corrected(self._observer, state)
-        reference, origin = self.targets(time)
+        data = law.stage_data(*self.targets(time))
         if self._previous_input is None:
-            self._previous_input = frozen(self._law.start(time, origin))
-        standing = self._previous_input
-        self._seen = state, standing
+            self._previous_input = frozen(law.first_input(time, data.input_reference))
+        previous_input, within_bounds = self._previous_input, self._previous_within_bounds
+        self._seen = state, previous_input
         if self._plan.inputs is None:
-            self._plan.begin(state, standing, reference, origin)
+            self._plan.begin(state, previous_input, data)
         self.prepare()
-        if not self._plan.prepared:  # the plan led where the dynamics have no value
-            self._plan.begin(state, standing, reference, origin)
+        if not self._plan.linearized:  # the plan led where the dynamics have no value
+            self._plan.begin(state, previous_input, data)
         preparing, began = self._preparing, perf_counter()
         work = 0
-        for rounds in range(1, self._law.rounds + 1):
-            answer, change = self._plan.improve(
-                state, reference, origin, self._previous_within_bounds, standing, load, deadline
+        for rounds in range(1, law.rounds + 1):
+            answer, change = self._plan.iterate(
+                state, data, within_bounds, previous_input, load, deadline
             )
             work += answer.iterations
             if answer.x is None:
@@ -321,8 +380,8 @@ class NMPC(Controller):
         What the input did since then is found now, from what the actuators really held.
         """
         if self._seen is not None and self._previous_input is not None:
-            motion, load = self._law.model.motion, observer.acceleration
-            observer.correct(state, *motion.expected(*self._seen, self._previous_input, load))
+            predict, load = self._law.model.discretization.predict, observer.acceleration
+            observer.correct(state, *predict(*self._seen, self._previous_input, load))
         observer.expect(np.zeros_like(state))  # all that comes is in the next prediction
         return observer.acceleration
 
@@ -339,7 +398,7 @@ class NMPC(Controller):
         """Follow the plan for another sample; after its end hold what is safe."""
         self._followed += 1
         if self._followed >= self.horizon:
-            self._plan.reset()
+            self._plan.clear()
         if self._plan.inputs is not None:
             self._plan.shift()
             wanted = Command(self._plan.inputs[0], status, Fallback.PLAN_CONTINUED)

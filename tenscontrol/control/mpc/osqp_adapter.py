@@ -1,13 +1,13 @@
-"""Quadratic programs of one fixed pattern, solved by OSQP."""
+"""OSQP as a solver of quadratic programs: warm start, deadline and a map of every status."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from tenscontrol.control.mpc.problem import QPSolution, QPSolver
 from tenscontrol.control.status import Status
 from tenscontrol.validation import FloatArray
 
@@ -37,45 +37,20 @@ _LARGEST = 1e20
 START_RHO = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class QPSolution:
-    """Answer to a quadratic program.
-
-    Attributes
-    ----------
-    status : Status
-    x, y : ndarray or None
-        Primal and dual solution; None unless the status is ``OK``.
-    iterations : int
-    """
-
-    status: Status
-    x: FloatArray | None
-    y: FloatArray | None
-    iterations: int
-
-
-class QuadraticProgram:
-    """``min ½ xᵀ P x + qᵀ x  subject to  l ≤ A x ≤ u`` with P and A fixed.
-
-    The matrices are factorised once; a solve changes q, l and u in place and
-    starts from the last solution, or from the one it is told.
+@final
+class OSQPSolver(QPSolver):
+    """See :class:`QPSolver`. The matrices are factorised once; a solve changes q, l and u in place.
 
     Parameters
     ----------
-    P : sparse array, shape (k, k)
-        Symmetric positive semidefinite; all of it.
-    A : sparse array, shape (m, k)
-    tolerance : float
-        Absolute and relative tolerance of the residuals.
-    max_iterations : int
+    P, A, tolerance, max_iterations
+        As for :class:`QPSolver`.
     polish : bool
         Whether the answer is refined by solving for the bounds found active: to
         round-off, where they are the right ones.
     equations : bool
-        Whether many rows of A are equations, and all are in units of their own already. Then
-        ADMM is not over-relaxed, since equations gain from that only further iterations, and A
-        is not scaled, which costs more than factorizing it where A is updated.
+        With many equations ADMM is not over-relaxed, since equations gain from that only further
+        iterations, and A is not scaled, which costs more than factorizing it where A is updated.
     """
 
     def __init__(
@@ -89,7 +64,7 @@ class QuadraticProgram:
     ) -> None:
         rows, columns = A.shape
         self.tolerance, self.max_iterations = tolerance, max_iterations
-        # The caller may put other values into his A.
+        # The caller may put other values into its A.
         self._made_of = P, A.copy(), tolerance, max_iterations, polish, equations
         self._shapes = {"q": columns, "l": rows, "u": rows}
         self._nonzeros = A.nnz
@@ -131,20 +106,10 @@ class QuadraticProgram:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle what the program is made of; OSQP's own memory, and what it solved, stay here."""
-        return QuadraticProgram, self._made_of
+        return OSQPSolver, self._made_of
 
     def update(self, A: FloatArray) -> None:
-        """Put other values into A, in the order of its columns; the pattern stays.
-
-        Parameters
-        ----------
-        A : ndarray, shape (nonzeros of A,)
-
-        Raises
-        ------
-        ValueError
-            If there are not as many values as A has nonzeros, or one is not finite.
-        """
+        """See :meth:`QPSolver.update`."""
         if A.shape != (self._nonzeros,) or not np.isfinite(A).all():
             raise ValueError(f"A needs {self._nonzeros} finite values, got shape {A.shape}")
         began = perf_counter()
@@ -154,7 +119,7 @@ class QuadraticProgram:
             self._counted += perf_counter() - began
 
     def reset(self) -> None:
-        """Forget the last solution, and the step and scaling that were adapted."""
+        """See :meth:`QPSolver.reset`."""
         if self._rescaled:
             self._set_up()
             return
@@ -185,30 +150,10 @@ class QuadraticProgram:
         start: tuple[FloatArray, FloatArray] | None = None,
         deadline: float = np.inf,
     ) -> QPSolution:
-        """Solve for new vectors, from the last solution or from a given start.
+        """See :meth:`QPSolver.solve`.
 
         Data that are not finite, or bounds that cross, never reach OSQP: it
         would print a line, keep the old data, or be poisoned for good.
-
-        Parameters
-        ----------
-        q : ndarray, shape (k,)
-        l, u : ndarray, shape (m,)
-            May be infinite.
-        start : pair of ndarray, shapes (k,) and (m,), optional
-            Primal and dual vectors to start from.
-        deadline : float
-            When ``perf_counter`` says so, s, the solve is given up: before it
-            begins, or at the end of an iteration.
-
-        Returns
-        -------
-        QPSolution
-
-        Raises
-        ------
-        ValueError
-            If a vector has the wrong length.
         """
         for name, vector in (("q", q), ("l", l), ("u", u)):
             if vector.shape != (self._shapes[name],):

@@ -1,4 +1,4 @@
-"""The finite-horizon problem of MPC as data.
+"""The finite-horizon problem of MPC as data, and the interface of what solves it.
 
     minimize    Σ (z_k − r_k)ᵀ Q (z_k − r_k) + Σ (v_k − s_k)ᵀ R (v_k − s_k)
                 + (z_N − r_N)ᵀ P (z_N − r_N) + Σ 2 πᵀ (e_k + ½ e_k²)
@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol.control.status import Status
 from tenscontrol.validation import FloatArray, IntArray, freeze_arrays
 
 if TYPE_CHECKING:
@@ -32,9 +33,9 @@ class Rows:
 
     Attributes
     ----------
-    before, after : ndarray, shape (p, s)
+    by_state, by_next_state : ndarray, shape (p, s)
         E and F.
-    inputs : ndarray, shape (p, α)
+    by_input : ndarray, shape (p, α)
         G.
     scale : ndarray, shape (p,)
         Unit of each row inside the program.
@@ -44,9 +45,9 @@ class Rows:
         Whether any row is bounded from below, from above.
     """
 
-    before: FloatArray
-    after: FloatArray
-    inputs: FloatArray
+    by_state: FloatArray
+    by_next_state: FloatArray
+    by_input: FloatArray
     scale: FloatArray
     penalty: FloatArray
     bounded: tuple[bool, bool]
@@ -56,60 +57,48 @@ class Rows:
 
     @property
     def soft(self) -> IntArray:
-        """Places of the rows that may be violated at a price."""
+        """Indices of the rows that may be violated at a price."""
         return np.flatnonzero(np.isfinite(self.penalty))
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
-    """What changes from sample to sample along the horizon.
+class StageData:
+    """What changes from stage to stage, known before the state at the first is measured.
 
     Attributes
     ----------
-    drift : ndarray, shape (N, s)
-        d_k.
+    reference : ndarray, shape (N, s)
+        r_1 … r_N, moved to where the plant rests under an estimated load.
     input_reference : ndarray, shape (N, α)
         s_k.
+    drift : ndarray, shape (N, s)
+        d_k.
     low, high : ndarray, shape (N, α)
         Bounds of v_k.
     shift : ndarray, shape (N, α)
         Change of the origin of v since the sample before.
     row_low, row_high : ndarray, shape (N, p)
         Bounds of y_k.
+    origin : ndarray, shape (N, α)
+        Inputs that v_0 … v_{N−1} are measured from.
+    previous_origin : ndarray, shape (α,)
+        The input that v_{−1} is measured from.
     """
 
-    drift: FloatArray
+    reference: FloatArray
     input_reference: FloatArray
+    drift: FloatArray
     low: FloatArray
     high: FloatArray
     shift: FloatArray
     row_low: FloatArray
     row_high: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Ahead:
-    """What is known of the horizon before anything is measured at its start.
-
-    Attributes
-    ----------
-    before : ndarray, shape (α,)
-        Input that the reference has before the first sample.
-    reference : ndarray, shape (N, s)
-        r_1 … r_N, moved to where the plant rests under the estimated load.
-    origin : ndarray, shape (N, α)
-        Inputs that v_0 … v_{N−1} are measured from.
-    course : Course
-    """
-
-    before: FloatArray
-    reference: FloatArray
     origin: FloatArray
-    course: Course
+    previous_origin: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Horizon:
+class MPCProblem:
     """Data of the problem that never change.
 
     Attributes
@@ -159,21 +148,6 @@ class Horizon:
         """Number of entries of all v together."""
         return int(self.length * self.input_matrix.shape[1])
 
-    @property
-    def steady_course(self) -> Course:
-        """The course on which nothing changes, for a problem without rows."""
-        N = self.length
-        still = np.zeros((N, len(self.low)))
-        return Course(
-            drift=np.tile(self.drift, (N, 1)),
-            input_reference=still,
-            low=np.tile(self.low, (N, 1)),
-            high=np.tile(self.high, (N, 1)),
-            shift=still,
-            row_low=np.zeros((N, 0)),
-            row_high=np.zeros((N, 0)),
-        )
-
 
 class Form(ABC):
     """One way to write the problem as ``min ½ xᵀ P x + qᵀ x, l ≤ A x ≤ u``."""
@@ -183,11 +157,7 @@ class Form(ABC):
 
     @abstractmethod
     def vectors(
-        self,
-        state: FloatArray,
-        reference: FloatArray,
-        previous: FloatArray,
-        course: Course | None = None,
+        self, state: FloatArray, data: StageData, previous: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return q, l and u.
 
@@ -195,24 +165,113 @@ class Form(ABC):
         ----------
         state : ndarray, shape (s,)
             z_0.
-        reference : ndarray, shape (N, s)
-            r_1 … r_N.
+        data : StageData
         previous : ndarray, shape (α,)
             v_{−1}; matters only where the change is limited.
-        course : Course, optional
-            What changes along the horizon; nothing if not given.
         """
 
     @abstractmethod
-    def inputs(self, x: FloatArray, state: FloatArray, course: Course | None = None) -> FloatArray:
+    def inputs(self, x: FloatArray, state: FloatArray, data: StageData) -> FloatArray:
         """Return v_0 … v_{N−1}, shape (N, α), from a solution."""
-
-    @abstractmethod
-    def unknowns(
-        self, plan: FloatArray, state: FloatArray, course: Course | None = None
-    ) -> FloatArray:
-        """Return x from v_0 … v_{N−1}, shape (N, α), without violations."""
 
     @abstractmethod
     def shifted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return a primal and dual solution moved on by one sample, to start the next from."""
+
+
+@dataclass(frozen=True, eq=False)
+class QPSolution:
+    """Answer to a quadratic program.
+
+    Attributes
+    ----------
+    status : Status
+    x, y : ndarray or None
+        Primal and dual solution; None unless the status is ``OK``.
+    iterations : int
+    """
+
+    status: Status
+    x: FloatArray | None
+    y: FloatArray | None
+    iterations: int
+
+
+class QPSolver(ABC):
+    """Solver of ``min ½ xᵀ P x + qᵀ x  subject to  l ≤ A x ≤ u`` of one fixed pattern.
+
+    Dual variables y have the sign of ``P x + q + Aᵀ y = 0``: positive at upper bounds.
+
+    Parameters
+    ----------
+    P : sparse array, shape (k, k)
+        Symmetric positive semidefinite; all of it.
+    A : sparse array, shape (m, k)
+    tolerance : float
+        Absolute and relative tolerance of the residuals.
+    max_iterations : int
+    equations : bool
+        Whether many rows of A are equations, and all are in units of their own already.
+    """
+
+    @abstractmethod
+    def __init__(
+        self,
+        P: csc_array,
+        A: csc_array,
+        tolerance: float,
+        max_iterations: int,
+        *,
+        equations: bool = False,
+    ) -> None: ...
+
+    @abstractmethod
+    def update(self, A: FloatArray) -> None:
+        """Put other values into A, in the order of its columns; the pattern stays.
+
+        Parameters
+        ----------
+        A : ndarray, shape (nonzeros of A,)
+
+        Raises
+        ------
+        ValueError
+            If there are not as many values as A has nonzeros, or one is not finite.
+        """
+
+    @abstractmethod
+    def solve(
+        self,
+        q: FloatArray,
+        l: FloatArray,  # noqa: E741 - the letters of the problem
+        u: FloatArray,
+        start: tuple[FloatArray, FloatArray] | None = None,
+        deadline: float = np.inf,
+    ) -> QPSolution:
+        """Solve for new vectors, from the last solution or from a given start.
+
+        Parameters
+        ----------
+        q : ndarray, shape (k,)
+        l, u : ndarray, shape (m,)
+            May be infinite.
+        start : pair of ndarray, shapes (k,) and (m,), optional
+            Primal and dual vectors to start from.
+        deadline : float
+            When ``perf_counter`` says so, s, the solve is given up: before it
+            begins, or at the end of an iteration.
+
+        Returns
+        -------
+        QPSolution
+            Data that are not finite, and bounds that cross, are answered by a status.
+
+        Raises
+        ------
+        ValueError
+            If a vector has the wrong length.
+        """
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget the last solution, and all that was adapted to it."""

@@ -1,91 +1,268 @@
-"""The plan of an NMPC: a trajectory, linearized along itself, moved on and improved."""
+"""Real-time iteration: a plan linearized along itself, moved on and improved by one program."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import casadi as ca
 import numpy as np
 
-from tenscontrol.control.mpc.osqp_adapter import QPSolution
-from tenscontrol.control.mpc.problem import Horizon
-from tenscontrol.control.mpc.sparse import TrajectoryProgram
-from tenscontrol.control.mpc.trajectory_model import TrajectoryModel
+from tenscontrol.control.disturbance import LoadObserver
+from tenscontrol.control.mpc.constraints import Constraints
+from tenscontrol.control.mpc.problem import MPCProblem, QPSolution, QPSolver, Rows, StageData
+from tenscontrol.control.mpc.shooting import (
+    RK4,
+    Discretization,
+    RadauIIA,
+    StageJacobians,
+    executable,
+    stage_jacobians,
+    taut_slopes,
+)
+from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Status
+from tenscontrol.dynamics import Evaluator
+from tenscontrol.plant import (
+    LinearPlant,
+    explicit_substeps,
+    model_input,
+    reduced_acceleration,
+    reduced_motion,
+    state_units,
+    string_forces,
+)
 from tenscontrol.validation import FloatArray
 
+# At a shape that changes its stiffness by a tenth these leave 1e-5 of what was off.
+NEWTON_STEPS = 5
 
-class TrajectoryPlan:
-    """States z_0 … z_N and inputs u_0 … u_{N−1}, and the program that improves them.
+# With derivatives of their own the shapes of stiff strings take fewer.
+_OWN_STEPS = 2
 
-    Accelerations at the stages of implicit steps are part of it, and u_{−1}, which still acts
-    where winches wind.
+# Where rest lengths are held, and a sample takes more steps of RK4 than this, one implicit step
+# takes their place, at less than half the cost. Where strings are soft, RK4 knows slack ones too.
+_MOST_EXPLICIT = 4
 
-    Parameters
-    ----------
-    model : TrajectoryModel
-    program : TrajectoryProgram
-    problem : Horizon
-    bounds : tuple of ndarray, shape (α,) each
-        Least and largest input.
+
+class TrajectoryModel:
+    """The motion of a plant over N samples, and the values of limited rows, with derivatives.
 
     Attributes
     ----------
+    implicit : bool
+        Whether steps are implicit: where inputs are ramps or strings are stiff.
+    discretization : Discretization
+    back_end : str
+        What evaluates the derivatives.
+    acceleration : casadi.Function
+        ``(z, u) -> q̈``.
+    limited : casadi.Function or None
+        ``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of the rows that are limited, dense.
+    """
+
+    def __init__(
+        self,
+        plant: LinearPlant,
+        sample_time: float,
+        length: int,
+        constraints: Constraints,
+        substeps: int,
+        machine_code: bool,
+    ) -> None:
+        stiff = (
+            plant.input == "rest_length" and explicit_substeps(plant, sample_time) > _MOST_EXPLICIT
+        )
+        self.implicit = stiff or substeps > 1
+        self.discretization: Discretization
+        prepared = plant.prepared
+        if self.implicit:
+            self.discretization = RadauIIA(plant, sample_time, length, substeps, machine_code)
+        else:
+            self.discretization = RK4(plant, sample_time, length, machine_code)
+        self.acceleration = reduced_acceleration(plant, taut=self.implicit)
+        self.back_end = self.discretization.back_end
+        self._plant, self._sample_time = plant, sample_time
+        balance = prepared.get(
+            ("balance along a plan", self.implicit, length),
+            lambda: (taut_slopes(plant) if self.implicit else self.acceleration).map(length),
+        )
+        self._acceleration = Evaluator(balance)
+        self.limited: ca.Function | None = None
+        self._patterns: tuple[FloatArray, ...] = ()
+        if constraints.blocks:
+            at_end = self.discretization.ramp
+
+            def build() -> tuple[ca.Function, tuple[FloatArray, ...], ca.Function]:
+                rows = limited_rows(plant, constraints, at_end)
+                patterns = (np.array(ca.DM(rows.sparsity_out(i), 1.0)) for i in (1, 2, 3))
+                dense = _dense(rows)
+                return dense, tuple(patterns), executable(dense.map(length), machine_code)[0]
+
+            key = "limited rows", constraints.key, at_end, length, machine_code
+            self.limited, self._patterns, along = prepared.get(key, build)
+            self._rows = Evaluator(along)
+
+    def units(self, level: float) -> FloatArray:
+        """Return units of the state in a program, shape (s,), with ``level`` that of an input.
+
+        Implicit steps do not resolve fast vibrations. Where strings are stiff, one unit is then
+        what a level holds, and the speed that moves it in a sample.
+        """
+        units, size = state_units(self._plant)
+        if not self.implicit:
+            return units
+        held = units[: len(units) // 2] * level / size
+        return np.asarray(np.minimum(units, np.concatenate([held, held / self._sample_time])))
+
+    def with_pattern(self, rows: Rows | None) -> Rows | None:
+        """Return limited rows with ones where a derivative can be other than zero."""
+        if rows is None:
+            return None
+        by_state, by_input, by_next_state = self._patterns
+        return replace(rows, by_state=by_state, by_input=by_input, by_next_state=by_next_state)
+
+    def at_rest(
+        self, reference: FloatArray, inputs: FloatArray, observer: LoadObserver
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return references (N, s) and inputs (N, α) moved to rest under the estimated load.
+
+        Newton's method on the accelerations of the nonlinear plant, with the derivatives of
+        the linear one, or where strings are stiff with their own.
+        """
+        r = reference.shape[1] // 2
+        reference, inputs, still = reference.copy(), inputs.copy(), np.zeros_like(reference[:, :r])
+        for _ in range(_OWN_STEPS if self.implicit else NEWTON_STEPS):
+            states = np.hstack([reference[:, :r], still])
+            columns = (x.T if len(x) > 1 else x[0] for x in (states, inputs))
+            values, *slopes = self._acceleration(*columns)
+            left = values.reshape(r, -1, order="F").T + observer.acceleration
+            if self.implicit:
+                by_q, _, by_u = (
+                    slope.ravel(order="K").reshape(len(left), -1, r).swapaxes(1, 2)
+                    for slope in slopes
+                )
+                shift, effort = observer.model.rest_of(left, by_q, by_u)
+            else:
+                shift, effort = observer.model.rest(left)
+            reference[:, :r] += shift
+            inputs += effort
+        return reference, inputs
+
+    def linearize(
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray
+    ) -> tuple[StageJacobians, StageJacobians | None]:
+        """Return the motion and the limited rows to first order; None where no row is limited.
+
+        States are z_0 … z_N, inputs u_{−1} … u_{N−1}, and stages those of :class:`Discretization`.
+        """
+        here, later = np.ascontiguousarray(states[:-1]), np.ascontiguousarray(states[1:])
+        motion = self.discretization.linearize(here, inputs, stages)
+        if self.limited is None:
+            return motion, None
+        return motion, stage_jacobians(self._rows, here, inputs[1:], later)
+
+
+def limited_rows(plant: LinearPlant, constraints: Constraints, at_end: bool = False) -> ca.Function:
+    """Return ``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of the rows that are limited.
+
+    Force densities are those of strings that pull, and negative beyond, so that a slack string
+    still says which way it gets taut. Strings are limited at the start of a sample, or at its end,
+    where ramps have brought rest lengths to u.
+    """
+    s, a = plant.B.shape
+    z, u, later = ca.SX.sym("z", s), ca.SX.sym("u", a), ca.SX.sym("later", s)
+    at = reduced_motion(plant, later if at_end else z)
+    forces = string_forces(plant, plant.input, *at, model_input(plant, u))
+    kinds = {"force_density": forces[0], "tension": forces[1]}
+    shape = ca.vec(reduced_motion(plant, later)[0])
+    y = ca.vertcat(*(
+        kinds[block.quantity] if block.quantity else ca.mtimes(ca.DM(block.on_nodes), shape)
+        for block in constraints.blocks
+    ))  # fmt: skip
+    parts = [y, *(ca.jacobian(y, by) for by in (z, u, later))]
+    return ca.Function("rows", [z, u, later], ca.cse(parts))
+
+
+def _dense(function: ca.Function) -> ca.Function:
+    arguments = function.sx_in()
+    outputs = [ca.densify(part) for part in function(*arguments)]
+    return ca.Function(function.name(), arguments, outputs)
+
+
+class RealTimeIterate:
+    """States z_0 … z_N and inputs u_0 … u_{N−1}, and the program that improves them.
+
+    Accelerations at the stages of implicit steps are part of it, and u_{−1}, which still acts
+    where inputs are ramps.
+
+    Attributes
+    ----------
+    form : Sparse
+        The SQP subproblem.
+    solver : QPSolver
     inputs : ndarray, shape (N, α), or None
         None before there is a plan.
-    prepared : bool
+    linearized : bool
         Whether the program is linearized along the plan.
     """
 
     def __init__(
         self,
         model: TrajectoryModel,
-        program: TrajectoryProgram,
-        problem: Horizon,
+        form: Sparse,
+        solver: QPSolver,
+        problem: MPCProblem,
         bounds: tuple[FloatArray, FloatArray],
     ) -> None:
-        self._model, self._program, self._problem = model, program, problem
-        self._motion = model.motion
+        self._model, self.form, self.solver, self._problem = model, form, solver, problem
+        self._discretization = model.discretization
         self._low, self._high = bounds
-        self.reset()
+        self.clear()
 
-    def reset(self) -> None:
+    def clear(self) -> None:
         """Forget the plan."""
         self._states: FloatArray = np.zeros((0, 0))
         self._stages: FloatArray = np.zeros((0, 0, 0))
-        self._before: FloatArray = np.zeros(0)
+        self._previous: FloatArray = np.zeros(0)
         self.inputs: FloatArray | None = None
-        self.prepared, self._shifted = False, True
-        self._program.forget()
+        self.linearized, self._shifted = False, True
+        self._guess: tuple[FloatArray, FloatArray] | None = None
 
-    def begin(
-        self, state: FloatArray, standing: FloatArray, reference: FloatArray, origin: FloatArray
-    ) -> None:
+    def reset(self) -> None:
+        """Forget the plan, and what the solver adapted to its programs."""
+        self.clear()
+        self.solver.reset()
+
+    def begin(self, state: FloatArray, previous_input: FloatArray, data: StageData) -> None:
         """Plan with the law of the linear plant, kept within bounds, on the nonlinear one.
 
         Far from its operating point that law may lead stiff strings to where their steps are not
         solved. Then the plan is the reference itself, whose stages the programs find.
         """
-        start, states, inputs, stages = state, [state], [standing], []
-        aims, held_before = np.vstack([reference[:1], reference[:-1]]), origin[0]
+        reference, origin = data.reference, data.input_reference
+        start, states, inputs, stages = state, [state], [previous_input], []
+        aims, previous_aim = np.vstack([reference[:1], reference[:-1]]), origin[0]
         for aim, held in zip(aims, origin, strict=True):
             off = states[-1] - aim
-            if self._motion.ramp:
-                off, held_before = np.concatenate([off, inputs[-1] - held_before]), held
-            wish = held - self._problem.feedback @ off
-            inputs.append(np.clip(wish, self._low, self._high))
-            state, within = self._motion.advance(states[-1], inputs[-2], inputs[-1])
+            if self._discretization.ramp:
+                off, previous_aim = np.concatenate([off, inputs[-1] - previous_aim]), held
+            desired_input = held - self._problem.feedback @ off
+            inputs.append(np.clip(desired_input, self._low, self._high))
+            state, within = self._discretization.advance(states[-1], inputs[-2], inputs[-1])
             states.append(state)
             stages.append(within)
         self._states, self.inputs = np.array(states), np.array(inputs[1:])
-        self._stages, self._before = np.array(stages), standing
+        self._stages, self._previous = np.array(stages), previous_input
         if self._stages.size and not np.isfinite(self._states).all():
             self._states = np.vstack([start, reference])
             self.inputs = np.clip(origin, self._low, self._high)
             self._stages = np.zeros_like(self._stages)
-        self._shifted, self.prepared = True, False
+        self._shifted, self.linearized = True, False
 
     def prepare(self) -> None:
         """Move the plan on by a sample, where that is due, and linearize along it.
 
-        Where the dynamics have no value, ``prepared`` stays False.
+        Where the dynamics have no value, ``linearized`` stays False.
         """
         self.shift()
         self._linearize(self._planned())
@@ -96,61 +273,67 @@ class TrajectoryPlan:
             return
         inputs = self._planned()
         last = np.clip(inputs[-1], self._low, self._high)
-        end, within = self._motion.advance(self._states[-1], inputs[-1], last)
+        end, within = self._discretization.advance(self._states[-1], inputs[-1], last)
         self._states = np.vstack([self._states[1:], end])
         self._stages = np.concatenate([self._stages[1:], within[None]])
-        self._before, self.inputs = inputs[0], np.vstack([inputs[1:], last])
-        self._program.shift()
+        self._previous, self.inputs = inputs[0], np.vstack([inputs[1:], last])
+        if self._guess is not None:
+            self._guess = self.form.shifted(*self._guess)
         self._shifted = True
 
-    def improve(
-        self, state: FloatArray, reference: FloatArray, origin: FloatArray, previous: FloatArray,
-        standing: FloatArray, load: FloatArray | None, deadline: float,
+    def iterate(
+        self, state: FloatArray, data: StageData, previous: FloatArray,
+        previous_input: FloatArray, load: FloatArray | None, deadline: float,
     ) -> tuple[QPSolution, float]:  # fmt: skip
         """Solve the program once; return its answer, and the largest change in units of an input.
 
-        The arguments are those of :meth:`TrajectoryProgram.solve`, but for accelerations by a
-        load, shape (r,). Where the program is not solved, the plan stays, unless the dynamics have
-        no value along it.
+        Changes are limited from ``previous``, the motion starts with ``previous_input``, shape
+        (α,) each; the load is accelerations, shape (r,). Where the program is not solved, the plan
+        stays, unless the dynamics have no value along it.
         """
-        before = self._planned()
-        if not self.prepared:
-            self._linearize(before)
-        if not self.prepared:
-            self.reset()
+        planned = self._planned()
+        if not self.linearized:
+            self._linearize(planned)
+        if not self.linearized:
+            self.clear()
             return QPSolution(Status.BAD_DATA, None, None, 0), np.inf
-        drift = None if load is None else self._motion.pushed(load)
-        answer, states, inputs = self._program.solve(
-            state, reference, origin, previous, drift,
-            standing if self._motion.ramp else None, deadline,
-        )  # fmt: skip
-        self.prepared = False
-        if answer.x is None:
+        if load is not None:
+            drift = self._discretization.load_response(load)
+            data = replace(data, drift=np.broadcast_to(drift, data.drift.shape))
+        acting = previous_input if self._discretization.ramp else None
+        vectors = self.form.vectors(state, data, previous, acting)
+        answer = self.solver.solve(*vectors, start=self._guess, deadline=deadline)
+        self.linearized, self._guess = False, None
+        if answer.x is None or answer.y is None:
             return answer, np.inf
-        acting, states = np.vstack([standing, inputs]), np.vstack([state, states])
-        changes = (states - self._states)[:-1], acting - self._acting(before)
-        self._stages = self._motion.corrected(self._stages, *changes, load)
-        self._states, self.inputs, self._before = states, inputs, standing
-        return answer, float(np.abs(inputs - before).max()) / self._problem.level
+        self._guess = answer.x, answer.y
+        later, inputs = self.form.trajectory(answer.x)
+        states, whole = np.vstack([state, later]), np.vstack([previous_input, inputs])
+        changes = (states - self._states)[:-1], whole - np.vstack([self._previous, planned])
+        self._stages = self._discretization.corrected(self._stages, *changes, load)
+        self._states, self.inputs, self._previous = states, inputs, previous_input
+        return answer, float(np.abs(inputs - planned).max()) / self._problem.level
 
     def release(self, solved: bool) -> None:
         """Let the next sample move the plan on; from a new start where a program was not solved."""
-        self.prepared, self._shifted = False, False
+        self.linearized, self._shifted = False, False
         if not solved:
-            self._program.forget()
+            self._guess = None
 
     def _linearize(self, inputs: FloatArray) -> None:
-        motion, rows = self._model.tangents(self._states, self._acting(inputs), self._stages)
+        whole = np.vstack([self._previous, inputs])
+        motion, rows = self._model.linearize(self._states, whole, self._stages)
         # A plan may lead where the dynamics have no value: there is nothing to prepare then.
         parts = [part for each in (motion, rows) if each for part in (each.offset, *each.slopes)]
-        self.prepared = all(np.isfinite(part).all() for part in parts)
-        if self.prepared:
-            # Stiff strings are sensitive to rest lengths: measured from those of the plan.
-            about = (self._states[1:], inputs) if self._stages.size else None
-            self._program.linearize(motion, rows, about)
-
-    def _acting(self, inputs: FloatArray) -> FloatArray:
-        return np.vstack([self._before, inputs])
+        self.linearized = all(np.isfinite(part).all() for part in parts)
+        if not self.linearized:
+            return
+        # Stiff strings are sensitive to rest lengths: measured from those of the plan.
+        about = (self._states[1:], inputs) if self._stages.size else None
+        self.form.linearize(motion, rows, about)
+        self.solver.update(self.form.A.data)
+        if self._guess is not None:
+            self._guess = self.form.at_plan(self._guess)
 
     def _planned(self) -> FloatArray:
         assert self.inputs is not None  # callers see to it

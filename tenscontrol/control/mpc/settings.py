@@ -1,9 +1,10 @@
-"""From what a user asks of MPC to the data of its program."""
+"""Settings that a user gives to MPC and NMPC, and the problem that they make of a plant."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Required, TypedDict
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from tenscontrol.control.mpc.constraints import (
     output_block,
     string_block,
 )
-from tenscontrol.control.mpc.problem import Horizon
+from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.problem import Form, MPCProblem, QPSolver
 from tenscontrol.control.weights import energy_weights, weight_matrix
 from tenscontrol.plant import (
     LinearPlant,
@@ -50,18 +52,178 @@ _PENALTY = 1e2
 # Longer horizons only fill memory: the terminal cost stands for what comes after.
 _LONGEST = 10_000
 
+_SOLVERS: dict[str, type[QPSolver]] = {"osqp": OSQPSolver}
 
-@dataclass(frozen=True, eq=False)
-class Wishes:
-    """Limits that a user gave, unchecked; see :class:`MPC`."""
 
+class SettingsKeywords(TypedDict, total=False):
+    """Keyword arguments of :class:`MPCSettings`, for type checkers and editors."""
+
+    horizon: Required[int]
+    sample_time: Required[float]
     max_force_density: object
+    Q: object
+    R: object
+    max_change: object
+    reference: object
     min_force_density: object
     max_tension: object
-    max_change: object
     winches: Winches | None
     outputs: Sequence[OutputLimit]
-    string_penalty: float
+    string_penalty: float | None
+    load_gain: float | None
+    tracked: object
+    tolerance: float
+    max_iterations: int
+    time_limit: float | None
+    solver: str | type[QPSolver]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MPCSettings:
+    """Bounds, weights, limits and solver of :class:`MPC` and :class:`NMPC`, which share them.
+
+    Parameters
+    ----------
+    horizon : int
+        Number of samples predicted, 1 to 10,000.
+    sample_time : float
+        Sample time, s.
+    max_force_density : float or array_like, shape (α,)
+        Largest γ, N/m. May be left out where the input is the rest length.
+    Q : float or array_like, shape (2r,) or (2r, 2r), optional
+        Weight of ``z − reference``. If not given, that of :func:`energy_weights`,
+        by mode where the input is the rest length.
+    R : float or array_like, shape (α,) or (α, α), optional
+        Weight of the departure of the input from the operating point, or from
+        the rest lengths that hold the reference. If not given, that of
+        :func:`energy_weights`; a tenth of it for γ.
+    max_change : float or array_like, shape (α,), optional
+        Largest change of the input from sample to sample, N/m or m.
+    reference : Reference or array_like, shape (3, n), optional
+        Shapes to follow, seen ahead over the horizon; a single shape is a
+        constant one. The operating point if not given.
+    min_force_density : float or array_like, shape (α,)
+        Least γ, N/m, at least 0.
+    max_tension : float or array_like, shape (α,), optional
+        Strength of the strings, N.
+    winches : Winches, optional
+        Speed and range that bound rest lengths, never violated. Where they move through samples,
+        γ is limited at the ends of samples.
+    outputs : sequence of OutputLimit
+        Limits on node positions.
+    string_penalty : float, optional
+        Price of a γ or tension beyond its limit (L1): of one violated by its
+        largest value at the operating point, against an input that is off by
+        its unit. ``inf`` makes them hard; commands of γ are within bounds always. 100 if not
+        given.
+    load_gain : float, optional
+        With it a constant unknown load is estimated, at most 1 (at once), and
+        the plant is brought to rest at the reference under it.
+    tracked : array_like, shape (p, 3n), optional
+        Combinations of node positions to be free of offset under a load; all
+        coordinates, as well as can be, if not given.
+    tolerance : float
+        The solver's absolute and relative tolerance, in units of an input: the largest γ at
+        the operating point, or the largest stretch.
+    max_iterations : int
+        The solver's limit.
+    time_limit : float, optional
+        Time for a command, s, from its call. A program that is not solved by then
+        is given up at the end of an iteration of the solver. The few operations that follow are
+        not counted.
+    solver : str or subclass of QPSolver
+        What solves the quadratic programs; ``"osqp"`` by name.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or out of range. What must fit a plant is checked when
+        a controller is made.
+
+    Examples
+    --------
+    >>> from tenscontrol.control import MPCSettings
+    >>> MPCSettings(horizon=20, sample_time=0.02, max_force_density=80.0).string_penalty
+    100.0
+    """
+
+    horizon: int
+    sample_time: float
+    max_force_density: object = None
+    Q: object = None
+    R: object = None
+    max_change: object = None
+    reference: object = None
+    min_force_density: object = 0.0
+    max_tension: object = None
+    winches: Winches | None = None
+    outputs: Sequence[OutputLimit] = ()
+    string_penalty: float | None = None
+    load_gain: float | None = None
+    tracked: object = None
+    tolerance: float = 1e-4
+    max_iterations: int = 4000
+    time_limit: float | None = None
+    solver: str | type[QPSolver] = "osqp"
+
+    def __post_init__(self) -> None:
+        if self.winches is not None:
+            instance("winches", self.winches, Winches, "make them by Winches(rate=...)")
+        for i, limit in enumerate(self.outputs):
+            made_by = "make one by OutputLimit(matrix, low, high)"
+            instance(f"outputs[{i}]", limit, OutputLimit, made_by)
+        checked: dict[str, object] = {
+            "sample_time": positive_number("sample_time", self.sample_time, "s"),
+            "string_penalty": _checked_penalty(self.string_penalty),
+            "tolerance": positive_number("tolerance", self.tolerance, "units of an input"),
+            "max_iterations": whole_number("max_iterations", self.max_iterations, least=1),
+            "horizon": whole_number("horizon", self.horizon, 1, _LONGEST),
+            "outputs": tuple(self.outputs),
+        }
+        if self.time_limit is not None:
+            checked["time_limit"] = positive_number("time_limit", self.time_limit, "s")
+        if self.load_gain is None:
+            if self.tracked is not None:
+                raise ValueError("tracked says what is free of offset under a load: give load_gain")
+        elif positive_number("load_gain", self.load_gain, "no unit") > 1:
+            raise ValueError(f"load_gain is {self.load_gain:g}, expected above 0 and at most 1")
+        self._check_solver()
+        for field in fields(self):
+            value = checked.get(field.name, getattr(self, field.name))
+            if isinstance(value, np.ndarray):
+                value = frozen(value)
+            object.__setattr__(self, field.name, value)
+
+    def _check_solver(self) -> None:
+        solver = self.solver
+        if isinstance(solver, str):
+            if solver not in _SOLVERS:
+                known = ", ".join(map(repr, _SOLVERS))
+                raise ValueError(
+                    f"solver is {solver!r}, expected one of {known}, or a subclass of QPSolver"
+                )
+        elif not (isinstance(solver, type) and issubclass(solver, QPSolver)):
+            raise TypeError(f"solver is {solver!r}, expected a name or a subclass of QPSolver")
+
+    @property
+    def longest_time(self) -> float:
+        """Time for a command, s; inf where there is no limit."""
+        return np.inf if self.time_limit is None else self.time_limit
+
+    def make_solver(self, form: Form, equations: bool = False) -> QPSolver:
+        """Return a solver of a program, as it is before the first solve."""
+        kind = _SOLVERS[self.solver] if isinstance(self.solver, str) else self.solver
+        return kind(form.P, form.A, self.tolerance, self.max_iterations, equations=equations)
+
+
+def _checked_penalty(value: object) -> float:
+    if value is None:
+        return _PENALTY
+    if not isinstance(value, int | float) or isinstance(value, bool) or not value > 0:
+        raise ValueError(
+            f"string_penalty is {value!r}, expected a positive number; inf for hard limits"
+        )
+    return float(value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +232,7 @@ class Design:
 
     Attributes
     ----------
-    problem : Horizon
+    problem : MPCProblem
     constraints : Constraints
     sampled : Sampled
         What a sample does.
@@ -78,17 +240,17 @@ class Design:
         Least and largest command.
     """
 
-    problem: Horizon
+    problem: MPCProblem
     constraints: Constraints
     sampled: Sampled
     low: FloatArray
     high: FloatArray
 
     @property
-    def unwound(self) -> Horizon:
+    def plant_problem(self) -> MPCProblem:
         """The problem with the state of the plant alone, as the nonlinear program has it.
 
-        Where winches wind, the input before is no part of the state then, but what weighs or
+        Where inputs are ramps, the previous input is no part of the state then, but what weighs or
         feeds back ``[z; v_before]`` stays.
         """
         s, problem = len(self.sampled.transition), self.problem
@@ -101,15 +263,13 @@ class Design:
         )
 
 
-def design(
-    plant: LinearPlant, horizon: object, sample_time: float, Q: object, R: object, wishes: Wishes
-) -> Design:
-    """Return the data of a program, or raise naming the argument that does not fit."""
+def design(plant: LinearPlant, settings: MPCSettings) -> Design:
+    """Return the data of a program, or raise naming the argument that does not fit the plant."""
     states, count = plant.B.shape
-    length = whole_number("horizon", horizon, 1, _LONGEST)
     refuse_empty(plant)
-    low, high = _command_range(plant, wishes)
+    low, high = _command_range(plant, settings)
     natural_Q, natural_R = energy_weights(plant, by_mode=plant.input == "rest_length")
+    Q, R = settings.Q, settings.R
     state_weight = natural_Q if Q is None else weight_matrix("Q", Q, states, definite=False)
     input_weight = (
         _INPUT_WEIGHT[plant.input] * natural_R
@@ -120,12 +280,11 @@ def design(
     level = float(plant.force_density.max()) or float(high.max())
     if plant.input == "rest_length":
         lengths = plant.model.structure.string_length(plant.nodes)
-        level = float(
-            (to_commanded_strings(plant, "length", lengths) - plant.equilibrium_input).max()
-        )
-    substeps = 1 if wishes.winches is None else wishes.winches.substeps
-    wound = sampled(plant, sample_time, substeps)
-    transition, input_matrix = wound.augmented
+        lengths = to_commanded_strings(plant, "length", lengths)
+        level = float((lengths - plant.equilibrium_input).max())
+    winches, sample_time = settings.winches, settings.sample_time
+    model = sampled(plant, sample_time, 1 if winches is None else winches.substeps)
+    transition, input_matrix = model.augmented
     added = len(transition) - states
     weight = np.zeros_like(transition)
     weight[:states, :states] = state_weight
@@ -135,52 +294,37 @@ def design(
         transition, input_matrix, weight, input_weight, units, size, discrete=True
     )
     # The price is relative to the cost of an input one level off.
-    penalty = wishes.string_penalty * level**2 * float(np.linalg.eigvalsh(input_weight).min())
-    blocks = _row_blocks(plant, wishes, penalty)
-    if wound.ramp:
-        blocks = [block.wound(added) for block in blocks]
+    assert settings.string_penalty is not None  # the record filled in the default
+    penalty = settings.string_penalty * level**2 * float(np.linalg.eigvalsh(input_weight).min())
+    blocks = _row_blocks(plant, settings, penalty)
+    if model.ramp:
+        blocks = [block.at_sample_ends(added) for block in blocks]
     constraints = Constraints(blocks, states)
-    problem = Horizon(
+    problem = MPCProblem(
         transition=transition,
         input_matrix=input_matrix,
-        drift=np.r_[wound.drift, np.zeros(added)],
+        drift=np.r_[model.drift, np.zeros(added)],
         state_weight=weight,
         input_weight=input_weight,
         terminal_weight=cost,
         low=low - plant.equilibrium_input,
         high=high - plant.equilibrium_input,
-        change=largest_change(plant, wishes.max_change, wishes.winches, sample_time),
-        length=length,
+        change=largest_change(plant, settings.max_change, winches, sample_time),
+        length=settings.horizon,
         level=level,
         feedback=gain,
         rows=constraints.rows(),
     )
-    return Design(problem, constraints, wound, frozen(low), frozen(high))
+    return Design(problem, constraints, model, frozen(low), frozen(high))
 
 
-def default_penalty(value: object) -> float:
-    """Return the price of a violated string limit: the default for None, inf for a hard limit."""
-    if value is None:
-        return _PENALTY
-    if not isinstance(value, int | float) or isinstance(value, bool) or not value > 0:
-        raise ValueError(
-            f"string_penalty is {value!r}, expected a positive number; inf for hard limits"
-        )
-    return float(value)
-
-
-def checked_time_limit(value: object) -> float:
-    """Return the time for a command, s; inf where none is given."""
-    return np.inf if value is None else positive_number("time_limit", value, "s")
-
-
-def _command_range(plant: LinearPlant, wishes: Wishes) -> tuple[FloatArray, FloatArray]:
+def _command_range(plant: LinearPlant, settings: MPCSettings) -> tuple[FloatArray, FloatArray]:
     if plant.input == "rest_length":
-        return input_bounds(plant, None, wishes.winches)
-    if wishes.max_force_density is None:
+        return input_bounds(plant, None, settings.winches)
+    if settings.max_force_density is None:
         raise TypeError("max_force_density is None, expected a positive number in N/m")
-    high = input_bounds(plant, wishes.max_force_density, wishes.winches)[1]
-    least = _least_force_density(plant, wishes)
+    high = input_bounds(plant, settings.max_force_density, settings.winches)[1]
+    least = _least_force_density(plant, settings)
     over = np.flatnonzero(least > plant.force_density)
     if len(over):
         i = over[0]
@@ -191,27 +335,27 @@ def _command_range(plant: LinearPlant, wishes: Wishes) -> tuple[FloatArray, Floa
     return least, high
 
 
-def _least_force_density(plant: LinearPlant, wishes: Wishes) -> FloatArray:
-    least = per_member("min_force_density", wishes.min_force_density, plant.B.shape[1], "string")
+def _least_force_density(plant: LinearPlant, settings: MPCSettings) -> FloatArray:
+    least = per_member("min_force_density", settings.min_force_density, plant.B.shape[1], "string")
     return non_negative("min_force_density", least, "a string can only pull")
 
 
-def _row_blocks(plant: LinearPlant, wishes: Wishes, penalty: float) -> list[RowBlock]:
-    blocks = []
-    strings = string_map(plant, plant.input)
+def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> list[RowBlock]:
+    blocks, held = [], plant.input
+    strings = string_map(plant, held)
     count = plant.B.shape[1]
-    if plant.input == "rest_length":
+    if held == "rest_length":
         high = np.full(len(strings.force_density), np.inf)
-        if wishes.max_force_density is not None:
-            largest = per_member("max_force_density", wishes.max_force_density, count, "string")
+        if settings.max_force_density is not None:
+            largest = per_member("max_force_density", settings.max_force_density, count, "string")
             positive("max_force_density", largest, "force density in N/m")
             high = to_model_strings(plant, "force_density", largest)
-        low = to_model_strings(plant, "force_density", _least_force_density(plant, wishes))
+        low = to_model_strings(plant, "force_density", _least_force_density(plant, settings))
         level = float(strings.force_density.max())
         blocks.append(string_block("force_density", strings, low, high, level, penalty))
-    if wishes.max_tension is not None:
+    if settings.max_tension is not None:
         structure = plant.model.structure
-        most = per_member("max_tension", wishes.max_tension, count, "string")
+        most = per_member("max_tension", settings.max_tension, count, "string")
         positive("max_tension", most, "tension in N")
         if plant.commanded is not structure:
             most = most[structure.string_parent]
@@ -225,7 +369,4 @@ def _row_blocks(plant: LinearPlant, wishes: Wishes, penalty: float) -> list[RowB
         level = float(strings.tension.max()) or float(most.max())
         low = np.full(len(most), -np.inf)
         blocks.append(string_block("tension", strings, low, most, level, penalty))
-    for i, limit in enumerate(wishes.outputs):
-        instance(f"outputs[{i}]", limit, OutputLimit, "make one by OutputLimit(matrix, low, high)")
-        blocks.append(output_block(plant, limit))
-    return blocks
+    return blocks + [output_block(plant, limit) for limit in settings.outputs]

@@ -1,31 +1,99 @@
-"""The motion of a plant over the samples of a horizon, with derivatives."""
+"""The motion of a plant over the samples of a horizon, with derivatives: RK4 and Radau IIA."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import final
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control.mpc.stage_jacobians import Tangents, evaluated
+from tenscontrol.control.disturbance import solve_stacked
 from tenscontrol.dynamics import Evaluator, compiled
-from tenscontrol.plant import LinearPlant, acceleration_response, sampled_dynamics
+from tenscontrol.plant import (
+    LinearPlant,
+    acceleration_response,
+    acceleration_slopes,
+    model_input,
+    reduced_acceleration,
+    reduced_motion,
+    sampled_dynamics,
+    string_forces,
+)
 from tenscontrol.validation import FloatArray
 
+# Radau IIA with three stages: Hairer & Wanner, Solving Ordinary Differential Equations II, IV.5.
+_ROOT = 6**0.5
+_NODES = np.array([(4 - _ROOT) / 10, (4 + _ROOT) / 10, 1.0])
+_MATRIX = np.array([
+    [(88 - 7 * _ROOT) / 360, (296 - 169 * _ROOT) / 1800, (-2 + 3 * _ROOT) / 225],
+    [(296 + 169 * _ROOT) / 1800, (88 + 7 * _ROOT) / 360, (-2 - 3 * _ROOT) / 225],
+    [(16 - _ROOT) / 36, (16 + _ROOT) / 36, 1 / 9],
+])  # fmt: skip
 
-class Motion(ABC):
+# A single step is solved when the next one of Newton's method moves no coordinate by more than
+# this part of the size of the structure.
+_SOLVED = 1e-12
+_MOST_ROUNDS = 20
+
+# Then no equation is off by more than this, as accelerations that move places in a sample.
+_BALANCED = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class StageJacobians:
+    """First-order functions along a trajectory: ``value ≈ offset + Σ slope · argument``.
+
+    Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j.
+
+    Attributes
+    ----------
+    offset : ndarray, shape (N, m)
+    slopes : tuple of ndarray, shape (N, columns, m) each
+        Of the motion by z_k, u_k and, where inputs are ramps, u_{k−1}; of limited rows by z_k, u_k
+        and z_{k+1}. Views of memory that the next call may overwrite.
+    """
+
+    offset: FloatArray
+    slopes: tuple[FloatArray, ...]
+
+
+def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobians:
+    """Return N functions to first order, at arguments of shape (N, columns) each.
+
+    The evaluator is of ``(x, y, …) -> (value, ∂value/∂x, ∂value/∂y, …)``, mapped N times.
+    """
+    N = len(arguments[0])
+    # One sample is a vector to an evaluator, several are columns.
+    values, *slopes = evaluator(*(x.T if N > 1 else x[0] for x in arguments))
+    offset = values.reshape(-1, N, order="F").T.copy()
+    blocks = []
+    for slope, argument in zip(slopes, arguments, strict=True):
+        by_columns = slope.ravel(order="K").reshape(N, argument.shape[1], -1)
+        offset -= applied(by_columns, argument)
+        blocks.append(by_columns)
+    return StageJacobians(offset, tuple(blocks))
+
+
+def applied(slopes: FloatArray, arguments: FloatArray) -> FloatArray:
+    """Return what arguments, shape (K, columns), make of slopes stored by columns."""
+    return np.asarray((arguments[:, None, :] @ slopes)[:, 0])
+
+
+def executable(function: ca.Function, machine_code: bool) -> tuple[ca.Function, str]:
+    """Return a function, compiled where that is wished and can be, and what evaluates it."""
+    code = compiled(function) if machine_code else None
+    return (function, "virtual machine") if code is None else (code.function, "machine code")
+
+
+class Discretization(ABC):
     """What a sample does to the state: for one sample, and to first order for N of a plan at once.
 
     A plan may have more than states and inputs: the accelerations at the stages of implicit
-    steps, shape (N, stages, r). Explicit steps have none.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        What is evaluated along the plan, mapped.
-    machine_code : bool
-        Whether to compile it where there is a C compiler.
+    steps, shape (N, stages, r). Explicit steps have none. What is built of CasADi is kept with the
+    plant, and each discretization evaluates it in memory of its own.
 
     Attributes
     ----------
@@ -35,67 +103,45 @@ class Motion(ABC):
         Whether the input moves through a sample, so that the one before matters too.
     """
 
+    back_end: str
     ramp: bool
-
-    def __init__(self, function: ca.Function, machine_code: bool) -> None:
-        self._evaluator, self.back_end = evaluator(function, machine_code)
-
-    @property
-    def calls(self) -> int:
-        """How often derivatives were evaluated along a plan."""
-        return self._evaluator.calls
 
     @property
     @abstractmethod
     def sampled(self) -> ca.Function:
-        """``(z, u) -> z⁺``, or ``(z, u_before, u) -> z⁺`` where winches wind."""
+        """``(z, u) -> z⁺``, or ``(z, u_before, u) -> z⁺`` where inputs are ramps."""
 
     @abstractmethod
     def advance(
-        self, state: FloatArray, before: FloatArray, held: FloatArray
+        self, state: FloatArray, previous: FloatArray, held: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the state a sample later, shape (s,), and the stages, shape (stages, r).
 
-        Not a number where the dynamics have no value, or an implicit step is not solved.
-
-        Parameters
-        ----------
-        state : ndarray, shape (s,)
-        before, held : ndarray, shape (α,)
-            The input of the sample before, and that of this one.
+        Not a number where the dynamics have no value, or an implicit step is not solved. Inputs
+        are those of the sample before, and of this one, shape (α,) each.
         """
 
     @abstractmethod
-    def expected(
-        self, state: FloatArray, before: FloatArray, held: FloatArray, load: FloatArray
+    def predict(
+        self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray
     ) -> tuple[FloatArray, FloatArray | None]:
         """Return the state a sample later under a load, and its derivative by it, shape (s, r).
 
-        The derivative is None where that of the operating point is taken.
-
-        Parameters
-        ----------
-        state, before, held : ndarray
-            As above.
-        load : ndarray, shape (r,)
-            Constant accelerations beside those of the plant.
+        The load is constant accelerations, shape (r,). The derivative is None where that of the
+        operating point is taken.
         """
 
     @abstractmethod
-    def tangents(self, states: FloatArray, acting: FloatArray, stages: FloatArray) -> Tangents:
-        """Return z_{k+1} to first order in z_k, u_k and, where winches wind, u_{k−1}.
+    def linearize(
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray
+    ) -> StageJacobians:
+        """Return z_{k+1} to first order in z_k, u_k and, where inputs are ramps, u_{k−1}.
 
-        Parameters
-        ----------
-        states : ndarray, shape (N, s)
-            z_0 … z_{N−1}.
-        acting : ndarray, shape (N + 1, α)
-            u_{−1} … u_{N−1}.
-        stages : ndarray, shape (N, stages, r)
+        States are z_0 … z_{N−1}, inputs u_{−1} … u_{N−1}, stages of shape (N, stages, r).
         """
 
     @abstractmethod
-    def pushed(self, load: FloatArray) -> FloatArray:
+    def load_response(self, load: FloatArray) -> FloatArray:
         """Return what constant accelerations do to z_{k+1} linearized last, (s,) or (N, s)."""
 
     @abstractmethod
@@ -103,34 +149,19 @@ class Motion(ABC):
         self,
         stages: FloatArray,
         states: FloatArray,
-        acting: FloatArray,
+        inputs: FloatArray,
         load: FloatArray | None = None,
     ) -> FloatArray:
         """Return the stages that were linearized last, corrected to first order.
 
-        Parameters
-        ----------
-        stages : ndarray, shape (N, stages, r)
-        states, acting : ndarray, shapes (N, s) and (N + 1, α)
-            Changes since.
-        load : ndarray, shape (r,), optional
-            Constant accelerations.
+        States, shape (N, s), and inputs, shape (N + 1, α), are changes since; the load is constant
+        accelerations, shape (r,).
         """
 
 
 @final
-class ExplicitMotion(Motion):
+class RK4(Discretization):
     """By RK4 in steps that resolve the fastest vibration; inputs jump at the starts of samples.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-    sample_time : float
-        Sample time, s.
-    length : int
-        N.
-    machine_code : bool
-        Whether to compile the derivatives where there is a C compiler.
 
     Attributes
     ----------
@@ -144,50 +175,253 @@ class ExplicitMotion(Motion):
         self, plant: LinearPlant, sample_time: float, length: int, machine_code: bool
     ) -> None:
         self._sampled, self.linearized = sampled_dynamics(plant, sample_time)
-        super().__init__(self.linearized.map(length), machine_code)
-        self._advance = Evaluator(self._sampled)
-        self._push = acceleration_response(plant, sample_time)
+        along, self.back_end = plant.prepared.get(
+            ("RK4", sample_time, length, machine_code),
+            lambda: executable(self.linearized.map(length), machine_code),
+        )
+        self._along, self._advance = Evaluator(along), Evaluator(self._sampled)
+        self._response = acceleration_response(plant, sample_time)
         self._no_stages = np.zeros((0, plant.degrees_of_freedom))
 
     @property
     def sampled(self) -> ca.Function:
-        """See :attr:`Motion.sampled`."""
+        """See :attr:`Discretization.sampled`."""
         return self._sampled
 
     def advance(
-        self, state: FloatArray, before: FloatArray, held: FloatArray
+        self, state: FloatArray, previous: FloatArray, held: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """See :meth:`Motion.advance`."""
+        """See :meth:`Discretization.advance`."""
         return self._advance(state, held)[0].copy(), self._no_stages
 
-    def expected(
-        self, state: FloatArray, before: FloatArray, held: FloatArray, load: FloatArray
+    def predict(
+        self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray
     ) -> tuple[FloatArray, None]:
-        """See :meth:`Motion.expected`."""
-        return self._push @ load + self._advance(state, held)[0], None
+        """See :meth:`Discretization.predict`."""
+        return self._response @ load + self._advance(state, held)[0], None
 
-    def tangents(self, states: FloatArray, acting: FloatArray, stages: FloatArray) -> Tangents:
-        """See :meth:`Motion.tangents`."""
-        return evaluated(self._evaluator, states, acting[1:])
+    def linearize(
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray
+    ) -> StageJacobians:
+        """See :meth:`Discretization.linearize`."""
+        return stage_jacobians(self._along, states, inputs[1:])
 
-    def pushed(self, load: FloatArray) -> FloatArray:
-        """See :meth:`Motion.pushed`."""
-        return np.asarray(self._push @ load)
+    def load_response(self, load: FloatArray) -> FloatArray:
+        """See :meth:`Discretization.load_response`."""
+        return np.asarray(self._response @ load)
 
     def corrected(
         self,
         stages: FloatArray,
         states: FloatArray,
-        acting: FloatArray,
+        inputs: FloatArray,
         load: FloatArray | None = None,
     ) -> FloatArray:
-        """See :meth:`Motion.corrected`: there is nothing to correct."""
+        """See :meth:`Discretization.corrected`: there is nothing to correct."""
         return stages
 
 
-def evaluator(function: ca.Function, machine_code: bool) -> tuple[Evaluator, str]:
-    """Return an evaluator, compiled where that is wished and can be, and which it is."""
-    code = compiled(function) if machine_code else None
-    if code is None:
-        return Evaluator(function), "virtual machine"
-    return Evaluator(code.function), "machine code"
+@final
+class RadauIIA(Discretization):
+    """One step of Radau IIA with three stages: of order 5, and stable however stiff strings are.
+
+    With K_i the accelerations at the stages, at times c_i h of the sample,
+
+        V_i = v + h Σ A_ij K_j,   Q_i = q + c_i h v + h² Σ (A²)_ij K_j,   K_i = a(Q_i, V_i, u_i)
+
+    and the last stage is the end. Along a plan K is lifted: each program takes one Newton step on
+    the equations of the stages along with the linearization, and states, inputs and K converge
+    together (Quirynen, Gros, Houska & Diehl 2017, Lifted collocation integrators for direct
+    optimal control in ACADO toolkit). Vibrations too fast for a sample die out in it.
+
+    Strings push where they would be slack, as in the linear plant; limits on γ keep them from
+    it. With forces that end where a string goes slack, Newton's method fails from 0.1 mm off
+    already where strings have 1e6 N/m.
+
+    A ramp is p equal parts (``substeps``), the first of them at the start. The stages see the line
+    ``u_i = u_before + (c_i + (1 − c_i)/p) (u − u_before)``, which has the mean and the end
+    of the parts, and is the jump where p is 1.
+    """
+
+    def __init__(
+        self, plant: LinearPlant, sample_time: float, length: int, substeps: int, machine_code: bool
+    ) -> None:
+        along, self.back_end = plant.prepared.get(
+            ("Radau IIA", length, machine_code),
+            lambda: executable(taut_slopes(plant).map(3 * length), machine_code),
+        )
+        self._along = Evaluator(along)
+        self._once = Evaluator(
+            plant.prepared.get(("Radau IIA", 1), lambda: taut_slopes(plant).map(3))
+        )
+        self._taut = Evaluator(plant.prepared.get("taut", lambda: _taut_force_density(plant)))
+        self.ramp = substeps > 1
+        self._plant, self._substeps = plant, substeps
+        self._sample_time, self._r = sample_time, plant.degrees_of_freedom
+        self._share = (_NODES + (1 - _NODES) / substeps)[:, None]
+        # What the accelerations at the stages do to places and speeds there.
+        self._to_place, self._to_speed = sample_time**2 * _MATRIX @ _MATRIX, sample_time * _MATRIX
+        self._size = float(np.ptp(plant.nodes, axis=1).max())
+        # Of the plan linearized last: Newton's step of K, its derivative, and that of z⁺ by a load.
+        self._change: FloatArray = np.zeros((0, 3, self._r))
+        self._slopes: FloatArray = np.zeros((0, 3 * self._r, 0))
+        self._by_load: FloatArray = np.zeros((0, self._r, 0))
+
+    @cached_property
+    def sampled(self) -> ca.Function:
+        """See :attr:`Discretization.sampled`: CasADi's Newton method, no number where it fails."""
+        key = "Radau IIA sampled", self._sample_time, self._substeps
+        return self._plant.prepared.get(key, self._build_sampled)
+
+    def _build_sampled(self) -> ca.Function:
+        acceleration = reduced_acceleration(self._plant, taut=True)
+        r, h = self._r, self._sample_time
+        names = ("z", "before", "u") if self.ramp else ("z", "u")
+        sizes = [acceleration.size1_in(0 if name == "z" else 1) for name in names]
+        known = [ca.SX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
+        # Unknown are the accelerations times h², as they move places.
+        z, before, u, moves = known[0], known[-2], known[-1], ca.SX.sym("moves", r, 3)
+        speeds = ca.repmat(z[r:], 1, 3) + ca.mtimes(moves, self._to_speed.T / h**2)
+        places = ca.repmat(z[:r], 1, 3) + ca.mtimes(z[r:], h * _NODES[None])
+        points = ca.vertcat(places + ca.mtimes(moves, self._to_place.T / h**2), speeds)
+        inputs = ca.repmat(u, 1, 3)
+        if self.ramp:
+            inputs = before + ca.mtimes(u - before, self._share.T)
+        left = moves - h**2 * acceleration(points, inputs)
+        equations = {"x": ca.vec(moves), "p": ca.vertcat(*known), "g": ca.vec(left)}
+        options = {"abstol": 0.0, "abstolStep": _SOLVED * self._size, "max_iter": _MOST_ROUNDS}
+        solver = ca.rootfinder("stages", "newton", equations, options)
+        unknown = [equations["x"], equations["p"]]
+        # CasADi hands on what its method leaves, whether or not it solves the equations.
+        worst = ca.sqrt(ca.sumsqr(equations["g"]))
+        valid = ca.if_else(worst <= _BALANCED * self._size, points[:, 2], np.nan)
+        end = ca.Function("end", unknown, [valid])
+        given = [ca.MX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
+        whole = ca.vertcat(*given)
+        return ca.Function("sampled", given, [end(solver(0, whole), whole)], [*names], ["end"])
+
+    def advance(
+        self, state: FloatArray, previous: FloatArray, held: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See :meth:`Discretization.advance`."""
+        return self._single(state, previous, held, np.zeros(self._r))[:2]
+
+    def predict(
+        self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See :meth:`Discretization.predict`: no number where strings go slack."""
+        r = self._r
+        end, _, system = self._single(state, previous, held, load)
+        for z, u in ((state, previous), (end, held)):
+            if not self._taut(z, u)[0].min() >= 0:
+                end = np.full_like(end, np.nan)
+        by_load = solve_stacked(system, np.tile(np.eye(r), (3, 1))[None]).reshape(3, r * r)
+        response = np.stack([self._to_place[2], self._to_speed[2]]) @ by_load
+        return end, response.reshape(2 * r, r)
+
+    def _single(
+        self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return end, stages and ∂G/∂K of a step; no numbers where Newton's method fails."""
+        states, inputs = state[None], np.array([previous, held])
+        stages = np.zeros((1, 3, self._r))
+        for _ in range(_MOST_ROUNDS):
+            system, left = self._equations(self._once, states, inputs, stages)[:2]
+            change = solve_stacked(system, (load - left).reshape(1, -1, 1)).reshape(stages.shape)
+            stages = stages + change
+            if np.abs(self._to_place @ change).max() <= _SOLVED * self._size:
+                return self._ends(states, stages)[0], stages[0], system
+        stages = np.full_like(stages, np.nan)
+        return self._ends(states, stages)[0], stages[0], system
+
+    def linearize(
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray
+    ) -> StageJacobians:
+        """See :meth:`Discretization.linearize`."""
+        (N, s), r, a, h = states.shape, self._r, inputs.shape[1], self._sample_time
+        system, left, by_q, by_v, by_u = self._equations(self._along, states, inputs, stages)
+        share = self._share[:, :, None]
+        sides = [-left[..., None], by_q, h * _NODES[:, None, None] * by_q + by_v, share * by_u]
+        if self.ramp:
+            sides.append((1 - share) * by_u)
+        sides.append(np.broadcast_to(np.eye(r), (N, 3, r, r)))
+        answer = solve_stacked(system, np.concatenate(sides, axis=3).reshape(N, 3 * r, -1))
+        self._change, self._slopes = answer[:, :, 0].reshape(N, 3, r), answer[:, :, 1:]
+        # By columns: entry [k, j, i], i first the places and then the speeds at the end.
+        last = np.stack([self._to_place[2], self._to_speed[2]])
+        by_all = np.einsum("tj,njrc->nctr", last, self._slopes.reshape(N, 3, r, -1))
+        by_all = by_all.reshape(N, -1, s)
+        by_all[:, np.arange(s), np.arange(s)] += 1.0
+        by_all[:, np.arange(r, s), np.arange(r)] += h
+        widths = np.cumsum([s, a, a] if self.ramp else [s, a])
+        *slopes, self._by_load = np.split(by_all, widths, axis=1)
+        offset = self._ends(states, stages + self._change)
+        for slope, argument in zip(slopes, (states, inputs[1:], inputs[:-1]), strict=False):
+            offset -= applied(slope, argument)
+        return StageJacobians(offset, tuple(slopes))
+
+    def load_response(self, load: FloatArray) -> FloatArray:
+        """See :meth:`Discretization.load_response`."""
+        return np.asarray(load @ self._by_load)
+
+    def corrected(
+        self,
+        stages: FloatArray,
+        states: FloatArray,
+        inputs: FloatArray,
+        load: FloatArray | None = None,
+    ) -> FloatArray:
+        """See :meth:`Discretization.corrected`."""
+        changes = [states, inputs[1:], inputs[:-1]] if self.ramp else [states, inputs[1:]]
+        changes.append(np.zeros((len(states), self._r)))
+        if load is not None:
+            changes[-1][:] = load
+        moved = self._slopes @ np.hstack(changes)[:, :, None]
+        return stages + self._change + moved.reshape(stages.shape)
+
+    def _ends(self, states: FloatArray, stages: FloatArray) -> FloatArray:
+        """Return the states at the ends of samples, shape (N, s)."""
+        q, v = states[:, : self._r], states[:, self._r :]
+        return np.hstack([
+            q + self._sample_time * v + self._to_place[2] @ stages, v + self._to_speed[2] @ stages
+        ])  # fmt: skip
+
+    def _equations(
+        self, evaluator: Evaluator, states: FloatArray, inputs: FloatArray, stages: FloatArray
+    ) -> tuple[FloatArray, ...]:
+        """Return ∂G/∂K, G and the derivatives of a, where G = K − a is zero at solved stages.
+
+        Shapes (N, 3r, 3r), (N, 3, r) and (N, 3, r, columns).
+        """
+        N, r = len(states), self._r
+        q, v = states[:, None, :r], states[:, None, r:]
+        speeds = v + self._to_speed @ stages
+        places = q + self._sample_time * _NODES[:, None] * v + self._to_place @ stages
+        at_stages = inputs[:-1, None] + self._share * np.diff(inputs, axis=0)[:, None]
+        points = np.concatenate([places, speeds], axis=2).reshape(3 * N, -1)
+        values, *slopes = evaluator(points.T, at_stages.reshape(3 * N, -1).T)
+        left = stages - values.ravel(order="K").reshape(N, 3, r)
+        by_q, by_v, by_u = (
+            slope.ravel(order="K").reshape(N, 3, -1, r).swapaxes(2, 3) for slope in slopes
+        )
+        # Equation [i, row] by unknown [j, column].
+        system = by_q[:, :, :, None, :] * -self._to_place[:, None, :, None]
+        system -= by_v[:, :, :, None, :] * self._to_speed[:, None, :, None]
+        system = system.reshape(N, 3 * r, 3 * r)
+        system[:, np.arange(3 * r), np.arange(3 * r)] += 1.0
+        return system, left, by_q, by_v, by_u
+
+
+def taut_slopes(plant: LinearPlant) -> Any:
+    """Return ``(z, u) -> (q̈, ∂q̈/∂q, ∂q̈/∂q̇, ∂q̈/∂u)`` with strings that push where slack."""
+    return plant.prepared.get(
+        "taut slopes", lambda: acceleration_slopes(reduced_acceleration(plant, taut=True))
+    )
+
+
+def _taut_force_density(plant: LinearPlant) -> ca.Function:
+    """Return ``(z, u) -> γ``, negative where a string is slack."""
+    z, u = ca.SX.sym("z", plant.B.shape[0]), ca.SX.sym("u", plant.B.shape[1])
+    motion = reduced_motion(plant, z)
+    gamma = string_forces(plant, plant.input, *motion, model_input(plant, u))[0]
+    return ca.Function("taut", [z, u], [ca.densify(gamma)])

@@ -1,4 +1,4 @@
-"""The quadratic program of one step of sequential quadratic programming, of fixed sparsity.
+"""The problem of MPC with its states: a large, sparse quadratic program of fixed pattern.
 
     minimize    Σ (z_k − r_k)ᵀ Q (z_k − r_k) + Σ (u_k − s_k)ᵀ R (u_k − s_k) + (z_N − r_N)ᵀ P (…)
                 + Σ 2 πᵀ (e_k + ½ e_k²)
@@ -6,268 +6,291 @@
                 low ≤ u_k ≤ high,   |u_k − u_{k−1}| ≤ change,
                 low − e_k ≤ E_k z_k + F_k z_{k+1} + G_k u_k + d_k ≤ high + e_k,   e_k ≥ 0
 
-The values of A_k, B_k, C_k, E_k, F_k and G_k change from sample to sample, their places do not.
-C_k is there only where winches wind. Then P weighs ``[z_N; u_{N−1}]``.
+For a linear plant the stage Jacobians A_k … G_k are constant. Along the trajectory of a nonlinear
+one their values change from sample to sample, their places do not. C_k is there only where inputs
+are ramps and the state is not augmented by the previous input. Then P weighs ``[z_N; u_{N−1}]``.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.limit_rows import LimitRows, moved
-from tenscontrol.control.mpc.osqp_adapter import QPSolution, QuadraticProgram
-from tenscontrol.control.mpc.problem import Horizon
-from tenscontrol.control.mpc.stage_jacobians import Tangents
-from tenscontrol.control.mpc.trajectory_places import TrajectoryPlaces
-from tenscontrol.validation import FloatArray
+from tenscontrol.control.mpc.constraints import LimitRows, shifted
+from tenscontrol.control.mpc.problem import Form, MPCProblem, StageData
+from tenscontrol.control.mpc.shooting import StageJacobians, applied
+from tenscontrol.validation import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
 
-class TrajectoryProgram:
-    """The program, prepared by :meth:`linearize` and solved by :meth:`solve`.
+@dataclass(frozen=True, eq=False)
+class SparsityIndices:
+    """Where slopes go in a matrix: ``data[index] = factor * slope.ravel()[source]``."""
 
-    Unknowns are z_1 … z_N, u_0 … u_{N−1} and the violations, in units of one speed, of one
+    index: IntArray
+    source: IntArray
+    factor: FloatArray
+
+    def fill(self, data: FloatArray, slope: FloatArray) -> None:
+        """Put slopes, stored by columns, into the entries of a matrix."""
+        data[self.index] = self.factor * slope.reshape(-1)[self.source]
+
+
+@final
+class Sparse(Form):
+    """States, inputs and violations are unknown, the dynamics are constraints.
+
+    Unknowns are z_1 … z_N, u_0 … u_{N−1} and the violations, in units of the state, of one
     input and of the rows. States and inputs are measured from zero, or from a plan.
 
     Parameters
     ----------
-    horizon : Horizon
-        Weights, change, level, rows and length. Where a matrix of the rows is zero, it stays so;
-        their values are the first to be put in. With a terminal weight of ``[z_N; u_{N−1}]``
-        the input before matters to the motion.
-    bounds : tuple of ndarray, shape (α,) each
-        Least and largest input.
-    row_bounds : tuple of ndarray, shape (p,) each
-        Least and largest value of the limited rows.
-    units : ndarray, shape (s,)
-        Units of the state.
-    tolerance : float
-    max_iterations : int
-    even : bool
-        Whether slopes in these units are of one size. If not, the solver scales them.
+    problem : MPCProblem
+        Where a matrix of the rows is zero, it stays so.
+    units : ndarray, shape (s,), optional
+        Of the state; 1 if not given.
+    varying : bool
+        Whether stage Jacobians are put in by :meth:`linearize`; if not, they are those of the
+        problem. With a terminal weight of ``[z_N; u_{N−1}]`` there are C_k too.
 
     Attributes
     ----------
     limits : LimitRows
         The rows after those of the dynamics, which are as many as entries of z_1 … z_N.
-    places : TrajectoryPlaces
-        Where slopes go.
-    quadratic : QuadraticProgram
+    motion_indices : list of SparsityIndices
+        Of A_k, B_k and C_k; A_0 and C_0 meet only what is known.
+    row_indices : list of tuple of SparsityIndices
+        Of E_k, G_k and F_k, for each part of the limited rows; none where they are constant.
     """
 
     def __init__(
-        self,
-        horizon: Horizon,
-        bounds: tuple[FloatArray, FloatArray],
-        row_bounds: tuple[FloatArray, FloatArray],
-        units: FloatArray,
-        tolerance: float,
-        max_iterations: int,
-        even: bool = True,
+        self, problem: MPCProblem, units: FloatArray | None = None, varying: bool = False
     ) -> None:
         from scipy.sparse import block_diag, csc_array, diags_array
 
-        self._horizon, self.units = horizon, units
-        self._row_bounds = row_bounds
-        N, (s, a) = horizon.length, horizon.input_matrix.shape
-        scale, level = horizon.cost_scale, horizon.level
-        self.limits = LimitRows(self._horizon)
-        weights = [horizon.state_weight] * (N - 1) + [horizon.terminal_weight[:s, :s]]
+        N, (s, a) = problem.length, problem.input_matrix.shape
+        self._problem, self._states, self._count = problem, N * s, N * a
+        self.units = units = np.ones(s) if units is None else units
+        self._ramp = len(problem.terminal_weight) > s
+        self.limits = LimitRows(problem)
+        scale, level = problem.cost_scale, problem.level
+        weights = [problem.state_weight] * (N - 1) + [problem.terminal_weight[:s, :s]]
         tracking = [scale * units[:, None] * weight * units for weight in weights]
-        effort = [scale * level**2 * horizon.input_weight] * N
-        squares = diags_array(self.limits.price)
+        effort = [scale * level**2 * problem.input_weight] * N
+        # Zeros inside the blocks are left out: the pattern is fixed all the same.
         self._weights = csc_array(block_diag([csc_array(block) for block in tracking + effort]))
-        self._ramp = len(horizon.terminal_weight) > s
         if self._ramp:
             self._weights += self._by_last_input()
-        self._P = csc_array(block_diag([self._weights, squares]))
-        self._states = N * s
-        self.places = TrajectoryPlaces(horizon, self.limits, units, self._ramp)
-        self._pattern = self.places.pattern
-        self.quadratic = QuadraticProgram(
-            self._P, self._pattern, tolerance, max_iterations, equations=even
-        )
-        low, high = (np.tile(bound, (N, 1)) for bound in bounds)
-        nothing = np.zeros((N, 0))
-        self._course = replace(horizon.steady_course, low=low, high=high, row_low=nothing,
-                               row_high=nothing)  # fmt: skip
-        self._widths = [s, a, len(self.limits.price) // N], [s, *self.limits.widths]
+        self.P = csc_array(block_diag([self._weights, diags_array(self.limits.price)]))
+        by_state, by_input = problem.transition, problem.input_matrix
+        if varying:
+            by_state, by_input = np.ones((s, s)), np.ones((s, a))
+        self.A = self._pattern(by_state, by_input)
+        every, factor = np.arange(s), -1 / units
+        self.motion_indices = [
+            self._indices(by_state, every, factor, 0, late=1),
+            self._indices(by_input, every, factor, 0, inputs=True),
+        ]
+        if self._ramp:
+            self.motion_indices.append(
+                self._indices(by_input, every, factor, 0, late=1, inputs=True)
+            )
+        self.row_indices, rows = [], problem.rows
+        for taken, start in self.limits.parts if varying else ():
+            assert rows is not None  # there are parts
+            factor, first = 1 / rows.scale[taken], self._states + start
+            self.row_indices.append((
+                self._indices(rows.by_state, taken, factor, first, late=1),
+                self._indices(rows.by_input, taken, factor, first, inputs=True),
+                self._indices(rows.by_next_state, taken, factor, first),
+            ))  # fmt: skip
+        p = 0 if rows is None else len(rows.scale)
+        self._row_offset, self._rows_first = np.zeros((N, p)), np.zeros((s, p))
         self._about: tuple[FloatArray, FloatArray] | None = None
-        self._guess: tuple[FloatArray, FloatArray] | None = None
+        if not varying:
+            slopes = (np.tile(matrix.T, (N, 1, 1)) for matrix in (by_state, by_input))
+            self.linearize(StageJacobians(np.zeros((N, s)), tuple(slopes)))
+            if rows is not None:
+                self._rows_first = rows.by_state.T
 
     def _by_last_input(self) -> csc_array:
-        """Return what the terminal weight adds where it weighs u_{N−1}, which still winds then."""
+        """Return what the terminal weight adds where it weighs u_{N−1} besides z_N."""
         from scipy.sparse import csc_array
 
-        horizon = self._horizon
-        N, (s, a) = horizon.length, horizon.input_matrix.shape
-        units = np.r_[self.units, np.full(a, horizon.level)]
-        block = horizon.cost_scale * units[:, None] * horizon.terminal_weight * units
+        problem = self._problem
+        N, (s, a) = problem.length, problem.input_matrix.shape
+        units = np.r_[self.units, np.full(a, problem.level)]
+        block = problem.cost_scale * units[:, None] * problem.terminal_weight * units
         block[:s, :s] = 0.0
         last = np.r_[(N - 1) * s + np.arange(s), N * s + (N - 1) * a + np.arange(a)]
         row, column = np.meshgrid(last, last, indexing="ij")
         return csc_array((block.ravel(), (row.ravel(), column.ravel())), self._weights.shape)
 
-    @property
-    def hessian(self) -> csc_array:
-        """P of the program, sparse."""
-        return self._P
+    def _pattern(self, by_state: FloatArray, by_input: FloatArray) -> csc_array:
+        """Return A with ones where slopes of the motion go, so that no zero loses its place."""
+        from scipy.sparse import csc_array, eye, hstack, identity, kron, vstack
 
-    @property
-    def pattern(self) -> csc_array:
-        """A of the program with the values put in last."""
-        return self._pattern.copy()
+        limits, N, (s, _) = self.limits, self._problem.length, by_input.shape
+        earlier = eye(N, k=-1)
+        ones = [csc_array((part != 0).astype(float)) for part in (by_state, by_input)]
+        dynamics = hstack([
+            identity(N * s) + csc_array(kron(earlier, ones[0])),
+            kron(identity(N) + earlier if self._ramp else identity(N), ones[1]),
+            csc_array((N * s, len(limits.price))),
+        ])  # fmt: skip
+        level = self._problem.level
+        rows = hstack([limits.on_states, level * limits.on_inputs, limits.on_violations])
+        pattern = csc_array(vstack([dynamics, rows]))
+        pattern.sort_indices()
+        return pattern
 
-    def forget(self) -> None:
-        """Start the next solve from nothing."""
-        self._guess = None
+    def _indices(
+        self, pattern: FloatArray, taken: IntArray, factor: FloatArray, start: int, late: int = 0,
+        inputs: bool = False,
+    ) -> SparsityIndices:  # fmt: skip
+        """Return the indices of slopes of the N samples, by z_{k+1−late} or by u_{k−late}.
 
-    def reset(self) -> None:
-        """Forget the last answer, and what the solver adapted to it."""
-        self.forget()
-        self.quadratic.reset()
+        Of m values, those taken have rows from ``start`` on, sample after sample, in units of
+        ``factor``. The pattern, shape (m, columns), is zero where a slope has no place.
+        """
+        problem, (size, columns) = self._problem, pattern.shape
+        units = np.full(columns, problem.level) if inputs else self.units
+        first = self._states if inputs else 0
+        j, i = np.nonzero(pattern[taken].T)
+        k = np.arange(late, problem.length)[:, None]
+        index = self._found(start + k * len(taken) + i, first + (k - late) * columns + j)
+        source = (k * columns + j) * size + taken[i]
+        scaled = np.tile(units[j] * factor[i], len(k))
+        return SparsityIndices(index.ravel(), source.ravel(), scaled)
+
+    def _found(self, row: IntArray, column: IntArray) -> IntArray:
+        """Return the indices of entries of A in the order of columns."""
+        rows, columns = self.A.shape
+        keys = np.repeat(np.arange(columns), np.diff(self.A.indptr)) * rows + self.A.indices
+        return np.asarray(np.searchsorted(keys, column * rows + row))
 
     def linearize(
         self,
-        motion: Tangents,
-        rows: Tangents | None = None,
+        motion: StageJacobians,
+        rows: StageJacobians | None = None,
         about: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
-        """Put dynamics and limited rows in.
+        """Put the values of stage Jacobians into A.
 
         Parameters
         ----------
-        motion : Tangents
-            A_k, B_k, C_k where winches wind, and c_k.
-        rows : Tangents, optional
+        motion : StageJacobians
+            A_k, B_k, C_k where inputs are ramps, and c_k.
+        rows : StageJacobians, optional
             E_k, G_k, F_k and d_k, where rows are limited.
         about : tuple of ndarray, shapes (N, s) and (N, α), optional
             A plan z_1 …, u_0 … that unknowns are measured from, zero if not given. The solver
             stops at an error relative to the unknowns: of rest lengths of stiff strings,
             themselves thousands of stretches, that is too much.
         """
-        data, course = self._pattern.data, self._course
-        for slots, slope in zip(self.places.motion, motion.slopes, strict=True):
-            slots.fill(data, slope)
+        values = self.A.data
+        for indices, slope in zip(self.motion_indices, motion.slopes, strict=True):
+            indices.fill(values, slope)
         if rows is not None:
-            for part in self.places.rows:
-                for slots, slope in zip(part, rows.slopes, strict=True):
-                    slots.fill(data, slope)
-            low, high = self._row_bounds
+            for part in self.row_indices:
+                for indices, slope in zip(part, rows.slopes, strict=True):
+                    indices.fill(values, slope)
             known = rows.offset
             if about is not None:
-                known = known + _moved(about[0], rows.slopes[2]) + _moved(about[1], rows.slopes[1])
-                known[1:] += _moved(about[0][:-1], rows.slopes[0][1:])
-            course = replace(course, row_low=low - known, row_high=high - known)
-            self._rows_first = rows.slopes[0][0].copy()
-        self._course = course
-        self.quadratic.update(data)
+                known = known + applied(rows.slopes[2], about[0])
+                known = known + applied(rows.slopes[1], about[1])
+                known[1:] += applied(rows.slopes[0][1:], about[0][:-1])
+            self._row_offset, self._rows_first = known, rows.slopes[0][0].copy()
         self._first, self._offset = motion.slopes[0][0].copy(), motion.offset
         if self._ramp:
             self._first_input = motion.slopes[2][0].copy()
         self._about = about
         if about is not None:
-            self._measure_from(*about, motion)
-
-    def _measure_from(self, states: FloatArray, inputs: FloatArray, motion: Tangents) -> None:
-        """Let a plan be the zero of the unknowns."""
-        offset = motion.offset - states + _moved(inputs, motion.slopes[1])
-        offset[1:] += _moved(states[:-1], motion.slopes[0][1:])
-        if self._ramp:
-            offset[1:] += _moved(inputs[:-1], motion.slopes[2][1:])
-        self._offset = offset
-        if self._guess is not None:
-            self._guess[0][: self._states + inputs.size] = 0.0
+            states, inputs = about
+            offset = motion.offset - states + applied(motion.slopes[1], inputs)
+            offset[1:] += applied(motion.slopes[0][1:], states[:-1])
+            if self._ramp:
+                offset[1:] += applied(motion.slopes[2][1:], inputs[:-1])
+            self._offset = offset
 
     def vectors(
-        self, state: FloatArray, reference: FloatArray, inputs: FloatArray, previous: FloatArray,
-        drift: FloatArray | None = None, standing: FloatArray | None = None,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-        """Return q, l and u.
-
-        Parameters
-        ----------
-        state : ndarray, shape (s,)
-            z_0.
-        reference : ndarray, shape (N, s)
-            r_1 … r_N.
-        inputs : ndarray, shape (N, α)
-            s_0 … s_{N−1}.
-        previous : ndarray, shape (α,)
-            u_{−1} that changes are limited from.
-        drift : ndarray, shape (s,), optional
-            Added to every c_k.
-        standing : ndarray, shape (α,), optional
-            u_{−1} of the motion, needed where winches wind.
-        """
-        level, course = self._horizon.level, self._course
+        self,
+        state: FloatArray,
+        data: StageData,
+        previous: FloatArray,
+        previous_input: FloatArray | None = None,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """See :meth:`Form.vectors`. With C_k the previous input of the motion is needed too."""
+        level = self._problem.level
         if self._about is not None:
             states, planned = self._about
-            reference, inputs = reference - states, inputs - planned
-            shift = np.diff(planned, axis=0, prepend=planned[:1])
-            course = replace(
-                course, low=course.low - planned, high=course.high - planned, shift=shift
+            data = replace(
+                data,
+                reference=data.reference - states,
+                input_reference=data.input_reference - planned,
+                low=data.low - planned,
+                high=data.high - planned,
+                shift=np.diff(planned, axis=0, prepend=planned[:1]),
             )
             previous = previous - planned[0]
-        wanted = np.concatenate([(reference / self.units).ravel(), inputs.ravel() / level])
-        motion = self._offset.copy() if drift is None else self._offset + drift
+        wanted = [data.reference / self.units, data.input_reference / level]
+        motion = self._offset + data.drift
         motion[0] += state @ self._first
-        if standing is not None:
-            motion[0] += standing @ self._first_input
+        if previous_input is not None:
+            motion[0] += previous_input @ self._first_input
         motion /= self.units
-        if course.row_low.shape[1]:
+        if self._rows_first.size:
             known = state @ self._rows_first
-            row_low, row_high = course.row_low.copy(), course.row_high.copy()
+            row_low, row_high = (
+                bound - self._row_offset for bound in (data.row_low, data.row_high)
+            )
             row_low[0] -= known
             row_high[0] -= known
-            course = replace(course, row_low=row_low, row_high=row_high)
-        low, high = self.limits.bounds(previous, course)
+            data = replace(data, row_low=row_low, row_high=row_high)
+        low, high = self.limits.bounds(previous, data)
         equal = motion.ravel()
         return (
-            np.concatenate([-(self._weights @ wanted), self.limits.price]),
+            np.concatenate([
+                -(self._weights @ np.concatenate([part.ravel() for part in wanted])),
+                self.limits.price,
+            ]),
             np.concatenate([equal, low]),
             np.concatenate([equal, high]),
-        )
+        )  # fmt: skip
 
-    def solve(
-        self, state: FloatArray, reference: FloatArray, inputs: FloatArray, previous: FloatArray,
-        drift: FloatArray | None = None, standing: FloatArray | None = None,
-        deadline: float = np.inf,
-    ) -> tuple[QPSolution, FloatArray, FloatArray]:  # fmt: skip
-        """Return the answer, z_1 … z_N (N, s) and u_0 … u_{N−1} (N, α); arguments as above.
+    def inputs(self, x: FloatArray, state: FloatArray, data: StageData) -> FloatArray:
+        """See :meth:`Form.inputs`."""
+        return self.trajectory(x)[1]
 
-        The deadline is that of :meth:`QuadraticProgram.solve`.
-        """
-        vectors = self.vectors(state, reference, inputs, previous, drift, standing)
-        answer = self.quadratic.solve(*vectors, start=self._guess, deadline=deadline)
-        N, count = self._horizon.length, self._horizon.input_count
-        if answer.x is None or answer.y is None:
-            self._guess = None
-            return answer, np.zeros((N, 0)), np.zeros((N, 0))
-        self._guess = answer.x, answer.y
-        found, rest = np.split(answer.x, [self._states])
+    def trajectory(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return z_1 … z_N (N, s) and u_0 … u_{N−1} (N, α) of a solution."""
+        N, count = self._problem.length, self._count
+        found, rest = np.split(x, [self._states])
         states, planned = found.reshape(N, -1) * self.units, rest[:count].reshape(N, -1)
-        planned = planned * self._horizon.level
-        if self._about is not None:
-            states, planned = states + self._about[0], planned + self._about[1]
-        return answer, states, planned
+        planned = planned * self._problem.level
+        if self._about is None:
+            return states, planned
+        return states + self._about[0], planned + self._about[1]
 
-    def shift(self) -> None:
-        """Move the last answer on by a sample, to start the next from."""
-        if self._guess is not None:
-            self._guess = self.moved(*self._guess)
+    def at_plan(self, guess: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Return a guess of primal and dual solution whose states and inputs are those of a plan.
 
-    def moved(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return a primal and dual solution moved on by a sample."""
-        N, (wide, high) = self._horizon.length, self._widths
-        return moved(x, N, wide, repeat=True), moved(y, N, high, repeat=False)
+        It stays as it is where unknowns are not measured from a plan.
+        """
+        if self._about is None:
+            return guess
+        x = guess[0].copy()
+        x[: self._states + self._count] = 0.0
+        return x, guess[1]
 
-
-def _moved(arguments: FloatArray, slopes: FloatArray) -> FloatArray:
-    """Return what arguments, shape (K, columns), make of slopes stored by columns."""
-    return np.asarray((arguments[:, None, :] @ slopes)[:, 0])
+    def shifted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See :meth:`Form.shifted`."""
+        N, (s, a) = self._problem.length, self._problem.input_matrix.shape
+        return (
+            shifted(x, N, [s, a, len(self.limits.price) // N], repeat=True),
+            shifted(y, N, [s, *self.limits.widths], repeat=False),
+        )

@@ -5,8 +5,10 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.control.mpc.condensed import Condensed, Horizon, Sparse
-from tenscontrol.control.mpc.osqp_adapter import QPSolution, QuadraticProgram
+from tenscontrol.control.mpc import OSQPSolver, QPSolution
+from tenscontrol.control.mpc.condensed import Condensed
+from tenscontrol.control.mpc.problem import MPCProblem, StageData
+from tenscontrol.control.mpc.sparse import Sparse
 
 STILL = np.zeros((3, 6))
 
@@ -33,6 +35,15 @@ def kkt_residual(P, q, A, l, u, x, y):  # noqa: E741
     )
 
 
+def steady_data(problem, reference):
+    """Return stage data in which only the reference of the state changes."""
+    N = problem.length
+    still, none = np.zeros((N, len(problem.low))), np.zeros((N, 0))
+    bounds = (np.tile(bound, (N, 1)) for bound in (problem.low, problem.high))
+    drift = np.tile(problem.drift, (N, 1))
+    return StageData(reference, still, drift, *bounds, still, none, none, still, still[0])
+
+
 @pytest.mark.parametrize("form", ["condensed", "sparse"])
 @pytest.mark.parametrize("max_change", [None, 2.0])
 @pytest.mark.parametrize("size", [0.01, 0.1])
@@ -48,14 +59,15 @@ def test_solution_satisfies_the_optimality_conditions(plant, form, max_change, s
         R=1e-3,
     )
     state = plant.measure(pushed(plant, size), STILL)
-    vectors = mpc.law.form.vectors(state, np.zeros((20, 18)), np.zeros(9))
-    answer = mpc._program.solve(*vectors)
+    data = steady_data(mpc.law.design.problem, np.zeros((20, 18)))
+    vectors = mpc.law.form.vectors(state, data, np.zeros(9))
+    answer = mpc._solver.solve(*vectors)
     assert answer.status is Status.OK
     P, A = mpc.law.form.P, mpc.law.form.A
     scale = max(1.0, np.abs(answer.y).max())
     assert kkt_residual(P, vectors[0], A, *vectors[1:], answer.x, answer.y) < 1e-6 * scale
     # The case is worth something only if bounds are met where the push is large.
-    inputs = mpc.law.form.inputs(answer.x, state) + plant.force_density
+    inputs = mpc.law.form.inputs(answer.x, state, data) + plant.force_density
     assert inputs.min() > -1e-5
     if size == 0.1 and max_change is None:
         assert (inputs < 1e-4).any()
@@ -80,12 +92,26 @@ def test_both_forms_give_the_same_commands(plant):
     assert np.allclose(commands["condensed"], commands["sparse"], atol=1e-4)
 
 
+def unknowns(form, plan, state, data, low):
+    """Return the x of a program, without violations, in which a plan is followed."""
+    equations = form.A.shape[1] - plan.size  # those of the dynamics, one for each entry of a state
+
+    def follows(x):
+        """What is zero where x follows the plan."""
+        off = form.inputs(x, state, data) - plan
+        return np.r_[(form.A @ x - low)[:equations], off.ravel()]
+
+    none = follows(np.zeros(form.A.shape[1]))
+    slopes = np.column_stack([follows(unit) - none for unit in np.eye(len(none))])
+    return np.linalg.solve(slopes, -none)
+
+
 def test_horizon_cost_is_the_sum_it_stands_for(plant):
     """The quadratic programs differ from the cost written out by a constant only."""
     rng = np.random.default_rng(1)
     transition, inputs, _ = plant.discretize(0.02)
     N, s, a = 4, 18, 9
-    problem = Horizon(
+    problem = MPCProblem(
         transition, inputs, 0.01 * rng.normal(size=s), np.diag(rng.uniform(1, 2, s)),
         np.diag(rng.uniform(1, 2, a)), 3 * np.eye(s), np.full(a, -9.0), np.full(a, 9.0),
         None, N, 5.0, rng.normal(size=(a, s)),
@@ -102,11 +128,12 @@ def test_horizon_cost_is_the_sum_it_stands_for(plant):
 
     first, second = rng.normal(size=(2, N, a))
     for form in (Condensed(problem), Sparse(problem)):
-        q, _, _ = form.vectors(state, reference, np.zeros(a))
+        data = steady_data(problem, reference)
+        q, low, _ = form.vectors(state, data, np.zeros(a))
         values = []
         for plan in (first, second):
-            x = form.unknowns(plan, state)
-            assert np.allclose(form.inputs(x, state), plan)
+            x = unknowns(form, plan, state, data, low)
+            assert np.allclose(form.inputs(x, state, data), plan)
             values.append(0.5 * x @ (form.P @ x) + q @ x)
         expected = problem.cost_scale * (cost(first) - cost(second))
         assert values[0] - values[1] == pytest.approx(expected, rel=1e-9)
@@ -150,8 +177,8 @@ def test_start_moved_on_by_a_sample_saves_iterations(plant, form):
     for shifted in (True, False):
         mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=34.0, R=1e-3, form=form)
         if not shifted:
-            solve = mpc._program.solve
-            mpc._program.solve = lambda q, l, u, solve=solve, **_: solve(q, l, u)  # noqa: E741
+            solve = mpc._solver.solve
+            mpc._solver.solve = lambda q, l, u, solve=solve, **_: solve(q, l, u)  # noqa: E741
         tc.simulate(model, 1.0, pushed(plant, 0.05), controller=mpc, step=2e-3)
         work[shifted] = mpc.statistics.iterations.sum()
     assert work[True] < work[False]
@@ -235,7 +262,7 @@ def test_unsolved_programs_continue_the_last_plan_then_hold_equilibrium(plant, m
     mpc.command(0.0, nodes, STILL)
     plan = mpc.plan
     with monkeypatch.context() as patch:
-        patch.setattr(QuadraticProgram, "solve", failing(status))
+        patch.setattr(OSQPSolver, "solve", failing(status))
         for k in range(1, 4):
             command = mpc.command(0.02 * k, nodes, STILL)
             assert str(command) == f"{status.value}: plan continued"
@@ -294,7 +321,7 @@ def test_program_answers_infeasible_unbounded_and_bad_data_without_a_solution():
 
     zero = csc_array(np.zeros((2, 2)))
     rows = csc_array(np.array([[1.0, 0.0], [1.0, 0.0]]))
-    program = QuadraticProgram(zero, rows, 1e-6, 4000)
+    program = OSQPSolver(zero, rows, 1e-6, 4000)
     q, free = np.array([1.0, 1.0]), np.full(2, np.inf)
     unbounded = program.solve(q, -free, free)
     assert (unbounded.status, unbounded.x) == (Status.UNBOUNDED, None)
@@ -350,10 +377,10 @@ def test_a_failed_solve_leaves_nothing_behind():
     from scipy.sparse import csc_array
 
     P, A = csc_array(np.diag([2.0, 1.0])), csc_array(np.array([[1.0, 1.0], [1.0, -1.0]]))
-    used, fresh = (QuadraticProgram(P, A, 1e-9, 4000) for _ in range(2))
+    used, fresh = (OSQPSolver(P, A, 1e-9, 4000) for _ in range(2))
     q, low, high = np.array([1.0, -1.0]), np.array([-1.0, -1.0]), np.array([0.2, 0.3])
     assert used.solve(q, np.array([1.0, 1.0]), np.array([np.inf, np.inf])).status is Status.OK
-    short = QuadraticProgram(P, A, 1e-15, 1)
+    short = OSQPSolver(P, A, 1e-15, 1)
     assert short.solve(q, low, high).status is Status.OUT_OF_ITERATIONS
     again, first = (program.solve(q, low, high) for program in (used, fresh))
     np.testing.assert_allclose(again.x, first.x, atol=1e-7)

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import tenscontrol as tc
-from tenscontrol.control.mpc.implicit_shooting import ImplicitMotion
+from tenscontrol.control.mpc.shooting import RadauIIA
 from tenscontrol.demo import tour as demo
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import (
@@ -45,7 +45,7 @@ def test_the_order_is_five():
     ).y[:, -1]  # fmt: skip
     errors, counts = [], np.array([4, 6, 8, 12])
     for count in counts:
-        motion, end = ImplicitMotion(plant, 0.12 / count, 1, 1, False), z
+        motion, end = RadauIIA(plant, 0.12 / count, 1, 1, False), z
         for _ in range(count):
             end, _ = motion.advance(end, held, held)
         errors.append(np.abs(end - exact).max())
@@ -61,7 +61,7 @@ def test_a_step_is_the_motion_of_the_model():
         plant.model, SAMPLE, plant.to_nodes(z[:9]), step=1e-4, rest_length=plant.rest_length
     )
     found = plant.measure(run.nodes[:, :, -1], run.velocities[:, :, -1])
-    end, _ = ImplicitMotion(plant, SAMPLE, 1, 1, False).advance(z, *[plant.rest_length] * 2)
+    end, _ = RadauIIA(plant, SAMPLE, 1, 1, False).advance(z, *[plant.rest_length] * 2)
     assert np.abs(end - found).max() < 1e-4 * np.abs(found).max()
 
 
@@ -72,7 +72,7 @@ def test_stiff_strings_follow_their_winches_as_at_rest(stiffness):
     reference = checked_reference(plant, demo.ramp(prism, 1.0, 0.97, 3.0))
     path = ReferencePreview(plant, reference, sampled(plant, SAMPLE, 1))
     wound = path.at(SAMPLE * np.arange(151.0))
-    motion, z = ImplicitMotion(plant, SAMPLE, 1, 500, False), np.zeros(18)
+    motion, z = RadauIIA(plant, SAMPLE, 1, 500, False), np.zeros(18)
     way = np.abs(wound.rest[-1]).max()
     assert way > 0.01
     for k in range(150):
@@ -84,7 +84,7 @@ def test_winding_is_that_of_the_parts():
     """Strings of 1e6 N/m, against RK4 in each of 20 parts, where vibrations last."""
     plant, pieces = plant_of(1e6), 20
     fine = Evaluator(sampled_dynamics(plant, SAMPLE / pieces)[0])
-    motion = ImplicitMotion(plant, SAMPLE, 1, pieces, False)
+    motion = RadauIIA(plant, SAMPLE, 1, pieces, False)
     way = 1e-5 * np.random.default_rng(2).normal(size=9)
     z = exact = np.zeros(18)
     held, off = plant.rest_length, []
@@ -103,15 +103,15 @@ def test_winding_is_that_of_the_parts():
 def test_slopes_are_those_of_the_solved_step(stiffness, pieces):
     """By differences of fourth order of single steps, which CasADi's Newton method solves alike."""
     plant = plant_of(stiffness)
-    motion = ImplicitMotion(plant, SAMPLE, 1, pieces, False)
+    motion = RadauIIA(plant, SAMPLE, 1, pieces, False)
     z, acting = moved(plant, stiffness)
     end, stages = motion.advance(z, *acting)
     given = (z, *acting) if pieces > 1 else (z, acting[1])
     np.testing.assert_allclose(motion.sampled(*given).full().ravel(), end, atol=1e-12)
-    tangents = motion.tangents(z[None], acting, stages[None])
-    slopes = [slope[0] for slope in (*tangents.slopes, motion.pushed(np.eye(9)))]
+    jacobians = motion.linearize(z[None], acting, stages[None])
+    slopes = [slope[0] for slope in (*jacobians.slopes, motion.load_response(np.eye(9)))]
     known = [z, acting[1], acting[0]][: len(slopes) - 1]
-    value = tangents.offset[0] + sum(x @ slope for x, slope in zip(known, slopes, strict=False))
+    value = jacobians.offset[0] + sum(x @ slope for x, slope in zip(known, slopes, strict=False))
     np.testing.assert_allclose(value, end, rtol=1e-10, atol=1e-12)
 
     def ends(moves):
@@ -120,7 +120,7 @@ def test_slopes_are_those_of_the_solved_step(stiffness, pieces):
             shift[place] = move
         load = shift[3 if pieces > 1 else 2]
         before = acting[0] + (shift[2] if pieces > 1 else 0.0)
-        return motion.expected(z + shift[0], before, acting[1] + shift[1], load)[0]
+        return motion.predict(z + shift[0], before, acting[1] + shift[1], load)[0]
 
     rng = np.random.default_rng(1)
     sizes = [np.r_[np.full(9, 0.03 / stiffness), np.full(9, 1e-3)], 0.03 / stiffness]
@@ -131,7 +131,7 @@ def test_slopes_are_those_of_the_solved_step(stiffness, pieces):
         expected = 2 * step @ slope
         assert np.abs((4 * near - far) / 3 - expected).max() < 1e-6 * np.abs(expected).max()
     np.testing.assert_allclose(
-        motion.expected(z, *acting, np.zeros(9))[1], slopes[-1].T, rtol=1e-9, atol=1e-15
+        motion.predict(z, *acting, np.zeros(9))[1], slopes[-1].T, rtol=1e-9, atol=1e-15
     )
 
 
@@ -139,17 +139,17 @@ def test_slopes_are_those_of_the_solved_step(stiffness, pieces):
 def test_stages_of_a_plan_converge_to_the_solved_step(pieces):
     """Newton's method: one step after the other, each a linearization."""
     plant = plant_of(1e6)
-    motion = ImplicitMotion(plant, SAMPLE, 2, pieces, False)
+    motion = RadauIIA(plant, SAMPLE, 2, pieces, False)
     z, acting = moved(plant, 1e6)
     acting = np.vstack([acting, acting[:1]])
     states, stages = np.array([z, 0.5 * z]), np.zeros((2, 3, 9))
     off = []
     for _ in range(6):
-        tangents = motion.tangents(states, acting, stages)
-        known = [states, acting[1:], acting[:-1]][: len(tangents.slopes)]
-        ends = tangents.offset + sum(
+        jacobians = motion.linearize(states, acting, stages)
+        known = [states, acting[1:], acting[:-1]][: len(jacobians.slopes)]
+        ends = jacobians.offset + sum(
             np.einsum("kj,kji->ki", x, slope)
-            for x, slope in zip(known, tangents.slopes, strict=True)
+            for x, slope in zip(known, jacobians.slopes, strict=True)
         )
         stages = motion.corrected(stages, 0 * states, 0 * acting)
         exact = [motion.advance(states[k], acting[k], acting[k + 1]) for k in range(2)]
@@ -162,13 +162,13 @@ def test_stages_of_a_plan_converge_to_the_solved_step(pieces):
 
 def test_correction_is_the_first_order_of_what_moved():
     plant = plant_of(1e4)
-    motion = ImplicitMotion(plant, SAMPLE, 1, 8, False)
+    motion = RadauIIA(plant, SAMPLE, 1, 8, False)
     z, acting = moved(plant, 1e4)
     _, stages = motion.advance(z, *acting)
     rng, off = np.random.default_rng(3), []
     dz, du, load = 1e-6 * rng.normal(size=18), 1e-6 * rng.normal(size=(2, 9)), rng.normal(size=9)
     for size in (1.0, 0.5):
-        motion.tangents(z[None], acting, stages[None])
+        motion.linearize(z[None], acting, stages[None])
         found = motion.corrected(stages[None], size * dz[None], size * du, size * 1e-2 * load)
         _, exact, _ = motion._single(z + size * dz, *(acting + size * du), size * 1e-2 * load)
         off.append(np.abs(found[0] - exact).max() / np.abs(exact - stages).max())
@@ -179,7 +179,7 @@ def test_correction_is_the_first_order_of_what_moved():
 def test_a_step_that_is_not_solved_is_no_number():
     """Bars beyond the coordinates have no motion."""
     plant = plant_of(1e4)
-    motion = ImplicitMotion(plant, SAMPLE, 1, 8, False)
+    motion = RadauIIA(plant, SAMPLE, 1, 8, False)
     end, stages = motion.advance(np.full(18, 3.0), plant.rest_length, plant.rest_length)
     assert np.isnan(end).any()
     assert np.isnan(stages).any()

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.control.mpc import trajectory_model
+from tenscontrol.control.mpc import real_time_iteration
 from tenscontrol.demo import tour as demo
-from tests.control.nmpc_oracle import IpoptNMPC, closed_loop_cost, optimality
-from tests.control.test_constraints import height_row
+from tests.control.mpc.nmpc_oracle import IpoptNMPC, closed_loop_cost, optimality
+from tests.control.mpc.test_constraints import height_row
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))
@@ -102,7 +102,7 @@ def test_costs_are_those_of_explicit_steps_where_strings_are_soft(monkeypatch):
     plant = plant_of(1e2)
     state = np.r_[0.01 * np.random.default_rng(0).normal(size=9), np.zeros(9)]
     explicit = tc.NMPC(plant, horizon=10, sample_time=SAMPLE)
-    monkeypatch.setattr(trajectory_model, "_MOST_EXPLICIT", 0)
+    monkeypatch.setattr(real_time_iteration, "_MOST_EXPLICIT", 0)
     other = tc.NMPC(plant, horizon=10, sample_time=SAMPLE)
     assert (implicit(explicit), implicit(other)) == (False, True)
     costs = [
@@ -172,7 +172,7 @@ def test_a_stiff_prism_recovers_where_no_string_resists():
         nmpc.applied(stands)
         command = nmpc.command(k * SAMPLE, *nodes_of(plant, z))
         assert command.status == "ok"
-        z, _ = nmpc.law.model.motion.advance(z, stands, command.value)
+        z, _ = nmpc.law.model.discretization.advance(z, stands, command.value)
         stands = command.value
     assert np.abs(z[:9]).max() < 0.05 * 0.015
 
@@ -186,7 +186,9 @@ def test_a_plan_begins_along_the_reference_where_the_law_leads_astray(monkeypatc
         nmpc.applied(plant.rest_length)
         if astray:
             none = np.full(18, np.nan), np.full((3, 9), np.nan)
-            monkeypatch.setattr(nmpc.law.model.motion, "advance", lambda *_, none=none: none)
+            monkeypatch.setattr(
+                nmpc.law.model.discretization, "advance", lambda *_, none=none: none
+            )
         assert nmpc.command(0.0, *nodes_of(plant, z)).status == "ok"
         plans.append(nmpc.plan.T - plant.rest_length)
     assert np.abs(plans[1] - plans[0]).max() < 0.2 * np.abs(plans[0]).max()

@@ -5,10 +5,10 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import NMPC, OutputLimit
-from tenscontrol.control.mpc.trajectory_model import limited_rows
+from tenscontrol.control.mpc.real_time_iteration import limited_rows
 from tenscontrol.demo import tour as demo
-from tests.control.nmpc_oracle import optimality
-from tests.control.test_constraints import height_row, pushed
+from tests.control.mpc.nmpc_oracle import optimality
+from tests.control.mpc.test_constraints import height_row, pushed
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))
@@ -74,11 +74,18 @@ def test_derivatives_of_limited_rows(plant):
 
 
 def constraints_of(nmpc):
-    from tenscontrol.control.mpc.settings import Wishes, design
+    from tenscontrol.control.mpc.settings import MPCSettings, design
 
     limits = (OutputLimit(height_row(), 0.9),)
-    wishes = Wishes(60.0, 0.0, 40.0, None, None, limits, 1.0)
-    return design(nmpc.plant, 3, SAMPLE, None, None, wishes).constraints
+    settings = MPCSettings(
+        horizon=3,
+        sample_time=SAMPLE,
+        max_force_density=60.0,
+        max_tension=40.0,
+        outputs=limits,
+        string_penalty=1.0,
+    )
+    return design(nmpc.plant, settings).constraints
 
 
 @pytest.mark.parametrize("penalty", [None, np.inf])
@@ -176,16 +183,16 @@ def test_program_pays_only_for_the_limits_that_it_has(plant):
         plain, limited = (
             NMPC(
                 plant, horizon=4, sample_time=SAMPLE, max_force_density=60.0, max_tension=most
-            )._program
+            )._plan.form
             for most in (None, 50.0)
         )
-        assert plain.pattern.shape == (4 * 27, 4 * 27)
+        assert plain.A.shape == (4 * 27, 4 * 27)
         # Tension from above alone, and one violation each: of z_k (k ≥ 1), of u_k, of itself.
-        assert limited.pattern.shape == (4 * 27 + 2 * 4 * 9, 4 * 36)
-        assert limited.pattern.nnz - plain.pattern.nnz == 3 * 81 + 4 * 9 + 2 * 4 * 9
+        assert limited.A.shape == (4 * 27 + 2 * 4 * 9, 4 * 36)
+        assert limited.A.nnz - plain.A.nnz == 3 * 81 + 4 * 9 + 2 * 4 * 9
     else:
-        program = NMPC(plant, horizon=4, sample_time=SAMPLE)._program
-        assert program.pattern.shape == (4 * 18 + 4 * 9 + 2 * 4 * 9, 4 * 36)
+        program = NMPC(plant, horizon=4, sample_time=SAMPLE)._plan.form
+        assert program.A.shape == (4 * 18 + 4 * 9 + 2 * 4 * 9, 4 * 36)
 
 
 @pytest.mark.parametrize("gain", [None, 0.3])

@@ -70,13 +70,16 @@ def test_estimate_converges_and_the_rest_is_a_rest(held):
         observer.correct(z, inputs @ v)
         errors.append(np.linalg.norm(observer.acceleration - load))
         v = rng.normal(size=9)
-        observer.expect(transition @ z + observer.model.push @ observer.acceleration)
+        observer.expect(transition @ z + observer.model.response @ observer.acceleration)
         z = transition @ z + inputs @ v + push @ load
     assert np.allclose(np.diff(np.log(errors[1:20])), np.log(0.7), atol=1e-6)
     shift, effort = observer.model.rest(observer.acceleration[None])
     rest = np.r_[shift[0], np.zeros(9)]
     left = (
-        transition @ rest + inputs @ effort[0] + observer.model.push @ observer.acceleration - rest
+        transition @ rest
+        + inputs @ effort[0]
+        + observer.model.response @ observer.acceleration
+        - rest
     )
     assert np.linalg.norm(left) < 1e-6 * np.linalg.norm(rest)
     assert np.abs(tracked @ shift[0]).max() < 1e-4 * np.linalg.norm(shift[0])

@@ -51,7 +51,7 @@ def predicted(mpc, name, z):
 @pytest.mark.parametrize("form", ["condensed", "sparse"])
 @pytest.mark.parametrize("penalty", [None, np.inf])
 def test_solution_satisfies_the_optimality_conditions(plant, form, penalty):
-    from tests.control.test_mpc import kkt_residual
+    from tests.control.mpc.test_linear import kkt_residual
 
     limit = OutputLimit(height_row(), low=0.995, high=1.004, penalty=1e4)
     mpc = tc.MPC(
@@ -59,13 +59,13 @@ def test_solution_satisfies_the_optimality_conditions(plant, form, penalty):
         string_penalty=penalty, tolerance=1e-8, max_iterations=50000,
     )  # fmt: skip
     program = {}
-    solve = mpc._program.solve
+    solve = mpc._solver.solve
 
     def kept(q, l, u, start=None, **_):  # noqa: E741
         program["data"], program["answer"] = (q, l, u), solve(q, l, u, start)
         return program["answer"]
 
-    mpc._program.solve = kept
+    mpc._solver.solve = kept
     mpc.command(0.0, pushed(plant, 0.01), STILL)
     answer, (q, l, u) = program["answer"], program["data"]  # noqa: E741
     assert answer.status is Status.OK

@@ -5,12 +5,12 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import NMPC, Status
-from tenscontrol.control.mpc.osqp_adapter import QPSolution, QuadraticProgram
+from tenscontrol.control.mpc import OSQPSolver, QPSolution
 from tenscontrol.demo import tour as demo
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.plant import explicit_substeps, sampled_dynamics
-from tests.control.nmpc_oracle import IpoptNMPC, closed_loop_cost
-from tests.control.test_mpc import kkt_residual
+from tests.control.mpc.nmpc_oracle import IpoptNMPC, closed_loop_cost
+from tests.control.mpc.test_linear import kkt_residual
 
 SAMPLE = 0.02
 STILL = np.zeros((3, 6))
@@ -87,7 +87,7 @@ def test_program_satisfies_the_optimality_conditions():
         max_iterations=20000,
     )
     kept = {}
-    program = nmpc._program.quadratic
+    program = nmpc._plan.solver
     solve, update = program.solve, program.update
 
     def watched(q, l, u, start=None, **_):  # noqa: E741
@@ -102,14 +102,15 @@ def test_program_satisfies_the_optimality_conditions():
     z = disturbed(0.05, 0)
     nodes, velocities = plant.to_nodes(z[:9]), plant.to_velocities(z[:9], z[9:])
     value = nmpc.command(0.0, nodes, velocities).value
-    pattern = nmpc._program.pattern
+    form = nmpc._plan.form
+    pattern = form.A.copy()
     pattern.data = kept["values"]
     answer, (q, l, u) = kept["answer"], kept["vectors"]  # noqa: E741
-    residual = kkt_residual(nmpc._program.hessian, q, pattern, l, u, answer.x, answer.y)
+    residual = kkt_residual(form.P, q, pattern, l, u, answer.x, answer.y)
     assert residual < 1e-6 * max(1.0, np.abs(answer.y).max())
     assert np.abs(value - plant.force_density).max() <= 8.0 * (1 + 1e-12)
     # The equations of the program are the linearization: at the plan itself they hold exactly.
-    count = len(nmpc._program.units) * 8
+    count = len(form.units) * 8
     assert np.abs((pattern @ answer.x - l)[:count]).max() < 1e-6
 
 
@@ -186,7 +187,7 @@ def test_preparation_is_apart_from_feedback_and_setup_happens_once(monkeypatch):
     nmpc.prepare()  # nothing to prepare from
     for k in range(4):
         nodes = plant.to_nodes(disturbed(0.02, k)[:9])
-        motion = nmpc.law.model.motion
+        motion = nmpc.law.model.discretization._along
         calls = motion.calls
         first = nmpc.command(SAMPLE * k, nodes, STILL)
         assert motion.calls == calls + (k == 0)  # prepared before, but the first time
@@ -205,7 +206,7 @@ def test_unsolved_programs_continue_the_plan(monkeypatch):
     plan = nmpc.plan
     with monkeypatch.context() as patch:
         patch.setattr(
-            QuadraticProgram, "solve",
+            OSQPSolver, "solve",
             lambda self, q, l, u, **_: QPSolution(Status.INFEASIBLE, None, None, 7),  # noqa: E741
         )  # fmt: skip
         for k in range(1, 7):
@@ -269,17 +270,16 @@ def test_machine_code_gives_the_same_commands():
 
 def test_equations_are_not_over_relaxed(monkeypatch):
     """Fewer iterations, and the same answers, than with the relaxation that OSQP starts from."""
-    from tenscontrol.control.mpc import sparse as trajectory_program
+    from tenscontrol.control.mpc import settings
 
     plant, work, values = at_rest(), [], []
     for equations in (True, False):
+
+        def relaxed(P, A, tolerance, most, equations, as_wanted=equations):
+            return OSQPSolver(P, A, tolerance, most, equations=as_wanted)
+
         with monkeypatch.context() as patch:
-            patch.setattr(
-                trajectory_program, "QuadraticProgram",
-                lambda *data, equations, as_wanted=equations: QuadraticProgram(
-                    *data, equations=as_wanted
-                ),
-            )  # fmt: skip
+            patch.setitem(settings._SOLVERS, "osqp", relaxed)
             nmpc = NMPC(plant, horizon=10, sample_time=SAMPLE, max_force_density=33.0)
         cost, _ = closed_loop_cost(nmpc, nmpc, nmpc.sampled, disturbed(0.05, 0), 10)
         work.append(nmpc.statistics.iterations.sum())

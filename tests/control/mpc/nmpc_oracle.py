@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control import Command, Controller
-from tests.control.test_mpc import kkt_residual
+from tests.control.mpc.test_linear import kkt_residual
 
 
 class IpoptNMPC(Controller):
@@ -98,7 +98,7 @@ def closed_loop_cost(nmpc, controller, sample, state, count):
 
 def optimality(nmpc, nodes, velocities):
     """Return how far the program of a command is from its conditions, and its multipliers."""
-    program, kept = nmpc._program.quadratic, {}
+    program, kept = nmpc._plan.solver, {}
     solve = program.solve
 
     def watched(q, l, u, start=None, deadline=np.inf):  # noqa: E741
@@ -110,7 +110,6 @@ def optimality(nmpc, nodes, velocities):
     answer, (q, *limits) = kept["answer"], kept["data"]
     far = 1e9  # for infinity, which times zero is nothing
     bounds = (np.clip(limit, -far, far) for limit in limits)
-    found = kkt_residual(
-        nmpc._program.hessian, q, nmpc._program.pattern, *bounds, answer.x, answer.y
-    )
+    form = nmpc._plan.form
+    found = kkt_residual(form.P, q, form.A, *bounds, answer.x, answer.y)
     return found, answer.y

@@ -1,0 +1,123 @@
+"""The settings that MPC and NMPC share: declared once, frozen, and prepared once for a plant."""
+
+from dataclasses import FrozenInstanceError, fields, replace
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.control import MPCSettings, QPSolution, QPSolver, Status
+from tenscontrol.control.mpc import OSQPSolver
+from tenscontrol.control.mpc.settings import SettingsKeywords
+from tests.deploy import scenes
+
+GIVEN = {"horizon": 4, "sample_time": scenes.SAMPLE, "max_force_density": 80.0}
+
+
+def test_the_keywords_for_editors_are_those_of_the_record():
+    assert [field.name for field in fields(MPCSettings)] == list(SettingsKeywords.__annotations__)
+
+
+@pytest.mark.parametrize("kind", [tc.MPC, tc.NMPC])
+def test_a_controller_keeps_its_settings(kind):
+    plant = scenes.plant("force_density")
+    limit = np.full(9, 80.0)
+    settings = kind(plant, **(GIVEN | {"max_force_density": limit})).law.settings
+    limit[0] = 0.0
+    assert settings.max_force_density[0] == 80.0
+    with pytest.raises(ValueError, match="read-only"):
+        settings.max_force_density[0] = 1.0
+    with pytest.raises(FrozenInstanceError):
+        settings.horizon = 5
+    again = kind(plant, **vars(settings)).law.settings
+    assert again.longest_time == settings.longest_time == np.inf
+    assert again.string_penalty == settings.string_penalty == 100.0
+
+
+@pytest.mark.parametrize(
+    ("solver", "error", "message"),
+    [
+        ("simplex", ValueError, "solver is 'simplex', expected one of 'osqp', or a subclass of"),
+        (dict, TypeError, "solver is <class 'dict'>, expected a name or a subclass of QPSolver"),
+    ],
+)
+def test_unknown_solvers_are_refused(solver, error, message):
+    with pytest.raises(error, match=message):
+        MPCSettings(**GIVEN, solver=solver)
+
+
+class ActiveSet(QPSolver):
+    """A solver of one's own: SciPy's SLSQP."""
+
+    def __init__(self, P, A, tolerance, max_iterations, *, equations=False):
+        self._P, self._A = P, A.copy()
+
+    def update(self, A):
+        self._A.data = A.copy()
+
+    def solve(self, q, l, u, start=None, deadline=np.inf):  # noqa: E741
+        from scipy.optimize import LinearConstraint, minimize
+
+        A, equal = self._A.toarray(), l == u
+        rows = [LinearConstraint(A[each], l[each], u[each]) for each in (equal, ~equal)]
+        answer = minimize(
+            lambda x: 0.5 * x @ (self._P @ x) + q @ x, np.zeros(len(q)),
+            jac=lambda x: self._P @ x + q, constraints=rows if equal.any() else rows[1:],
+            method="SLSQP", options={"ftol": 1e-12, "maxiter": 500},
+        )  # fmt: skip
+        status = Status.OK if answer.success else Status.UNSOLVED
+        return QPSolution(status, answer.x, np.zeros(len(l)), answer.nit)
+
+    def reset(self):
+        """It remembers nothing."""
+
+
+@pytest.mark.parametrize("kind", [tc.MPC, tc.NMPC])
+def test_another_solver_is_one_class(kind):
+    plant = scenes.plant("force_density")
+    nodes = plant.to_nodes(np.full(9, 0.01))
+    values = [
+        kind(plant, **(GIVEN | {"horizon": 2}), solver=solver, tolerance=1e-8)
+        .command(0.0, nodes, np.zeros((3, 6)))
+        .value
+        for solver in (OSQPSolver, ActiveSet)
+    ]
+    np.testing.assert_allclose(values[1], values[0], atol=1e-3)
+
+
+def test_code_is_written_for_osqp_alone(tmp_path):
+    plant = scenes.plant("force_density")
+    mpc = tc.MPC(plant, **GIVEN, solver=ActiveSet)
+    with pytest.raises(ValueError, match="solves its programs by ActiveSet, and C code is written"):
+        tc.generate_c(mpc, tmp_path / "code")
+
+
+class NamedFunction(ca.Function):
+    """Notes the name of each function that is constructed."""
+
+    names: ClassVar[list[str]] = []
+
+    def __init__(self, name, *given):
+        self.names.append(name)
+        super().__init__(name, *given)
+
+
+@pytest.mark.parametrize("held", ["force_density", "rest_length"])
+@pytest.mark.parametrize("kind", [tc.MPC, tc.NMPC])
+def test_a_second_controller_on_a_plant_builds_no_expression(kind, held, monkeypatch):
+    plant = replace(scenes.plant(held))  # with nothing prepared
+    given = GIVEN | {"max_force_density": 80.0 if held == "force_density" else None}
+    limit = tc.clearance(plant, clearance=0.1, penalty=1e4)
+    given |= {"max_tension": 300.0, "outputs": [limit], "load_gain": 0.2}
+    monkeypatch.setattr(ca, "Function", NamedFunction)
+    names, values = [], []
+    for _ in range(2):
+        monkeypatch.setattr(NamedFunction, "names", [])
+        made = kind(plant, **given)
+        names.append(NamedFunction.names)
+        values.append(made.command(0.0, plant.to_nodes(np.full(9, 0.003)), np.zeros((3, 6))).value)
+    assert "strings" in names[0]
+    assert names[1] == []
+    np.testing.assert_array_equal(*values)
