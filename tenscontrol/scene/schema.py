@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from inspect import Parameter, signature
 from math import isfinite
+from types import MappingProxyType
+from typing import TypeVar
 
 from tenscontrol.actuation import Winches
 from tenscontrol.control import MPC, NMPC, Controller, FeedbackLinearization, OutputLimit, lqr
@@ -140,6 +142,7 @@ FORCES = Kind(
 TABLES_OF_KEYS = Kind("a list of tables", _is_list, Kind("a table", _is_table))
 
 Keys = Mapping[str, tuple[Kind, str]]
+_Entry = TypeVar("_Entry")
 
 # What a name means in every table that does not say otherwise.
 _MEANINGS: Keys = {
@@ -212,48 +215,52 @@ def _keys(
     }
 
 
+def _named(**entries: _Entry) -> Mapping[str, _Entry]:
+    return MappingProxyType(entries)
+
+
 # Keys of a table for one choice of its first key; those of the other choices are unknown.
 PRISM = _keys("generator", prism) | _keys("fixed")
 MEMBERS = _keys("", Structure, nodes=(POINTS, "m"), bars=(PAIRS, ""), strings=(PAIRS, ""))
-LAWS: Mapping[str, Keys] = {
-    "linear": _keys("law", LinearStrings) | _keys("per"),
-    "elastic": _keys("law", ElasticStrings) | _keys("per"),
-}
-CONTROLLERS: Mapping[str, Callable[..., Controller]] = {
-    "lqr": lqr,
-    "mpc": MPC,
-    "nmpc": NMPC,
-    "feedback_linearization": FeedbackLinearization,
-}
-CONTROLLER_KEYS: Mapping[str, Keys] = {
-    kind: _keys("kind input", make, damping=(NUMBER, "")) | _keys("plants" if kind == "mpc" else "")
-    for kind, make in CONTROLLERS.items()
-}
-FAULTS: Mapping[str, type[CutString | StuckWinch | LostMeasurement]] = {
-    "cut_string": CutString,
-    "stuck_winch": StuckWinch,
-    "lost_measurement": LostMeasurement,
-}
-FAULT_KEYS: Mapping[str, Keys] = {kind: _keys("kind", fault) for kind, fault in FAULTS.items()}
+LAWS = _named(
+    linear=_keys("law", LinearStrings) | _keys("per"),
+    elastic=_keys("law", ElasticStrings) | _keys("per"),
+)
+CONTROLLERS: Mapping[str, Callable[..., Controller]] = _named(
+    lqr=lqr, mpc=MPC, nmpc=NMPC, feedback_linearization=FeedbackLinearization
+)
+CONTROLLER_KEYS: Mapping[str, Keys] = MappingProxyType(
+    {
+        kind: _keys("kind input", make, damping=(NUMBER, ""))
+        | _keys("plants" if kind == "mpc" else "")
+        for kind, make in CONTROLLERS.items()
+    }
+)
+FAULTS: Mapping[str, type[CutString | StuckWinch | LostMeasurement]] = _named(
+    cut_string=CutString, stuck_winch=StuckWinch, lost_measurement=LostMeasurement
+)
+FAULT_KEYS: Mapping[str, Keys] = MappingProxyType(
+    {kind: _keys("kind", fault) for kind, fault in FAULTS.items()}
+)
 
-TABLES: Mapping[str, Keys] = {
-    "structure": PRISM | MEMBERS,
-    "skin": _keys("", skin),
-    "subdivide": _keys("", subdivide),
-    "strings": _keys("law stiffness axial_rigidity damping per"),
-    "loads": _keys("gravity forces"),
-    "prestress": _keys("force_density reference per shape_gives", reference=(TEXT, "")),
-    "start": _keys("velocities disturbance seed"),
-    "run": _keys(
+TABLES = _named(
+    structure=PRISM | MEMBERS,
+    skin=_keys("", skin),
+    subdivide=_keys("", subdivide),
+    strings=_keys("law stiffness axial_rigidity damping per"),
+    loads=_keys("gravity forces"),
+    prestress=_keys("force_density reference per shape_gives", reference=(TEXT, "")),
+    start=_keys("velocities disturbance seed"),
+    run=_keys(
         "duration step tolerance output_step method input sample_time",
         tolerance=(NUMBER, "m and m/s"),
     ),
-    "controller": {key: each for keys in CONTROLLER_KEYS.values() for key, each in keys.items()},
-    "winches": _keys("", Winches),
-    "sensors": _keys("", Sensors) | _keys("seed"),
-    "estimator": _keys("kind", kalman, without="sample_time start"),
-    "faults": {key: each for keys in FAULT_KEYS.values() for key, each in keys.items()},
-}
+    controller={key: each for keys in CONTROLLER_KEYS.values() for key, each in keys.items()},
+    winches=_keys("", Winches),
+    sensors=_keys("", Sensors) | _keys("seed"),
+    estimator=_keys("kind", kalman, without="sample_time start"),
+    faults={key: each for keys in FAULT_KEYS.values() for key, each in keys.items()},
+)
 # Those of which a file has a list, each with a heading like [[faults]].
 LISTS = ("faults",)
 
@@ -267,9 +274,11 @@ WAYPOINT = _keys(
 )
 
 # Keys, and values of keys, by the way to them: what older files have, and what to write.
-RENAMED: Mapping[tuple[str | int, ...], str] = {
-    ("controller", "step"): "sample_time",
-    ("controller", "kind", "shape_control"): "feedback_linearization",
-    ("run", "hold"): "input",
-    ("winches", "pieces"): "substeps",
-}
+RENAMED: Mapping[tuple[str | int, ...], str] = MappingProxyType(
+    {
+        ("controller", "step"): "sample_time",
+        ("controller", "kind", "shape_control"): "feedback_linearization",
+        ("run", "hold"): "input",
+        ("winches", "pieces"): "substeps",
+    }
+)
