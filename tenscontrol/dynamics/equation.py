@@ -10,7 +10,7 @@ import casadi as ca
 from tenscontrol.dynamics.prepared import Prepared
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, frozen
 
 #: How the functions of an equation can be built.
 FORMS = ("flat", "mapped", "loops")
@@ -99,6 +99,24 @@ class Equation:
     def _kinked_slope(self) -> ca.Function:
         x, u = self.symbol("x", self.states), self.symbol("u", self.inputs)
         return ca.Function("kinked", [x, u], [self.slope(x, u, self.gap(x, u)[0] > 0)])
+
+
+def structure_equation(
+    structure: Structure,
+    law: StringLaw | None,
+    load: FloatArray,
+    form: str,
+    **functions: ca.Function,
+) -> Equation:
+    """Return the equation of a structure from its functions slope, gap and force."""
+    return Equation(
+        **functions,
+        velocity_dependent=law is not None and law.is_damped,
+        structure=structure,
+        law=law,
+        load=frozen(load) if load.any() else None,
+        form=form,
+    )
 
 
 def smooth_equation(slope: ca.Function) -> Equation:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.equation import FORMS, Equation
+from tenscontrol.dynamics.equation import FORMS, Equation, structure_equation
 from tenscontrol.dynamics.forms import loops_equation, mapped_equation, suitable_form
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.prepared import Prepared
@@ -281,14 +281,14 @@ class Model:
             gamma = taut * law.taut_force_density(length, u, rate)
         forces = ca.vec(ca.densify(self._forces(s, gamma)[:, structure.free.tolist()]))
         q, v = ca.vec(s["N"]), ca.vec(s["Nd"])
-        return Equation(
+        return structure_equation(
+            structure,
+            law,
+            load,
+            "flat",
             slope=ca.Function("slope", [s["x"], u, taut], [self._xdot(s, gamma)]),
             gap=ca.Function("gap", [s["x"], u], [ca.densify(gap), ca.densify(rate)]),
             force=ca.Function("force", [q, v, u, taut], [forces]),
-            velocity_dependent=law is not None and law.is_damped,
-            structure=structure,
-            law=law,
-            load=frozen(load) if load.any() else None,
         )
 
     @cached_property

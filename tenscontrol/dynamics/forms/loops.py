@@ -13,13 +13,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.equation import Equation, structure_equation
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.dynamics.forms.passes import Pass, body_passes, gap_pass, string_pass
 from tenscontrol.dynamics.machine_code import compiled_source
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.validation import FloatArray
 
 # Entries that each array has for a node or a string.
 _WIDTH = {"p": 3, "v": 3, "f": 3, "a": 3, "u": 1, "taut": 1, "gap": 1, "rate": 1}
@@ -34,16 +34,7 @@ def loops_equation(structure: Structure, law: StringLaw | None, load: FloatArray
     """
     source = loops_source(structure, law, load)
     slope, gap, force = compiled_source(source, ("slope", "gap", "force"))
-    return Equation(
-        slope=slope,
-        gap=gap,
-        force=force,
-        velocity_dependent=law is not None and law.is_damped,
-        structure=structure,
-        law=law,
-        load=frozen(load) if load.any() else None,
-        form="loops",
-    )
+    return structure_equation(structure, law, load, "loops", slope=slope, gap=gap, force=force)
 
 
 def loops_source(structure: Structure, law: StringLaw | None, load: FloatArray) -> str:

@@ -13,11 +13,11 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.equation import Equation
+from tenscontrol.dynamics.equation import Equation, structure_equation
 from tenscontrol.dynamics.forms.passes import Pass, Read, body_passes, gap_pass, string_pass
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray, frozen
+from tenscontrol.validation import FloatArray, IntArray
 
 
 def mapped_equation(structure: Structure, law: StringLaw | None, load: FloatArray) -> Equation:
@@ -41,7 +41,11 @@ def mapped_equation(structure: Structure, law: StringLaw | None, load: FloatArra
     gap = rate = ca.MX(0, 1)
     if law is not None:
         gap, rate = (row.T for row in _outputs(gap_pass(structure, law), arrays, forces))
-    return Equation(
+    return structure_equation(
+        structure,
+        law,
+        load,
+        "mapped",
         slope=ca.Function(
             "slope",
             [x, u, taut],
@@ -51,11 +55,6 @@ def mapped_equation(structure: Structure, law: StringLaw | None, load: FloatArra
         force=ca.Function(
             "force", [ca.vec(N), ca.vec(Nd), u, taut], [ca.vec(ca.densify(forces.on(free)))]
         ),
-        velocity_dependent=law is not None and law.is_damped,
-        structure=structure,
-        law=law,
-        load=frozen(load) if load.any() else None,
-        form="mapped",
     )
 
 
