@@ -1,0 +1,69 @@
+"""What users reach by name, for the tests that walk it: what docs/api.rst documents."""
+
+import importlib
+import inspect
+import re
+from functools import cache, cached_property
+from pathlib import Path
+
+PAGE = Path(__file__).parent.parent / "docs" / "api.rst"
+
+
+@cache
+def interface():
+    """Full names that docs/api.rst documents, and those that it lists as shared by folders."""
+    public, shared = PAGE.read_text(encoding="utf-8").split("\nShared between folders\n", 1)
+    module, named = "tenscontrol", set()
+    for kind, name in re.findall(r"^\.\. (currentmodule|auto\w+):: +([\w.]+)", public, re.M):
+        if kind == "currentmodule":
+            module = name
+        else:
+            named.add(name if name.startswith("tenscontrol.") else f"{module}.{name}")
+    return named, set(re.findall(r"``(tenscontrol\.[\w.]+)``", shared))
+
+
+def named(full_name):
+    """The object of a full name. A function may have the name of the file that it is in."""
+    module, _, name = full_name.rpartition(".")
+    return getattr(importlib.import_module(module), name)
+
+
+@cache
+def public():
+    """Every public function and class by its name without ``tenscontrol.``."""
+    return {
+        name.removeprefix("tenscontrol."): named(name)
+        for name in sorted(interface()[0])
+        if callable(named(name))
+    }
+
+
+@cache
+def public_functions():
+    return {name: value for name, value in public().items() if not inspect.isclass(value)}
+
+
+@cache
+def public_classes():
+    return {name: value for name, value in public().items() if inspect.isclass(value)}
+
+
+@cache
+def members():
+    """Public methods and properties of public classes, as ``Class.name: (class, member)``.
+
+    What a class inherits from another public class is listed there only.
+    """
+    classes, found = public_classes(), {}
+    for class_name, cls in classes.items():
+        for base in cls.__mro__:
+            inherits = base is not cls and base in classes.values()
+            if inherits or not base.__module__.startswith("tenscontrol"):
+                continue
+            for name, member in vars(base).items():
+                is_member = inspect.isfunction(member) or isinstance(
+                    member, property | cached_property | classmethod | staticmethod
+                )
+                if is_member and not name.startswith("_"):
+                    found.setdefault(f"{class_name}.{name}", (cls, member))
+    return found

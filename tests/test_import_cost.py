@@ -1,0 +1,48 @@
+"""What an import loads, and what it does not: libraries wait until they are used."""
+
+import subprocess
+import sys
+
+
+def loaded_by(program):
+    """Names of all modules that a program of its own has loaded at its end."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", f"{program}\nimport sys; print(*sys.modules)"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    return set(done.stdout.split())
+
+
+def test_importing_the_package_loads_no_library_but_numpy():
+    modules = loaded_by("import tenscontrol")
+    assert not modules & {"matplotlib", "control", "osqp", "scipy", "tqdm", "casadi"}
+
+
+def test_evaluating_a_model_loads_no_controller_and_no_plots():
+    modules = loaded_by(
+        "import numpy as np, tenscontrol as tc\n"
+        "prism = tc.prism()\n"
+        "tc.Model(prism).acceleration(prism.nodes, np.zeros((3, 6)), np.ones(9))"
+    )
+    assert "casadi" in modules
+    assert not modules & {"matplotlib", "control", "osqp"}
+
+
+def test_naming_everything_public_loads_no_controller_and_no_plots():
+    modules = loaded_by(
+        "import importlib.util, tenscontrol as tc\n"
+        "is_folder = lambda name: importlib.util.find_spec(f'tenscontrol.{name}') is not None\n"
+        "folders = [name for name in tc.__all__ if is_folder(name)]\n"
+        "assert 'plot' in folders and 'simulate' not in folders\n"
+        "[getattr(tc, name) for name in tc.__all__ if name not in folders]"
+    )
+    assert not modules & {"matplotlib", "control", "osqp", "tqdm"}
+
+
+def test_structures_and_models_load_no_scipy():
+    modules = loaded_by("import tenscontrol.structure, tenscontrol.dynamics")
+    assert "casadi" in modules
+    assert "scipy" not in modules

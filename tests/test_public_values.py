@@ -1,0 +1,316 @@
+"""Values do not change: fields and arrays of public values, and what modules hold."""
+
+import ast
+import dataclasses
+import inspect
+import re
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tests.public import public, public_classes
+
+PACKAGE = Path(tc.__file__).parent
+PROJECT = Path(__file__).parent.parent
+
+# ---- values ----
+
+
+@pytest.fixture(scope="module")
+def values(tmp_path_factory):
+    """One value of each public dataclass, by class name."""
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0, damping=0.1))
+    rest = tc.prestress(prism, force_density=17.3205)
+    plant = tc.linearize(model, rest)
+    regulator = tc.lqr(plant, Q=1.0, R=1e-3, sample_time=0.01, max_force_density=50.0)
+    mpc = tc.MPC(plant, horizon=3, sample_time=0.01, max_force_density=50.0)
+    still = np.zeros((3, 6))
+    sensors = tc.Sensors(structure=prism, string_length=0.001, nodes=[0, 2], node_position=0.01)
+    held = tc.linearize(model, rest, input="rest_length")
+    estimator = tc.kalman(held, sensors, sample_time=0.01)
+    winches = tc.Winches(rate=0.5, shortest=np.full(9, 0.1), longest=2.0)
+    start = tc.to_rest_length(model, prism.nodes, rest.force_density)
+    run = tc.simulate(
+        model,
+        0.02,
+        controller=regulator,
+        winches=winches,
+        rest_length=start.rest_length,
+        output_step=0.01,
+        estimator=estimator,
+    )
+    height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
+    target = tc.shape_target(model, height, force_density=17.3205)
+    found = [
+        height,
+        tc.Twist(0.1, top=[0, 1, 2], bottom=[3, 4, 5]),
+        tc.NodesAt([0], np.zeros((3, 1))),
+        tc.PointAt([0, 1], np.zeros(3)),
+        tc.RotationalSymmetry([[0, 1, 2], [3, 4, 5]]),
+        target,
+        target.demands[0],
+        tc.shape_path(model, rest, target, duration=1.0, step=0.2),
+        prism,
+        rest,
+        rest.stability,
+        plant,
+        plant.coordinates,
+        tc.modes(plant),
+        tc.controllability(plant),
+        run,
+        run.control,
+        run.control.estimate,
+        sensors,
+        estimator.update(None),
+        estimator.statistics,
+        run.choice,
+        run.work,
+        run.health,
+        tc.HealthLimits(),
+        tc.CutString(string=3, time=1.0),
+        tc.StuckWinch(string=5, time=0.8, until=1.5),
+        tc.LostMeasurement(time=0.5, until=0.7),
+        start,
+        winches,
+        winches.move(start.rest_length, start.rest_length, 0.01),
+        model.strings,
+        tc.ElasticStrings(axial_rigidity=np.full(9, 100.0)),
+        tc.OperatingPoint(prism.nodes.copy(), rest.force_density.copy(), still),
+        regulator.command(0.0, prism.nodes, still),
+        tc.Reference([0.0], prism.nodes[:, :, None], rest.force_density[:, None]),
+        mpc.statistics,
+        tc.generate_c(regulator, tmp_path_factory.mktemp("code")),
+        tc.NMPC(plant, horizon=3, sample_time=0.01, max_force_density=50.0).statistics,
+        tc.FeedbackLinearization(
+            plant, reference=None, sample_time=0.01, max_force_density=50.0, frequency=1.0
+        ).statistics,
+        tc.OutputLimit(np.ones((1, 18)), np.zeros(1), np.ones(1)),
+        tc.control.held_loop(plant, regulator.gain, sample_time=0.01),
+        tc.load_scene(PROJECT / "examples" / "scenes" / "prism_free.toml"),
+    ]
+    case = tc.Case(model, 0.05, input="force_density", value=rest.force_density)
+    compared = tc.work_precision(case, ["rk4"], {"rk4": [0.01]}, repeats=1, outputs=5)
+    drift = tc.long_run(case, "rk4", 1e-3, steps=30, outputs=30)
+    found += [
+        case,
+        compared,
+        compared.rows[0],
+        compared.reference,
+        compared.predictability,
+        compared.ratios(against=["rk4"]),
+        tc.convergence_order(case, "rk4", [0.01], compared.reference),
+        tc.stability_map("rk4", [1e3], [0.1], steps=20),
+        drift,
+        drift.drifts[0],
+    ]
+    loop = tc.ClosedLoopCase(
+        prism,
+        model.strings,
+        regulator,
+        0.02,
+        0.01,
+        1.0,
+        nodes=prism.nodes.copy(),
+        rest_length=start.rest_length,
+        winches=winches,
+    )
+    drawn = {"bar_mass": tc.Uniform(-2, -1), "damping": tc.Normal(1.0, 0.1)}
+    with ThreadPoolExecutor(1) as executor:
+        report = tc.sweep(loop, drawn, 4, seed=0, executor=executor)
+    found += [*drawn.values(), tc.OneOf([1, 2]), loop, loop({}, np.random.default_rng(0))]
+    found += [report, report.failures[0]]
+    stiff = tc.robustness.stiffness_report(rest, [1e2], sample_time=0.01, duration=0.01, horizon=2)
+    found += [stiff, stiff.rows[0], stiff.rows[0].runs[0]]
+    return {type(value).__name__: value for value in found}
+
+
+# What integrators and peers hand to each other holds arrays of their own.
+WITHIN_A_RUN = {"Compiled", "Equation", "Method", "Solution", "Span"}
+DATA = [
+    cls.__name__
+    for name, cls in public_classes().items()
+    if dataclasses.is_dataclass(cls)
+    and not name.startswith("plot.")
+    and not inspect.isabstract(cls)
+    and cls.__name__ not in WITHIN_A_RUN
+]
+
+
+def test_every_dataclass_is_frozen():
+    data = [cls for cls in public_classes().values() if dataclasses.is_dataclass(cls)]
+    assert [cls.__name__ for cls in data if not cls.__dataclass_params__.frozen] == []
+
+
+@pytest.mark.parametrize("name", DATA)
+def test_fields_cannot_be_set(values, name):
+    value = values[name]
+    for field in dataclasses.fields(value):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(value, field.name, None)
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            delattr(value, field.name)
+
+
+def _held(value):
+    """Fields and public attributes that a value holds, rather than computes at each access."""
+    fields = {field.name for field in dataclasses.fields(value)}
+    for name in dir(value):
+        if name in fields or not name.startswith("_"):
+            attribute = getattr(value, name)
+            if attribute is getattr(value, name) and not inspect.ismethod(attribute):
+                yield name, attribute
+
+
+def _arrays(name, value):
+    if isinstance(value, np.ndarray):
+        yield name, value
+    elif isinstance(value, tuple | list):
+        for i, entry in enumerate(value):
+            yield from _arrays(f"{name}[{i}]", entry)
+
+
+@pytest.mark.parametrize("name", DATA)
+def test_arrays_cannot_be_written(values, name):
+    writable = []
+    for attribute, held in _held(values[name]):
+        for where, array in _arrays(attribute, held):
+            # A read-only view of a writable array is no protection.
+            bases = [array]
+            while isinstance(bases[-1].base, np.ndarray):
+                bases.append(bases[-1].base)
+            if any(base.flags.writeable for base in bases):
+                writable.append(where)
+    assert writable == []
+
+
+def _given():
+    """Constructors with the arrays they are given."""
+    prism = tc.prism()
+    point = {"nodes": prism.nodes.copy(), "force_density": np.ones(9)}
+    return {
+        "Structure": {
+            "nodes": prism.nodes.copy(),
+            "bars": prism.bars.copy(),
+            "strings": prism.strings.copy(),
+            "bar_mass": np.ones(3),
+        },
+        "LinearStrings": {"stiffness": np.ones(9), "damping": np.ones(9)},
+        "ElasticStrings": {"axial_rigidity": np.ones(9), "damping": np.ones(9)},
+        "Case": {
+            "model": tc.Model(prism),
+            "duration": 1.0,
+            "nodes": prism.nodes.copy(),
+            "velocities": np.zeros((3, 6)),
+            "input": "force_density",
+            "value": np.ones(9),
+        },
+        "OperatingPoint": point | {"external_force": np.ones((3, 6))},
+        "Winches": {"rate": np.ones(9), "shortest": np.ones(9), "longest": np.ones(9)},
+        "NodesAt": {"nodes": np.arange(2), "positions": np.ones((3, 2))},
+        "PointAt": {"nodes": np.arange(2), "position": np.ones(3), "weights": np.ones(2)},
+        "OneOf": {"values": np.ones(3)},
+        "Sensors": {
+            "structure": prism,
+            "node_position": np.ones(2),
+            "string_length": np.ones(9),
+            "bar_direction": np.ones(1),
+            "string_tension": np.ones(1),
+            "nodes": np.array([1, 4]),
+            "strings": np.arange(9),
+            "bars": np.array([2]),
+            "tension_strings": np.array([3]),
+        },
+        "Reference": {
+            "time": np.arange(2.0),
+            "nodes": np.ones((3, 6, 2)),
+            "force_density": np.ones((9, 2)),
+        },
+    }
+
+
+@pytest.mark.parametrize("name", _given())
+def test_arrays_given_are_not_kept(name):
+    given = _given()[name]
+    value = public()[name](**given)
+    arrays = {name: array for name, array in given.items() if isinstance(array, np.ndarray)}
+    assert arrays
+    before = {argument: getattr(value, argument).copy() for argument in arrays}
+    for array in arrays.values():
+        array[...] = 99
+    for argument, array in before.items():
+        np.testing.assert_array_equal(getattr(value, argument), array)
+
+
+# ---- modules ----
+
+_MUTABLE = (ast.List, ast.Dict, ast.Set, ast.ListComp, ast.DictComp, ast.SetComp)
+_MUTABLE_CALLS = {"list", "dict", "set", "bytearray", "defaultdict", "deque", "Counter"}
+_MUTABLE_CALLS |= {"array", "zeros", "ones", "empty", "full", "eye", "arange", "linspace"}
+_MUTATING = {"append", "extend", "insert", "add", "update", "setdefault", "pop", "popitem"}
+_MUTATING |= {"remove", "discard", "clear", "sort", "reverse", "setflags"}
+_GLOBAL_SETTINGS = re.compile(
+    r"\b(seterr|set_printoptions|simplefilter|filterwarnings|basicConfig|use|switch_backend"
+    r"|setrecursionlimit|set_defaults)$|\brcParams(\.\w+|Default)?$|\benviron\b"
+)
+
+
+def _is_mutable(value):
+    if isinstance(value, _MUTABLE):
+        return True
+    if isinstance(value, ast.Call):
+        return ast.unparse(value.func).split(".")[-1] in _MUTABLE_CALLS
+    return False
+
+
+def _module_containers(path):
+    """Names bound at module level to something that can change, with their lines."""
+    names = {}
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        targets = node.targets if isinstance(node, ast.Assign) else []
+        if isinstance(node, ast.AnnAssign) and node.value is not None:
+            targets = [node.target]
+        for target in targets:
+            if isinstance(target, ast.Name) and _is_mutable(node.value):
+                names[target.id] = node.lineno
+    return names
+
+
+def _root(node):
+    while isinstance(node, ast.Attribute | ast.Subscript):
+        node = node.value
+    return node.id if isinstance(node, ast.Name) else None
+
+
+def test_modules_hold_no_settings_that_change():
+    faults = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        containers = _module_containers(path)
+        faults += [
+            f"{path.relative_to(PACKAGE)}:{line} {name} is public and mutable"
+            for name, line in containers.items()
+            if not name.startswith("_")
+        ]
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            where = f"{path.relative_to(PACKAGE)}:{getattr(node, 'lineno', 0)}"
+            if isinstance(node, ast.Global):
+                faults.append(f"{where} global {', '.join(node.names)}")
+            changed = []
+            if isinstance(node, ast.Assign | ast.Delete):
+                changed = [target for target in node.targets if not isinstance(target, ast.Name)]
+            elif isinstance(node, ast.AugAssign):
+                changed = [node.target]
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+                if node.func.attr in _MUTATING:
+                    changed = [node.func.value]
+                if _GLOBAL_SETTINGS.search(ast.unparse(node.func)):
+                    faults.append(f"{where} {ast.unparse(node.func)} changes settings of others")
+            for target in changed:
+                if _root(target) in containers or _GLOBAL_SETTINGS.search(
+                    ast.unparse(target.value if isinstance(target, ast.Subscript) else target)
+                ):
+                    faults.append(f"{where} changes {ast.unparse(target)}")
+    assert faults == []

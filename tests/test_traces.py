@@ -1,0 +1,116 @@
+"""How many files of the package a reader must open to follow one call: a ratchet.
+
+====================  =======  =====  ==============================================
+call                  at most  0.1.0  what it is
+====================  =======  =====  ==============================================
+``MPC(...)``          18       31     on a new plant of the prism, in force densities
+``MPC.command``       10       18     the second of a controller
+``NMPC.command``      12       22     the second of a controller
+``LQR.command``       10       7      the second of a controller
+``simulate``          25       44     one sample with that MPC
+====================  =======  =====  ==============================================
+
+The numbers of 0.1.0 were counted by this test. A file counts if a function of it is called.
+"""
+
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+
+PACKAGE = str(Path(tc.__file__).parent) + "/"
+SAMPLE = 0.02
+STILL = np.zeros((3, 6))
+
+
+@contextmanager
+def files_passed():
+    """Collect the files of the package whose functions run."""
+    found: set[str] = set()
+
+    def look(frame, event, _):
+        if event == "call":
+            code = frame.f_code
+            # The body of a module runs once, when it is imported.
+            if code.co_filename.startswith(PACKAGE) and code.co_name != "<module>":
+                found.add(code.co_filename.removeprefix(PACKAGE))
+
+    before = sys.getprofile()
+    sys.setprofile(look)
+    try:
+        yield found
+    finally:
+        sys.setprofile(before)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """The prism, its plants and controllers; what is imported or built once is there."""
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
+    rest = tc.prestress(prism, force_density=17.3205)
+    plant = tc.linearize(model, rest)
+    usual = {"horizon": 5, "sample_time": SAMPLE, "max_force_density": 50.0}
+    return SimpleNamespace(model=model, rest=rest, nodes=prism.nodes, plant=plant, usual=usual)
+
+
+def test_files_are_counted(scene):
+    with files_passed() as found:
+        scene.rest.force_density.sum()
+        tc.structure.prism_radius(1.0, height=0.5)
+    assert any(name.startswith("structure/") for name in found)
+    assert len(found) < 8
+
+
+def count(found, what, at_most):
+    """Print what was passed, and compare."""
+    print(f"{what}: {len(found)} files, at most {at_most}", *sorted(found), sep="\n    ")
+    assert len(found) <= at_most, sorted(found)
+
+
+def test_building_an_mpc(scene):
+    tc.MPC(scene.plant, **scene.usual)
+    fresh = tc.linearize(scene.model, scene.rest)  # nothing is prepared for it
+    with files_passed() as found:
+        tc.MPC(fresh, **scene.usual)
+    count(found, "MPC(...)", 18)
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "at_most"),
+    [
+        ("MPC.command", lambda scene: tc.MPC(scene.plant, **scene.usual), 10),
+        ("NMPC.command", lambda scene: tc.NMPC(scene.plant, **scene.usual), 12),
+        (
+            "LQR.command",
+            lambda scene: tc.lqr(
+                scene.plant, Q=1.0, R=1e-3, sample_time=SAMPLE, max_force_density=50.0
+            ),
+            10,
+        ),
+    ],
+    ids=["MPC", "NMPC", "LQR"],
+)
+def test_a_command(scene, name, make, at_most):
+    controller = make(scene)
+    controller.command(0.0, scene.nodes, STILL)
+    with files_passed() as found:
+        command = controller.command(SAMPLE, scene.nodes, STILL)
+    assert command.status is tc.control.Status.OK
+    count(found, name, at_most)
+
+
+def test_a_simulated_sample(scene):
+    """From ``simulate`` to the trajectory, with one sample between."""
+    mpc = tc.MPC(scene.plant, **scene.usual)
+    tc.simulate(scene.model, SAMPLE, controller=mpc, step=1e-3)
+    mpc.reset()
+    with files_passed() as found:
+        run = tc.simulate(scene.model, SAMPLE, controller=mpc, step=1e-3)
+    assert len(run.control.status) == 1
+    count(found, "one simulated sample", 25)
