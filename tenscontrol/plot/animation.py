@@ -40,10 +40,9 @@ _NEARLY_WHITE = 247
 
 
 def write_gif(path: Path, canvas: Any, pictures: Iterable[None], count: int, rate: float) -> None:
-    """Write what the canvas shows after each step of ``pictures``, ``count`` of them.
+    """Write what an Agg canvas shows after each of ``count`` pictures, ``rate`` a second.
 
-    The canvas is one of Agg. Nothing is written before all are drawn. A GIF counts hundredths of a
-    second; pictures take turns in length so that the whole keeps its time.
+    A GIF counts hundredths of a second: pictures differ in length to keep the time as a whole.
     """
     frames: list[Image.Image] = []
     palette: Image.Image | None = None

@@ -68,11 +68,8 @@ class _InnerTicks(MaxNLocator):
         return ticks[(ticks > vmin + corner) & (ticks < vmax - corner)]
 
 
-def space_axes(ax: object, beside: float = 0.0) -> Any:
-    """Return ``ax`` if it is three-dimensional, new axes in a new figure if it is None.
-
-    The new figure has room ``beside`` the axes, inches.
-    """
+def space_axes(ax: object, beside: float) -> Any:
+    """Return ``ax`` if it is three-dimensional; new axes with room beside, inches, if None."""
     if ax is None:
         figure = plt.figure(figsize=(SIZE[0] + beside, SIZE[1]))
         figure.subplots_adjust(**FILLED)
@@ -100,11 +97,9 @@ def new_space(figure: Figure, rows: int = 1, columns: int = 1, index: int = 1) -
 
 
 def frame(ax: Any, points: Iterable[FloatArray], grow: bool, fill: float = 0.77) -> None:
-    """Set limits that hold all points (3, ·), with one scale in all directions.
+    """Set limits that hold all points (3, ·), and the former ones with ``grow``; one scale.
 
-    With ``grow`` the limits hold what they held before, too. As it is seen, the
-    box takes about the share ``fill`` of the axes, whatever its proportions;
-    the default leaves room for the labels.
+    The box is zoomed to the share ``fill`` of the axes; the default leaves room for the labels.
     """
     corners = np.hstack(list(points))
     lower, upper = corners.min(axis=1), corners.max(axis=1)
@@ -193,7 +188,10 @@ class Drawing:
         """
         positions = self.structure.checked_nodes("nodes", nodes)
         if force_density is not None:
-            self._show_force(checked_force_density(self.structure, force_density))
+            gamma = checked_force_density(self.structure, force_density)
+            self.strings.set_linestyle(string_dashes(gamma))
+            if self.colorbar is not None:
+                self.strings.set_array(gamma)
         self.bars.set_segments(segments(positions, self.structure.bars))
         self.strings.set_segments(segments(positions, self.structure.strings))
         self.nodes.set_data_3d(*positions)
@@ -203,11 +201,6 @@ class Drawing:
         ):
             for text, place in zip(texts, where, strict=False):
                 text.set_position_3d(place)
-
-    def _show_force(self, gamma: FloatArray) -> None:
-        self.strings.set_linestyle(string_dashes(gamma))
-        if self.colorbar is not None:
-            self.strings.set_array(gamma)
 
 
 def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -> Drawing:
@@ -288,14 +281,12 @@ def legend_samples(structure: Structure, slack: bool, colored: bool = False) -> 
     # Where the colours of strings have a scale of their own, the sample has none of them.
     color = "0.4" if colored else NORMAL.string_color
     string = {"color": color, "linewidth": NORMAL.string_width}
-    samples = []
-    if len(structure.bars):
-        samples.append(sample("bar", **bar))
-    if len(structure.strings):
-        samples.append(sample("string", **string))
-    if slack:
-        samples.append(sample("slack string", linestyle=DOTTED, **string))
-    return samples
+    samples = {
+        "bar": (bar, len(structure.bars) > 0),
+        "string": (string, len(structure.strings) > 0),
+        "slack string": ({"linestyle": DOTTED, **string}, slack),
+    }
+    return [sample(label, **style) for label, (style, shown) in samples.items() if shown]
 
 
 def sample(label: str, **style: Any) -> Line2D:

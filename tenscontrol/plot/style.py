@@ -84,7 +84,6 @@ class MemberStyle:
 NORMAL = MemberStyle("0.15", 4.0, PALETTE[0], 1.2, "0.15", 5.0, 4.0)
 FAINT = MemberStyle("0.82", 3.5, "0.72", 0.9, "0.82", 4.0, 1.0)
 
-
 # Beside one another, smaller.
 SMALL = MemberStyle("0.15", 2.6, PALETTE[0], 0.9, "0.15", 3.2, 4.0)
 SMALL_FAINT = MemberStyle("0.82", 2.4, "0.72", 0.7, "0.82", 2.6, 1.0)
@@ -92,11 +91,8 @@ SMALL_FAINT = MemberStyle("0.82", 2.4, "0.72", 0.7, "0.82", 2.6, 1.0)
 
 def curve_style(position: int) -> dict[str, Any]:
     """Return colour, dashes and width of the curve at this position in a figure."""
-    return {
-        "color": PALETTE[position % len(PALETTE)],
-        "linestyle": DASHES[position % len(DASHES)],
-        "linewidth": CURVE_WIDTH,
-    }
+    color, dashes = PALETTE[position % len(PALETTE)], DASHES[position % len(DASHES)]
+    return {"color": color, "linestyle": dashes, "linewidth": CURVE_WIDTH}
 
 
 def marker_style(marker: str, size: float, color: str, **more: Any) -> dict[str, Any]:
@@ -106,11 +102,8 @@ def marker_style(marker: str, size: float, color: str, **more: Any) -> dict[str,
 
 def reference_style(position: int) -> dict[str, Any]:
     """Return colour, dashes and width of the reference line at this position."""
-    return {
-        "color": REFERENCE_COLOR,
-        "linestyle": DASHES[(position + 1) % len(DASHES)],
-        "linewidth": REFERENCE_WIDTH,
-    }
+    dashes = DASHES[(position + 1) % len(DASHES)]
+    return {"color": REFERENCE_COLOR, "linestyle": dashes, "linewidth": REFERENCE_WIDTH}
 
 
 def flat_axes(ax: object) -> Axes:
