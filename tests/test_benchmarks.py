@@ -12,6 +12,8 @@ from tenscontrol.dynamics.machine_code import VARIABLE, compiler
 
 BENCHMARKS = Path(__file__).parent / "benchmarks"
 
+pytestmark = pytest.mark.benchmark
+
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
 
