@@ -123,8 +123,6 @@ def values(tmp_path_factory):
         report = tc.sweep(loop, drawn, 4, seed=0, executor=executor)
     found += [*drawn.values(), tc.OneOf([1, 2]), loop, loop({}, np.random.default_rng(0))]
     found += [report, report.failures[0]]
-    stiff = tc.robustness.stiffness_report(rest, [1e2], sample_time=0.01, duration=0.01, horizon=2)
-    found += [stiff, stiff.rows[0], stiff.rows[0].runs[0]]
     return {type(value).__name__: value for value in found}
 
 

@@ -13,7 +13,15 @@ from types import MappingProxyType
 from typing import TypeVar
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control import MPC, NMPC, Controller, FeedbackLinearization, OutputLimit, lqr
+from tenscontrol.control import (
+    MPC,
+    NMPC,
+    Controller,
+    FeedbackLinearization,
+    MPCSettings,
+    OutputLimit,
+    lqr,
+)
 from tenscontrol.dynamics import ElasticStrings, LinearStrings
 from tenscontrol.estimation import Sensors, kalman
 from tenscontrol.simulation import CutString, LostMeasurement, StuckWinch
@@ -148,7 +156,11 @@ _Entry = TypeVar("_Entry")
 _MEANINGS: Keys = {
     name: (kind, unit)
     for kind, unit, names in (
-        (TEXT, "", "kind law per input method form prediction generator handedness group axis"),
+        (
+            TEXT,
+            "",
+            "kind law per input method form solver prediction generator handedness group axis",
+        ),
         (TRUTH, "", "diagonals shape_gives ramp load"),
         (WHOLE, "", "sides iterations seed node relative_to string"),
         (WHOLE, "", "horizon max_iterations plants substeps delay patience"),
@@ -194,7 +206,11 @@ _ELSEWHERE = "structure parent string_parent plant sensors winches machine_code 
 
 def arguments(function: Callable[..., object]) -> dict[str, Parameter]:
     """Return the arguments of a function or class that a table of a scene file gives."""
-    found = signature(function).parameters
+    found: dict[str, Parameter] = {}
+    for name, argument in signature(function).parameters.items():
+        # The keywords that MPC and NMPC share are the fields of their settings.
+        shared = argument.kind is Parameter.VAR_KEYWORD
+        found |= signature(MPCSettings).parameters if shared else {name: argument}
     return {name: argument for name, argument in found.items() if name not in _ELSEWHERE.split()}
 
 

@@ -118,9 +118,13 @@ def settling(stiffness, share):
     for i in range(3):
         rows[i, 2, [i, 3 + i]] = 1, -1
     law = tc.FeedbackLinearization(
-        plant, reference=None, sample_time=STEP, max_force_density=min(80.0, 0.8 * (stiffness or np.inf)), frequency=share / STEP,
+        plant,
+        reference=None,
+        sample_time=STEP,
+        max_force_density=min(80.0, 0.8 * (stiffness or np.inf)),
+        frequency=share / STEP,
         tracked=rows.transpose(0, 2, 1).reshape(3, 18),
-    )  # fmt: skip
+    )
     start = shape(0.99).nodes
     # As long as the law takes to a hundredth: (1 + ωt) exp(−ωt).
     duration = STEP * np.ceil(6.64 / (2 * np.pi * share))

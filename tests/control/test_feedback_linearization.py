@@ -99,9 +99,14 @@ def test_errors_decay_as_the_law_says_to_first_order(moving):
     steps, off = np.array([0.02, 0.01, 0.005, 0.0025]), []
     for step in steps:
         law = tc.FeedbackLinearization(
-            at, reference=path() if moving else None, sample_time=step, max_force_density=FREE, frequency=0.8, tracked=heights(),
+            at,
+            reference=path() if moving else None,
+            sample_time=step,
+            max_force_density=FREE,
+            frequency=0.8,
+            tracked=heights(),
             regularization=1e-6,
-        )  # fmt: skip
+        )
         missed, size = error_after(law, N, V, 0.4, at.model)
         off.append(missed)
     order = np.polyfit(np.log(steps), np.log(off), 1)[0]

@@ -163,11 +163,16 @@ def test_both_forms_give_the_same_inputs(form):
     nodes = plant.to_nodes(np.random.default_rng(3).normal(size=9) * 2e-3)
     commands = [
         tc.MPC(
-            plant, horizon=5, sample_time=SAMPLE, form=each, winches=tc.Winches(rate=0.05, substeps=8), tolerance=1e-8,
+            plant,
+            horizon=5,
+            sample_time=SAMPLE,
+            form=each,
+            winches=tc.Winches(rate=0.05, substeps=8),
+            tolerance=1e-8,
             max_iterations=50000,
         ).command(0.0, nodes, STILL)
         for each in (form, "condensed")
-    ]  # fmt: skip
+    ]
     np.testing.assert_allclose(commands[0].value, commands[1].value, atol=1e-6)
 
 

@@ -153,27 +153,43 @@ def with_load():
 def nonlinear_of_rest_length():
     """Winches, soft limits on γ and tension and on height, linearized at each sample."""
     return tc.NMPC(
-        plant("rest_length", demo.TARGET), horizon=3, sample_time=SAMPLE, max_force_density=60.0, reference=ramp(),
-        winches=WINCHES, max_tension=50.0,
+        plant("rest_length", demo.TARGET),
+        horizon=3,
+        sample_time=SAMPLE,
+        max_force_density=60.0,
+        reference=ramp(),
+        winches=WINCHES,
+        max_tension=50.0,
         outputs=[tc.OutputLimit(height_row(), low=0.8, penalty=100.0)],
-    )  # fmt: skip
+    )
 
 
 def nonlinear():
     """Linearized along the predicted motion, twice a sample, and changes are limited."""
     return tc.NMPC(
-        plant("force_density", demo.TARGET), horizon=3, sample_time=SAMPLE, max_force_density=80.0, reference=ramp(),
-        max_change=10.0, iterations=2,
-    )  # fmt: skip
+        plant("force_density", demo.TARGET),
+        horizon=3,
+        sample_time=SAMPLE,
+        max_force_density=80.0,
+        reference=ramp(),
+        max_change=10.0,
+        iterations=2,
+    )
 
 
 def nonlinear_with_load():
     """An unknown load is estimated, along a moving reference and with limited rows."""
     return tc.NMPC(
-        plant("force_density", demo.TARGET), horizon=3, sample_time=SAMPLE, max_force_density=80.0, reference=ramp(), load_gain=0.1,
-        tracked=height_row(), outputs=[tc.OutputLimit(height_row(), low=0.6, penalty=100.0)],
+        plant("force_density", demo.TARGET),
+        horizon=3,
+        sample_time=SAMPLE,
+        max_force_density=80.0,
+        reference=ramp(),
+        load_gain=0.1,
+        tracked=height_row(),
+        outputs=[tc.OutputLimit(height_row(), low=0.6, penalty=100.0)],
         max_iterations=100,
-    )  # fmt: skip
+    )
 
 
 def closed_loop(pair, pull=0.0, samples=SAMPLES, **options):

@@ -221,9 +221,15 @@ time = 0.205
         tension_strings=[2], delay=1, drop_rate=0.1, outlier_rate=0.01,
     )  # fmt: skip
     estimator = tc.kalman(
-        plant, sensors, sample_time=0.02, process_noise=0.03, prediction="nonlinear", gate=1e-5, patience=6,
+        plant,
+        sensors,
+        sample_time=0.02,
+        process_noise=0.03,
+        prediction="nonlinear",
+        gate=1e-5,
+        patience=6,
         start_spread=0.02,
-    )  # fmt: skip
+    )
     faults = (
         tc.LostMeasurement(0.1, 0.16),
         tc.StuckWinch(3, 0.06),
@@ -232,9 +238,16 @@ time = 0.205
     assert scene.faults == faults
     natural_Q, natural_R = tc.energy_weights(plant)
     same = tc.simulate(
-        scene.model, 0.3, scene.nodes, controller=tc.lqr(plant, natural_Q, 0.1 * natural_R, sample_time=0.02),
-        rest_length=scene.rest_length, step=2e-3, faults=faults, estimator=estimator, seed=7,
-    )  # fmt: skip
+        scene.model,
+        0.3,
+        scene.nodes,
+        controller=tc.lqr(plant, natural_Q, 0.1 * natural_R, sample_time=0.02),
+        rest_length=scene.rest_length,
+        step=2e-3,
+        faults=faults,
+        estimator=estimator,
+        seed=7,
+    )
     run = scene.simulate()
     np.testing.assert_array_equal(run.nodes, same.nodes)
     np.testing.assert_array_equal(

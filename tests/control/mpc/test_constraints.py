@@ -55,9 +55,17 @@ def test_solution_satisfies_the_optimality_conditions(plant, form, penalty):
 
     limit = OutputLimit(height_row(), low=0.995, high=1.004, penalty=1e4)
     mpc = tc.MPC(
-        plant, horizon=6, sample_time=SAMPLE, max_force_density=60.0, form=form, max_tension=40.0, outputs=[limit],
-        string_penalty=penalty, tolerance=1e-8, max_iterations=50000,
-    )  # fmt: skip
+        plant,
+        horizon=6,
+        sample_time=SAMPLE,
+        max_force_density=60.0,
+        form=form,
+        max_tension=40.0,
+        outputs=[limit],
+        string_penalty=penalty,
+        tolerance=1e-8,
+        max_iterations=50000,
+    )
     program = {}
     solve = mpc._solver.solve
 
@@ -79,11 +87,21 @@ def test_solution_satisfies_the_optimality_conditions(plant, form, penalty):
 def test_both_forms_give_the_same_commands(plant):
     limit = OutputLimit(height_row(), low=0.995, high=1.004, penalty=1e4)
     values = [
-        tc.MPC(plant, horizon=6, sample_time=SAMPLE, max_force_density=60.0, form=form, max_tension=40.0, outputs=[limit],
-               tolerance=1e-8, max_iterations=50000)
-        .command(0.0, pushed(plant, 0.02), STILL).value
+        tc.MPC(
+            plant,
+            horizon=6,
+            sample_time=SAMPLE,
+            max_force_density=60.0,
+            form=form,
+            max_tension=40.0,
+            outputs=[limit],
+            tolerance=1e-8,
+            max_iterations=50000,
+        )
+        .command(0.0, pushed(plant, 0.02), STILL)
+        .value
         for form in ("condensed", "sparse")
-    ]  # fmt: skip
+    ]
     level = 30.0 if plant.input == "force_density" else 0.1
     assert np.allclose(*values, atol=1e-5 * level)
 
@@ -168,14 +186,27 @@ def test_limit_out_of_reach_is_violated_softly_or_reported_when_hard(plant):
 
 
 def test_least_force_density_is_kept(plant):
-    mpc = tc.MPC(plant, horizon=8, sample_time=SAMPLE, max_force_density=60.0, min_force_density=14.0, tolerance=1e-6, R=1e-3
-                 if plant.input == "force_density" else None)  # fmt: skip
+    mpc = tc.MPC(
+        plant,
+        horizon=8,
+        sample_time=SAMPLE,
+        max_force_density=60.0,
+        min_force_density=14.0,
+        tolerance=1e-6,
+        R=1e-3 if plant.input == "force_density" else None,
+    )
     nodes = pushed(plant, 0.02)
     _, z = solved(mpc, nodes)
     found = predicted(mpc, "gamma", z)
     assert found.min() > 14.0 - 0.05
-    free = tc.MPC(plant, horizon=8, sample_time=SAMPLE, max_force_density=60.0, tolerance=1e-6, R=1e-3
-                  if plant.input == "force_density" else None)  # fmt: skip
+    free = tc.MPC(
+        plant,
+        horizon=8,
+        sample_time=SAMPLE,
+        max_force_density=60.0,
+        tolerance=1e-6,
+        R=1e-3 if plant.input == "force_density" else None,
+    )
     _, z = solved(free, nodes)
     assert predicted(free, "gamma", z).min() < 14.0
 

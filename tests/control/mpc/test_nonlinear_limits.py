@@ -92,9 +92,17 @@ def constraints_of(nmpc):
 def test_program_satisfies_the_optimality_conditions(plant, penalty):
     limit = OutputLimit(height_row(), low=0.995, high=1.004, penalty=1e4)
     nmpc = NMPC(
-        plant, horizon=5, sample_time=SAMPLE, max_force_density=60.0, max_tension=40.0, outputs=[limit], string_penalty=penalty,
-        max_change=None if penalty else 5.0, tolerance=1e-8, max_iterations=50000,
-    )  # fmt: skip
+        plant,
+        horizon=5,
+        sample_time=SAMPLE,
+        max_force_density=60.0,
+        max_tension=40.0,
+        outputs=[limit],
+        string_penalty=penalty,
+        max_change=None if penalty else 5.0,
+        tolerance=1e-8,
+        max_iterations=50000,
+    )
     found, multipliers = optimality(nmpc, pushed(plant, 0.01), STILL)
     assert found < 1e-6 * max(1.0, np.abs(multipliers).max())
 

@@ -62,9 +62,16 @@ def test_program_satisfies_the_optimality_conditions():
     plant = plant_of(1e5)
     limit = tc.OutputLimit(height_row(), low=0.9999, high=1.0001, penalty=1e4)
     nmpc = tc.NMPC(
-        plant, horizon=4, sample_time=SAMPLE, winches=tc.Winches(rate=2e-4, substeps=50), min_force_density=10.0,
-        max_tension=33.0, outputs=[limit], tolerance=1e-6, max_iterations=50_000,
-    )  # fmt: skip
+        plant,
+        horizon=4,
+        sample_time=SAMPLE,
+        winches=tc.Winches(rate=2e-4, substeps=50),
+        min_force_density=10.0,
+        max_tension=33.0,
+        outputs=[limit],
+        tolerance=1e-6,
+        max_iterations=50_000,
+    )
     stands = plant.rest_length - 2e-5
     nmpc.applied(stands)
     found, multipliers = optimality(nmpc, plant.nodes, STILL)
@@ -79,9 +86,13 @@ def test_limits_hold_at_the_ends_of_samples():
     least = []
     for low in (0.0, 16.0):
         nmpc = tc.NMPC(
-            plant, horizon=5, sample_time=SAMPLE, winches=tc.Winches(rate=0.1, substeps=20), min_force_density=low,
+            plant,
+            horizon=5,
+            sample_time=SAMPLE,
+            winches=tc.Winches(rate=0.1, substeps=20),
+            min_force_density=low,
             **EXACT,
-        )  # fmt: skip
+        )
         state = np.r_[np.zeros(9), 0.1 * np.random.default_rng(1).normal(size=9)]
         nmpc.applied(plant.rest_length)
         assert nmpc.command(0.0, *nodes_of(plant, state)).status == "ok"
