@@ -24,7 +24,7 @@ def needs(package, extra):
 
 
 def test_every_benchmark_is_tested():
-    there = {path.stem for path in BENCHMARKS.glob("*.py")} - {"__init__", "command_line"}
+    there = {path.stem for path in BENCHMARKS.glob("[!t]*.py")} - {"__init__", "command_line"}
     assert there == {name.removeprefix("test_") for name in globals() if name[:5] == "test_"} - {
         "every_benchmark_is_tested"
     }
@@ -61,6 +61,13 @@ def test_import_time(printed):
     assert labels == [
         "import tenscontrol", "  and a prism's model", "  and python-control, for scale",
     ]  # fmt: skip
+
+
+def test_repeated_runs(printed, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    text = printed("repeated_runs", "--repeats 1")
+    for name in ("rk4  ", "rattle6", "dop853", "cvodes"):
+        assert min(row(text, name)) > 0
 
 
 def test_model_cost(printed):

@@ -83,6 +83,7 @@ def values(tmp_path_factory):
         regulator.command(0.0, prism.nodes, still),
         tc.Reference([0.0], prism.nodes[:, :, None], rest.force_density[:, None]),
         mpc.statistics,
+        tc.control.MPCSettings(horizon=3, sample_time=0.01, max_force_density=np.full(9, 50.0)),
         tc.generate_c(regulator, tmp_path_factory.mktemp("code")),
         tc.NMPC(plant, horizon=3, sample_time=0.01, max_force_density=50.0).statistics,
         tc.FeedbackLinearization(
@@ -126,8 +127,8 @@ def values(tmp_path_factory):
     return {type(value).__name__: value for value in found}
 
 
-# What integrators and peers hand to each other holds arrays of their own.
-WITHIN_A_RUN = {"Compiled", "Equation", "Method", "Solution", "Span"}
+# What integrators, solvers and peers hand to each other holds arrays of their own.
+WITHIN_A_RUN = {"Compiled", "Equation", "Method", "QPSolution", "Solution", "Span"}
 DATA = [
     cls.__name__
     for name, cls in public_classes().items()

@@ -45,6 +45,8 @@ class Equation:
     form : {"flat", "mapped", "loops"}
         How the functions are built: one expression of all members (SX);
         operations on all members at once (MX); loops over the members in C.
+    prepared : Prepared
+        What integrators have built for this equation, for every later call; not for users.
     """
 
     slope: ca.Function
@@ -55,7 +57,6 @@ class Equation:
     law: StringLaw | None = None
     load: FloatArray | None = None
     form: str = "flat"
-    #: What integrators have built for this equation, for every later call; not for users.
     prepared: Prepared = field(default_factory=Prepared, init=False, repr=False)
 
     @property
