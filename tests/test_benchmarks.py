@@ -63,13 +63,6 @@ def test_import_time(printed):
     ]  # fmt: skip
 
 
-def test_repeated_runs(printed, monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    text = printed("repeated_runs", "--repeats 1")
-    for name in ("rk4  ", "rattle6", "dop853", "cvodes"):
-        assert min(row(text, name)) > 0
-
-
 def test_model_cost(printed):
     text = printed("model_cost", "--calls 10")
     assert row(text, "γ held  ") == [316, 2]

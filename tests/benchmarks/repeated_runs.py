@@ -1,7 +1,8 @@
 """What a second simulation of the same model saves: time outside the steps, first and second call.
 
 Run: ``python -m tests.benchmarks.repeated_runs``. A prism of 9 bars and 27 strings moves for 0.1 s,
-then again from another start; a state is kept every millisecond. Compiled steps come from the cache on the disk in both calls.
+then again from another start; a state is kept every millisecond. Compiled steps come from the
+cache on the disk in both calls.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Steps that end where strings go slack or taut: what integrators with a solver of their own share."""
+"""Steps that end where strings go slack or taut, of integrators with a solver of their own."""
 
 import casadi as ca
 import numpy as np
