@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray
-
-if TYPE_CHECKING:
-    from tenscontrol.estimation.kalman_filter import FilterDesign
 
 # The correction is repeated about its own result until it moves by less than this part of the
 # standard deviation before it, but not more often than this.
@@ -102,15 +100,19 @@ class Gate:
 
 
 class Correction:
-    """The measurement update of a filter, without memory."""
+    """The measurement update of a filter, without memory.
 
-    def __init__(self, design: FilterDesign) -> None:
-        plant = design.plant
-        self._outputs = Evaluator(design.outputs)
-        self._noise = design.sensors.noise**2
-        self._reading_of = design.sensors.reading_of
+    ``outputs`` is ``(z, u) -> (y, ∂y/∂z)``; ``gate`` the probability of refusing a good reading.
+    """
+
+    def __init__(
+        self, plant: LinearPlant, sensors: Sensors, outputs: ca.Function, gate: float
+    ) -> None:
+        self._outputs = Evaluator(outputs)
+        self._noise = sensors.noise**2
+        self._reading_of = sensors.reading_of
         self._rest = plant.equilibrium_input
-        self.gate = Gate(design.sensors, design.gate)
+        self.gate = Gate(sensors, gate)
         # Bar vectors move by these rows; the bars of the reference have no part across themselves.
         structure, T = plant.model.structure, plant.basis
         self._r = plant.degrees_of_freedom

@@ -216,7 +216,7 @@ class KalmanFilter:
         self.C, self.gain, self.covariance, self.poles = C, gain, covariance, poles
         self.riccati_residual = riccati_residual
         self._motion = None if design.motion is None else Evaluator(design.motion)
-        self._correction = Correction(design)
+        self._correction = Correction(design.plant, design.sensors, design.outputs, design.gate)
         structure, T = design.plant.model.structure, design.plant.basis
         by_node = T.reshape(-1, 3, T.shape[1]).swapaxes(0, 1)
         ends = structure.strings

@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import evaluate_columns
-from tenscontrol.plant.linear_plant import LinearPlant
-from tenscontrol.plant.sampling import Sampled, acceleration_response
+from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response
 from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
 from tenscontrol.validation import (
     FloatArray,
