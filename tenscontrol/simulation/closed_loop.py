@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import ceil
 from time import perf_counter
 
@@ -26,7 +25,6 @@ def run_closed_loop(
     rest_length: object,
     winches: Winches | None,
     sample_time: float | None,
-    report: Callable[[float], None],
     estimation: tuple[object, object, object] | None = None,
 ) -> Trajectory:
     """Return the motion of the plant under a controller, run sample by sample.
@@ -53,7 +51,10 @@ def run_closed_loop(
             start = rows[0][2].rest_length if actuators.start is None else actuators.start
         return _control_record(rows, start, sample, observation)
 
-    seen = controller.plant.nodes.shape[1]  # of a subdivision, the nodes of its parent come first
+    seen = controller.plant.coordinates.nodes.shape[
+        1
+    ]  # of a subdivision, the nodes of its parent come first
+    loop.record = record
     # The allowance keeps round-off from adding a last sample of no length.
     for k in range(max(1, ceil(duration / sample - 1e-9))):
         loop.now = k * sample
@@ -79,8 +80,8 @@ def run_closed_loop(
             span = min(loop.now + sample / len(inputs), end) if i + 1 < len(inputs) else end
             span -= loop.now
             if span > 1e-9 * whole:  # not round-off
-                state = loop.run(state, held, span, report, record)
-    return loop.trajectory(record())
+                state = loop.run(state, held, span)
+    return loop.trajectory()
 
 
 def _control_record(

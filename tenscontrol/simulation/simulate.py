@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from contextlib import nullcontext
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from tenscontrol.structure import (
 from tenscontrol.validation import (
     FloatArray,
     choice,
+    frozen,
     instance,
     non_negative,
     per_member,
@@ -205,19 +207,18 @@ def simulate(
     loop.output_step = _output_step(loop, output_step, duration)
     state = initial_state(model, nodes, velocities, loop.input)
     try:
-        with progress_bar(duration, shown=progress) as report:
+        with progress_bar(duration, shown=True) if progress else nullcontext() as loop.report:
             if controller is None:
                 if winches is not None or sample_time is not None or estimator is not None:
                     raise ValueError("estimator, winches and sample_time go with a controller")
                 value = held_value(model, rest_length, force_density)
-                loop.run(state, value, duration, report)
-                run = loop.trajectory(None)
+                loop.run(state, value, duration)
+                run = loop.trajectory()
             else:
                 estimation = None if estimator is None else (estimator, sensors, seed)
                 run = run_closed_loop(
-                    loop, state, duration, controller, rest_length, winches, sample_time, report,
-                    estimation,
-                )  # fmt: skip
+                    loop, state, duration, controller, rest_length, winches, sample_time, estimation
+                )
     except SimulationError as error:
         if not error.interrupted:
             raise
@@ -314,6 +315,13 @@ def checked_load(model: Model, external_force: object) -> FloatArray:
 
 def initial_state(model: Model, nodes: object, velocities: object, input: str) -> FloatArray:
     """Return the state at the start, after checking that the structure can be in it."""
+    if nodes is None and velocities is None:  # depends on nothing but the model
+        key = "state at rest", input
+        return model.prepared.get(key, lambda: frozen(_checked_state(model, None, None, input)))
+    return _checked_state(model, nodes, velocities, input)
+
+
+def _checked_state(model: Model, nodes: object, velocities: object, input: str) -> FloatArray:
     structure = model.structure
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     V = np.zeros_like(N)
