@@ -64,15 +64,10 @@ class Gate:
 
         S, shape (m, m), is the covariance of the innovation, shape (m,).
         """
-        distance = np.zeros(self._count)
-        one, three = self._single_rows, self._triple_rows
-        parts, blocks = innovation[three], S[three[:, :, None], three[:, None, :]]
+        every = np.ones(self._count, dtype=bool)
         # What is not finite, or too large to square, does not pass.
         with np.errstate(invalid="ignore", over="ignore"):
-            distance[self._single] = innovation[one] ** 2 / S[one, one]
-            weighed = np.linalg.solve(blocks, parts[..., None])[..., 0]
-            distance[self._triple] = (parts * weighed).sum(axis=1)
-            return np.asarray(distance <= self._limit)
+            return np.asarray(self._distance(innovation, S, every) <= self._limit)
 
     def beyond(
         self, innovation: FloatArray, weight: FloatArray, rows: np.ndarray, used: np.ndarray
@@ -88,15 +83,18 @@ class Gate:
         weighed[rows] = weight @ innovation
         blocks = np.zeros((len(self._of),) * 2)
         blocks[np.ix_(rows, rows)] = weight
+        return np.asarray(self._distance(weighed, blocks, used) / self._limit)
+
+    def _distance(self, vector: FloatArray, S: FloatArray, used: np.ndarray) -> FloatArray:
+        """Return ``vᵀ S⁻¹ v`` with the parts of each reading, zero where it is not used."""
         distance = np.zeros(self._count)
         single, triple = used[self._single], used[self._triple]
         one, three = self._single_rows[single], self._triple_rows[triple]
-        distance[self._single[single]] = weighed[one] ** 2 / blocks[one, one]
-        inner = np.linalg.solve(
-            blocks[three[:, :, None], three[:, None, :]], weighed[three][..., None]
-        )
-        distance[self._triple[triple]] = (weighed[three] * inner[..., 0]).sum(axis=1)
-        return np.asarray(distance / self._limit)
+        distance[self._single[single]] = vector[one] ** 2 / S[one, one]
+        parts, blocks = vector[three], S[three[:, :, None], three[:, None, :]]
+        weighed = np.linalg.solve(blocks, parts[..., None])[..., 0]
+        distance[self._triple[triple]] = (parts * weighed).sum(axis=1)
+        return distance
 
 
 class Correction:

@@ -9,7 +9,7 @@ from tenscontrol.plant.controllability import (
     refuse_empty,
     refuse_unreachable,
 )
-from tenscontrol.plant.equilibrium import equilibrium
+from tenscontrol.plant.equilibrium import equilibrium, held_value
 from tenscontrol.plant.linear_plant import (
     INPUTS,
     LinearPlant,
@@ -79,6 +79,7 @@ __all__ = [
     "equilibrium",
     "explicit_substeps",
     "filter_riccati",
+    "held_value",
     "in_coordinates",
     "linearize",
     "lost_poles",

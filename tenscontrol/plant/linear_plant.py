@@ -89,10 +89,12 @@ class LinearPlant:
     @property
     def load_input(self) -> list[FloatArray]:
         """W as an argument of the model's functions: what is not built in, on the free nodes."""
-        model = self.model
-        if not model.has_external_force:
-            return []
-        return [(self.external_force - model.constant_force)[:, model.structure.free]]
+        return load_arguments(self.model, self.external_force)
+
+    @cached_property
+    def spectral_radius(self) -> float:
+        """Largest size of a pole, 1/s; 0 without poles."""
+        return float(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0))
 
     @cached_property
     def prepared(self) -> Prepared:
@@ -202,6 +204,13 @@ class LinearPlant:
             f"LinearPlant({self.degrees_of_freedom} {self.coordinates.kind} coordinates, "
             f"input {self.input}, {self.B.shape[1]} inputs)"
         )
+
+
+def load_arguments(model: Model, load: FloatArray) -> list[FloatArray]:
+    """Return the load input of a model's functions: what is not built in, on the free nodes."""
+    if not model.has_external_force:
+        return []
+    return [(load - model.constant_force)[:, model.structure.free]]
 
 
 @dataclass(frozen=True, eq=False)

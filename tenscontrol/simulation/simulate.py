@@ -13,6 +13,7 @@ from tenscontrol.control import Controller
 from tenscontrol.dynamics import Model, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Method
+from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
@@ -28,9 +29,6 @@ from tenscontrol.validation import (
     choice,
     frozen,
     instance,
-    non_negative,
-    per_member,
-    positive,
     positive_number,
     shaped,
     truth,
@@ -286,15 +284,6 @@ def _output_step(loop: Loop, output_step: float | None, duration: float) -> floa
             "A longer output_step keeps fewer"
         )
     return value
-
-
-def held_value(model: Model, rest_length: object, force_density: object) -> FloatArray:
-    """Return what is held, shape (α,): the one that is not None, checked."""
-    if force_density is None:
-        values = per_member("rest_length", rest_length, len(model.structure.strings), "string")
-        return positive("rest_length", values, "length in m")
-    gamma = per_member("force_density", force_density, len(model.structure.strings), "string")
-    return non_negative("force_density", gamma, "a string can only pull")
 
 
 def checked_load(model: Model, external_force: object) -> FloatArray:
