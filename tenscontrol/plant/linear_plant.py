@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cached_property, wraps
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from tenscontrol.validation import FloatArray, freeze_arrays, frozen, positive_n
 
 if TYPE_CHECKING:
     import control
+
+_Arguments = ParamSpec("_Arguments")
+_Value = TypeVar("_Value")
 
 INPUTS = ("force_density", "rest_length")
 
@@ -248,33 +252,40 @@ class Sampled:
         )
 
 
+def kept(
+    function: Callable[Concatenate[LinearPlant, _Arguments], _Value],
+) -> Callable[Concatenate[LinearPlant, _Arguments], _Value]:
+    """Keep with a plant what a function of it and of hashable arguments returns."""
+
+    @wraps(function)
+    def get(plant: LinearPlant, /, *args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
+        key = function.__qualname__, args, tuple(kwargs.items())
+        return plant.prepared.get(key, lambda: function(plant, *args, **kwargs))
+
+    return get
+
+
+@kept
 def sampled(plant: LinearPlant, sample_time: float, substeps: int) -> Sampled:
     """Return the sampled model; the input reaches v in equal substeps, at once if there is one."""
-
-    def build() -> Sampled:
-        transition, by_input, drift = plant.discretize(sample_time / substeps)
-        whole, moved = np.eye(len(transition)), np.zeros_like(drift)
-        previous, now = np.zeros_like(by_input), np.zeros_like(by_input)
-        for substep in range(1, substeps + 1):
-            share = substep / substeps
-            previous = transition @ previous + (1 - share) * by_input
-            now = transition @ now + share * by_input
-            moved = transition @ moved + drift
-            whole = transition @ whole
-        return Sampled(sample_time, whole, previous, now, moved, substeps > 1)
-
-    return plant.prepared.get(("sampled", sample_time, substeps), build)
+    transition, by_input, drift = plant.discretize(sample_time / substeps)
+    whole, moved = np.eye(len(transition)), np.zeros_like(drift)
+    previous, now = np.zeros_like(by_input), np.zeros_like(by_input)
+    for substep in range(1, substeps + 1):
+        share = substep / substeps
+        previous = transition @ previous + (1 - share) * by_input
+        now = transition @ now + share * by_input
+        moved = transition @ moved + drift
+        whole = transition @ whole
+    return Sampled(sample_time, whole, previous, now, moved, substeps > 1)
 
 
+@kept
 def acceleration_response(plant: LinearPlant, sample_time: float) -> FloatArray:
     """Return the response of the state to unit accelerations held over a sample, shape (s, r)."""
-
-    def build() -> FloatArray:
-        r = plant.degrees_of_freedom
-        unit = np.vstack([np.zeros((r, r)), np.eye(r)])
-        return frozen(zero_order_hold(plant.A, unit, plant.drift, sample_time)[1])
-
-    return plant.prepared.get(("acceleration_response", sample_time), build)
+    r = plant.degrees_of_freedom
+    unit = np.vstack([np.zeros((r, r)), np.eye(r)])
+    return frozen(zero_order_hold(plant.A, unit, plant.drift, sample_time)[1])
 
 
 def zero_order_hold(

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import evaluate_columns
-from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response
+from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, kept
 from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
 from tenscontrol.validation import (
     FloatArray,
@@ -417,13 +417,14 @@ def _held(
 
 def _accelerations(plant: LinearPlant, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return q̈ at zero γ, shape (K, r), and its derivative by γ, (K, r, α'), at rest in shapes."""
-    function = plant.prepared.get("acceleration_at_rest", lambda: _acceleration_at_rest(plant))
+    function = _acceleration_at_rest(plant)
     columns = shapes[:, :, plant.model.structure.free].transpose(0, 2, 1).reshape(len(shapes), -1).T
     offset, slope = evaluate_columns(function, np.asfortranarray(columns))
     r = plant.degrees_of_freedom
     return offset.T.copy(), slope.T.reshape(len(shapes), -1, r).swapaxes(1, 2).copy()
 
 
+@kept
 def _acceleration_at_rest(plant: LinearPlant) -> ca.Function:
     """Return ``N -> (q̈ at zero γ, ∂q̈/∂γ)`` of free nodes at rest, node by node."""
     model = plant.model
