@@ -10,6 +10,7 @@ import numpy as np
 from tenscontrol.actuation import Winches, WinchMove
 from tenscontrol.control import Command, Controller
 from tenscontrol.dynamics import unpack_states
+from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.observation import Observation
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
@@ -37,7 +38,7 @@ def run_closed_loop(
     rest_length: object,
     winches: Winches | None,
     sample_time: float | None,
-    estimation: tuple[object, object, object] | None = None,
+    estimation: tuple[KalmanFilter, Sensors | None, int | None] | None,
 ) -> Trajectory:
     """Return the motion of the plant under a controller, run sample by sample.
 
