@@ -284,7 +284,9 @@ class ReferencePreview:
         if not ramp:
             return self.wanted(times[1:]), self.at(times[:-1]).input
         sample_time = times[1] - times[0]
-        q = self.wanted(np.append(times, times[-1] + sample_time))[:, : len(self._damping)]
+        q = self.wanted(np.append(times, times[-1] + sample_time))[
+            :, : self._plant.degrees_of_freedom
+        ]
         return np.hstack([q[1:-1], (q[2:] - q[:-2]) / (2 * sample_time)]), self.at(times[1:]).input
 
     def at(self, times: FloatArray) -> Preview:

@@ -91,12 +91,7 @@ class Scene:
         return self.model.structure
 
     def simulate(self, progress: bool = False) -> Trajectory:
-        """Return the motion.
-
-        Parameters
-        ----------
-        progress : bool
-            Whether to show a progress bar; never shown away from a terminal.
+        """Return the motion, with a progress bar on a terminal if ``progress``.
 
         Raises
         ------
@@ -129,11 +124,7 @@ class Scene:
     def linearize(self, input: str | None = None, coordinates: str = "internal") -> LinearPlant:
         """Return the linear plant about the shape of the structure, as :func:`linearize` does.
 
-        Parameters
-        ----------
-        input : {"force_density", "rest_length"}, optional
-            What an actuator holds; that of the scene if not given.
-        coordinates : {"internal", "minimal", "nodes"}
+        ``input`` is that of the scene if not given.
 
         Raises
         ------
