@@ -9,8 +9,9 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Equation, Model, pack_state
+from tenscontrol.plant import held_value
 from tenscontrol.scene import Scene
-from tenscontrol.simulation import checked_load, held_value, initial_state
+from tenscontrol.simulation import checked_load, initial_state
 from tenscontrol.structure import Structure, restore_bar_lengths
 from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number
 

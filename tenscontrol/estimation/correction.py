@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.estimation.sensors import Sensors
+from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray
-
-if TYPE_CHECKING:
-    from tenscontrol.estimation.kalman_filter import FilterDesign
 
 # The correction is repeated about its own result until it moves by less than this part of the
 # standard deviation before it, but not more often than this.
@@ -66,15 +64,10 @@ class Gate:
 
         S, shape (m, m), is the covariance of the innovation, shape (m,).
         """
-        distance = np.zeros(self._count)
-        one, three = self._single_rows, self._triple_rows
-        parts, blocks = innovation[three], S[three[:, :, None], three[:, None, :]]
+        every = np.ones(self._count, dtype=bool)
         # What is not finite, or too large to square, does not pass.
         with np.errstate(invalid="ignore", over="ignore"):
-            distance[self._single] = innovation[one] ** 2 / S[one, one]
-            weighed = np.linalg.solve(blocks, parts[..., None])[..., 0]
-            distance[self._triple] = (parts * weighed).sum(axis=1)
-            return np.asarray(distance <= self._limit)
+            return np.asarray(self._distance(innovation, S, every) <= self._limit)
 
     def beyond(
         self, innovation: FloatArray, weight: FloatArray, rows: np.ndarray, used: np.ndarray
@@ -90,27 +83,34 @@ class Gate:
         weighed[rows] = weight @ innovation
         blocks = np.zeros((len(self._of),) * 2)
         blocks[np.ix_(rows, rows)] = weight
+        return np.asarray(self._distance(weighed, blocks, used) / self._limit)
+
+    def _distance(self, vector: FloatArray, S: FloatArray, used: np.ndarray) -> FloatArray:
+        """Return ``vᵀ S⁻¹ v`` with the parts of each reading, zero where it is not used."""
         distance = np.zeros(self._count)
         single, triple = used[self._single], used[self._triple]
         one, three = self._single_rows[single], self._triple_rows[triple]
-        distance[self._single[single]] = weighed[one] ** 2 / blocks[one, one]
-        inner = np.linalg.solve(
-            blocks[three[:, :, None], three[:, None, :]], weighed[three][..., None]
-        )
-        distance[self._triple[triple]] = (weighed[three] * inner[..., 0]).sum(axis=1)
-        return np.asarray(distance / self._limit)
+        distance[self._single[single]] = vector[one] ** 2 / S[one, one]
+        parts, blocks = vector[three], S[three[:, :, None], three[:, None, :]]
+        weighed = np.linalg.solve(blocks, parts[..., None])[..., 0]
+        distance[self._triple[triple]] = (parts * weighed).sum(axis=1)
+        return distance
 
 
 class Correction:
-    """The measurement update of a filter, without memory."""
+    """The measurement update of a filter, without memory.
 
-    def __init__(self, design: FilterDesign) -> None:
-        plant = design.plant
-        self._outputs = Evaluator(design.outputs)
-        self._noise = design.sensors.noise**2
-        self._reading_of = design.sensors.reading_of
+    ``outputs`` is ``(z, u) -> (y, ∂y/∂z)``; ``gate`` the probability of refusing a good reading.
+    """
+
+    def __init__(
+        self, plant: LinearPlant, sensors: Sensors, outputs: ca.Function, gate: float
+    ) -> None:
+        self._outputs = Evaluator(outputs)
+        self._noise = sensors.noise**2
+        self._reading_of = sensors.reading_of
         self._rest = plant.equilibrium_input
-        self.gate = Gate(design.sensors, design.gate)
+        self.gate = Gate(sensors, gate)
         # Bar vectors move by these rows; the bars of the reference have no part across themselves.
         structure, T = plant.model.structure, plant.basis
         self._r = plant.degrees_of_freedom

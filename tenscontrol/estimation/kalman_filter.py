@@ -216,11 +216,13 @@ class KalmanFilter:
         self.C, self.gain, self.covariance, self.poles = C, gain, covariance, poles
         self.riccati_residual = riccati_residual
         self._motion = None if design.motion is None else Evaluator(design.motion)
-        self._correction = Correction(design)
+        self._correction = Correction(design.plant, design.sensors, design.outputs, design.gate)
         structure, T = design.plant.model.structure, design.plant.basis
         by_node = T.reshape(-1, 3, T.shape[1]).swapaxes(0, 1)
         ends = structure.strings
         self._string_rows = by_node[:, ends[:, 1]] - by_node[:, ends[:, 0]]
+        # Tᵀ M T = I: forces M T q̈ on the nodes give the accelerations q̈.
+        self._force = design.plant.coordinates.project(np.eye(design.plant.nodes.size)).T
         self.reset()
 
     @property
@@ -407,18 +409,15 @@ class KalmanFilter:
         return Estimate(
             nodes=frozen(nodes),
             velocities=frozen(self.plant.to_velocities(z[:r], z[r : 2 * r])),
-            load=frozen(self._load(z[2 * r :])) if self._design.load else None,
+            load=frozen((self._force @ z[2 * r :]).reshape(3, -1, order="F"))
+            if self._design.load
+            else None,
             state=frozen(z),
             covariance=frozen(P),
             node_deviation=frozen(np.sqrt(by_node).reshape(3, -1, order="F")),
             length_deviation=frozen(np.sqrt(by_length)),
             status=self._tally.last,
         )
-
-    def _load(self, acceleration: FloatArray) -> FloatArray:
-        """Return forces M T q̈ on the nodes, which give this acceleration: Tᵀ M T = I."""
-        weighed = self.plant.coordinates.project(np.eye(self.plant.nodes.size)).T
-        return np.asarray((weighed @ acceleration).reshape(3, -1, order="F"))
 
     def __reduce__(self) -> tuple[Any, ...]:
         steady = self.C, self.gain, self.covariance, self.poles, self.riccati_residual

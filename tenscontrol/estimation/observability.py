@@ -197,7 +197,7 @@ def unseen_poles(plant: LinearPlant, C: FloatArray) -> np.ndarray:
 def _scaled(plant: LinearPlant, C: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return A and C in time units of the highest frequency, C of unit size, and that frequency."""
     r = plant.degrees_of_freedom
-    highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
+    highest = plant.spectral_radius or 1.0
     scale = np.r_[np.full(r, highest), np.ones(r)]
     seen = C / scale
     size = max(float(np.linalg.norm(seen, 2)), 1e-300)

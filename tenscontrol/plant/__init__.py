@@ -9,8 +9,14 @@ from tenscontrol.plant.controllability import (
     refuse_empty,
     refuse_unreachable,
 )
-from tenscontrol.plant.equilibrium import equilibrium
-from tenscontrol.plant.linear_plant import INPUTS, LinearPlant
+from tenscontrol.plant.equilibrium import equilibrium, held_value
+from tenscontrol.plant.linear_plant import (
+    INPUTS,
+    LinearPlant,
+    Sampled,
+    acceleration_response,
+    sampled,
+)
 from tenscontrol.plant.linearize import (
     OperatingPoint,
     command_parents,
@@ -41,7 +47,6 @@ from tenscontrol.plant.riccati import (
     riccati_residual,
     state_units,
 )
-from tenscontrol.plant.sampling import Sampled, acceleration_response, sampled
 from tenscontrol.plant.string_outputs import (
     StringMap,
     model_input,
@@ -74,6 +79,7 @@ __all__ = [
     "equilibrium",
     "explicit_substeps",
     "filter_riccati",
+    "held_value",
     "in_coordinates",
     "linearize",
     "lost_poles",

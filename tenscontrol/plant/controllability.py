@@ -94,7 +94,7 @@ def controllability(plant: LinearPlant) -> Controllability:
     return Controllability(
         pole=frozen(poles),
         margin=frozen(np.array(margins)),
-        unreachable=len(plant.A) - _reachable(plant),
+        unreachable=len(plant.A) - reached_dimension(*_scaled(plant)[:2]),
     )
 
 
@@ -183,14 +183,9 @@ def _margin(A: FloatArray, B: FloatArray, pole: complex) -> float:
 def _scaled(plant: LinearPlant) -> tuple[FloatArray, FloatArray, float]:
     """Return A and B in time units of the highest frequency, and that frequency, rad/s."""
     r = plant.degrees_of_freedom
-    highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
+    highest = plant.spectral_radius or 1.0
     scale = np.r_[np.full(r, highest), np.ones(r)]
     return scale[:, None] * plant.A / scale / highest, scale[:, None] * plant.B, highest
-
-
-def _reachable(plant: LinearPlant) -> int:
-    A, B, _ = _scaled(plant)
-    return reached_dimension(A, B)
 
 
 def reached_dimension(A: FloatArray, block: FloatArray) -> int:

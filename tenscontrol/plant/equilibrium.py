@@ -7,13 +7,15 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Model
+from tenscontrol.dynamics import Model, kernel
 from tenscontrol.plant.linear_plant import INPUTS
 from tenscontrol.statics import Prestress, prestress
 from tenscontrol.structure import (
+    refuse_load_without_support,
     refuse_moved_supports,
     refuse_strings_without_length,
     restore_bar_lengths,
+    with_supports,
 )
 from tenscontrol.validation import (
     FloatArray,
@@ -109,26 +111,26 @@ def equilibrium(
             )
         shape = structure.nodes.shape
         load = load + shaped("external_force", external_force, shape, "one force per node")
-    count = len(structure.strings)
-    if rest_length is None:
-        gamma = per_member("force_density", force_density, count, "string")
-        held, kind = non_negative("force_density", gamma, "a string can only pull"), INPUTS[0]
-    else:
-        lengths = per_member("rest_length", rest_length, count, "string")
-        held, kind = positive("rest_length", lengths, "length in m"), INPUTS[1]
+    held, kind = held_value(model, rest_length, force_density), INPUTS[rest_length is not None]
+    if kind == "rest_length":
         refuse_strings_without_length("nodes", structure, start)
-    resultant = load.sum(axis=1)
-    if len(structure.fixed) == 0 and np.abs(resultant).max() > 1e-9 * np.abs(load).sum():
-        raise ValueError(
-            f"no equilibrium: nothing holds the structure, and its weights and loads add up to "
-            f"{resultant} N. Fix some nodes, Structure(..., fixed=[...])"
-        )
+    refuse_load_without_support(structure, load)
     found_nodes = _minimize(model, kind, held, load, start)
     settled = replace(structure, nodes=restore_bar_lengths(structure, found_nodes))
     if kind == "rest_length":
         assert model.strings is not None  # the energy needed it
         held = model.strings.force_density(settled.string_length(), held)
     return prestress(settled, held, external_force=load)
+
+
+def held_value(model: Model, rest_length: object, force_density: object) -> FloatArray:
+    """Return what is held, shape (α,): the one that is not None, checked."""
+    count = len(model.structure.strings)
+    if force_density is None:
+        values = per_member("rest_length", rest_length, count, "string")
+        return positive("rest_length", values, "length in m")
+    gamma = per_member("force_density", force_density, count, "string")
+    return non_negative("force_density", gamma, "a string can only pull")
 
 
 def _minimize(
@@ -141,13 +143,9 @@ def _minimize(
     x = ca.vertcat(ca.vec(N), ca.DM.zeros(N.numel()))
     stored = model.potential_energy if kind == "force_density" else model.elastic_energy
     energy = stored(x, held) - ca.sum1(ca.sum2(N * ca.DM(load[:, free])))
-    every = ca.SX(3, structure.nodes.shape[1])
-    every[:, structure.fixed.tolist()] = ca.DM(structure.nodes[:, structure.fixed])
-    every[:, free.tolist()] = N
     moving = np.concatenate([structure.free_bars, structure.swinging_bars])
-    bars = structure.bars[moving]
-    B = every[:, bars[:, 1].tolist()] - every[:, bars[:, 0].tolist()]
-    stretch = (ca.sum1(B * B).T - ca.DM(structure.bar_length[moving] ** 2)) / 2
+    B = kernel.differences(with_supports(structure, ca.vec(N)), structure.bars[moving])
+    stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[moving] ** 2)) / 2
     problem = {"x": ca.vec(N), "f": energy, "g": stretch}
     quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10}}
     solver = ca.nlpsol("equilibrium", "ipopt", problem, quiet)

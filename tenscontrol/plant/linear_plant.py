@@ -1,20 +1,23 @@
-"""A linear plant: what linearization gives and controllers are designed on."""
+"""A linear plant, as controllers are designed on, and its exact sampled models."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cached_property, wraps
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
 from tenscontrol.dynamics import Coordinates, Model, Prepared
-from tenscontrol.plant.sampling import zero_order_hold
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, positive_number
+from tenscontrol.validation import FloatArray, freeze_arrays, frozen, positive_number
 
 if TYPE_CHECKING:
     import control
+
+_Arguments = ParamSpec("_Arguments")
+_Value = TypeVar("_Value")
 
 INPUTS = ("force_density", "rest_length")
 
@@ -90,10 +93,12 @@ class LinearPlant:
     @property
     def load_input(self) -> list[FloatArray]:
         """W as an argument of the model's functions: what is not built in, on the free nodes."""
-        model = self.model
-        if not model.has_external_force:
-            return []
-        return [(self.external_force - model.constant_force)[:, model.structure.free]]
+        return load_arguments(self.model, self.external_force)
+
+    @cached_property
+    def spectral_radius(self) -> float:
+        """Largest size of a pole, 1/s; 0 without poles."""
+        return float(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0))
 
     @cached_property
     def prepared(self) -> Prepared:
@@ -203,3 +208,96 @@ class LinearPlant:
             f"LinearPlant({self.degrees_of_freedom} {self.coordinates.kind} coordinates, "
             f"input {self.input}, {self.B.shape[1]} inputs)"
         )
+
+
+def load_arguments(model: Model, load: FloatArray) -> list[FloatArray]:
+    """Return the load input of a model's functions: what is not built in, on the free nodes."""
+    if not model.has_external_force:
+        return []
+    return [(load - model.constant_force)[:, model.structure.free]]
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """The exact model of a sample, ``z⁺ = Φ z + Γ_p v_previous + Γ v + d``."""
+
+    sample_time: float  # s
+    transition: FloatArray  # Φ, (s, s)
+    by_previous: FloatArray  # Γ_p, (s, α); zero without a ramp
+    by_input: FloatArray  # Γ, (s, α)
+    drift: FloatArray  # d, (s,)
+    ramp: bool  # whether the input moves through the sample, from v_previous to v
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def augmented(self) -> tuple[FloatArray, FloatArray]:
+        """Φ and Γ of the state ``[z; v_previous]``, or of z without a ramp."""
+        if not self.ramp:
+            return self.transition, self.by_input
+        s, a = self.by_input.shape
+        rows = np.hstack([self.transition, self.by_previous])
+        return np.vstack([rows, np.zeros((a, s + a))]), np.vstack([self.by_input, np.eye(a)])
+
+    def free_response(
+        self, state: FloatArray, previous: FloatArray, origin: FloatArray
+    ) -> FloatArray:
+        """Return the next state, shape (s,), at zero input and without drift.
+
+        ``previous``, shape (α,), is v_previous; ``origin``, shape (α,), is what v is measured from.
+        """
+        return np.asarray(
+            self.transition @ state + self.by_previous @ previous - self.by_input @ origin
+        )
+
+
+def kept(
+    function: Callable[Concatenate[LinearPlant, _Arguments], _Value],
+) -> Callable[Concatenate[LinearPlant, _Arguments], _Value]:
+    """Keep with a plant what a function of it and of hashable arguments returns."""
+
+    @wraps(function)
+    def get(plant: LinearPlant, /, *args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
+        key = function.__qualname__, args, tuple(kwargs.items())
+        return plant.prepared.get(key, lambda: function(plant, *args, **kwargs))
+
+    return get
+
+
+@kept
+def sampled(plant: LinearPlant, sample_time: float, substeps: int) -> Sampled:
+    """Return the sampled model; the input reaches v in equal substeps, at once if there is one."""
+    transition, by_input, drift = plant.discretize(sample_time / substeps)
+    whole, moved = np.eye(len(transition)), np.zeros_like(drift)
+    previous, now = np.zeros_like(by_input), np.zeros_like(by_input)
+    for substep in range(1, substeps + 1):
+        share = substep / substeps
+        previous = transition @ previous + (1 - share) * by_input
+        now = transition @ now + share * by_input
+        moved = transition @ moved + drift
+        whole = transition @ whole
+    return Sampled(sample_time, whole, previous, now, moved, substeps > 1)
+
+
+@kept
+def acceleration_response(plant: LinearPlant, sample_time: float) -> FloatArray:
+    """Return the response of the state to unit accelerations held over a sample, shape (s, r)."""
+    r = plant.degrees_of_freedom
+    unit = np.vstack([np.zeros((r, r)), np.eye(r)])
+    return frozen(zero_order_hold(plant.A, unit, plant.drift, sample_time)[1])
+
+
+def zero_order_hold(
+    A: FloatArray, B: FloatArray, drift: FloatArray, sample_time: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return Φ, Γ and d of ``z⁺ = Φ z + Γ v + d``, exact for v held over a sample."""
+    from scipy.linalg import expm
+
+    states, inputs = B.shape
+    exponent = np.zeros((states + inputs + 1, states + inputs + 1))
+    exponent[:states, :states] = A
+    exponent[:states, states:-1] = B
+    exponent[:states, -1] = drift
+    grown = expm(sample_time * exponent)[:states]
+    return grown[:, :states], grown[:, states:-1], grown[:, -1]

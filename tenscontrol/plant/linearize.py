@@ -10,11 +10,12 @@ import numpy as np
 
 from tenscontrol.dynamics import KINDS, Model, pack_state
 from tenscontrol.dynamics import coordinates as frame_of
-from tenscontrol.plant.linear_plant import INPUTS, LinearPlant
+from tenscontrol.plant.linear_plant import INPUTS, LinearPlant, load_arguments
 from tenscontrol.plant.string_outputs import to_model_strings
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import (
     Structure,
+    is_movable,
     left_by_supports,
     refuse_moved_supports,
     refuse_strings_without_length,
@@ -347,7 +348,7 @@ def _derivatives(
     """Return ẋ, ∂ẋ/∂x and ∂ẋ/∂u by algorithmic differentiation of the model."""
     function = model.prepared.get(("derivatives", held), lambda: _derivative_function(model, held))
     state = pack_state(model.structure, nodes, np.zeros_like(nodes))
-    values = function(state, value, *_loads(model, load))
+    values = function(state, value, *load_arguments(model, load))
     drift, A, B = (np.array(part.full()) for part in values)
     return drift.ravel(), A, B
 
@@ -402,7 +403,7 @@ def _refuse_unbalanced(
 ) -> None:
     free = model.structure.free
     still = np.zeros((3, len(free)))
-    found = model.acceleration(nodes[:, free], still, gamma, *_loads(model, load))
+    found = model.acceleration(nodes[:, free], still, gamma, *load_arguments(model, load))
     mass = model.mass_matrix().toarray()[np.ix_(free, free)]
     unbalanced = np.linalg.norm(np.array(found) @ mass, axis=0)
     strings = np.linalg.norm(model.structure.string_vectors(nodes), axis=0)
@@ -415,13 +416,6 @@ def _refuse_unbalanced(
             f"{_EQUILIBRIUM_TOLERANCE * scale:.1e} N. Start from prestress(...), or pass "
             "require_equilibrium=False to get a plant that drifts"
         )
-
-
-def _loads(model: Model, load: FloatArray) -> list[FloatArray]:
-    """Return the load input of the model's functions: what is not built in, on the free nodes."""
-    if not model.has_external_force:
-        return []
-    return [(load - model.constant_force)[:, model.structure.free]]
 
 
 def _refuse_other_load(model: Model, load: FloatArray) -> None:
@@ -442,7 +436,7 @@ def _refuse_other_load(model: Model, load: FloatArray) -> None:
 
 def _refuse_kink(model: Model, gamma: FloatArray) -> None:
     structure = model.structure
-    moving = ~np.isin(structure.strings, structure.fixed).all(axis=1)
+    moving = is_movable(structure, structure.strings)
     slack = np.flatnonzero(moving & (gamma <= _SLACK_TOLERANCE * gamma.max(initial=0.0)))
     if len(slack):
         raise ValueError(

@@ -149,17 +149,15 @@ def _rank(labels: list[str]) -> IntArray:
 
 def _kinds(plant: LinearPlant) -> dict[str, FloatArray]:
     """Return orthonormal bases of the rigid, affine and mechanism motions in q."""
-    frame, structure = plant.coordinates, plant.model.structure
-    tangent = frame.basis
-    strings = structure.strings
+    structure, tangent = plant.model.structure, plant.basis
     S = structure.string_vectors(plant.nodes)
-    moves = tangent.reshape(-1, 3, frame.count)
-    change = moves[strings[:, 1]] - moves[strings[:, 0]]
-    stretch = np.einsum("ia,aij->aj", S / np.maximum(np.linalg.norm(S, axis=0), 1e-300), change)
-    bar_stretch = _bar_stretch_of(tangent, plant)
+    along = S / np.maximum(np.linalg.norm(S, axis=0), 1e-300)
+    bar_axes = structure.bar_vectors(plant.nodes) / structure.bar_length
+    stretch = _stretch(structure.strings, along, tangent)
     # Affine motions count only as far as they keep the bar lengths.
     affine = left_by_supports(structure, affine_motions(plant.nodes))
-    affine_bars = _bar_stretch_of(affine, plant)
+    affine_bars = _stretch(structure.bars, bar_axes, affine)
+    bar_stretch = _stretch(structure.bars, bar_axes, tangent)
     return {
         "rigid": _span(plant, left_by_supports(structure, rigid_motions(plant.nodes))),
         "affine": _span(plant, affine @ _null(affine_bars)),
@@ -167,12 +165,10 @@ def _kinds(plant: LinearPlant) -> dict[str, FloatArray]:
     }
 
 
-def _bar_stretch_of(fields: FloatArray, plant: LinearPlant) -> FloatArray:
-    structure = plant.model.structure
+def _stretch(pairs: IntArray, axes: FloatArray, fields: FloatArray) -> FloatArray:
+    """Return the changes of length of members under displacement fields, shape (count, k)."""
     moves = fields.reshape(len(fields) // 3, 3, fields.shape[1])
-    change = moves[structure.bars[:, 1]] - moves[structure.bars[:, 0]]
-    along = structure.bar_vectors(plant.nodes) / structure.bar_length
-    return np.asarray(np.einsum("ib,bij->bj", along, change))
+    return np.asarray(np.einsum("ib,bij->bj", axes, moves[pairs[:, 1]] - moves[pairs[:, 0]]))
 
 
 def _undamped(

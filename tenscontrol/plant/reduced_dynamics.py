@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linear_plant import LinearPlant, kept
 from tenscontrol.plant.string_outputs import model_input, string_forces
 from tenscontrol.validation import FloatArray, float_array
 
@@ -20,18 +20,14 @@ _RADIANS = 0.35
 _MOST_SUBSTEPS = 1000
 
 
-def reduced_acceleration(plant: LinearPlant, taut: bool = False) -> ca.Function:
+@kept
+def reduced_acceleration(plant: LinearPlant, *, taut: bool) -> ca.Function:
     """Return ``(z, u) -> q̈ = Tᵀ M vec(N̈)``, exact while nothing moves as one body.
 
     Bars keep their lengths in every shape of q: the plant is in internal or minimal coordinates.
     If ``taut``, strings of given rest lengths push where they would be slack, as in the linear
     plant: smooth, so that Newton's method converges however stiff they are.
     """
-    build = partial(_reduced_acceleration, plant, taut)
-    return plant.prepared.get(("reduced_acceleration", taut), build)
-
-
-def _reduced_acceleration(plant: LinearPlant, taut: bool) -> ca.Function:
     z, u = (ca.SX.sym(name, size) for name, size in zip("zu", plant.B.shape, strict=True))
     moved = _motion(plant, z, u, taut)[2]
     rows = plant.model.structure.free_rows
@@ -88,6 +84,7 @@ def _motion(plant: LinearPlant, z: Any, u: Any, taut: bool = False) -> tuple[Any
     return N, V, slope[slope.shape[0] // 2 :]
 
 
+@kept
 def sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Function, ca.Function]:
     """Return ``(z, u) -> z⁺`` over a sample, and ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
 
@@ -95,18 +92,13 @@ def sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Functio
     steps; :func:`sampled` is the exact counterpart of the linear plant. A ValueError says so where
     the steps would be too many.
     """
-    return plant.prepared.get(
-        ("sampled_dynamics", sample_time), partial(_sampled_dynamics, plant, sample_time)
-    )
-
-
-def _sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Function, ca.Function]:
     count = explicit_substeps(plant, sample_time)
     if count > _MOST_SUBSTEPS:
         raise ValueError(
-            f"plant vibrates with up to {_fastest(plant):.3g} rad/s: a sample of {sample_time:g} s "
-            f"takes {count} steps of RK4 to predict, expected at most {_MOST_SUBSTEPS}; give a "
-            "shorter sample_time, or take what predicts by the linear plant"
+            f"plant vibrates with up to {plant.spectral_radius:.3g} rad/s: a sample of "
+            f"{sample_time:g} s takes {count} steps of RK4 to predict, expected at most "
+            f"{_MOST_SUBSTEPS}; give a shorter sample_time, or take what predicts by the linear "
+            "plant"
         )
     s, a = plant.B.shape
     motion, linearized = _rk4(plant, sample_time / count)
@@ -124,17 +116,13 @@ def _sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Functi
 
 def explicit_substeps(plant: LinearPlant, sample_time: float) -> int:
     """Return the number of RK4 steps in a sample."""
-    return max(1, ceil(sample_time * _fastest(plant) / _RADIANS))
-
-
-def _fastest(plant: LinearPlant) -> float:
-    return float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0))
+    return max(1, ceil(sample_time * plant.spectral_radius / _RADIANS))
 
 
 def _rk4(plant: LinearPlant, h: float) -> tuple[ca.Function, ca.Function]:
     """Return a step of the classic Runge-Kutta method, and the same with its derivatives."""
     r, (s, a) = plant.degrees_of_freedom, plant.B.shape
-    acceleration = reduced_acceleration(plant)
+    acceleration = reduced_acceleration(plant, taut=False)
     derivatives = acceleration_slopes(acceleration)
     z, u = ca.MX.sym("z", s), ca.MX.sym("u", a)
     stages = list(zip((1.0, 2.0, 2.0, 1.0), (0.0, 0.5 * h, 0.5 * h, h), strict=True))

@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import evaluate_columns
-from tenscontrol.plant.linear_plant import LinearPlant
-from tenscontrol.plant.sampling import Sampled, acceleration_response
+from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, kept
 from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
 from tenscontrol.validation import (
     FloatArray,
@@ -237,8 +236,14 @@ class ReferencePreview:
         # Rates between the times, zero before the first and after the last.
         slopes = np.diff(q, axis=0) / np.diff(reference.time)[:, None]
         self._rates = np.vstack([np.zeros((1, r)), slopes, np.zeros((1, r))])
-        self._held_time: FloatArray | None = None
-        if plant.input == "rest_length":
+        # What holds the plant in each shape, side by side, at these times, straight in between.
+        self._held_time = reference.time[:1]
+        if plant.input == "force_density":
+            gamma = to_model_strings(plant, "force_density", plant.force_density)
+            tension = gamma * plant.model.structure.string_length(plant.nodes)
+            parts = np.zeros(2 * r), plant.force_density, gamma, tension, sampled.drift
+            self._table = np.concatenate(parts)[None]
+        else:
             self._held_time = _refined(reference.time, sampled.sample_time)
             rests = self.wanted(self._held_time)[:, :r]
             gamma = plant.force_density[:, None] * np.ones(len(self._held_time))
@@ -249,8 +254,12 @@ class ReferencePreview:
                         for row in reference.force_density
                     ]
                 )
-            response = acceleration_response(plant, sampled.sample_time)
-            self._table = _held(plant, rests, gamma, response)
+            self._response = acceleration_response(plant, sampled.sample_time)
+            self._table = _held(plant, rests, gamma, self._response)
+        strings = len(plant.model.structure.strings)
+        self._ends = np.cumsum([2 * r, plant.B.shape[1], strings, strings])
+        self._damping = plant.A[r:, r:]
+        self._constant: dict[int, Preview] = {}  # where the reference is one shape
 
     def following(self, reference: object) -> ReferencePreview:
         """Return the preview of another reference, given as to the constructor."""
@@ -282,23 +291,14 @@ class ReferencePreview:
 
     def at(self, times: FloatArray) -> Preview:
         """Return the preview at these times, shape (K,), s."""
-        plant, count = self._plant, len(times)
-        if self._held_time is None:
-            gamma = to_model_strings(plant, "force_density", plant.force_density)
-            tension = gamma * plant.model.structure.string_length(plant.nodes)
-            still = np.zeros(len(plant.A))
-            row = np.concatenate([still, plant.force_density, gamma, tension, self._sampled.drift])
-            rows = np.tile(row, (count, 1))
-        elif len(self._held_time) == 1:
-            rows = np.tile(self._table, (count, 1))
+        if len(self._held_time) == 1:
+            rows = np.tile(self._table, (len(times), 1))
         else:
             right = np.clip(np.searchsorted(self._held_time, times), 1, len(self._held_time) - 1)
             left, end = self._held_time[right - 1], self._held_time[right]
             share = np.clip((times - left) / (end - left), 0.0, 1.0)[:, None]
             rows = (1 - share) * self._table[right - 1] + share * self._table[right]
-        (s, a), strings = plant.B.shape, len(plant.model.structure.strings)
-        ends = np.cumsum([s, a, strings, strings])
-        rest, held, gamma, tension, drift = np.split(rows, ends, axis=1)
+        rest, held, gamma, tension, drift = np.split(rows, self._ends, axis=1)
         return Preview(self.wanted(times), rest, held, gamma, tension, drift, held[0])
 
     def over_horizon(self, time: float, length: int) -> Preview:
@@ -309,8 +309,18 @@ class ReferencePreview:
         inertia alone lead away. (About a shape at rest, a stiff string would have to be known to a
         hundredth of its stiffness.)
         """
-        sampled, plant = self._sampled, self._plant
-        sample_time, r = sampled.sample_time, plant.degrees_of_freedom
+        if len(self._time) > 1:
+            return self._over_horizon(time, length)
+        if length not in self._constant:
+            preview = self._over_horizon(0.0, length)
+            for part in vars(preview).values():
+                part.setflags(write=False)
+            self._constant[length] = preview
+        return self._constant[length]
+
+    def _over_horizon(self, time: float, length: int) -> Preview:
+        sampled, r = self._sampled, len(self._damping)
+        sample_time = sampled.sample_time
         if not sampled.ramp:
             preview = self.at(time + sample_time * np.arange(length + 1.0))
             rest = preview.rest[:-1]
@@ -322,12 +332,11 @@ class ReferencePreview:
         rates = (q[2:] - q[:-2]) / (2 * sample_time)
         motion = np.hstack([q[1:-1], rates])
         mean, gained = (rates[1:] + rates[:-1]) / 2, np.diff(rates, axis=0) / sample_time
-        spare = mean @ plant.A[r:, r:].T - gained
-        response = acceleration_response(plant, sample_time)
+        spare = mean @ self._damping.T - gained
         drift = (
             motion[1:]
             - motion[:-1] @ sampled.transition.T
-            + spare @ response.T
+            + spare @ self._response.T
             + preview.drift[1:-1]
         )
         return Preview(
@@ -410,13 +419,14 @@ def _held(
 
 def _accelerations(plant: LinearPlant, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return q̈ at zero γ, shape (K, r), and its derivative by γ, (K, r, α'), at rest in shapes."""
-    function = plant.prepared.get("acceleration_at_rest", lambda: _acceleration_at_rest(plant))
+    function = _acceleration_at_rest(plant)
     columns = shapes[:, :, plant.model.structure.free].transpose(0, 2, 1).reshape(len(shapes), -1).T
     offset, slope = evaluate_columns(function, np.asfortranarray(columns))
     r = plant.degrees_of_freedom
     return offset.T.copy(), slope.T.reshape(len(shapes), -1, r).swapaxes(1, 2).copy()
 
 
+@kept
 def _acceleration_at_rest(plant: LinearPlant) -> ca.Function:
     """Return ``N -> (q̈ at zero γ, ∂q̈/∂γ)`` of free nodes at rest, node by node."""
     model = plant.model

@@ -54,25 +54,9 @@ def regulator_riccati(
 ) -> tuple[FloatArray, np.ndarray, FloatArray, float]:
     """Return gain K, closed-loop poles, cost P and Riccati residual of a regulator, checked.
 
-    Solved with states and inputs in units of the same energy, since a stiff plant cannot be
-    solved otherwise.
-
-    Parameters
-    ----------
-    A, B : ndarray, shapes (s, s) and (s, α)
-    state_weight, input_weight : ndarray, shapes (s, s) and (α, α)
-        Q and R.
-    unit : ndarray, shape (s,)
-        Units of the states.
-    level : float
-        Unit of the inputs.
-    discrete : bool
-        Whether A and B are those of a sample.
-
-    Raises
-    ------
-    ValueError
-        If there is no stabilizing solution, or it fails the check.
+    Q and R are ``state_weight`` and ``input_weight``. Solved with states in units of ``unit``,
+    shape (s,), and inputs in units of ``level``, which are of the same energy: a stiff plant
+    cannot be solved otherwise. A ValueError says why there is no good solution.
     """
     scaled = (
         A * unit / unit[:, None],
@@ -91,22 +75,10 @@ def filter_riccati(
 ) -> tuple[FloatArray, FloatArray, np.ndarray, float]:
     """Return steady gain, covariance of predictions, poles and residual of a filter, checked.
 
-    Solved as the dual problem, with A = Φᵀ, B = Cᵀ and Q = Ψ Ψᵀ, and whitened readings.
-
-    Parameters
-    ----------
-    transition : ndarray, shape (s, s)
-        Φ of a sample.
-    drive : ndarray, shape (s, m)
-        Ψ: what independent noises of variance 1 add to the state over a sample.
-    C : ndarray, shape (p, s)
-    noise : ndarray, shape (p,)
-        Standard deviations of the readings.
-
-    Raises
-    ------
-    ValueError
-        If there is no stabilizing solution, or it fails the check.
+    Φ is the ``transition`` of a sample, and ``drive`` Ψ, shape (s, m): what independent noises of
+    variance 1 add to the state over a sample. ``noise``, shape (p,), are standard deviations of
+    the readings. Solved as the dual problem, with A = Φᵀ, B = Cᵀ and Q = Ψ Ψᵀ, and whitened
+    readings. A ValueError says why there is no good solution.
     """
     whitened = C / noise[:, None]
     unit = 1 / float(np.linalg.norm(whitened, 2))
@@ -124,7 +96,7 @@ def filter_riccati(
 def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:
     """Return units of the state, shape (s,), and of the input: of one speed and acceleration."""
     r = plant.degrees_of_freedom
-    highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
+    highest = plant.spectral_radius or 1.0
     largest = float(np.linalg.norm(plant.B, 2)) or 1.0
     return frozen(np.r_[np.full(r, 1 / highest), np.ones(r)]), highest / largest
 

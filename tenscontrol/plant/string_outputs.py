@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linear_plant import LinearPlant, kept
 from tenscontrol.structure import to_segments, to_strings
 from tenscontrol.validation import FloatArray
 
@@ -46,12 +46,9 @@ class StringMap:
     tension_by_input: FloatArray
 
 
+@kept
 def string_map(plant: LinearPlant, input: str) -> StringMap:
     """Return the map of a plant's strings for an input, which need not be that of the plant."""
-    return plant.prepared.get(("string_map", input), lambda: _string_map(plant, input))
-
-
-def _string_map(plant: LinearPlant, input: str) -> StringMap:
     structure, r = plant.model.structure, plant.degrees_of_freedom
     n, count = structure.nodes.shape[1], len(structure.strings)
     q, rates, u = ca.SX.sym("q", r), ca.SX.sym("rates", r), ca.SX.sym("u", count)

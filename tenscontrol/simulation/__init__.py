@@ -3,7 +3,7 @@
 from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
 from tenscontrol.simulation.loop import SimulationError
 from tenscontrol.simulation.observation import EstimateRecord
-from tenscontrol.simulation.simulate import checked_load, held_value, initial_state, simulate
+from tenscontrol.simulation.simulate import checked_load, initial_state, simulate
 from tenscontrol.simulation.trajectory import (
     AccuracyWarning,
     ControlRecord,
@@ -26,7 +26,6 @@ __all__ = [
     "StuckWinch",
     "Trajectory",
     "checked_load",
-    "held_value",
     "initial_state",
     "simulate",
 ]

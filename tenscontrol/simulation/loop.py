@@ -64,6 +64,8 @@ class Loop:
     project: bool | None = None
     machine_code: bool = False
     output_step: float = 0.0
+    report: Callable[[float], None] | None = None  # of the time reached, s
+    record: Callable[[], ControlRecord] | None = None  # under a controller
     time: list[FloatArray] = field(default_factory=list)
     states: list[FloatArray] = field(default_factory=list)
     inputs: list[FloatArray] = field(default_factory=list)
@@ -112,14 +114,7 @@ class Loop:
         self.choice = replace(chosen, back_end=integrator.back_end)
         return integrator
 
-    def run(
-        self,
-        state: FloatArray,
-        held: FloatArray,
-        duration: float,
-        report: Callable[[float], None],
-        record: Callable[[], ControlRecord | None] = lambda: None,
-    ) -> FloatArray:
+    def run(self, state: FloatArray, held: FloatArray, duration: float) -> FloatArray:
         """Integrate with the input held and return the state at the end.
 
         Spans end where strings are cut.
@@ -128,9 +123,9 @@ class Loop:
         # Round-off of the times leaves no spans of no length.
         close = 1e-9 * duration
         for cut in self.faults.cut_times(self.now + close, end - close):
-            state = self._run_span(state, held, cut - self.now, close, report, record)
+            state = self._run_span(state, held, cut - self.now, close)
             duration = end - cut
-        return self._run_span(state, held, duration, close, report, record)
+        return self._run_span(state, held, duration, close)
 
     def _release(self, state: FloatArray, time: float) -> None:
         """Count the energy that strings store which are cut at a time."""
@@ -147,13 +142,7 @@ class Loop:
         self.lost_energy += float(stored[0, 0] - stored[0, 1])
 
     def _run_span(
-        self,
-        state: FloatArray,
-        held: FloatArray,
-        duration: float,
-        close: float,
-        report: Callable[[float], None],
-        record: Callable[[], ControlRecord | None],
+        self, state: FloatArray, held: FloatArray, duration: float, close: float
     ) -> FloatArray:
         """Integrate with the strings that are not cut by now, up to what is close."""
         self._release(state, self.now + close)
@@ -163,17 +152,16 @@ class Loop:
         if self.integrator is None:
             self.integrator = self._prepare(state, held)
         outputs = max(1, ceil(duration / self.output_step - 1e-9))
-        start = self.now
+        start, report = self.now, self.report
+        reached = None if report is None else lambda time: report(start + time)
         try:
-            span = self.integrator.advance(
-                state, held, duration, outputs, lambda time: report(start + time)
-            )
+            span = self.integrator.advance(state, held, duration, outputs, reached)
         except IntegrationError as error:
             self._add(error.span, held, duration, outputs)
             reason = f"stopped at {start + error.time:.6g} s of motion: {error}"
             raise SimulationError(
                 f"the simulation {reason}. The motion up to there is in the error's .trajectory",
-                self.trajectory(record(), reason),
+                self.trajectory(reason),
                 error.interrupted,
             ) from error
         self._add(span, held, duration, outputs)
@@ -192,11 +180,12 @@ class Loop:
         self.inputs.append(np.tile(held[:, None], (1, len(time))))
         self.released.append(np.full(len(time), self.lost_energy))
 
-    def trajectory(self, control: ControlRecord | None, stopped: str | None = None) -> Trajectory:
+    def trajectory(self, stopped: str | None = None) -> Trajectory:
         """Return the motion so far; the model evaluates its energies and momenta at all times."""
         assert self.choice is not None  # made before the first span
         assert self.integrator is not None  # made with it
         model, structure = self.model, self.model.structure
+        control = None if self.record is None else self.record()
         time, states = np.concatenate(self.time), np.hstack(self.states)
         inputs = np.hstack(self.inputs)
         error = None

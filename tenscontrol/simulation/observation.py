@@ -11,7 +11,7 @@ from tenscontrol.control import Controller
 from tenscontrol.dynamics import Evaluator, Model, pack_state
 from tenscontrol.estimation import Estimate, FilterStatistics, KalmanFilter, Sensors
 from tenscontrol.structure import same_members, to_strings
-from tenscontrol.validation import FloatArray, frozen, whole_number
+from tenscontrol.validation import FloatArray, frozen, instance, whole_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +62,9 @@ class Observation:
 
     def __init__(
         self,
-        estimator: object,
-        sensors: object,
-        seed: object,
+        estimator: KalmanFilter,
+        sensors: Sensors | None,
+        seed: int | None,
         model: Model,
         input: str,
         controller: Controller,
@@ -72,18 +72,10 @@ class Observation:
         start: FloatArray | None,
         substeps: int,
     ) -> None:
-        if not isinstance(estimator, KalmanFilter):
-            raise TypeError(
-                f"estimator is a {type(estimator).__name__}, expected KalmanFilter: make one by "
-                "kalman(plant, sensors, sample_time=...)"
-            )
-        if sensors is None:
-            sensors = estimator.sensors
-        if not isinstance(sensors, Sensors):
-            raise TypeError(
-                f"sensors is a {type(sensors).__name__}, expected Sensors: make them by "
-                "Sensors(structure=..., ...)"
-            )
+        how = "make one by kalman(plant, sensors, sample_time=...)"
+        instance("estimator", estimator, KalmanFilter, how)
+        sensors = estimator.sensors if sensors is None else sensors
+        instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
         _refuse_misfits(estimator, sensors, input, controller, sample, substeps)
         self._filter, self._sensors = estimator, sensors
         self._generator = np.random.default_rng(

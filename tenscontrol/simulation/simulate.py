@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from contextlib import nullcontext
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from tenscontrol.control import Controller
 from tenscontrol.dynamics import Model, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Method
+from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
@@ -25,10 +27,8 @@ from tenscontrol.structure import (
 from tenscontrol.validation import (
     FloatArray,
     choice,
+    frozen,
     instance,
-    non_negative,
-    per_member,
-    positive,
     positive_number,
     shaped,
     truth,
@@ -205,19 +205,18 @@ def simulate(
     loop.output_step = _output_step(loop, output_step, duration)
     state = initial_state(model, nodes, velocities, loop.input)
     try:
-        with progress_bar(duration, shown=progress) as report:
+        with progress_bar(duration, shown=True) if progress else nullcontext() as loop.report:
             if controller is None:
                 if winches is not None or sample_time is not None or estimator is not None:
                     raise ValueError("estimator, winches and sample_time go with a controller")
                 value = held_value(model, rest_length, force_density)
-                loop.run(state, value, duration, report)
-                run = loop.trajectory(None)
+                loop.run(state, value, duration)
+                run = loop.trajectory()
             else:
                 estimation = None if estimator is None else (estimator, sensors, seed)
                 run = run_closed_loop(
-                    loop, state, duration, controller, rest_length, winches, sample_time, report,
-                    estimation,
-                )  # fmt: skip
+                    loop, state, duration, controller, rest_length, winches, sample_time, estimation
+                )
     except SimulationError as error:
         if not error.interrupted:
             raise
@@ -287,15 +286,6 @@ def _output_step(loop: Loop, output_step: float | None, duration: float) -> floa
     return value
 
 
-def held_value(model: Model, rest_length: object, force_density: object) -> FloatArray:
-    """Return what is held, shape (α,): the one that is not None, checked."""
-    if force_density is None:
-        values = per_member("rest_length", rest_length, len(model.structure.strings), "string")
-        return positive("rest_length", values, "length in m")
-    gamma = per_member("force_density", force_density, len(model.structure.strings), "string")
-    return non_negative("force_density", gamma, "a string can only pull")
-
-
 def checked_load(model: Model, external_force: object) -> FloatArray:
     """Return all that acts on the nodes from outside, N, shape (3, n)."""
     if not model.has_external_force:
@@ -314,6 +304,13 @@ def checked_load(model: Model, external_force: object) -> FloatArray:
 
 def initial_state(model: Model, nodes: object, velocities: object, input: str) -> FloatArray:
     """Return the state at the start, after checking that the structure can be in it."""
+    if nodes is None and velocities is None:  # depends on nothing but the model
+        key = "state at rest", input
+        return model.prepared.get(key, lambda: frozen(_checked_state(model, None, None, input)))
+    return _checked_state(model, nodes, velocities, input)
+
+
+def _checked_state(model: Model, nodes: object, velocities: object, input: str) -> FloatArray:
     structure = model.structure
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     V = np.zeros_like(N)

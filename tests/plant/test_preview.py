@@ -10,9 +10,8 @@ from tenscontrol.plant import (
     sampled,
     to_commanded_strings,
     to_model_strings,
-    to_segments,
-    to_strings,
 )
+from tenscontrol.structure import to_segments, to_strings
 
 SAMPLE, LENGTH = 0.02, 7
 
