@@ -7,10 +7,15 @@ from typing import final
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control.controller import Command, Controller
-from tenscontrol.control.input_bounds import input_bounds, largest_change
+from tenscontrol.control.controller import (
+    Command,
+    Controller,
+    energy_weights,
+    input_bounds,
+    largest_change,
+    weight_matrix,
+)
 from tenscontrol.control.status import Status
-from tenscontrol.control.weights import energy_weights, weight_matrix
 from tenscontrol.plant import (
     LinearPlant,
     refuse_empty,

@@ -9,7 +9,12 @@ from typing import Required, TypedDict
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control.input_bounds import input_bounds, largest_change
+from tenscontrol.control.controller import (
+    energy_weights,
+    input_bounds,
+    largest_change,
+    weight_matrix,
+)
 from tenscontrol.control.mpc.constraints import (
     Constraints,
     OutputLimit,
@@ -19,7 +24,6 @@ from tenscontrol.control.mpc.constraints import (
 )
 from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.problem import Form, MPCProblem, QPSolver
-from tenscontrol.control.weights import energy_weights, weight_matrix
 from tenscontrol.plant import (
     LinearPlant,
     Sampled,
@@ -341,10 +345,11 @@ def _least_force_density(plant: LinearPlant, settings: MPCSettings) -> FloatArra
 
 
 def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> list[RowBlock]:
-    blocks, held = [], plant.input
-    strings = string_map(plant, held)
-    count = plant.B.shape[1]
-    if held == "rest_length":
+    outputs = [output_block(plant, limit) for limit in settings.outputs]
+    if plant.input == "force_density" and settings.max_tension is None:
+        return outputs
+    blocks, count, strings = [], plant.B.shape[1], string_map(plant, plant.input)
+    if plant.input == "rest_length":
         high = np.full(len(strings.force_density), np.inf)
         if settings.max_force_density is not None:
             largest = per_member("max_force_density", settings.max_force_density, count, "string")
@@ -369,4 +374,4 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
         level = float(strings.tension.max()) or float(most.max())
         low = np.full(len(most), -np.inf)
         blocks.append(string_block("tension", strings, low, most, level, penalty))
-    return blocks + [output_block(plant, limit) for limit in settings.outputs]
+    return blocks + outputs
