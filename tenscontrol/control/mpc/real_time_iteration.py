@@ -8,8 +8,14 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import LoadObserver
-from tenscontrol.control.mpc.constraints import Constraints
-from tenscontrol.control.mpc.problem import MPCProblem, QPSolution, QPSolver, Rows, StageData
+from tenscontrol.control.mpc.problem import (
+    Constraints,
+    MPCProblem,
+    QPSolution,
+    QPSolver,
+    Rows,
+    StageData,
+)
 from tenscontrol.control.mpc.shooting import (
     RK4,
     Discretization,

@@ -15,15 +15,16 @@ from tenscontrol.control.controller import (
     largest_change,
     weight_matrix,
 )
-from tenscontrol.control.mpc.constraints import (
+from tenscontrol.control.mpc.constraints import OutputLimit, output_block
+from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.problem import (
     Constraints,
-    OutputLimit,
+    Form,
+    MPCProblem,
+    QPSolver,
     RowBlock,
-    output_block,
     string_block,
 )
-from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
-from tenscontrol.control.mpc.problem import Form, MPCProblem, QPSolver
 from tenscontrol.plant import (
     LinearPlant,
     Sampled,

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.constraints import LimitRows, shifted
-from tenscontrol.control.mpc.problem import Form, MPCProblem, StageData
+from tenscontrol.control.mpc.problem import Form, LimitRows, MPCProblem, StageData, shifted
 from tenscontrol.control.mpc.shooting import StageJacobians, applied
 from tenscontrol.validation import FloatArray, IntArray
 
