@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Unpack, final
 
 import numpy as np
 
-from tenscontrol.control.controller import Command, Controller
-from tenscontrol.control.disturbance import LoadModel, load_observer
+from tenscontrol.control.controller import Command
 from tenscontrol.control.held_loop import warn_of_held_lengths
 from tenscontrol.control.mpc.problem import (
     Form,
@@ -18,10 +17,17 @@ from tenscontrol.control.mpc.problem import (
     StageData,
     shifted,
 )
-from tenscontrol.control.mpc.settings import Design, MPCSettings, SettingsKeywords, design
+from tenscontrol.control.mpc.settings import (
+    Design,
+    MPCSettings,
+    PredictiveController,
+    PredictiveLaw,
+    SettingsKeywords,
+    design,
+)
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Fallback, Status
-from tenscontrol.plant import LinearPlant, ReferencePreview, acceleration_response
+from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.validation import FloatArray, choice, frozen, instance
 
 if TYPE_CHECKING:
@@ -60,28 +66,13 @@ class MPCStatistics:
         return sum(self.fallback_count.values())
 
 
-@dataclass(frozen=True, eq=False)
-class MPCLaw:
-    """What a linear MPC solves in a sample, except what it remembers.
-
-    Attributes
-    ----------
-    plant : LinearPlant
-    settings : MPCSettings
-    design : Design
-    form : Form
-    load : LoadModel or None
-        None where no load is estimated.
-    path : ReferencePreview
-        What is followed.
-    """
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MPCLaw(PredictiveLaw):
+    """What a linear MPC solves in a sample, except what it remembers."""
 
     plant: LinearPlant
-    settings: MPCSettings
     design: Design
     form: Form
-    load: LoadModel | None
-    path: ReferencePreview
 
     def solver(self) -> QPSolver:
         """Return the solver of the programs, as it is before the first solve."""
@@ -297,7 +288,7 @@ def form_of(problem: MPCProblem, form: str) -> Form:
 
 
 @final
-class MPC(Controller):
+class MPC(PredictiveController):
     """Model predictive control with γ ≥ 0, whatever else.
 
     At each sample the plant is predicted over a horizon by its exact
@@ -352,30 +343,27 @@ class MPC(Controller):
     ('ok', True, (9,))
     """
 
+    _law: MPCLaw
+
     def __init__(
         self, plant: LinearPlant, *, form: str = "auto", **settings: Unpack[SettingsKeywords]
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         given = MPCSettings(**settings)
-        made, sample_time = design(plant, given), given.sample_time
-        super().__init__(plant, sample_time, made.low, made.high, made.problem.change)
-        observer = None
-        if given.load_gain is not None:
-            response = acceleration_response(plant, sample_time)
-            observer = load_observer(plant, response, given.load_gain, given.tracked)
-        self._observer = observer
+        made = design(plant, given)
+        super().__init__(plant, given, made)
         self._law = MPCLaw(
             plant=plant,
             settings=given,
             design=made,
             form=form_of(made.problem, form),
-            load=None if observer is None else observer.model,
+            load=None if self._observer is None else self._observer.model,
             path=ReferencePreview(plant, given.reference, made.sampled),
         )
-        self._solver, self._longest_time = self._law.solver(), given.longest_time
+        self._solver = self._law.solver()
         self.reset()
         if plant.input == "force_density" and plant.model.strings is not None:
-            warn_of_held_lengths(plant, made.problem.feedback, sample_time)
+            warn_of_held_lengths(plant, made.problem.feedback, given.sample_time)
 
     @property
     def law(self) -> MPCLaw:
@@ -398,43 +386,22 @@ class MPC(Controller):
         """Inputs that the last solved program planned, shape (α, N); empty before the first."""
         return frozen(self._plan.T)
 
-    @property
-    def load(self) -> FloatArray | None:
-        """q̈ laid to an unknown load, m √kg/s², shape (r,); None where none is estimated."""
-        return None if self._observer is None else frozen(self._observer.acceleration)
-
-    def follow(self, reference: object) -> None:
-        """Follow another reference from now on.
-
-        Parameters
-        ----------
-        reference : Reference or array_like, shape (3, n), or None
-            As in the constructor.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If it does not fit the structure.
-        """
-        settings = replace(self._law.settings, reference=reference)
-        path = self._law.path.following(reference)
-        self._law = replace(self._law, settings=settings, path=path)
-
     def reset(self) -> None:
-        """Forget the last plan, the previous input, the estimated load and the statistics."""
-        self._plan = np.zeros((0, len(self._low)))
-        self._used = 0
-        self._guess: tuple[FloatArray, FloatArray] | None = None
+        """See :meth:`PredictiveController.reset`."""
         super().reset()
+        self._forget_plan()
         self._iterations: list[int] = []
         self._solver.reset()
-        if self._observer is not None:
-            self._observer.reset()
+
+    def _forget_plan(self) -> None:
+        self._plan: FloatArray = np.zeros((0, len(self._low)))
+        self._used = 0
+        self._guess: tuple[FloatArray, FloatArray] | None = None
 
     def take_over(self, command: FloatArray) -> None:
         """See :meth:`Controller.take_over`."""
         super().take_over(command)
-        self._plan, self._used, self._guess = self._plan[:0], 0, None
+        self._forget_plan()
         if self._observer is not None:
             self._observer.expect(None)
 
@@ -476,6 +443,6 @@ class MPC(Controller):
 
     def __repr__(self) -> str:
         return (
-            f"MPC({self.plant!r}, horizon {self._law.design.problem.length}, "
+            f"MPC({self.plant!r}, horizon {self.horizon}, "
             f"sample time {self.sample_time:g} s, {self.form})"
         )

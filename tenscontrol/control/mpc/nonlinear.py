@@ -9,14 +9,20 @@ from typing import Unpack, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control.controller import Command, Controller
-from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
+from tenscontrol.control.controller import Command
+from tenscontrol.control.disturbance import LoadObserver
 from tenscontrol.control.mpc.problem import MPCProblem, QPSolver, StageData
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
-from tenscontrol.control.mpc.settings import MPCSettings, SettingsKeywords, design
+from tenscontrol.control.mpc.settings import (
+    MPCSettings,
+    PredictiveController,
+    PredictiveLaw,
+    SettingsKeywords,
+    design,
+)
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Fallback, Status
-from tenscontrol.plant import LinearPlant, ReferencePreview, acceleration_response
+from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.validation import FloatArray, frozen, instance, truth, whole_number
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
@@ -56,37 +62,16 @@ class NMPCStatistics:
     feedback_time: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class NMPCLaw:
-    """What a nonlinear MPC computes with, except what it remembers.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NMPCLaw(PredictiveLaw):
+    """What a nonlinear MPC computes with, except what it remembers."""
 
-    Attributes
-    ----------
-    settings : MPCSettings
-    model : TrajectoryModel
-    problem : MPCProblem
-        Its rows are those of the model.
-    bounds, row_bounds : tuple of ndarray
-        Least and largest inputs, shape (α,) each, and limited rows, shape (p,) each.
-    units : ndarray, shape (s,)
-        Units of the state.
-    load : LoadModel or None
-        None where no load is estimated.
-    rounds : int
-        Programs solved in a sample at most.
-    path : ReferencePreview
-        What is followed.
-    """
-
-    settings: MPCSettings
     model: TrajectoryModel
-    problem: MPCProblem
-    bounds: tuple[FloatArray, FloatArray]
-    row_bounds: tuple[FloatArray, FloatArray]
-    units: FloatArray
-    load: LoadModel | None
-    rounds: int
-    path: ReferencePreview
+    problem: MPCProblem  # its rows are those of the model
+    bounds: tuple[FloatArray, FloatArray]  # of inputs, shape (α,) each
+    row_bounds: tuple[FloatArray, FloatArray]  # of limited rows, shape (p,) each
+    units: FloatArray  # of the state, shape (s,)
+    rounds: int  # programs solved in a sample at most
 
     def subproblem(self) -> Sparse:
         """Return the SQP subproblem, before anything is linearized."""
@@ -99,8 +84,8 @@ class NMPCLaw:
 
     def targets(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Return r_1 … r_N, shape (N, s), and s_0 … s_{N−1}, shape (N, α), without a load."""
-        times = time + self.settings.sample_time * np.arange(self.problem.length + 1.0)
-        return self.path.aims(times, self.model.discretization.ramp)
+        preview = self.path.over_horizon(time, self.problem.length)
+        return preview.reference, preview.input[:-1]
 
     def stage_data(self, reference: FloatArray, inputs: FloatArray) -> StageData:
         """Return the data with these targets, without a load; inputs are measured from zero."""
@@ -131,7 +116,7 @@ class NMPCLaw:
 
 
 @final
-class NMPC(Controller):
+class NMPC(PredictiveController):
     """Nonlinear MPC: the plant is linearized along the motion that was predicted.
 
     At each sample the last plan, moved on by a sample, is linearized exactly
@@ -190,6 +175,8 @@ class NMPC(Controller):
     >>> nmpc.prepare()  # while the plant moves; the next command is then quicker
     """
 
+    _law: NMPCLaw
+
     def __init__(
         self,
         plant: LinearPlant,
@@ -202,17 +189,13 @@ class NMPC(Controller):
         truth("machine_code", machine_code, "whether to compile the derivatives")
         rounds = whole_number("iterations", iterations, least=1)
         given = MPCSettings(**settings)
-        made, sample_time, winches = design(plant, given), given.sample_time, given.winches
-        super().__init__(plant, sample_time, made.low, made.high, made.problem.change)
+        made, winches = design(plant, given), given.winches
+        super().__init__(plant, given, made)
         path = ReferencePreview(plant, given.reference, made.sampled)
-        self._observer = None
-        if given.load_gain is not None:
-            response = acceleration_response(plant, sample_time)
-            self._observer = load_observer(plant, response, given.load_gain, given.tracked)
         # After all checks: it may be compiled.
         substeps = 1 if winches is None else winches.substeps
         model = TrajectoryModel(
-            plant, sample_time, given.horizon, made.constraints, substeps, machine_code
+            plant, given.sample_time, given.horizon, made.constraints, substeps, machine_code
         )
         self._law = NMPCLaw(
             settings=given,
@@ -225,7 +208,6 @@ class NMPC(Controller):
             rounds=rounds,
             path=path,
         )
-        self._longest_time = given.longest_time
         form = self._law.subproblem()
         self._plan = RealTimeIterate(
             model, form, self._law.solver(form), self._law.problem, self.bounds
@@ -236,11 +218,6 @@ class NMPC(Controller):
     def law(self) -> NMPCLaw:
         """What it computes with, except what it remembers; not for users, and may change."""
         return self._law
-
-    @property
-    def horizon(self) -> int:
-        """Number N of samples predicted."""
-        return self._law.problem.length
 
     @property
     def sampled(self) -> ca.Function:
@@ -278,28 +255,6 @@ class NMPC(Controller):
             feedback_time=frozen(table[:, 4]),
         )
 
-    @property
-    def load(self) -> FloatArray | None:
-        """q̈ laid to an unknown load, m √kg/s², shape (r,); None where none is estimated."""
-        return None if self._observer is None else frozen(self._observer.acceleration)
-
-    def follow(self, reference: object) -> None:
-        """Follow another reference from now on.
-
-        Parameters
-        ----------
-        reference : Reference or array_like, shape (3, n), or None
-            As in the constructor.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If it does not fit the structure.
-        """
-        settings = replace(self._law.settings, reference=reference)
-        path = self._law.path.following(reference)
-        self._law = replace(self._law, settings=settings, path=path)
-
     def targets(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Return what the cost measures from: r_1 … r_N, shape (N, s), and s_0 …, shape (N, α).
 
@@ -314,15 +269,13 @@ class NMPC(Controller):
         return self._law.model.at_rest(reference, inputs, self._observer)
 
     def reset(self) -> None:
-        """Forget the plan, the previous input, the estimated load and the statistics."""
+        """See :meth:`PredictiveController.reset`."""
         super().reset()
         self._plan.reset()
         self._followed = 0
         self._seen: tuple[FloatArray, FloatArray] | None = None
         self._records: list[tuple[float, ...]] = []
         self._preparing = 0.0
-        if self._observer is not None:
-            self._observer.reset()
 
     def take_over(self, command: FloatArray) -> None:
         """See :meth:`Controller.take_over`."""

@@ -1,20 +1,22 @@
-"""Settings that a user gives to MPC and NMPC, and the problem that they make of a plant."""
+"""What MPC and NMPC share: settings, the problem that they make of a plant, and a base class."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Required, TypedDict
+from typing import Required, Self, TypedDict
 
 import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import (
+    Controller,
     energy_weights,
     input_bounds,
     largest_change,
     weight_matrix,
 )
+from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
 from tenscontrol.control.mpc.constraints import OutputLimit, output_block
 from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.problem import (
@@ -27,7 +29,9 @@ from tenscontrol.control.mpc.problem import (
 )
 from tenscontrol.plant import (
     LinearPlant,
+    ReferencePreview,
     Sampled,
+    acceleration_response,
     refuse_empty,
     refuse_unreachable,
     regulator_riccati,
@@ -376,3 +380,65 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
         low = np.full(len(most), -np.inf)
         blocks.append(string_block("tension", strings, low, most, level, penalty))
     return blocks + outputs
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PredictiveLaw:
+    """What a predictive controller computes with, except what it remembers.
+
+    The load model is None where no load is estimated; the path is what is followed.
+    """
+
+    settings: MPCSettings
+    load: LoadModel | None
+    path: ReferencePreview
+
+    def following(self, reference: object) -> Self:
+        """Return the law that follows another reference."""
+        settings = replace(self.settings, reference=reference)
+        return replace(self, settings=settings, path=self.path.following(reference))
+
+
+class PredictiveController(Controller):
+    """What linear and nonlinear MPC have in common: bounds, horizon, reference and load."""
+
+    _law: PredictiveLaw
+
+    def __init__(self, plant: LinearPlant, settings: MPCSettings, made: Design) -> None:
+        super().__init__(plant, settings.sample_time, made.low, made.high, made.problem.change)
+        self._longest_time = settings.longest_time
+        self._observer: LoadObserver | None = None
+        if settings.load_gain is not None:
+            response = acceleration_response(plant, settings.sample_time)
+            self._observer = load_observer(plant, response, settings.load_gain, settings.tracked)
+
+    @property
+    def horizon(self) -> int:
+        """Number N of samples predicted."""
+        return self._law.settings.horizon
+
+    @property
+    def load(self) -> FloatArray | None:
+        """q̈ laid to an unknown load, m √kg/s², shape (r,); None where none is estimated."""
+        return None if self._observer is None else frozen(self._observer.acceleration)
+
+    def follow(self, reference: object) -> None:
+        """Follow another reference from now on.
+
+        Parameters
+        ----------
+        reference : Reference or array_like, shape (3, n), or None
+            As in the constructor.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it does not fit the structure.
+        """
+        self._law = self._law.following(reference)
+
+    def reset(self) -> None:
+        """Forget the plan, the previous input, the estimated load and the statistics."""
+        super().reset()
+        if self._observer is not None:
+            self._observer.reset()
