@@ -227,7 +227,7 @@ class Controller(ABC):
         """
         self._called = perf_counter()
         time = float(float_array("time", time))
-        shape = self._plant.nodes.shape
+        shape = self._plant.coordinates.nodes.shape
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
         state, fault = self._measure(N, V)
         if fault is not None:
@@ -258,7 +258,7 @@ class Controller(ABC):
         fault = self._measurement_check.fault(nodes, velocities)
         if fault is not None:
             return np.zeros(0), fault
-        return self._plant.measure(nodes, velocities), None
+        return self._plant.coordinates.measure(nodes, velocities), None
 
     def _issue(self, desired: Command) -> Command:
         """Return the nearest command within bounds; note it as the previous input and count it."""

@@ -24,6 +24,7 @@ from tenscontrol.control.mpc.settings import (
     PredictiveLaw,
     SettingsKeywords,
     design,
+    make_solver,
 )
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Fallback, Status
@@ -76,7 +77,7 @@ class MPCLaw(PredictiveLaw):
 
     def solver(self) -> QPSolver:
         """Return the solver of the programs, as it is before the first solve."""
-        return self.settings.make_solver(self.form)
+        return make_solver(self.settings, self.form)
 
     def stage_data(self, time: float, load: FloatArray | None) -> StageData:
         """Return what is known of the horizon before anything is measured at its start, at a time.

@@ -19,6 +19,7 @@ from tenscontrol.control.mpc.settings import (
     PredictiveLaw,
     SettingsKeywords,
     design,
+    make_solver,
 )
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Fallback, Status
@@ -80,7 +81,7 @@ class NMPCLaw(PredictiveLaw):
     def solver(self, form: Sparse) -> QPSolver:
         """Return the solver of a subproblem, as it is before the first solve."""
         # Slopes by implicit steps are of different sizes in these units: the solver scales them.
-        return self.settings.make_solver(form, equations=not self.model.implicit)
+        return make_solver(self.settings, form, equations=not self.model.implicit)
 
     def targets(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Return r_1 … r_N, shape (N, s), and s_0 … s_{N−1}, shape (N, α), without a load."""

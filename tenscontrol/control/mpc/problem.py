@@ -30,28 +30,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Limited combinations of states and inputs, the same at each sample.
+    """Limited combinations of states and inputs, the same at each sample."""
 
-    Attributes
-    ----------
-    by_state, by_next_state : ndarray, shape (p, s)
-        E and F.
-    by_input : ndarray, shape (p, α)
-        G.
-    scale : ndarray, shape (p,)
-        Unit of each row inside the program.
-    penalty : ndarray, shape (p,)
-        π per unit of the row; infinite for a hard limit.
-    bounded : tuple of bool
-        Whether any row is bounded from below, from above.
-    """
-
-    by_state: FloatArray
-    by_next_state: FloatArray
-    by_input: FloatArray
-    scale: FloatArray
-    penalty: FloatArray
-    bounded: tuple[bool, bool]
+    by_state: FloatArray  # E, (p, s)
+    by_next_state: FloatArray  # F, (p, s)
+    by_input: FloatArray  # G, (p, α)
+    scale: FloatArray  # (p,), unit of each row inside the program
+    penalty: FloatArray  # (p,), π per unit of the row; infinite for a hard limit
+    bounded: tuple[bool, bool]  # whether any row is bounded from above, from below
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -64,29 +50,18 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class RowBlock:
-    """Rows of one kind: their matrices and their bounds.
+    """Rows of one kind: their matrices and their bounds."""
 
-    Attributes
-    ----------
-    by_state, by_next_state, by_input : ndarray, shapes (p, s), (p, s), (p, α)
-    low, high, scale, penalty : ndarray, shape (p,)
-    quantity : str
-        Of the path, which bounds are measured from: ``"force_density"``, ``"tension"``, or ``""``
-        for node positions.
-    offset, on_nodes : ndarray, shapes (p,) and (p, 3n)
-        Of node positions: value at the operating point, and the matrix C.
-    """
-
-    by_state: FloatArray
-    by_next_state: FloatArray
-    by_input: FloatArray
-    low: FloatArray
+    by_state: FloatArray  # (p, s)
+    by_next_state: FloatArray  # (p, s)
+    by_input: FloatArray  # (p, α)
+    low: FloatArray  # (p,)
     high: FloatArray
     scale: FloatArray
     penalty: FloatArray
-    quantity: str
-    offset: FloatArray
-    on_nodes: FloatArray
+    quantity: str  # of the path, that bounds are measured from; "" for node positions
+    offset: FloatArray  # (p,), of node positions: value at the operating point
+    on_nodes: FloatArray  # (p, 3n), of node positions: C
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -130,12 +105,8 @@ def string_block(
 class Constraints:
     """All rows of a problem, with bounds that move along a path.
 
-    Parameters
-    ----------
-    blocks : list of RowBlock
-        Rows of strings see the state either before or after a sample.
-    states : int
-        Number s of states of the plant, which come first.
+    Rows of strings see the state either before or after a sample. The states of the plant, of
+    which there are s, come first.
     """
 
     def __init__(self, blocks: list[RowBlock], states: int) -> None:
@@ -189,77 +160,37 @@ class Constraints:
 
 @dataclass(frozen=True, eq=False)
 class StageData:
-    """What changes from stage to stage, known before the state at the first is measured.
+    """What changes from stage to stage, known before the state at the first is measured."""
 
-    Attributes
-    ----------
-    reference : ndarray, shape (N, s)
-        r_1 … r_N, moved to where the plant rests under an estimated load.
-    input_reference : ndarray, shape (N, α)
-        s_k.
-    drift : ndarray, shape (N, s)
-        d_k.
-    low, high : ndarray, shape (N, α)
-        Bounds of v_k.
-    shift : ndarray, shape (N, α)
-        Change of the origin of v since the sample before.
-    row_low, row_high : ndarray, shape (N, p)
-        Bounds of y_k.
-    origin : ndarray, shape (N, α)
-        Inputs that v_0 … v_{N−1} are measured from.
-    previous_origin : ndarray, shape (α,)
-        The input that v_{−1} is measured from.
-    """
-
-    reference: FloatArray
-    input_reference: FloatArray
-    drift: FloatArray
-    low: FloatArray
+    reference: FloatArray  # r_1 … r_N, (N, s), moved to where the plant rests under a load
+    input_reference: FloatArray  # s_k, (N, α)
+    drift: FloatArray  # d_k, (N, s)
+    low: FloatArray  # bounds of v_k, (N, α)
     high: FloatArray
-    shift: FloatArray
-    row_low: FloatArray
+    shift: FloatArray  # (N, α), change of the origin of v since the sample before
+    row_low: FloatArray  # bounds of y_k, (N, p)
     row_high: FloatArray
-    origin: FloatArray
-    previous_origin: FloatArray
+    origin: FloatArray  # (N, α), inputs that v_0 … v_{N−1} are measured from
+    previous_origin: FloatArray  # (α,), the input that v_{−1} is measured from
 
 
 @dataclass(frozen=True, eq=False)
 class MPCProblem:
-    """Data of the problem that never change.
+    """Data of the problem that never change."""
 
-    Attributes
-    ----------
-    transition, input_matrix, drift : ndarray
-        Φ (s, s), Γ (s, α) and d (s,).
-    state_weight, input_weight, terminal_weight : ndarray
-        Q (s, s), R (α, α) and P (s, s).
-    low, high : ndarray, shape (α,)
-        Bounds of v.
-    change : ndarray, shape (α,), or None
-        Largest change of v from sample to sample; None for no limit.
-    length : int
-        N.
-    level : float
-        Unit of v inside the program.
-    feedback : ndarray, shape (α, s)
-        K of the LQR with these weights.
-    rows : Rows, optional
-        Limits beside those of the inputs.
-    """
-
-    transition: FloatArray
-    input_matrix: FloatArray
-    drift: FloatArray
-    state_weight: FloatArray
-    input_weight: FloatArray
-    terminal_weight: FloatArray
-    low: FloatArray
+    transition: FloatArray  # Φ, (s, s)
+    input_matrix: FloatArray  # Γ, (s, α)
+    drift: FloatArray  # d, (s,)
+    state_weight: FloatArray  # Q, (s, s)
+    input_weight: FloatArray  # R, (α, α)
+    terminal_weight: FloatArray  # P, (s, s)
+    low: FloatArray  # bounds of v, (α,)
     high: FloatArray
-    change: FloatArray | None
-    length: int
-    level: float
-    feedback: FloatArray
-    rows: Rows | None = None
+    change: FloatArray | None  # (α,), largest change of v from sample to sample; None for any
+    length: int  # N
+    level: float  # unit of v inside the program
+    feedback: FloatArray  # K of the LQR with these weights, (α, s)
+    rows: Rows | None = None  # limits beside those of the inputs
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -281,16 +212,8 @@ class LimitRows:
     Rows come in blocks of N times some width: inputs, changes, hard rows, soft rows from
     above, soft rows from below, violations. Each is in units of its level or scale.
 
-    Attributes
-    ----------
-    on_inputs, on_states, on_violations : sparse array, shapes (m, Nα), (m, Ns), (m, e)
-        What multiplies v_0 …, z_1 … and the violations.
-    on_first : sparse array, shape (m, s)
-        What multiplies z_0.
-    price : ndarray, shape (e,)
-        Linear cost of the violations, in units of the scaled cost.
-    widths : list of int
-        Widths of the blocks of rows.
+    ``on_inputs``, ``on_states``, ``on_first`` and ``on_violations`` multiply v_0 …, z_1 …, z_0 and
+    the violations; ``price`` is the linear cost of those, in units of the scaled cost.
     """
 
     def __init__(self, problem: MPCProblem) -> None:
@@ -409,16 +332,7 @@ class Form(ABC):
     def vectors(
         self, state: FloatArray, data: StageData, previous: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return q, l and u.
-
-        Parameters
-        ----------
-        state : ndarray, shape (s,)
-            z_0.
-        data : StageData
-        previous : ndarray, shape (α,)
-            v_{−1}; matters only where the change is limited.
-        """
+        """Return q, l and u from z_0 and v_{−1}, which matters only where the change is limited."""
 
     @abstractmethod
     def inputs(self, x: FloatArray, state: FloatArray, data: StageData) -> FloatArray:

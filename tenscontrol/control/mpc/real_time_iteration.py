@@ -53,17 +53,8 @@ _MOST_EXPLICIT = 4
 class TrajectoryModel:
     """The motion of a plant over N samples, and the values of limited rows, with derivatives.
 
-    Attributes
-    ----------
-    implicit : bool
-        Whether steps are implicit: where inputs are ramps or strings are stiff.
-    discretization : Discretization
-    back_end : str
-        What evaluates the derivatives.
-    acceleration : casadi.Function
-        ``(z, u) -> q̈``.
-    limited : casadi.Function or None
-        ``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of the rows that are limited, dense.
+    Steps are implicit where inputs are ramps or strings are stiff. ``limited`` is
+    ``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of the rows that are limited, dense.
     """
 
     def __init__(
@@ -199,17 +190,8 @@ class RealTimeIterate:
     """States z_0 … z_N and inputs u_0 … u_{N−1}, and the program that improves them.
 
     Accelerations at the stages of implicit steps are part of it, and u_{−1}, which still acts
-    where inputs are ramps.
-
-    Attributes
-    ----------
-    form : Sparse
-        The SQP subproblem.
-    solver : QPSolver
-    inputs : ndarray, shape (N, α), or None
-        None before there is a plan.
-    linearized : bool
-        Whether the program is linearized along the plan.
+    where inputs are ramps. ``inputs`` is None before there is a plan; ``linearized`` says whether
+    the program is linearized along the plan.
     """
 
     def __init__(

@@ -219,10 +219,11 @@ class MPCSettings:
         """Time for a command, s; inf where there is no limit."""
         return np.inf if self.time_limit is None else self.time_limit
 
-    def make_solver(self, form: Form, equations: bool = False) -> QPSolver:
-        """Return a solver of a program, as it is before the first solve."""
-        kind = _SOLVERS[self.solver] if isinstance(self.solver, str) else self.solver
-        return kind(form.P, form.A, self.tolerance, self.max_iterations, equations=equations)
+
+def make_solver(settings: MPCSettings, form: Form, equations: bool = False) -> QPSolver:
+    """Return a solver of a program, as it is before the first solve."""
+    kind = _SOLVERS[settings.solver] if isinstance(settings.solver, str) else settings.solver
+    return kind(form.P, form.A, settings.tolerance, settings.max_iterations, equations=equations)
 
 
 def _checked_penalty(value: object) -> float:
@@ -237,22 +238,12 @@ def _checked_penalty(value: object) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Data of a program.
-
-    Attributes
-    ----------
-    problem : MPCProblem
-    constraints : Constraints
-    sampled : Sampled
-        What a sample does.
-    low, high : ndarray, shape (α,)
-        Least and largest command.
-    """
+    """Data of a program."""
 
     problem: MPCProblem
     constraints: Constraints
-    sampled: Sampled
-    low: FloatArray
+    sampled: Sampled  # what a sample does
+    low: FloatArray  # least command, (α,)
     high: FloatArray
 
     @property

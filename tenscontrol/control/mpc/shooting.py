@@ -46,18 +46,13 @@ _BALANCED = 1e-9
 class StageJacobians:
     """First-order functions along a trajectory: ``value ≈ offset + Σ slope · argument``.
 
-    Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j.
-
-    Attributes
-    ----------
-    offset : ndarray, shape (N, m)
-    slopes : tuple of ndarray, shape (N, columns, m) each
-        Of the motion by z_k, u_k and, where inputs are ramps, u_{k−1}; of limited rows by z_k, u_k
-        and z_{k+1}. Views of memory that the next call may overwrite.
+    Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j. Those
+    of the motion are by z_k, u_k and, where inputs are ramps, u_{k−1}; those of limited rows by
+    z_k, u_k and z_{k+1}. They are views of memory that the next call may overwrite.
     """
 
-    offset: FloatArray
-    slopes: tuple[FloatArray, ...]
+    offset: FloatArray  # (N, m)
+    slopes: tuple[FloatArray, ...]  # (N, columns, m) each
 
 
 def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobians:
@@ -94,17 +89,10 @@ class Discretization(ABC):
     A plan may have more than states and inputs: the accelerations at the stages of implicit
     steps, shape (N, stages, r). Explicit steps have none. What is built of CasADi is kept with the
     plant, and each discretization evaluates it in memory of its own.
-
-    Attributes
-    ----------
-    back_end : str
-        ``"machine code"`` or ``"virtual machine"``.
-    ramp : bool
-        Whether the input moves through a sample, so that the one before matters too.
     """
 
-    back_end: str
-    ramp: bool
+    back_end: str  # "machine code" or "virtual machine"
+    ramp: bool  # whether the input moves through a sample, so that the one before matters too
 
     @property
     @abstractmethod
@@ -163,10 +151,7 @@ class Discretization(ABC):
 class RK4(Discretization):
     """By RK4 in steps that resolve the fastest vibration; inputs jump at the starts of samples.
 
-    Attributes
-    ----------
-    linearized : casadi.Function
-        ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
+    ``linearized`` is ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
     """
 
     ramp = False

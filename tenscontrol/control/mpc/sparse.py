@@ -46,24 +46,10 @@ class Sparse(Form):
     Unknowns are z_1 … z_N, u_0 … u_{N−1} and the violations, in units of the state, of one
     input and of the rows. States and inputs are measured from zero, or from a plan.
 
-    Parameters
-    ----------
-    problem : MPCProblem
-        Where a matrix of the rows is zero, it stays so.
-    units : ndarray, shape (s,), optional
-        Of the state; 1 if not given.
-    varying : bool
-        Whether stage Jacobians are put in by :meth:`linearize`; if not, they are those of the
-        problem. With a terminal weight of ``[z_N; u_{N−1}]`` there are C_k too.
-
-    Attributes
-    ----------
-    limits : LimitRows
-        The rows after those of the dynamics, which are as many as entries of z_1 … z_N.
-    motion_indices : list of SparsityIndices
-        Of A_k, B_k and C_k; A_0 and C_0 meet only what is known.
-    row_indices : list of tuple of SparsityIndices
-        Of E_k, G_k and F_k, for each part of the limited rows; none where they are constant.
+    Stage Jacobians are those of the problem, or ``varying`` and put in by :meth:`linearize`; where
+    a matrix of the rows is zero, it stays so. With a terminal weight of ``[z_N; u_{N−1}]`` there
+    are C_k too. ``motion_indices`` are of A_k, B_k and C_k; A_0 and C_0 meet only what is known.
+    ``row_indices`` are of E_k, G_k and F_k, for each part of the limited rows.
     """
 
     def __init__(
@@ -178,18 +164,11 @@ class Sparse(Form):
         rows: StageJacobians | None = None,
         about: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
-        """Put the values of stage Jacobians into A.
+        """Put the values of stage Jacobians into A: of the motion, and of rows if they are limited.
 
-        Parameters
-        ----------
-        motion : StageJacobians
-            A_k, B_k, C_k where inputs are ramps, and c_k.
-        rows : StageJacobians, optional
-            E_k, G_k, F_k and d_k, where rows are limited.
-        about : tuple of ndarray, shapes (N, s) and (N, α), optional
-            A plan z_1 …, u_0 … that unknowns are measured from, zero if not given. The solver
-            stops at an error relative to the unknowns: of rest lengths of stiff strings,
-            themselves thousands of stretches, that is too much.
+        Unknowns are measured from a plan z_1 …, u_0 … if one is given. The solver stops at an
+        error relative to the unknowns: of rest lengths of stiff strings, themselves thousands of
+        stretches, that is too much.
         """
         values = self.A.data
         for indices, slope in zip(self.motion_indices, motion.slopes, strict=True):
