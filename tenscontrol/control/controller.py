@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.control.status import Fallback, Status, merged_count
-from tenscontrol.plant import LinearPlant
+from tenscontrol.plant import LinearPlant, regulator_riccati, state_units
 from tenscontrol.validation import (
     FloatArray,
     float_array,
@@ -484,3 +484,16 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
         stiffness = (modes * np.abs(sizes)) @ modes.T
         Q[:r, :r] = 0.5 * (stiffness + stiffness.T)
     return Q, np.eye(plant.B.shape[1]) * (largest / highest) ** 2
+
+
+def regulator(
+    plant: LinearPlant, A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, discrete: bool
+) -> tuple[FloatArray, tuple[FloatArray, np.ndarray, FloatArray, float]]:
+    """Return the weight of the state and the solution of the Riccati equation.
+
+    A and B may be those of ``[z; v_previous]``; the previous input has no weight then.
+    """
+    units, level = state_units(plant)
+    added = len(A) - len(Q)
+    weight, units = np.pad(Q, (0, added)), np.concatenate([units, np.full(added, level)])
+    return weight, regulator_riccati(A, B, weight, R, units, level, discrete=discrete)

@@ -140,13 +140,7 @@ def warn_of_held_lengths(plant: LinearPlant, gain: FloatArray, sample_time: floa
         if loop.radius >= 1
         else f"the loop settles at {100 * loop.rate_ratio:.0f} % of the rate it was designed for"
     )
-    warnings.warn(
-        f"where winches hold rest lengths between samples of {sample_time:g} s, strings this "
-        f"stiff undo a commanded γ: {what}. Linearize with input='rest_length'; if the actuators "
-        "hold forces, build the model without a string law",
-        RuntimeWarning,
-        stacklevel=3,
-    )
+    _warn(sample_time, f"undo a commanded γ: {what}. Linearize with input='rest_length'")
 
 
 def held_error_rate(
@@ -178,11 +172,17 @@ def warn_of_slow_errors(
     ratio = held_error_rate(plant, matrix, rates, sample_time)
     if ratio >= SLOWEST:
         return
+    _warn(
+        sample_time,
+        f"act as dampers: errors decay at {100 * ratio:.0f} % of the rate asked for. Raise the "
+        "frequency or shorten the step, or use MPC with input='rest_length'",
+    )
+
+
+def _warn(sample_time: float, what: str) -> None:
     warnings.warn(
         f"where winches hold rest lengths between samples of {sample_time:g} s, strings this "
-        f"stiff act as dampers: errors decay at {100 * ratio:.0f} % of the rate asked for. Raise "
-        "the frequency or shorten the step, or use MPC with input='rest_length'; if the actuators "
-        "hold forces, build the model without a string law",
+        f"stiff {what}; if the actuators hold forces, build the model without a string law",
         RuntimeWarning,
-        stacklevel=3,
+        stacklevel=4,
     )

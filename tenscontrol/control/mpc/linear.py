@@ -13,8 +13,10 @@ from tenscontrol.control.mpc.problem import (
     Form,
     LimitRows,
     MPCProblem,
+    Pair,
     QPSolver,
     StageData,
+    Triple,
     shifted,
 )
 from tenscontrol.control.mpc.settings import (
@@ -118,7 +120,7 @@ class MPCLaw(PredictiveLaw):
         state: FloatArray,
         previous_input: FloatArray,
         previous_within_bounds: FloatArray,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    ) -> Triple:
         """Return q, l and u of the program, from the measured state and what actuators hold."""
         first = self._first_state(data, state, previous_input)
         previous = previous_within_bounds - data.origin[0]
@@ -203,9 +205,7 @@ class Condensed(Form):
         self._drift: FloatArray = np.zeros(0)
         self._by_this_drift = (self._drift, self._drift, self._drift)
 
-    def vectors(
-        self, state: FloatArray, data: StageData, previous: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def vectors(self, state: FloatArray, data: StageData, previous: FloatArray) -> Triple:
         """See :meth:`Form.vectors`."""
         slope, motion, _ = self._drifted(data)
         q = self._from_state @ state + self._from_reference @ data.reference.ravel() + slope
@@ -221,7 +221,7 @@ class Condensed(Form):
         v = self._to_inputs @ x[: self._count] + base
         return np.asarray(v.reshape(self._length, -1))
 
-    def _drifted(self, data: StageData) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _drifted(self, data: StageData) -> Triple:
         """Return what the drift does to q, to the limited rows and to v; kept while it stays."""
         if not np.array_equal(self._drift, data.drift):
             drift = data.drift.ravel()
@@ -231,7 +231,7 @@ class Condensed(Form):
             )  # fmt: skip
         return self._by_this_drift
 
-    def shifted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def shifted(self, x: FloatArray, y: FloatArray) -> Pair:
         """See :meth:`Form.shifted`."""
         # After the horizon the law is followed as it is.
         N = self._length
@@ -241,7 +241,7 @@ class Condensed(Form):
         )
 
 
-def _prediction(problem: MPCProblem) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _prediction(problem: MPCProblem) -> Triple:
     """Return S, G, H of ``Z = S z_0 + G C + H D`` with Z = [z_1; …; z_N] and v = −K z + c."""
     N, (states, inputs) = problem.length, problem.input_matrix.shape
     closed = problem.transition - problem.input_matrix @ problem.feedback
@@ -397,7 +397,7 @@ class MPC(PredictiveController):
     def _forget_plan(self) -> None:
         self._plan: FloatArray = np.zeros((0, len(self._low)))
         self._used = 0
-        self._guess: tuple[FloatArray, FloatArray] | None = None
+        self._guess: Pair | None = None
 
     def take_over(self, command: FloatArray) -> None:
         """See :meth:`Controller.take_over`."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscontrol.control.controller import Command
 from tenscontrol.control.disturbance import LoadObserver
-from tenscontrol.control.mpc.problem import MPCProblem, QPSolver, StageData
+from tenscontrol.control.mpc.problem import MPCProblem, Pair, QPSolver, StageData, Triple
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
 from tenscontrol.control.mpc.settings import (
     MPCSettings,
@@ -69,8 +69,8 @@ class NMPCLaw(PredictiveLaw):
 
     model: TrajectoryModel
     problem: MPCProblem  # its rows are those of the model
-    bounds: tuple[FloatArray, FloatArray]  # of inputs, shape (α,) each
-    row_bounds: tuple[FloatArray, FloatArray]  # of limited rows, shape (p,) each
+    bounds: Pair  # of inputs, shape (α,) each
+    row_bounds: Pair  # of limited rows, shape (p,) each
     units: FloatArray  # of the state, shape (s,)
     rounds: int  # programs solved in a sample at most
 
@@ -83,7 +83,7 @@ class NMPCLaw(PredictiveLaw):
         # Slopes by implicit steps are of different sizes in these units: the solver scales them.
         return make_solver(self.settings, form, equations=not self.model.implicit)
 
-    def targets(self, time: float) -> tuple[FloatArray, FloatArray]:
+    def targets(self, time: float) -> Pair:
         """Return r_1 … r_N, shape (N, s), and s_0 … s_{N−1}, shape (N, α), without a load."""
         preview = self.path.over_horizon(time, self.problem.length)
         return preview.reference, preview.input[:-1]
@@ -190,14 +190,11 @@ class NMPC(PredictiveController):
         truth("machine_code", machine_code, "whether to compile the derivatives")
         rounds = whole_number("iterations", iterations, least=1)
         given = MPCSettings(**settings)
-        made, winches = design(plant, given), given.winches
+        made = design(plant, given)
         super().__init__(plant, given, made)
         path = ReferencePreview(plant, given.reference, made.sampled)
         # After all checks: it may be compiled.
-        substeps = 1 if winches is None else winches.substeps
-        model = TrajectoryModel(
-            plant, given.sample_time, given.horizon, made.constraints, substeps, machine_code
-        )
+        model = TrajectoryModel(plant, given, made.constraints, machine_code)
         self._law = NMPCLaw(
             settings=given,
             model=model,
@@ -231,7 +228,7 @@ class NMPC(PredictiveController):
         return self._law.model.back_end
 
     @property
-    def weights(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def weights(self) -> Triple:
         """Q, R and the terminal P, which is of ``[z; u_before]`` where inputs are ramps."""
         problem = self._law.problem
         return problem.state_weight, problem.input_weight, problem.terminal_weight
@@ -256,7 +253,7 @@ class NMPC(PredictiveController):
             feedback_time=frozen(table[:, 4]),
         )
 
-    def targets(self, time: float) -> tuple[FloatArray, FloatArray]:
+    def targets(self, time: float) -> Pair:
         """Return what the cost measures from: r_1 … r_N, shape (N, s), and s_0 …, shape (N, α).
 
         Parameters
@@ -274,7 +271,7 @@ class NMPC(PredictiveController):
         super().reset()
         self._plan.reset()
         self._followed = 0
-        self._seen: tuple[FloatArray, FloatArray] | None = None
+        self._seen: Pair | None = None
         self._records: list[tuple[float, ...]] = []
         self._preparing = 0.0
 

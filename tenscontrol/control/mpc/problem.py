@@ -27,6 +27,9 @@ from tenscontrol.validation import FloatArray, IntArray, freeze_arrays, frozen
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
+Pair = tuple[FloatArray, FloatArray]
+Triple = tuple[FloatArray, FloatArray, FloatArray]
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -135,7 +138,7 @@ class Constraints:
         )
 
     @property
-    def limits(self) -> tuple[FloatArray, FloatArray]:
+    def limits(self) -> Pair:
         """Least and largest values of all rows, shape (p,) each."""
         return frozen(self._joined("low")), frozen(self._joined("high"))
 
@@ -143,7 +146,7 @@ class Constraints:
         none = [] if self.blocks else [np.zeros(0)]
         return np.concatenate(none + [getattr(block, name) for block in self.blocks])
 
-    def bounds(self, preview: Preview, length: int) -> tuple[FloatArray, FloatArray]:
+    def bounds(self, preview: Preview, length: int) -> Pair:
         """Return bounds of the rows, shape (N, p) each, on a path at N samples and their end."""
         low, high = [np.zeros((length, 0))], [np.zeros((length, 0))]
         for block in self.blocks:
@@ -288,7 +291,7 @@ class LimitRows:
         none = csc_array((rows, self._problem.length * states))
         return on_inputs, none, csc_array((rows, states)), None
 
-    def bounds(self, previous: FloatArray, data: StageData) -> tuple[FloatArray, FloatArray]:
+    def bounds(self, previous: FloatArray, data: StageData) -> Pair:
         """Return the bounds of all rows before what is known of states is moved over.
 
         The previous input is v_{−1}, shape (α,).
@@ -329,9 +332,7 @@ class Form(ABC):
     A: csc_array
 
     @abstractmethod
-    def vectors(
-        self, state: FloatArray, data: StageData, previous: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def vectors(self, state: FloatArray, data: StageData, previous: FloatArray) -> Triple:
         """Return q, l and u from z_0 and v_{−1}, which matters only where the change is limited."""
 
     @abstractmethod
@@ -339,7 +340,7 @@ class Form(ABC):
         """Return v_0 … v_{N−1}, shape (N, α), from a solution."""
 
     @abstractmethod
-    def shifted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def shifted(self, x: FloatArray, y: FloatArray) -> Pair:
         """Return a primal and dual solution moved on by one sample, to start the next from."""
 
 
@@ -409,7 +410,7 @@ class QPSolver(ABC):
         q: FloatArray,
         l: FloatArray,  # noqa: E741 - the letters of the problem
         u: FloatArray,
-        start: tuple[FloatArray, FloatArray] | None = None,
+        start: Pair | None = None,
         deadline: float = np.inf,
     ) -> QPSolution:
         """Solve for new vectors, from the last solution or from a given start.

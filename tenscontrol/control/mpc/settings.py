@@ -14,6 +14,7 @@ from tenscontrol.control.controller import (
     energy_weights,
     input_bounds,
     largest_change,
+    regulator,
     weight_matrix,
 )
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
@@ -34,9 +35,7 @@ from tenscontrol.plant import (
     acceleration_response,
     refuse_empty,
     refuse_unreachable,
-    regulator_riccati,
     sampled,
-    state_units,
     string_map,
     to_commanded_strings,
     to_model_strings,
@@ -285,18 +284,14 @@ def design(plant: LinearPlant, settings: MPCSettings) -> Design:
     winches, sample_time = settings.winches, settings.sample_time
     model = sampled(plant, sample_time, 1 if winches is None else winches.substeps)
     transition, input_matrix = model.augmented
-    added = len(transition) - states
-    weight = np.zeros_like(transition)
-    weight[:states, :states] = state_weight
-    unit, size = state_units(plant)
-    units = np.r_[unit, np.full(added, size)]
-    gain, _, cost, _ = regulator_riccati(
-        transition, input_matrix, weight, input_weight, units, size, discrete=True
+    weight, (gain, _, cost, _) = regulator(
+        plant, transition, input_matrix, state_weight, input_weight, discrete=True
     )
     # The price is relative to the cost of an input one level off.
     assert settings.string_penalty is not None  # the record filled in the default
     penalty = settings.string_penalty * level**2 * float(np.linalg.eigvalsh(input_weight).min())
     blocks = _row_blocks(plant, settings, penalty)
+    added = len(transition) - states
     if model.ramp:
         blocks = [block.at_sample_ends(added) for block in blocks]
     constraints = Constraints(blocks, states)

@@ -18,7 +18,15 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.problem import Form, LimitRows, MPCProblem, StageData, shifted
+from tenscontrol.control.mpc.problem import (
+    Form,
+    LimitRows,
+    MPCProblem,
+    Pair,
+    StageData,
+    Triple,
+    shifted,
+)
 from tenscontrol.control.mpc.shooting import StageJacobians, applied
 from tenscontrol.validation import FloatArray, IntArray
 
@@ -95,7 +103,7 @@ class Sparse(Form):
             ))  # fmt: skip
         p = 0 if rows is None else len(rows.scale)
         self._row_offset, self._rows_first = np.zeros((N, p)), np.zeros((s, p))
-        self._about: tuple[FloatArray, FloatArray] | None = None
+        self._about: Pair | None = None
         if not varying:
             slopes = (np.tile(matrix.T, (N, 1, 1)) for matrix in (by_state, by_input))
             self.linearize(StageJacobians(np.zeros((N, s)), tuple(slopes)))
@@ -162,7 +170,7 @@ class Sparse(Form):
         self,
         motion: StageJacobians,
         rows: StageJacobians | None = None,
-        about: tuple[FloatArray, FloatArray] | None = None,
+        about: Pair | None = None,
     ) -> None:
         """Put the values of stage Jacobians into A: of the motion, and of rows if they are limited.
 
@@ -201,7 +209,7 @@ class Sparse(Form):
         data: StageData,
         previous: FloatArray,
         previous_input: FloatArray | None = None,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    ) -> Triple:
         """See :meth:`Form.vectors`. With C_k the previous input of the motion is needed too."""
         level = self._problem.level
         if self._about is not None:
@@ -244,7 +252,7 @@ class Sparse(Form):
         """See :meth:`Form.inputs`."""
         return self.trajectory(x)[1]
 
-    def trajectory(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def trajectory(self, x: FloatArray) -> Pair:
         """Return z_1 … z_N (N, s) and u_0 … u_{N−1} (N, α) of a solution."""
         N, count = self._problem.length, self._count
         found, rest = np.split(x, [self._states])
@@ -254,7 +262,7 @@ class Sparse(Form):
             return states, planned
         return states + self._about[0], planned + self._about[1]
 
-    def at_plan(self, guess: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    def at_plan(self, guess: Pair) -> Pair:
         """Return a guess of primal and dual solution whose states and inputs are those of a plan.
 
         It stays as it is where unknowns are not measured from a plan.
@@ -265,7 +273,7 @@ class Sparse(Form):
         x[: self._states + self._count] = 0.0
         return x, guess[1]
 
-    def shifted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def shifted(self, x: FloatArray, y: FloatArray) -> Pair:
         """See :meth:`Form.shifted`."""
         N, (s, a) = self._problem.length, self._problem.input_matrix.shape
         return (
