@@ -10,7 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control.status import Fallback, Status, merged_count
+from tenscontrol.control.status import Fallback, Status
 from tenscontrol.plant import LinearPlant, regulator_riccati, state_units
 from tenscontrol.validation import (
     FloatArray,
@@ -166,7 +166,8 @@ class Controller(ABC):
         self._called = 0.0  # start of the last command, by perf_counter
         # Input over the last sample: as applied() says, else the last command; None before.
         self._previous_input: FloatArray | None = None
-        self._status_count: Counter[tuple[Status, Fallback | None]] = Counter()
+        self._status_count: Counter[Status] = Counter()
+        self._fallback_count: Counter[Fallback] = Counter()
 
     @property
     def plant(self) -> LinearPlant:
@@ -263,7 +264,9 @@ class Controller(ABC):
     def _issue(self, desired: Command) -> Command:
         """Return the nearest command within bounds; note it as the previous input and count it."""
         self._previous_input = frozen(self._within_bounds(desired.value))
-        self._status_count[desired.status, desired.fallback] += 1
+        self._status_count[desired.status] += 1
+        if desired.fallback is not None:
+            self._fallback_count[desired.fallback] += 1
         return replace(desired, value=self._previous_input)
 
     def applied(self, value: object) -> None:
@@ -311,7 +314,7 @@ class Controller(ABC):
     def reset(self) -> None:
         """Forget everything that was measured, planned or applied."""
         self._previous_input = None
-        self._status_count = Counter()
+        self._status_count, self._fallback_count = Counter(), Counter()
 
     def take_over(self, command: FloatArray) -> None:
         """Take over from another controller: plans from this one's own commands are dropped.
@@ -340,14 +343,12 @@ class Controller(ABC):
     @property
     def status_count(self) -> dict[Status, int]:
         """How often each status came since the last reset."""
-        return merged_count((status, n) for (status, _), n in self._status_count.items())
+        return dict(self._status_count)
 
     @property
     def fallback_count(self) -> dict[Fallback, int]:
         """How often each fallback was taken since the last reset."""
-        return merged_count(
-            (fallback, n) for (_, fallback), n in self._status_count.items() if fallback
-        )
+        return dict(self._fallback_count)
 
 
 def input_bounds(
