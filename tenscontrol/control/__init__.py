@@ -1,6 +1,6 @@
 """Controllers: LQR, MPC, nonlinear MPC, feedback linearization, gain schedules."""
 
-from tenscontrol.control.controller import Command, Controller
+from tenscontrol.control.controller import Command, Controller, energy_weights
 from tenscontrol.control.feedback_linearization import (
     FeedbackLinearization,
     FeedbackLinearizationStatistics,
@@ -20,7 +20,6 @@ from tenscontrol.control.mpc import (
     clearance,
 )
 from tenscontrol.control.status import Fallback, Status
-from tenscontrol.control.weights import energy_weights
 
 __all__ = [
     "LQR",

@@ -1,4 +1,4 @@
-"""Controller interface, and the check of measurements that every controller makes."""
+"""Controller interface: check of measurements, bounds of commands, weights of quadratic costs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,20 @@ from time import perf_counter
 
 import numpy as np
 
-from tenscontrol.control.status import Fallback, Status, merged_count
-from tenscontrol.plant import LinearPlant
-from tenscontrol.validation import FloatArray, float_array, frozen, measured, shaped
+from tenscontrol.actuation import Winches
+from tenscontrol.control.status import Fallback, Status
+from tenscontrol.plant import LinearPlant, regulator_riccati, state_units
+from tenscontrol.validation import (
+    FloatArray,
+    float_array,
+    frozen,
+    instance,
+    measured,
+    per_member,
+    positive,
+    shaped,
+    truth,
+)
 
 # A bar may be measured longer or shorter by this part of its length, and a fixed node off its
 # place by this part of the size: far above sensor noise, far below a swapped or lost marker.
@@ -24,6 +35,12 @@ _SPREAD, _FAR = 10.0, 1e6
 # Largest relative motion of two nodes, in sizes, in a sample and in the time constant of the
 # fastest pole.
 _SPEED = 10.0
+
+# A rest length is kept above this fraction of its value at the operating point.
+_SHORTEST = 0.01
+
+# Relative size of what counts as round-off in a weight matrix.
+_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +166,8 @@ class Controller(ABC):
         self._called = 0.0  # start of the last command, by perf_counter
         # Input over the last sample: as applied() says, else the last command; None before.
         self._previous_input: FloatArray | None = None
-        self._status_count: Counter[tuple[Status, Fallback | None]] = Counter()
+        self._status_count: Counter[Status] = Counter()
+        self._fallback_count: Counter[Fallback] = Counter()
 
     @property
     def plant(self) -> LinearPlant:
@@ -210,7 +228,7 @@ class Controller(ABC):
         """
         self._called = perf_counter()
         time = float(float_array("time", time))
-        shape = self._plant.nodes.shape
+        shape = self._plant.coordinates.nodes.shape
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
         state, fault = self._measure(N, V)
         if fault is not None:
@@ -241,12 +259,14 @@ class Controller(ABC):
         fault = self._measurement_check.fault(nodes, velocities)
         if fault is not None:
             return np.zeros(0), fault
-        return self._plant.measure(nodes, velocities), None
+        return self._plant.coordinates.measure(nodes, velocities), None
 
     def _issue(self, desired: Command) -> Command:
         """Return the nearest command within bounds; note it as the previous input and count it."""
         self._previous_input = frozen(self._within_bounds(desired.value))
-        self._status_count[desired.status, desired.fallback] += 1
+        self._status_count[desired.status] += 1
+        if desired.fallback is not None:
+            self._fallback_count[desired.fallback] += 1
         return replace(desired, value=self._previous_input)
 
     def applied(self, value: object) -> None:
@@ -294,7 +314,7 @@ class Controller(ABC):
     def reset(self) -> None:
         """Forget everything that was measured, planned or applied."""
         self._previous_input = None
-        self._status_count = Counter()
+        self._status_count, self._fallback_count = Counter(), Counter()
 
     def take_over(self, command: FloatArray) -> None:
         """Take over from another controller: plans from this one's own commands are dropped.
@@ -323,11 +343,158 @@ class Controller(ABC):
     @property
     def status_count(self) -> dict[Status, int]:
         """How often each status came since the last reset."""
-        return merged_count((status, n) for (status, _), n in self._status_count.items())
+        return dict(self._status_count)
 
     @property
     def fallback_count(self) -> dict[Fallback, int]:
         """How often each fallback was taken since the last reset."""
-        return merged_count(
-            (fallback, n) for (_, fallback), n in self._status_count.items() if fallback
+        return dict(self._fallback_count)
+
+
+def input_bounds(
+    plant: LinearPlant, max_force_density: object, winches: Winches | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return least and largest command, shape (α,) each, of γ, N/m, or of rest lengths, m.
+
+    Raises TypeError or ValueError if a limit does not fit, or excludes the operating point.
+    """
+    count = plant.B.shape[1]
+    if plant.input == "rest_length":
+        if max_force_density is not None:
+            raise ValueError(
+                "max_force_density limits plants with input='force_density'; this one has "
+                "input='rest_length', and winches limit rest lengths"
+            )
+        least, most = _SHORTEST * plant.equilibrium_input, np.full(count, np.inf)
+        if winches is not None:
+            winches.refuse_out_of_range("plant.rest_length", plant.equilibrium_input)
+            if winches.shortest is not None:
+                least = np.maximum(least, winches.shortest)
+            if winches.longest is not None:
+                most = np.minimum(most, winches.longest)
+        return least, most
+    if winches is not None:
+        raise ValueError(
+            "winches limit rest lengths, but plant has input='force_density'; linearize with "
+            "input='rest_length'"
         )
+    if max_force_density is None:
+        return np.zeros(count), np.full(count, np.inf)
+    high = per_member("max_force_density", max_force_density, count, "string")
+    positive("max_force_density", high, "force density in N/m")
+    over = np.flatnonzero(plant.force_density > high)
+    if len(over):
+        i = over[0]
+        raise ValueError(
+            f"max_force_density[{i}] is {high[i]:g} N/m, but string {i} has "
+            f"{plant.force_density[i]:g} N/m at the operating point; expected at least that"
+        )
+    return np.zeros(count), high
+
+
+def largest_change(
+    plant: LinearPlant, max_change: object, winches: Winches | None, sample_time: float | None
+) -> FloatArray | None:
+    """Return the largest change of a command from sample to sample, shape (α,), None for any.
+
+    Raises TypeError or ValueError if a limit does not fit, or there is one but no sample time.
+    """
+    count = plant.B.shape[1]
+    change = None
+    if max_change is not None:
+        change = per_member("max_change", max_change, count, "string")
+        positive("max_change", change, f"change of {plant.input.replace('_', ' ')}")
+    rate = None if winches is None else winches.rate
+    if sample_time is None:
+        if change is not None or rate is not None:
+            name = "max_change" if change is not None else "winches.rate"
+            raise ValueError(f"{name} limits changes from sample to sample: give sample_time, s")
+        return None
+    if rate is not None:
+        reach = per_member("winches.rate", rate, count, "string") * sample_time
+        change = reach if change is None else np.minimum(change, reach)
+    return change
+
+
+def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatArray:
+    """Return a symmetric weight matrix, shape (size, size), of a number, a diagonal or a matrix.
+
+    Raises TypeError or ValueError if it does not fit, is not symmetric, or has a negative (where
+    ``definite``, also a zero) eigenvalue.
+    """
+    array = float_array(name, value)
+    if array.shape not in ((), (size,), (size, size)):
+        raise ValueError(
+            f"{name} has shape {array.shape}, expected (), ({size},) or ({size}, {size}): "
+            "a number, a diagonal or a matrix"
+        )
+    matrix = array if array.ndim == 2 else np.diag(np.broadcast_to(array, (size,)))
+    largest = float(np.abs(matrix).max(initial=0.0))
+    if np.abs(matrix - matrix.T).max(initial=0.0) > _TOLERANCE * largest:
+        raise ValueError(f"{name} is not symmetric")
+    least = float(np.linalg.eigvalsh(matrix).min()) if size else 0.0
+    if least < -_TOLERANCE * largest or (definite and least <= 0):
+        wanted = "positive" if definite else "at least 0"
+        raise ValueError(f"{name} has the eigenvalue {least:.3g}, expected {wanted}")
+    return np.array(matrix)
+
+
+def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArray, FloatArray]:
+    """Return weights that make displacement, speed and input commensurate.
+
+    With ω the highest frequency of the plant (1 rad/s if all are zero) and b
+    the largest acceleration that a unit input gives: ω² for displacements and
+    1 for rates, so that a free vibration costs the same at any moment, and
+    b²/ω² for inputs: the cost of the displacement at which a constant input balances.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    by_mode : bool
+        Whether each displacement costs its own energy, ``qᵀ K q`` with K the
+        stiffness (unstable parts by absolute value), in place of ω² for all. If
+        frequencies lie far apart, as with stiff strings of held rest length, ω² for all
+        makes soft motions as fast as the stiffest one, which slackens the strings.
+
+    Returns
+    -------
+    Q : ndarray, shape (2r, 2r)
+    R : ndarray, shape (α, α)
+
+    Raises
+    ------
+    TypeError
+        If ``plant`` is not a linear plant, or ``by_mode`` is not a truth value.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> Q, R = tc.energy_weights(plant)
+    >>> round(float(Q[0, 0]), 1), float(Q[9, 9]), round(float(R[0, 0]), 3)
+    (235.7, 1.0, 0.048)
+    """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    r = plant.degrees_of_freedom
+    highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
+    largest = float(np.linalg.norm(plant.B, 2))
+    Q = np.diag(np.r_[np.full(r, highest**2), np.ones(r)])
+    if truth("by_mode", by_mode, "whether each displacement costs its own energy"):
+        sizes, modes = np.linalg.eigh(-0.5 * (plant.A[r:, :r] + plant.A[r:, :r].T))
+        stiffness = (modes * np.abs(sizes)) @ modes.T
+        Q[:r, :r] = 0.5 * (stiffness + stiffness.T)
+    return Q, np.eye(plant.B.shape[1]) * (largest / highest) ** 2
+
+
+def regulator(
+    plant: LinearPlant, A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, discrete: bool
+) -> tuple[FloatArray, tuple[FloatArray, np.ndarray, FloatArray, float]]:
+    """Return the weight of the state and the solution of the Riccati equation.
+
+    A and B may be those of ``[z; v_previous]``; the previous input has no weight then.
+    """
+    units, level = state_units(plant)
+    added = len(A) - len(Q)
+    weight, units = np.pad(Q, (0, added)), np.concatenate([units, np.full(added, level)])
+    return weight, regulator_riccati(A, B, weight, R, units, level, discrete=discrete)

@@ -16,34 +16,16 @@ _THRIFT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class LoadModel:
-    """What a constant unknown load does to a plant: accelerations a held over each sample.
+    """What a constant unknown load does to a plant: accelerations a held over each sample."""
 
-    Attributes
-    ----------
-    response : ndarray, shape (s, r)
-        Ψ: what unit accelerations, held over a sample, do to the state.
-    gain : ndarray, shape (r, s)
-        g Ψ⁺: the accelerations that an unexpected change of the state is laid to.
-    shift : ndarray, shape (r, r)
-        Change of q at which the plant rests under unit accelerations.
-    effort : ndarray, shape (α, r)
-        Change of v that holds it there.
-    share : float
-        g.
-    weight : ndarray, shape (r + α, r + α)
-        Of departures of q and v, in units of each.
-    reach, unit : float
-        Units of q̈ by q, and of v.
-    """
-
-    response: FloatArray
-    gain: FloatArray
-    shift: FloatArray
-    effort: FloatArray
-    share: float
-    weight: FloatArray
-    reach: float
-    unit: float
+    response: FloatArray  # Ψ, (s, r): what unit accelerations, held over a sample, do to the state
+    gain: FloatArray  # g Ψ⁺, (r, s): accelerations that a change of the state is laid to
+    shift: FloatArray  # (r, r), change of q at which the plant rests under unit accelerations
+    effort: FloatArray  # (α, r), change of v that holds it there
+    share: float  # g
+    weight: FloatArray  # (r + α, r + α), of departures of q and v, in units of each
+    reach: float  # unit of q̈ by q
+    unit: float  # unit of v
 
     def rest(self, accelerations: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return changes of q and v, shapes (K, r) and (K, α), at which the plant rests.
@@ -111,12 +93,7 @@ class LoadObserver:
     what the state did beyond the prediction is laid to accelerations a held over the sample,
     ``a ← a + g Ψ⁺ (z − ẑ)``, which settles as (1 − g)^k. An integrating disturbance of as many
     entries as are tracked is what offset-free tracking takes (Pannocchia & Rawlings 2003,
-    doi:10.1002/aic.690490213).
-
-    Attributes
-    ----------
-    acceleration : ndarray, shape (r,)
-        The estimate a.
+    doi:10.1002/aic.690490213). ``acceleration`` is the estimate a, shape (r,).
     """
 
     def __init__(self, model: LoadModel) -> None:

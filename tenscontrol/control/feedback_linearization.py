@@ -8,9 +8,8 @@ from typing import final
 
 import numpy as np
 
-from tenscontrol.control.controller import Command, Controller
+from tenscontrol.control.controller import Command, Controller, input_bounds, largest_change
 from tenscontrol.control.held_loop import warn_of_slow_errors
-from tenscontrol.control.input_bounds import input_bounds, largest_change
 from tenscontrol.control.mpc import OSQPSolver, QPSolution
 from tenscontrol.control.status import Fallback, Status
 from tenscontrol.dynamics import Evaluator
@@ -167,7 +166,12 @@ class FeedbackLinearization(Controller):
         max_iterations: int = 4000,
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-        _refuse_other_plants(plant)
+        if plant.input != "force_density":
+            raise ValueError(
+                f"plant has input={plant.input!r}, in which accelerations are not affine; "
+                "linearize with input='force_density'"
+            )
+        choice("plant.coordinates.kind", plant.coordinates.kind, ("internal", "minimal"))
         if max_force_density is None:
             raise TypeError("max_force_density is None, expected a positive number in N/m")
         sample_time = positive_number("sample_time", sample_time, "s")
@@ -364,16 +368,6 @@ class BoundedLeastSquares:
         """Return x without bounds, by the normal equations."""
         normal = J.T @ J + self._price * np.eye(self._columns)
         return c + np.linalg.solve(normal, J.T @ (d - J @ c))
-
-
-def _refuse_other_plants(plant: LinearPlant) -> None:
-    """Raise if accelerations are not affine in the input, or the coordinates do not fit."""
-    if plant.input != "force_density":
-        raise ValueError(
-            f"plant has input={plant.input!r}, in which accelerations are not affine; linearize "
-            "with input='force_density'"
-        )
-    choice("plant.coordinates.kind", plant.coordinates.kind, ("internal", "minimal"))
 
 
 def error_rates(frequency: object, damping: object, sample_time: float) -> tuple[float, float]:

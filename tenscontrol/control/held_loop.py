@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,16 +11,12 @@ from tenscontrol.plant import (
     LinearPlant,
     OperatingPoint,
     StringMap,
-    command_parents,
     linearize,
     string_map,
     to_commanded_strings,
     to_model_strings,
 )
 from tenscontrol.validation import FloatArray, instance, positive_number, shaped
-
-# γ given to slack strings, relative to the tautest: they are taken as just taut.
-_TAUT = 1e-6
 
 # A loop that settles slower than this fraction of its design no longer follows: see
 # tests/control/test_held_loop.py, with nonlinear runs on both sides of the limit.
@@ -111,8 +107,6 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     by_length = np.diag(strings.gamma_by_input)[:, None]
     change = to_model_strings(plant, "force_density", -K.T).T - by_shape
     length_gain = to_commanded_strings(plant, "rest_length", (change / by_length).T).T
-    if plant.commanded is not plant.model.structure:
-        held = command_parents(held)
     transition, input_matrix, _ = held.discretize(sample_time)
     designed_transition, designed_input, _ = plant.discretize(sample_time)
     loops = (transition + input_matrix @ length_gain, designed_transition - designed_input @ K)
@@ -120,22 +114,20 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
 
 
 def _with_held_lengths(plant: LinearPlant) -> tuple[LinearPlant, StringMap]:
-    """Return the plant with rest lengths as its input, all strings taut, and its string map."""
-    gamma = to_model_strings(plant, "force_density", plant.force_density)
-    least = _TAUT * (float(gamma.max()) or float(np.min(_softest(plant))))
-    at = OperatingPoint(plant.nodes, np.maximum(gamma, least), plant.external_force)
-    held = linearize(
-        plant.model, at, "rest_length", plant.coordinates.kind, require_equilibrium=False
-    )
-    return held, string_map(held, "rest_length")
+    """Return the plant with rest lengths as its input, all strings taut, and its string map.
 
-
-def _softest(plant: LinearPlant) -> FloatArray:
-    """Return a force density that every string can have, N/m, where there is no prestress."""
-    law = plant.model.strings
-    assert law is not None  # checked by the caller
-    length = plant.model.structure.string_length(plant.nodes)
-    return law.force_density(length, 0.5 * length)
+    The map is of the model's strings, by their own rest lengths.
+    """
+    of_model = plant
+    if plant.commanded is not plant.model.structure:
+        gamma = to_model_strings(plant, "force_density", plant.force_density)
+        at = OperatingPoint(plant.nodes, gamma, plant.external_force)
+        kind = plant.coordinates.kind
+        of_model = linearize(plant.model, at, coordinates=kind, require_equilibrium=False)
+    strings = string_map(of_model, "rest_length")
+    spread = to_model_strings(plant, "rest_length", np.eye(plant.B.shape[1])).T
+    A = plant.A + of_model.B @ strings.gamma_by_state
+    return replace(plant, A=A, B=of_model.B @ strings.gamma_by_input @ spread), strings
 
 
 def warn_of_held_lengths(plant: LinearPlant, gain: FloatArray, sample_time: float) -> None:
@@ -148,13 +140,7 @@ def warn_of_held_lengths(plant: LinearPlant, gain: FloatArray, sample_time: floa
         if loop.radius >= 1
         else f"the loop settles at {100 * loop.rate_ratio:.0f} % of the rate it was designed for"
     )
-    warnings.warn(
-        f"where winches hold rest lengths between samples of {sample_time:g} s, strings this "
-        f"stiff undo a commanded γ: {what}. Linearize with input='rest_length'; if the actuators "
-        "hold forces, build the model without a string law",
-        RuntimeWarning,
-        stacklevel=3,
-    )
+    _warn(sample_time, f"undo a commanded γ: {what}. Linearize with input='rest_length'")
 
 
 def held_error_rate(
@@ -186,11 +172,17 @@ def warn_of_slow_errors(
     ratio = held_error_rate(plant, matrix, rates, sample_time)
     if ratio >= SLOWEST:
         return
+    _warn(
+        sample_time,
+        f"act as dampers: errors decay at {100 * ratio:.0f} % of the rate asked for. Raise the "
+        "frequency or shorten the step, or use MPC with input='rest_length'",
+    )
+
+
+def _warn(sample_time: float, what: str) -> None:
     warnings.warn(
         f"where winches hold rest lengths between samples of {sample_time:g} s, strings this "
-        f"stiff act as dampers: errors decay at {100 * ratio:.0f} % of the rate asked for. Raise "
-        "the frequency or shorten the step, or use MPC with input='rest_length'; if the actuators "
-        "hold forces, build the model without a string law",
+        f"stiff {what}; if the actuators hold forces, build the model without a string law",
         RuntimeWarning,
-        stacklevel=3,
+        stacklevel=4,
     )

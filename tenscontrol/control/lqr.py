@@ -7,18 +7,17 @@ from typing import final
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control.controller import Command, Controller
-from tenscontrol.control.input_bounds import input_bounds, largest_change
-from tenscontrol.control.status import Status
-from tenscontrol.control.weights import energy_weights, weight_matrix
-from tenscontrol.plant import (
-    LinearPlant,
-    refuse_empty,
-    refuse_unreachable,
-    regulator_riccati,
-    sampled,
-    state_units,
+from tenscontrol.control.controller import (
+    Command,
+    Controller,
+    energy_weights,
+    input_bounds,
+    largest_change,
+    regulator,
+    weight_matrix,
 )
+from tenscontrol.control.status import Status
+from tenscontrol.plant import LinearPlant, refuse_empty, refuse_unreachable, sampled
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number
 
 
@@ -163,15 +162,9 @@ def lqr(
         )
     refuse_unreachable(plant)
 
-    units, level = state_units(plant)
     if sample_time is None:
         A, B = plant.A, plant.B
     else:
         A, B = sampled(plant, sample_time, 1 if winches is None else winches.substeps).augmented
-    added = len(A) - states  # the previous input, for a ramp input: without a weight
-    state_weight = np.pad(state_weight, (0, added))
-    units = np.concatenate([units, np.full(added, level)])
-    feedback = regulator_riccati(
-        A, B, state_weight, input_weight, units, level, discrete=sample_time is not None
-    )
+    _, feedback = regulator(plant, A, B, state_weight, input_weight, sample_time is not None)
     return LQR(plant, sample_time, bounds, *feedback, change)

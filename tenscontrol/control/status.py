@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from enum import StrEnum
-from typing import TypeVar
-
-_Kind = TypeVar("_Kind", bound=StrEnum)
 
 
 class Status(StrEnum):
@@ -36,11 +32,3 @@ class Fallback(StrEnum):
     PLAN_CONTINUED = "plan continued"
     PREVIOUS_INPUT_HELD = "previous input held"
     EQUILIBRIUM_HELD = "equilibrium held"
-
-
-def merged_count(counts: Iterable[tuple[_Kind, int]]) -> dict[_Kind, int]:
-    """Return the sum of counts by kind, in the order of first occurrence."""
-    total: dict[_Kind, int] = {}
-    for kind, count in counts:
-        total[kind] = total.get(kind, 0) + count
-    return total

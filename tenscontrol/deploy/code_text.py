@@ -16,7 +16,7 @@ import numpy as np
 from tenscontrol.control import Controller
 from tenscontrol.control.mpc import OSQPSolver
 from tenscontrol.deploy.controllers import LawCode
-from tenscontrol.deploy.measurement import measurement
+from tenscontrol.deploy.measurement_code import measurement
 from tenscontrol.validation import FloatArray
 
 # Numbers a line.

@@ -17,14 +17,19 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control import LQR, MPC, NMPC
-from tenscontrol.control.mpc import OSQPSolver, QPSolver
-from tenscontrol.control.mpc.linear import MPCLaw
-from tenscontrol.control.mpc.nonlinear import CONVERGED
-from tenscontrol.control.mpc.osqp_adapter import START_RHO
-from tenscontrol.control.mpc.problem import MPCProblem, StageData
-from tenscontrol.control.mpc.real_time_iteration import NEWTON_STEPS
-from tenscontrol.control.mpc.shooting import RK4, StageJacobians
-from tenscontrol.control.mpc.sparse import Sparse
+from tenscontrol.control.mpc import (
+    CONVERGED,
+    NEWTON_STEPS,
+    RK4,
+    START_RHO,
+    MPCLaw,
+    MPCProblem,
+    OSQPSolver,
+    QPSolver,
+    Sparse,
+    StageData,
+    StageJacobians,
+)
 from tenscontrol.validation import FloatArray, IntArray
 
 # Maps read from a controller must agree with it at any other point, to this fraction.

@@ -273,22 +273,6 @@ class ReferencePreview:
         rates = self._rates[right]
         return np.hstack([self._coordinates[nearest] + past * rates, rates])
 
-    def aims(self, times: FloatArray, ramp: bool) -> tuple[FloatArray, FloatArray]:
-        """Return the aims of N samples: ``[q; q̇]`` at their ends, (N, s), and inputs, (N, α).
-
-        ``times``, shape (N + 1,), are the starts of the samples and the end of the last. Inputs
-        are those of the starts of samples; a ramp reaches them at the ends. Speeds are means over
-        two samples then: between its shapes a reference is straight, and stiff strings would have
-        to follow its jumps of speed.
-        """
-        if not ramp:
-            return self.wanted(times[1:]), self.at(times[:-1]).input
-        sample_time = times[1] - times[0]
-        q = self.wanted(np.append(times, times[-1] + sample_time))[
-            :, : self._plant.degrees_of_freedom
-        ]
-        return np.hstack([q[1:-1], (q[2:] - q[:-2]) / (2 * sample_time)]), self.at(times[1:]).input
-
     def at(self, times: FloatArray) -> Preview:
         """Return the preview at these times, shape (K,), s."""
         if len(self._held_time) == 1:

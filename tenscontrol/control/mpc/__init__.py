@@ -1,15 +1,24 @@
 """Model predictive control, linear and nonlinear."""
 
 from tenscontrol.control.mpc.constraints import OutputLimit, clearance
-from tenscontrol.control.mpc.linear import MPC, MPCStatistics
-from tenscontrol.control.mpc.nonlinear import NMPC, NMPCStatistics
-from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
-from tenscontrol.control.mpc.problem import QPSolution, QPSolver
+from tenscontrol.control.mpc.linear import MPC, MPCLaw, MPCStatistics
+from tenscontrol.control.mpc.nonlinear import CONVERGED, NMPC, NMPCStatistics
+from tenscontrol.control.mpc.osqp_adapter import START_RHO, OSQPSolver
+from tenscontrol.control.mpc.problem import MPCProblem, QPSolution, QPSolver, StageData
+from tenscontrol.control.mpc.real_time_iteration import NEWTON_STEPS
 from tenscontrol.control.mpc.settings import MPCSettings
+from tenscontrol.control.mpc.shooting import RK4, StageJacobians
+from tenscontrol.control.mpc.sparse import Sparse
 
 __all__ = [
+    "CONVERGED",
     "MPC",
+    "NEWTON_STEPS",
     "NMPC",
+    "RK4",
+    "START_RHO",
+    "MPCLaw",
+    "MPCProblem",
     "MPCSettings",
     "MPCStatistics",
     "NMPCStatistics",
@@ -17,5 +26,8 @@ __all__ = [
     "OutputLimit",
     "QPSolution",
     "QPSolver",
+    "Sparse",
+    "StageData",
+    "StageJacobians",
     "clearance",
 ]

@@ -1,22 +1,40 @@
-"""Linear model predictive control of strings that cannot push."""
+"""Linear model predictive control of strings that cannot push, and its condensed program."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Unpack, final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Unpack, final
 
 import numpy as np
 
-from tenscontrol.control.controller import Command, Controller
-from tenscontrol.control.disturbance import LoadModel, load_observer
+from tenscontrol.control.controller import Command
 from tenscontrol.control.held_loop import warn_of_held_lengths
-from tenscontrol.control.mpc.condensed import Condensed
-from tenscontrol.control.mpc.problem import Form, MPCProblem, QPSolver, StageData
-from tenscontrol.control.mpc.settings import Design, MPCSettings, SettingsKeywords, design
+from tenscontrol.control.mpc.problem import (
+    Form,
+    LimitRows,
+    MPCProblem,
+    Pair,
+    QPSolver,
+    StageData,
+    Triple,
+    shifted,
+)
+from tenscontrol.control.mpc.settings import (
+    Design,
+    MPCSettings,
+    PredictiveController,
+    PredictiveLaw,
+    SettingsKeywords,
+    design,
+    make_solver,
+)
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Fallback, Status
-from tenscontrol.plant import LinearPlant, ReferencePreview, acceleration_response
+from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.validation import FloatArray, choice, frozen, instance
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
 
 _FORMS = ("auto", "condensed", "sparse")
 
@@ -51,32 +69,17 @@ class MPCStatistics:
         return sum(self.fallback_count.values())
 
 
-@dataclass(frozen=True, eq=False)
-class MPCLaw:
-    """What a linear MPC solves in a sample, except what it remembers.
-
-    Attributes
-    ----------
-    plant : LinearPlant
-    settings : MPCSettings
-    design : Design
-    form : Form
-    load : LoadModel or None
-        None where no load is estimated.
-    path : ReferencePreview
-        What is followed.
-    """
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MPCLaw(PredictiveLaw):
+    """What a linear MPC solves in a sample, except what it remembers."""
 
     plant: LinearPlant
-    settings: MPCSettings
     design: Design
     form: Form
-    load: LoadModel | None
-    path: ReferencePreview
 
     def solver(self) -> QPSolver:
         """Return the solver of the programs, as it is before the first solve."""
-        return self.settings.make_solver(self.form)
+        return make_solver(self.settings, self.form)
 
     def stage_data(self, time: float, load: FloatArray | None) -> StageData:
         """Return what is known of the horizon before anything is measured at its start, at a time.
@@ -117,7 +120,7 @@ class MPCLaw:
         state: FloatArray,
         previous_input: FloatArray,
         previous_within_bounds: FloatArray,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    ) -> Triple:
         """Return q, l and u of the program, from the measured state and what actuators hold."""
         first = self._first_state(data, state, previous_input)
         previous = previous_within_bounds - data.origin[0]
@@ -147,6 +150,132 @@ class MPCLaw:
         return np.concatenate([state, previous_input - data.previous_origin])
 
 
+@final
+class Condensed(Form):
+    """Only the departures from the LQR law, and violations, are unknown: small and dense.
+
+    With ``v_k = −K z_k + c_k`` and the LQR cost at the end, the Hessian in the
+    c_k is block diagonal and the same at each sample (Rossiter, Kouvaritakis &
+    Rice 1998, doi:10.1016/S0005-1098(97)00192-5). Measured by its Cholesky
+    factor it is the identity, and an ADMM solver needs a few iterations where
+    the problem in the v_k takes tens.
+    """
+
+    def __init__(self, problem: MPCProblem) -> None:
+        from scipy.linalg import solve_triangular
+        from scipy.sparse import block_diag, csc_array, diags_array, hstack, identity
+
+        self._length, self._count = problem.length, problem.input_count
+        N, states = problem.length, len(problem.drift)
+        scale = problem.cost_scale
+        free, forced, drifts = _prediction(problem)
+        feedback = np.kron(np.eye(N), problem.feedback)
+        # v = by_state z_0 + by_choice c + by_drift d: the law sees z_0 … z_{N−1}.
+        before = [np.vstack([first, part[:-states]]) for first, part in (
+            (np.eye(states), free),
+            (np.zeros((states, forced.shape[1])), forced),
+            (np.zeros((states, N * states)), drifts),
+        )]  # fmt: skip
+        by_state, by_choice, by_drift = (-feedback @ part for part in before)
+        by_choice += np.eye(len(by_choice))
+        weighted = _weigh(problem, forced)
+        effort = np.kron(np.eye(N), problem.input_weight) @ by_choice
+        hessian = scale * (forced.T @ weighted + by_choice.T @ effort)
+        factor = np.linalg.cholesky(0.5 * (hessian + hessian.T))
+        # c = unit x, with unitᵀ hessian unit = I.
+        unit = solve_triangular(factor, np.eye(len(factor)), lower=True).T
+        self._to_inputs = by_choice @ unit
+        self._by_state, self._by_drift = by_state, by_drift
+        limits = LimitRows(problem)
+        self._limits, self._violations = limits, len(limits.price)
+        on_choice = limits.on_inputs @ _trimmed(self._to_inputs)
+        if problem.rows is not None:
+            on_choice = on_choice + limits.on_states @ _trimmed(forced @ unit)
+        self.A = csc_array(hstack([on_choice, limits.on_violations]))
+        self.P = csc_array(block_diag([identity(len(unit)), diags_array(limits.price)]))
+        self._moved_by_state = (
+            limits.on_inputs @ by_state + limits.on_states @ free + limits.on_first.toarray()
+        )
+        self._moved_by_drift = limits.on_inputs @ by_drift + limits.on_states @ drifts
+        slope = scale * unit.T
+        self._from_reference = -slope @ weighted.T
+        self._from_state = slope @ (weighted.T @ free + effort.T @ by_state)
+        self._from_drift = slope @ (weighted.T @ drifts + effort.T @ by_drift)
+        self._from_input_reference = -slope @ effort.T
+        self._drift: FloatArray = np.zeros(0)
+        self._by_this_drift = (self._drift, self._drift, self._drift)
+
+    def vectors(self, state: FloatArray, data: StageData, previous: FloatArray) -> Triple:
+        """See :meth:`Form.vectors`."""
+        slope, motion, _ = self._drifted(data)
+        q = self._from_state @ state + self._from_reference @ data.reference.ravel() + slope
+        if data.input_reference.any():
+            q += self._from_input_reference @ data.input_reference.ravel()
+        low, high = self._limits.bounds(previous, data)
+        offset = self._moved_by_state @ state + motion
+        return np.concatenate([q, self._limits.price]), low - offset, high - offset
+
+    def inputs(self, x: FloatArray, state: FloatArray, data: StageData) -> FloatArray:
+        """See :meth:`Form.inputs`."""
+        base = self._by_state @ state + self._drifted(data)[2]
+        v = self._to_inputs @ x[: self._count] + base
+        return np.asarray(v.reshape(self._length, -1))
+
+    def _drifted(self, data: StageData) -> Triple:
+        """Return what the drift does to q, to the limited rows and to v; kept while it stays."""
+        if not np.array_equal(self._drift, data.drift):
+            drift = data.drift.ravel()
+            self._drift = data.drift.copy()
+            self._by_this_drift = (
+                self._from_drift @ drift, self._moved_by_drift @ drift, self._by_drift @ drift
+            )  # fmt: skip
+        return self._by_this_drift
+
+    def shifted(self, x: FloatArray, y: FloatArray) -> Pair:
+        """See :meth:`Form.shifted`."""
+        # After the horizon the law is followed as it is.
+        N = self._length
+        return (
+            shifted(x, N, [self._count // N, self._violations // N], repeat=False),
+            shifted(y, N, self._limits.widths, repeat=False),
+        )
+
+
+def _prediction(problem: MPCProblem) -> Triple:
+    """Return S, G, H of ``Z = S z_0 + G C + H D`` with Z = [z_1; …; z_N] and v = −K z + c."""
+    N, (states, inputs) = problem.length, problem.input_matrix.shape
+    closed = problem.transition - problem.input_matrix @ problem.feedback
+    free = np.zeros((N, states, states))
+    forced = np.zeros((N, states, N, inputs))
+    drifts = np.zeros((N, states, N, states))
+    for k in range(N):
+        before = np.eye(states) if k == 0 else free[k - 1]
+        free[k] = closed @ before
+        if k:
+            # What c_j does to z_{k+1} is what c_{j−1} did to z_k.
+            forced[k, :, 1:], drifts[k, :, 1:] = forced[k - 1, :, :-1], drifts[k - 1, :, :-1]
+        forced[k, :, 0], drifts[k, :, 0] = before @ problem.input_matrix, before
+    return (
+        free.reshape(N * states, states),
+        forced.reshape(N * states, N * inputs),
+        drifts.reshape(N * states, N * states),
+    )
+
+
+def _weigh(problem: MPCProblem, forced: FloatArray) -> FloatArray:
+    blocks = forced.reshape(problem.length, len(problem.drift), -1)
+    weighted = np.einsum("ij,kjm->kim", problem.state_weight, blocks)
+    weighted[-1] = problem.terminal_weight @ blocks[-1]
+    return np.asarray(weighted.reshape(forced.shape))
+
+
+def _trimmed(matrix: FloatArray) -> csc_array:
+    """Return a block triangular matrix without the round-off above its diagonal blocks."""
+    from scipy.sparse import csc_array
+
+    return csc_array(np.where(np.abs(matrix) > 1e-14 * np.abs(matrix).max(), matrix, 0.0))
+
+
 def form_of(problem: MPCProblem, form: str) -> Form:
     """Return a form by its name, or raise where there is none, or it would be too large."""
     if choice("form", form, _FORMS) == "auto":
@@ -160,7 +289,7 @@ def form_of(problem: MPCProblem, form: str) -> Form:
 
 
 @final
-class MPC(Controller):
+class MPC(PredictiveController):
     """Model predictive control with γ ≥ 0, whatever else.
 
     At each sample the plant is predicted over a horizon by its exact
@@ -215,30 +344,27 @@ class MPC(Controller):
     ('ok', True, (9,))
     """
 
+    _law: MPCLaw
+
     def __init__(
         self, plant: LinearPlant, *, form: str = "auto", **settings: Unpack[SettingsKeywords]
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         given = MPCSettings(**settings)
-        made, sample_time = design(plant, given), given.sample_time
-        super().__init__(plant, sample_time, made.low, made.high, made.problem.change)
-        observer = None
-        if given.load_gain is not None:
-            response = acceleration_response(plant, sample_time)
-            observer = load_observer(plant, response, given.load_gain, given.tracked)
-        self._observer = observer
+        made = design(plant, given)
+        super().__init__(plant, given, made)
         self._law = MPCLaw(
             plant=plant,
             settings=given,
             design=made,
             form=form_of(made.problem, form),
-            load=None if observer is None else observer.model,
+            load=None if self._observer is None else self._observer.model,
             path=ReferencePreview(plant, given.reference, made.sampled),
         )
-        self._solver, self._longest_time = self._law.solver(), given.longest_time
+        self._solver = self._law.solver()
         self.reset()
         if plant.input == "force_density" and plant.model.strings is not None:
-            warn_of_held_lengths(plant, made.problem.feedback, sample_time)
+            warn_of_held_lengths(plant, made.problem.feedback, given.sample_time)
 
     @property
     def law(self) -> MPCLaw:
@@ -261,43 +387,22 @@ class MPC(Controller):
         """Inputs that the last solved program planned, shape (α, N); empty before the first."""
         return frozen(self._plan.T)
 
-    @property
-    def load(self) -> FloatArray | None:
-        """q̈ laid to an unknown load, m √kg/s², shape (r,); None where none is estimated."""
-        return None if self._observer is None else frozen(self._observer.acceleration)
-
-    def follow(self, reference: object) -> None:
-        """Follow another reference from now on.
-
-        Parameters
-        ----------
-        reference : Reference or array_like, shape (3, n), or None
-            As in the constructor.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If it does not fit the structure.
-        """
-        settings = replace(self._law.settings, reference=reference)
-        path = self._law.path.following(reference)
-        self._law = replace(self._law, settings=settings, path=path)
-
     def reset(self) -> None:
-        """Forget the last plan, the previous input, the estimated load and the statistics."""
-        self._plan = np.zeros((0, len(self._low)))
-        self._used = 0
-        self._guess: tuple[FloatArray, FloatArray] | None = None
+        """See :meth:`PredictiveController.reset`."""
         super().reset()
+        self._forget_plan()
         self._iterations: list[int] = []
         self._solver.reset()
-        if self._observer is not None:
-            self._observer.reset()
+
+    def _forget_plan(self) -> None:
+        self._plan: FloatArray = np.zeros((0, len(self._low)))
+        self._used = 0
+        self._guess: Pair | None = None
 
     def take_over(self, command: FloatArray) -> None:
         """See :meth:`Controller.take_over`."""
         super().take_over(command)
-        self._plan, self._used, self._guess = self._plan[:0], 0, None
+        self._forget_plan()
         if self._observer is not None:
             self._observer.expect(None)
 
@@ -339,6 +444,6 @@ class MPC(Controller):
 
     def __repr__(self) -> str:
         return (
-            f"MPC({self.plant!r}, horizon {self._law.design.problem.length}, "
+            f"MPC({self.plant!r}, horizon {self.horizon}, "
             f"sample time {self.sample_time:g} s, {self.form})"
         )

@@ -9,14 +9,21 @@ from typing import Unpack, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control.controller import Command, Controller
-from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
-from tenscontrol.control.mpc.problem import MPCProblem, QPSolver, StageData
+from tenscontrol.control.controller import Command
+from tenscontrol.control.disturbance import LoadObserver
+from tenscontrol.control.mpc.problem import MPCProblem, Pair, QPSolver, StageData, Triple
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
-from tenscontrol.control.mpc.settings import MPCSettings, SettingsKeywords, design
+from tenscontrol.control.mpc.settings import (
+    MPCSettings,
+    PredictiveController,
+    PredictiveLaw,
+    SettingsKeywords,
+    design,
+    make_solver,
+)
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Fallback, Status
-from tenscontrol.plant import LinearPlant, ReferencePreview, acceleration_response
+from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.validation import FloatArray, frozen, instance, truth, whole_number
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
@@ -56,37 +63,16 @@ class NMPCStatistics:
     feedback_time: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class NMPCLaw:
-    """What a nonlinear MPC computes with, except what it remembers.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NMPCLaw(PredictiveLaw):
+    """What a nonlinear MPC computes with, except what it remembers."""
 
-    Attributes
-    ----------
-    settings : MPCSettings
-    model : TrajectoryModel
-    problem : MPCProblem
-        Its rows are those of the model.
-    bounds, row_bounds : tuple of ndarray
-        Least and largest inputs, shape (α,) each, and limited rows, shape (p,) each.
-    units : ndarray, shape (s,)
-        Units of the state.
-    load : LoadModel or None
-        None where no load is estimated.
-    rounds : int
-        Programs solved in a sample at most.
-    path : ReferencePreview
-        What is followed.
-    """
-
-    settings: MPCSettings
     model: TrajectoryModel
-    problem: MPCProblem
-    bounds: tuple[FloatArray, FloatArray]
-    row_bounds: tuple[FloatArray, FloatArray]
-    units: FloatArray
-    load: LoadModel | None
-    rounds: int
-    path: ReferencePreview
+    problem: MPCProblem  # its rows are those of the model
+    bounds: Pair  # of inputs, shape (α,) each
+    row_bounds: Pair  # of limited rows, shape (p,) each
+    units: FloatArray  # of the state, shape (s,)
+    rounds: int  # programs solved in a sample at most
 
     def subproblem(self) -> Sparse:
         """Return the SQP subproblem, before anything is linearized."""
@@ -95,12 +81,12 @@ class NMPCLaw:
     def solver(self, form: Sparse) -> QPSolver:
         """Return the solver of a subproblem, as it is before the first solve."""
         # Slopes by implicit steps are of different sizes in these units: the solver scales them.
-        return self.settings.make_solver(form, equations=not self.model.implicit)
+        return make_solver(self.settings, form, equations=not self.model.implicit)
 
-    def targets(self, time: float) -> tuple[FloatArray, FloatArray]:
+    def targets(self, time: float) -> Pair:
         """Return r_1 … r_N, shape (N, s), and s_0 … s_{N−1}, shape (N, α), without a load."""
-        times = time + self.settings.sample_time * np.arange(self.problem.length + 1.0)
-        return self.path.aims(times, self.model.discretization.ramp)
+        preview = self.path.over_horizon(time, self.problem.length)
+        return preview.reference, preview.input[:-1]
 
     def stage_data(self, reference: FloatArray, inputs: FloatArray) -> StageData:
         """Return the data with these targets, without a load; inputs are measured from zero."""
@@ -131,7 +117,7 @@ class NMPCLaw:
 
 
 @final
-class NMPC(Controller):
+class NMPC(PredictiveController):
     """Nonlinear MPC: the plant is linearized along the motion that was predicted.
 
     At each sample the last plan, moved on by a sample, is linearized exactly
@@ -190,6 +176,8 @@ class NMPC(Controller):
     >>> nmpc.prepare()  # while the plant moves; the next command is then quicker
     """
 
+    _law: NMPCLaw
+
     def __init__(
         self,
         plant: LinearPlant,
@@ -202,18 +190,11 @@ class NMPC(Controller):
         truth("machine_code", machine_code, "whether to compile the derivatives")
         rounds = whole_number("iterations", iterations, least=1)
         given = MPCSettings(**settings)
-        made, sample_time, winches = design(plant, given), given.sample_time, given.winches
-        super().__init__(plant, sample_time, made.low, made.high, made.problem.change)
+        made = design(plant, given)
+        super().__init__(plant, given, made)
         path = ReferencePreview(plant, given.reference, made.sampled)
-        self._observer = None
-        if given.load_gain is not None:
-            response = acceleration_response(plant, sample_time)
-            self._observer = load_observer(plant, response, given.load_gain, given.tracked)
         # After all checks: it may be compiled.
-        substeps = 1 if winches is None else winches.substeps
-        model = TrajectoryModel(
-            plant, sample_time, given.horizon, made.constraints, substeps, machine_code
-        )
+        model = TrajectoryModel(plant, given, made.constraints, machine_code)
         self._law = NMPCLaw(
             settings=given,
             model=model,
@@ -225,7 +206,6 @@ class NMPC(Controller):
             rounds=rounds,
             path=path,
         )
-        self._longest_time = given.longest_time
         form = self._law.subproblem()
         self._plan = RealTimeIterate(
             model, form, self._law.solver(form), self._law.problem, self.bounds
@@ -238,11 +218,6 @@ class NMPC(Controller):
         return self._law
 
     @property
-    def horizon(self) -> int:
-        """Number N of samples predicted."""
-        return self._law.problem.length
-
-    @property
     def sampled(self) -> ca.Function:
         """The prediction ``(z, u) -> z⁺``; ``(z, u_before, u) -> z⁺`` where inputs are ramps."""
         return self._law.model.discretization.sampled
@@ -253,7 +228,7 @@ class NMPC(Controller):
         return self._law.model.back_end
 
     @property
-    def weights(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def weights(self) -> Triple:
         """Q, R and the terminal P, which is of ``[z; u_before]`` where inputs are ramps."""
         problem = self._law.problem
         return problem.state_weight, problem.input_weight, problem.terminal_weight
@@ -278,29 +253,7 @@ class NMPC(Controller):
             feedback_time=frozen(table[:, 4]),
         )
 
-    @property
-    def load(self) -> FloatArray | None:
-        """q̈ laid to an unknown load, m √kg/s², shape (r,); None where none is estimated."""
-        return None if self._observer is None else frozen(self._observer.acceleration)
-
-    def follow(self, reference: object) -> None:
-        """Follow another reference from now on.
-
-        Parameters
-        ----------
-        reference : Reference or array_like, shape (3, n), or None
-            As in the constructor.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If it does not fit the structure.
-        """
-        settings = replace(self._law.settings, reference=reference)
-        path = self._law.path.following(reference)
-        self._law = replace(self._law, settings=settings, path=path)
-
-    def targets(self, time: float) -> tuple[FloatArray, FloatArray]:
+    def targets(self, time: float) -> Pair:
         """Return what the cost measures from: r_1 … r_N, shape (N, s), and s_0 …, shape (N, α).
 
         Parameters
@@ -314,15 +267,13 @@ class NMPC(Controller):
         return self._law.model.at_rest(reference, inputs, self._observer)
 
     def reset(self) -> None:
-        """Forget the plan, the previous input, the estimated load and the statistics."""
+        """See :meth:`PredictiveController.reset`."""
         super().reset()
         self._plan.reset()
         self._followed = 0
-        self._seen: tuple[FloatArray, FloatArray] | None = None
+        self._seen: Pair | None = None
         self._records: list[tuple[float, ...]] = []
         self._preparing = 0.0
-        if self._observer is not None:
-            self._observer.reset()
 
     def take_over(self, command: FloatArray) -> None:
         """See :meth:`Controller.take_over`."""

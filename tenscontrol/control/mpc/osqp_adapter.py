@@ -41,16 +41,10 @@ START_RHO = 1.0
 class OSQPSolver(QPSolver):
     """See :class:`QPSolver`. The matrices are factorised once; a solve changes q, l and u in place.
 
-    Parameters
-    ----------
-    P, A, tolerance, max_iterations
-        As for :class:`QPSolver`.
-    polish : bool
-        Whether the answer is refined by solving for the bounds found active: to
-        round-off, where they are the right ones.
-    equations : bool
-        With many equations ADMM is not over-relaxed, since equations gain from that only further
-        iterations, and A is not scaled, which costs more than factorizing it where A is updated.
+    An answer that is polished is refined by solving for the bounds found active: to round-off,
+    where they are the right ones. With many equations ADMM is not over-relaxed, since equations
+    gain from that only further iterations, and A is not scaled, which costs more than factorizing
+    it where A is updated.
     """
 
     def __init__(
@@ -127,15 +121,7 @@ class OSQPSolver(QPSolver):
         self._solver.update_settings(rho=START_RHO)
 
     def write_c(self, folder: str, prefix: str) -> None:
-        """Write the program and OSQP itself as C code, in the state it is in.
-
-        Parameters
-        ----------
-        folder : str
-            A folder that is not there.
-        prefix : str
-            How names of the workspace start.
-        """
+        """Write the program and OSQP itself as C code, in the state it is in, to a new folder."""
         # With "vectors" the code could adapt neither the step nor the kinds of the rows.
         self._solver.codegen(folder, parameters="matrices", extension_name=None, prefix=prefix)
 

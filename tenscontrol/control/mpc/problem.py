@@ -15,42 +15,32 @@ iterations.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tenscontrol.control.status import Status
-from tenscontrol.validation import FloatArray, IntArray, freeze_arrays
+from tenscontrol.plant import Preview, StringMap
+from tenscontrol.validation import FloatArray, IntArray, freeze_arrays, frozen
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
+Pair = tuple[FloatArray, FloatArray]
+Triple = tuple[FloatArray, FloatArray, FloatArray]
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Limited combinations of states and inputs, the same at each sample.
+    """Limited combinations of states and inputs, the same at each sample."""
 
-    Attributes
-    ----------
-    by_state, by_next_state : ndarray, shape (p, s)
-        E and F.
-    by_input : ndarray, shape (p, α)
-        G.
-    scale : ndarray, shape (p,)
-        Unit of each row inside the program.
-    penalty : ndarray, shape (p,)
-        π per unit of the row; infinite for a hard limit.
-    bounded : tuple of bool
-        Whether any row is bounded from below, from above.
-    """
-
-    by_state: FloatArray
-    by_next_state: FloatArray
-    by_input: FloatArray
-    scale: FloatArray
-    penalty: FloatArray
-    bounded: tuple[bool, bool]
+    by_state: FloatArray  # E, (p, s)
+    by_next_state: FloatArray  # F, (p, s)
+    by_input: FloatArray  # G, (p, α)
+    scale: FloatArray  # (p,), unit of each row inside the program
+    penalty: FloatArray  # (p,), π per unit of the row; infinite for a hard limit
+    bounded: tuple[bool, bool]  # whether any row is bounded from above, from below
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -62,78 +52,148 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class StageData:
-    """What changes from stage to stage, known before the state at the first is measured.
+class RowBlock:
+    """Rows of one kind: their matrices and their bounds."""
 
-    Attributes
-    ----------
-    reference : ndarray, shape (N, s)
-        r_1 … r_N, moved to where the plant rests under an estimated load.
-    input_reference : ndarray, shape (N, α)
-        s_k.
-    drift : ndarray, shape (N, s)
-        d_k.
-    low, high : ndarray, shape (N, α)
-        Bounds of v_k.
-    shift : ndarray, shape (N, α)
-        Change of the origin of v since the sample before.
-    row_low, row_high : ndarray, shape (N, p)
-        Bounds of y_k.
-    origin : ndarray, shape (N, α)
-        Inputs that v_0 … v_{N−1} are measured from.
-    previous_origin : ndarray, shape (α,)
-        The input that v_{−1} is measured from.
+    by_state: FloatArray  # (p, s)
+    by_next_state: FloatArray  # (p, s)
+    by_input: FloatArray  # (p, α)
+    low: FloatArray  # (p,)
+    high: FloatArray
+    scale: FloatArray
+    penalty: FloatArray
+    quantity: str  # of the path, that bounds are measured from; "" for node positions
+    offset: FloatArray  # (p,), of node positions: value at the operating point
+    on_nodes: FloatArray  # (p, 3n), of node positions: C
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def at_sample_ends(self, inputs: int) -> RowBlock:
+        """Return the rows where ``[z; v_before]`` is the state: ramps reach v at the end."""
+        none = np.zeros((len(self.low), inputs))
+        by_next_state = np.hstack([self.by_state + self.by_next_state, none])
+        return replace(self, by_state=np.zeros_like(by_next_state), by_next_state=by_next_state)
+
+
+def string_block(
+    quantity: str,
+    strings: StringMap,
+    low: FloatArray,
+    high: FloatArray,
+    level: float,
+    penalty: float,
+) -> RowBlock:
+    """Return limits on ``"force_density"`` or ``"tension"`` at the start of each sample.
+
+    The level is the unit of the rows, and the penalty the cost of a violation by one level,
+    infinite for a hard limit.
+    """
+    name = "gamma" if quantity == "force_density" else quantity
+    by_state, count = getattr(strings, f"{name}_by_state"), len(low)
+    return RowBlock(
+        by_state=by_state,
+        by_next_state=np.zeros_like(by_state),
+        by_input=getattr(strings, f"{name}_by_input"),
+        low=low,
+        high=high,
+        scale=np.full(count, level),
+        penalty=np.full(count, penalty / level),
+        quantity=quantity,
+        offset=np.zeros(count),
+        on_nodes=np.zeros((count, 0)),
+    )
+
+
+class Constraints:
+    """All rows of a problem, with bounds that move along a path.
+
+    Rows of strings see the state either before or after a sample. The states of the plant, of
+    which there are s, come first.
     """
 
-    reference: FloatArray
-    input_reference: FloatArray
-    drift: FloatArray
-    low: FloatArray
+    def __init__(self, blocks: list[RowBlock], states: int) -> None:
+        self.blocks, self._states = tuple(blocks), states
+
+    @property
+    def key(self) -> tuple[tuple[str, int, bytes], ...]:
+        """What the values of the rows depend on, bounds aside."""
+        return tuple(
+            (each.quantity, len(each.low), each.on_nodes.tobytes()) for each in self.blocks
+        )
+
+    def rows(self) -> Rows | None:
+        """Return the rows of the program, or None if there are none."""
+        if not self.blocks:
+            return None
+        low, high = self.limits
+        bounded = bool(np.isfinite(high).any()), bool(np.isfinite(low).any())
+        return Rows(
+            self._joined("by_state"),
+            self._joined("by_next_state"),
+            self._joined("by_input"),
+            self._joined("scale"),
+            self._joined("penalty"),
+            bounded,
+        )
+
+    @property
+    def limits(self) -> Pair:
+        """Least and largest values of all rows, shape (p,) each."""
+        return frozen(self._joined("low")), frozen(self._joined("high"))
+
+    def _joined(self, name: str) -> FloatArray:
+        none = [] if self.blocks else [np.zeros(0)]
+        return np.concatenate(none + [getattr(block, name) for block in self.blocks])
+
+    def bounds(self, preview: Preview, length: int) -> Pair:
+        """Return bounds of the rows, shape (N, p) each, on a path at N samples and their end."""
+        low, high = [np.zeros((length, 0))], [np.zeros((length, 0))]
+        for block in self.blocks:
+            base = np.tile(block.offset, (length, 1))
+            if block.quantity:
+                # What the strings have where the path rests, less what the rows make of that rest.
+                by_state = (block.by_state + block.by_next_state)[:, : self._states]
+                base = getattr(preview, block.quantity)[:length]
+                base = base - preview.rest[:length] @ by_state.T
+            low.append(block.low - base)
+            high.append(block.high - base)
+        return np.hstack(low), np.hstack(high)
+
+
+@dataclass(frozen=True, eq=False)
+class StageData:
+    """What changes from stage to stage, known before the state at the first is measured."""
+
+    reference: FloatArray  # r_1 … r_N, (N, s), moved to where the plant rests under a load
+    input_reference: FloatArray  # s_k, (N, α)
+    drift: FloatArray  # d_k, (N, s)
+    low: FloatArray  # bounds of v_k, (N, α)
     high: FloatArray
-    shift: FloatArray
-    row_low: FloatArray
+    shift: FloatArray  # (N, α), change of the origin of v since the sample before
+    row_low: FloatArray  # bounds of y_k, (N, p)
     row_high: FloatArray
-    origin: FloatArray
-    previous_origin: FloatArray
+    origin: FloatArray  # (N, α), inputs that v_0 … v_{N−1} are measured from
+    previous_origin: FloatArray  # (α,), the input that v_{−1} is measured from
 
 
 @dataclass(frozen=True, eq=False)
 class MPCProblem:
-    """Data of the problem that never change.
+    """Data of the problem that never change."""
 
-    Attributes
-    ----------
-    transition, input_matrix, drift : ndarray
-        Φ (s, s), Γ (s, α) and d (s,).
-    state_weight, input_weight, terminal_weight : ndarray
-        Q (s, s), R (α, α) and P (s, s).
-    low, high : ndarray, shape (α,)
-        Bounds of v.
-    change : ndarray, shape (α,), or None
-        Largest change of v from sample to sample; None for no limit.
-    length : int
-        N.
-    level : float
-        Unit of v inside the program.
-    feedback : ndarray, shape (α, s)
-        K of the LQR with these weights.
-    rows : Rows, optional
-        Limits beside those of the inputs.
-    """
-
-    transition: FloatArray
-    input_matrix: FloatArray
-    drift: FloatArray
-    state_weight: FloatArray
-    input_weight: FloatArray
-    terminal_weight: FloatArray
-    low: FloatArray
+    transition: FloatArray  # Φ, (s, s)
+    input_matrix: FloatArray  # Γ, (s, α)
+    drift: FloatArray  # d, (s,)
+    state_weight: FloatArray  # Q, (s, s)
+    input_weight: FloatArray  # R, (α, α)
+    terminal_weight: FloatArray  # P, (s, s)
+    low: FloatArray  # bounds of v, (α,)
     high: FloatArray
-    change: FloatArray | None
-    length: int
-    level: float
-    feedback: FloatArray
-    rows: Rows | None = None
+    change: FloatArray | None  # (α,), largest change of v from sample to sample; None for any
+    length: int  # N
+    level: float  # unit of v inside the program
+    feedback: FloatArray  # K of the LQR with these weights, (α, s)
+    rows: Rows | None = None  # limits beside those of the inputs
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -149,6 +209,122 @@ class MPCProblem:
         return int(self.length * self.input_matrix.shape[1])
 
 
+class LimitRows:
+    """Limits as matrices on inputs, states and violations, shared by both forms.
+
+    Rows come in blocks of N times some width: inputs, changes, hard rows, soft rows from
+    above, soft rows from below, violations. Each is in units of its level or scale.
+
+    ``on_inputs``, ``on_states``, ``on_first`` and ``on_violations`` multiply v_0 …, z_1 …, z_0 and
+    the violations; ``price`` is the linear cost of those, in units of the scaled cost.
+    """
+
+    def __init__(self, problem: MPCProblem) -> None:
+        from scipy.sparse import csc_array, eye, identity, kron, vstack
+
+        self._problem = problem
+        N, count = problem.length, len(problem.low)
+        each, earlier = identity(N), eye(N, k=-1)
+        first = csc_array(([1.0], ([0], [0])), shape=(N, 1))
+        soft = np.zeros(0, dtype=int) if problem.rows is None else problem.rows.soft
+        # One block a row: what multiplies v, z_1 …, z_0 and the violations.
+        blocks: list[tuple[csc_array, csc_array, csc_array, csc_array | None]]
+        blocks = [self._block(kron(each, identity(count)) / problem.level)]
+        if problem.change is not None:
+            differences = kron(each - earlier, identity(count)) / problem.level
+            blocks.append(self._block(differences))
+        self._parts: list[tuple[IntArray, bool, bool]] = []
+        if problem.rows is not None:
+            rows = problem.rows
+            hard = np.setdiff1d(np.arange(len(rows.scale)), soft)
+            above, below = rows.bounded
+            for taken, sign, low, high in (
+                (hard, 0, True, True),
+                (soft, -1, False, True),
+                (soft, 1, True, False),
+            ):
+                if not len(taken) or (sign < 0 and not above) or (sign > 0 and not below):
+                    continue
+                E, F, G = (
+                    csc_array(part[taken] / rows.scale[taken, None])
+                    for part in (rows.by_state, rows.by_next_state, rows.by_input)
+                )
+                blocks.append((
+                    kron(each, G),
+                    kron(earlier, E) + kron(each, F),
+                    kron(first, E),
+                    sign * identity(N * len(soft)) if sign else None,
+                ))  # fmt: skip
+                self._parts.append((taken, low, high))
+        self._slacks = N * len(soft)
+        if len(soft):
+            empty = self._block(csc_array((self._slacks, N * count)))
+            blocks.append((*empty[:3], identity(self._slacks)))
+        columns = list(zip(*blocks, strict=True))
+        self.on_inputs, self.on_states, self.on_first = (
+            csc_array(vstack(column)) for column in columns[:3]
+        )
+        for part in (self.on_inputs, self.on_states):
+            part.eliminate_zeros()  # kron fills blocks up
+        self.on_violations = csc_array(vstack([
+            csc_array((block[0].shape[0], self._slacks)) if block[3] is None else block[3]
+            for block in blocks
+        ]))  # fmt: skip
+        self.price = np.zeros(0)
+        if problem.rows is not None:
+            price = problem.rows.penalty[soft] * problem.rows.scale[soft]
+            self.price = np.tile(problem.cost_scale * price, N)
+        self.widths = [block[0].shape[0] // N for block in blocks]
+
+    @property
+    def parts(self) -> list[tuple[IntArray, int]]:
+        """Indices of the limited rows in each block of them, and the first row of the block."""
+        before = len(self.widths) - len(self._parts) - (1 if len(self.price) else 0)
+        starts = self._problem.length * np.cumsum([0, *self.widths])[before:]
+        return [(part[0], int(start)) for part, start in zip(self._parts, starts, strict=False)]
+
+    def _block(self, on_inputs: csc_array) -> tuple[csc_array, csc_array, csc_array, None]:
+        """Return a block of rows that sees inputs alone."""
+        from scipy.sparse import csc_array
+
+        rows, states = on_inputs.shape[0], len(self._problem.drift)
+        none = csc_array((rows, self._problem.length * states))
+        return on_inputs, none, csc_array((rows, states)), None
+
+    def bounds(self, previous: FloatArray, data: StageData) -> Pair:
+        """Return the bounds of all rows before what is known of states is moved over.
+
+        The previous input is v_{−1}, shape (α,).
+        """
+        problem = self._problem
+        low, high = [data.low.ravel() / problem.level], [data.high.ravel() / problem.level]
+        if problem.change is not None:
+            middle = -data.shift / problem.level
+            middle[0] += previous / problem.level
+            reach = problem.change / problem.level
+            low.append((middle - reach).ravel())
+            high.append((middle + reach).ravel())
+        for taken, below, above in self._parts:
+            assert problem.rows is not None  # there are parts
+            scale = problem.rows.scale[taken]
+            least, most = data.row_low[:, taken] / scale, data.row_high[:, taken] / scale
+            low.append((least if below else np.full_like(least, -np.inf)).ravel())
+            high.append((most if above else np.full_like(most, np.inf)).ravel())
+        low.append(np.zeros(self._slacks))
+        high.append(np.full(self._slacks, np.inf))
+        return np.concatenate(low), np.concatenate(high)
+
+
+def shifted(vector: FloatArray, length: int, widths: list[int], repeat: bool) -> FloatArray:
+    """Drop the first step of each block of (length, width), and repeat the last or append zeros."""
+    parts, at = [], 0
+    for width in widths:
+        block = vector[at : at + length * width].reshape(length, width)
+        parts += [block[1:].ravel(), block[-1] if repeat else np.zeros(width)]
+        at += length * width
+    return np.concatenate(parts)
+
+
 class Form(ABC):
     """One way to write the problem as ``min ½ xᵀ P x + qᵀ x, l ≤ A x ≤ u``."""
 
@@ -156,26 +332,15 @@ class Form(ABC):
     A: csc_array
 
     @abstractmethod
-    def vectors(
-        self, state: FloatArray, data: StageData, previous: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return q, l and u.
-
-        Parameters
-        ----------
-        state : ndarray, shape (s,)
-            z_0.
-        data : StageData
-        previous : ndarray, shape (α,)
-            v_{−1}; matters only where the change is limited.
-        """
+    def vectors(self, state: FloatArray, data: StageData, previous: FloatArray) -> Triple:
+        """Return q, l and u from z_0 and v_{−1}, which matters only where the change is limited."""
 
     @abstractmethod
     def inputs(self, x: FloatArray, state: FloatArray, data: StageData) -> FloatArray:
         """Return v_0 … v_{N−1}, shape (N, α), from a solution."""
 
     @abstractmethod
-    def shifted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def shifted(self, x: FloatArray, y: FloatArray) -> Pair:
         """Return a primal and dual solution moved on by one sample, to start the next from."""
 
 
@@ -245,7 +410,7 @@ class QPSolver(ABC):
         q: FloatArray,
         l: FloatArray,  # noqa: E741 - the letters of the problem
         u: FloatArray,
-        start: tuple[FloatArray, FloatArray] | None = None,
+        start: Pair | None = None,
         deadline: float = np.inf,
     ) -> QPSolution:
         """Solve for new vectors, from the last solution or from a given start.

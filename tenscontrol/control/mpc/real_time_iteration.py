@@ -8,8 +8,16 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import LoadObserver
-from tenscontrol.control.mpc.constraints import Constraints
-from tenscontrol.control.mpc.problem import MPCProblem, QPSolution, QPSolver, Rows, StageData
+from tenscontrol.control.mpc.problem import (
+    Constraints,
+    MPCProblem,
+    Pair,
+    QPSolution,
+    QPSolver,
+    Rows,
+    StageData,
+)
+from tenscontrol.control.mpc.settings import MPCSettings
 from tenscontrol.control.mpc.shooting import (
     RK4,
     Discretization,
@@ -47,28 +55,19 @@ _MOST_EXPLICIT = 4
 class TrajectoryModel:
     """The motion of a plant over N samples, and the values of limited rows, with derivatives.
 
-    Attributes
-    ----------
-    implicit : bool
-        Whether steps are implicit: where inputs are ramps or strings are stiff.
-    discretization : Discretization
-    back_end : str
-        What evaluates the derivatives.
-    acceleration : casadi.Function
-        ``(z, u) -> q̈``.
-    limited : casadi.Function or None
-        ``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of the rows that are limited, dense.
+    Steps are implicit where inputs are ramps or strings are stiff. ``limited`` is
+    ``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of the rows that are limited, dense.
     """
 
     def __init__(
         self,
         plant: LinearPlant,
-        sample_time: float,
-        length: int,
+        settings: MPCSettings,
         constraints: Constraints,
-        substeps: int,
         machine_code: bool,
     ) -> None:
+        sample_time, length, winches = settings.sample_time, settings.horizon, settings.winches
+        substeps = 1 if winches is None else winches.substeps
         stiff = (
             plant.input == "rest_length" and explicit_substeps(plant, sample_time) > _MOST_EXPLICIT
         )
@@ -95,7 +94,8 @@ class TrajectoryModel:
             def build() -> tuple[ca.Function, tuple[FloatArray, ...], ca.Function]:
                 rows = limited_rows(plant, constraints, at_end)
                 patterns = (np.array(ca.DM(rows.sparsity_out(i), 1.0)) for i in (1, 2, 3))
-                dense = _dense(rows)
+                parts = [ca.densify(part) for part in rows(*rows.sx_in())]
+                dense = ca.Function(rows.name(), rows.sx_in(), parts)
                 return dense, tuple(patterns), executable(dense.map(length), machine_code)[0]
 
             key = "limited rows", constraints.key, at_end, length, machine_code
@@ -121,9 +121,7 @@ class TrajectoryModel:
         by_state, by_input, by_next_state = self._patterns
         return replace(rows, by_state=by_state, by_input=by_input, by_next_state=by_next_state)
 
-    def at_rest(
-        self, reference: FloatArray, inputs: FloatArray, observer: LoadObserver
-    ) -> tuple[FloatArray, FloatArray]:
+    def at_rest(self, reference: FloatArray, inputs: FloatArray, observer: LoadObserver) -> Pair:
         """Return references (N, s) and inputs (N, α) moved to rest under the estimated load.
 
         Newton's method on the accelerations of the nonlinear plant, with the derivatives of
@@ -183,27 +181,12 @@ def limited_rows(plant: LinearPlant, constraints: Constraints, at_end: bool = Fa
     return ca.Function("rows", [z, u, later], ca.cse(parts))
 
 
-def _dense(function: ca.Function) -> ca.Function:
-    arguments = function.sx_in()
-    outputs = [ca.densify(part) for part in function(*arguments)]
-    return ca.Function(function.name(), arguments, outputs)
-
-
 class RealTimeIterate:
     """States z_0 … z_N and inputs u_0 … u_{N−1}, and the program that improves them.
 
     Accelerations at the stages of implicit steps are part of it, and u_{−1}, which still acts
-    where inputs are ramps.
-
-    Attributes
-    ----------
-    form : Sparse
-        The SQP subproblem.
-    solver : QPSolver
-    inputs : ndarray, shape (N, α), or None
-        None before there is a plan.
-    linearized : bool
-        Whether the program is linearized along the plan.
+    where inputs are ramps. ``inputs`` is None before there is a plan; ``linearized`` says whether
+    the program is linearized along the plan.
     """
 
     def __init__(
@@ -212,7 +195,7 @@ class RealTimeIterate:
         form: Sparse,
         solver: QPSolver,
         problem: MPCProblem,
-        bounds: tuple[FloatArray, FloatArray],
+        bounds: Pair,
     ) -> None:
         self._model, self.form, self.solver, self._problem = model, form, solver, problem
         self._discretization = model.discretization
@@ -226,7 +209,7 @@ class RealTimeIterate:
         self._previous: FloatArray = np.zeros(0)
         self.inputs: FloatArray | None = None
         self.linearized, self._shifted = False, True
-        self._guess: tuple[FloatArray, FloatArray] | None = None
+        self._guess: Pair | None = None
 
     def reset(self) -> None:
         """Forget the plan, and what the solver adapted to its programs."""
@@ -310,7 +293,7 @@ class RealTimeIterate:
         later, inputs = self.form.trajectory(answer.x)
         states, whole = np.vstack([state, later]), np.vstack([previous_input, inputs])
         changes = (states - self._states)[:-1], whole - np.vstack([self._previous, planned])
-        self._stages = self._discretization.corrected(self._stages, *changes, load)
+        self._stages = self._discretization.corrected(self._stages, changes, load)
         self._states, self.inputs, self._previous = states, inputs, previous_input
         return answer, float(np.abs(inputs - planned).max()) / self._problem.level
 

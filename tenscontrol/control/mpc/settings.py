@@ -1,33 +1,41 @@
-"""Settings that a user gives to MPC and NMPC, and the problem that they make of a plant."""
+"""What MPC and NMPC share: settings, the problem that they make of a plant, and a base class."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Required, TypedDict
+from typing import Required, Self, TypedDict
 
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control.input_bounds import input_bounds, largest_change
-from tenscontrol.control.mpc.constraints import (
+from tenscontrol.control.controller import (
+    Controller,
+    energy_weights,
+    input_bounds,
+    largest_change,
+    regulator,
+    weight_matrix,
+)
+from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
+from tenscontrol.control.mpc.constraints import OutputLimit, output_block
+from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
+from tenscontrol.control.mpc.problem import (
     Constraints,
-    OutputLimit,
+    Form,
+    MPCProblem,
+    QPSolver,
     RowBlock,
-    output_block,
     string_block,
 )
-from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
-from tenscontrol.control.mpc.problem import Form, MPCProblem, QPSolver
-from tenscontrol.control.weights import energy_weights, weight_matrix
 from tenscontrol.plant import (
     LinearPlant,
+    ReferencePreview,
     Sampled,
+    acceleration_response,
     refuse_empty,
     refuse_unreachable,
-    regulator_riccati,
     sampled,
-    state_units,
     string_map,
     to_commanded_strings,
     to_model_strings,
@@ -210,10 +218,11 @@ class MPCSettings:
         """Time for a command, s; inf where there is no limit."""
         return np.inf if self.time_limit is None else self.time_limit
 
-    def make_solver(self, form: Form, equations: bool = False) -> QPSolver:
-        """Return a solver of a program, as it is before the first solve."""
-        kind = _SOLVERS[self.solver] if isinstance(self.solver, str) else self.solver
-        return kind(form.P, form.A, self.tolerance, self.max_iterations, equations=equations)
+
+def make_solver(settings: MPCSettings, form: Form, equations: bool = False) -> QPSolver:
+    """Return a solver of a program, as it is before the first solve."""
+    kind = _SOLVERS[settings.solver] if isinstance(settings.solver, str) else settings.solver
+    return kind(form.P, form.A, settings.tolerance, settings.max_iterations, equations=equations)
 
 
 def _checked_penalty(value: object) -> float:
@@ -228,22 +237,12 @@ def _checked_penalty(value: object) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Data of a program.
-
-    Attributes
-    ----------
-    problem : MPCProblem
-    constraints : Constraints
-    sampled : Sampled
-        What a sample does.
-    low, high : ndarray, shape (α,)
-        Least and largest command.
-    """
+    """Data of a program."""
 
     problem: MPCProblem
     constraints: Constraints
-    sampled: Sampled
-    low: FloatArray
+    sampled: Sampled  # what a sample does
+    low: FloatArray  # least command, (α,)
     high: FloatArray
 
     @property
@@ -285,18 +284,14 @@ def design(plant: LinearPlant, settings: MPCSettings) -> Design:
     winches, sample_time = settings.winches, settings.sample_time
     model = sampled(plant, sample_time, 1 if winches is None else winches.substeps)
     transition, input_matrix = model.augmented
-    added = len(transition) - states
-    weight = np.zeros_like(transition)
-    weight[:states, :states] = state_weight
-    unit, size = state_units(plant)
-    units = np.r_[unit, np.full(added, size)]
-    gain, _, cost, _ = regulator_riccati(
-        transition, input_matrix, weight, input_weight, units, size, discrete=True
+    weight, (gain, _, cost, _) = regulator(
+        plant, transition, input_matrix, state_weight, input_weight, discrete=True
     )
     # The price is relative to the cost of an input one level off.
     assert settings.string_penalty is not None  # the record filled in the default
     penalty = settings.string_penalty * level**2 * float(np.linalg.eigvalsh(input_weight).min())
     blocks = _row_blocks(plant, settings, penalty)
+    added = len(transition) - states
     if model.ramp:
         blocks = [block.at_sample_ends(added) for block in blocks]
     constraints = Constraints(blocks, states)
@@ -341,10 +336,11 @@ def _least_force_density(plant: LinearPlant, settings: MPCSettings) -> FloatArra
 
 
 def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> list[RowBlock]:
-    blocks, held = [], plant.input
-    strings = string_map(plant, held)
-    count = plant.B.shape[1]
-    if held == "rest_length":
+    outputs = [output_block(plant, limit) for limit in settings.outputs]
+    if plant.input == "force_density" and settings.max_tension is None:
+        return outputs
+    blocks, count, strings = [], plant.B.shape[1], string_map(plant, plant.input)
+    if plant.input == "rest_length":
         high = np.full(len(strings.force_density), np.inf)
         if settings.max_force_density is not None:
             largest = per_member("max_force_density", settings.max_force_density, count, "string")
@@ -369,4 +365,66 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
         level = float(strings.tension.max()) or float(most.max())
         low = np.full(len(most), -np.inf)
         blocks.append(string_block("tension", strings, low, most, level, penalty))
-    return blocks + [output_block(plant, limit) for limit in settings.outputs]
+    return blocks + outputs
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PredictiveLaw:
+    """What a predictive controller computes with, except what it remembers.
+
+    The load model is None where no load is estimated; the path is what is followed.
+    """
+
+    settings: MPCSettings
+    load: LoadModel | None
+    path: ReferencePreview
+
+    def following(self, reference: object) -> Self:
+        """Return the law that follows another reference."""
+        settings = replace(self.settings, reference=reference)
+        return replace(self, settings=settings, path=self.path.following(reference))
+
+
+class PredictiveController(Controller):
+    """What linear and nonlinear MPC have in common: bounds, horizon, reference and load."""
+
+    _law: PredictiveLaw
+
+    def __init__(self, plant: LinearPlant, settings: MPCSettings, made: Design) -> None:
+        super().__init__(plant, settings.sample_time, made.low, made.high, made.problem.change)
+        self._longest_time = settings.longest_time
+        self._observer: LoadObserver | None = None
+        if settings.load_gain is not None:
+            response = acceleration_response(plant, settings.sample_time)
+            self._observer = load_observer(plant, response, settings.load_gain, settings.tracked)
+
+    @property
+    def horizon(self) -> int:
+        """Number N of samples predicted."""
+        return self._law.settings.horizon
+
+    @property
+    def load(self) -> FloatArray | None:
+        """q̈ laid to an unknown load, m √kg/s², shape (r,); None where none is estimated."""
+        return None if self._observer is None else frozen(self._observer.acceleration)
+
+    def follow(self, reference: object) -> None:
+        """Follow another reference from now on.
+
+        Parameters
+        ----------
+        reference : Reference or array_like, shape (3, n), or None
+            As in the constructor.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it does not fit the structure.
+        """
+        self._law = self._law.following(reference)
+
+    def reset(self) -> None:
+        """Forget the plan, the previous input, the estimated load and the statistics."""
+        super().reset()
+        if self._observer is not None:
+            self._observer.reset()

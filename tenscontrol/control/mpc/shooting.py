@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import solve_stacked
+from tenscontrol.control.mpc.problem import Pair, Triple
 from tenscontrol.dynamics import Evaluator, compiled
 from tenscontrol.plant import (
     LinearPlant,
@@ -46,18 +47,13 @@ _BALANCED = 1e-9
 class StageJacobians:
     """First-order functions along a trajectory: ``value ≈ offset + Σ slope · argument``.
 
-    Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j.
-
-    Attributes
-    ----------
-    offset : ndarray, shape (N, m)
-    slopes : tuple of ndarray, shape (N, columns, m) each
-        Of the motion by z_k, u_k and, where inputs are ramps, u_{k−1}; of limited rows by z_k, u_k
-        and z_{k+1}. Views of memory that the next call may overwrite.
+    Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j. Those
+    of the motion are by z_k, u_k and, where inputs are ramps, u_{k−1}; those of limited rows by
+    z_k, u_k and z_{k+1}. They are views of memory that the next call may overwrite.
     """
 
-    offset: FloatArray
-    slopes: tuple[FloatArray, ...]
+    offset: FloatArray  # (N, m)
+    slopes: tuple[FloatArray, ...]  # (N, columns, m) each
 
 
 def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobians:
@@ -94,17 +90,10 @@ class Discretization(ABC):
     A plan may have more than states and inputs: the accelerations at the stages of implicit
     steps, shape (N, stages, r). Explicit steps have none. What is built of CasADi is kept with the
     plant, and each discretization evaluates it in memory of its own.
-
-    Attributes
-    ----------
-    back_end : str
-        ``"machine code"`` or ``"virtual machine"``.
-    ramp : bool
-        Whether the input moves through a sample, so that the one before matters too.
     """
 
-    back_end: str
-    ramp: bool
+    back_end: str  # "machine code" or "virtual machine"
+    ramp: bool  # whether the input moves through a sample, so that the one before matters too
 
     @property
     @abstractmethod
@@ -112,9 +101,7 @@ class Discretization(ABC):
         """``(z, u) -> z⁺``, or ``(z, u_before, u) -> z⁺`` where inputs are ramps."""
 
     @abstractmethod
-    def advance(
-        self, state: FloatArray, previous: FloatArray, held: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def advance(self, state: FloatArray, previous: FloatArray, held: FloatArray) -> Pair:
         """Return the state a sample later, shape (s,), and the stages, shape (stages, r).
 
         Not a number where the dynamics have no value, or an implicit step is not solved. Inputs
@@ -145,17 +132,11 @@ class Discretization(ABC):
         """Return what constant accelerations do to z_{k+1} linearized last, (s,) or (N, s)."""
 
     @abstractmethod
-    def corrected(
-        self,
-        stages: FloatArray,
-        states: FloatArray,
-        inputs: FloatArray,
-        load: FloatArray | None = None,
-    ) -> FloatArray:
+    def corrected(self, stages: FloatArray, changes: Pair, load: FloatArray | None) -> FloatArray:
         """Return the stages that were linearized last, corrected to first order.
 
-        States, shape (N, s), and inputs, shape (N + 1, α), are changes since; the load is constant
-        accelerations, shape (r,).
+        Changes since are of states, shape (N, s), and inputs, shape (N + 1, α); the load is
+        constant accelerations, shape (r,).
         """
 
 
@@ -163,10 +144,7 @@ class Discretization(ABC):
 class RK4(Discretization):
     """By RK4 in steps that resolve the fastest vibration; inputs jump at the starts of samples.
 
-    Attributes
-    ----------
-    linearized : casadi.Function
-        ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
+    ``linearized`` is ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
     """
 
     ramp = False
@@ -188,9 +166,7 @@ class RK4(Discretization):
         """See :attr:`Discretization.sampled`."""
         return self._sampled
 
-    def advance(
-        self, state: FloatArray, previous: FloatArray, held: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def advance(self, state: FloatArray, previous: FloatArray, held: FloatArray) -> Pair:
         """See :meth:`Discretization.advance`."""
         return self._advance(state, held)[0].copy(), self._no_stages
 
@@ -210,13 +186,7 @@ class RK4(Discretization):
         """See :meth:`Discretization.load_response`."""
         return np.asarray(self._response @ load)
 
-    def corrected(
-        self,
-        stages: FloatArray,
-        states: FloatArray,
-        inputs: FloatArray,
-        load: FloatArray | None = None,
-    ) -> FloatArray:
+    def corrected(self, stages: FloatArray, changes: Pair, load: FloatArray | None) -> FloatArray:
         """See :meth:`Discretization.corrected`: there is nothing to correct."""
         return stages
 
@@ -300,15 +270,13 @@ class RadauIIA(Discretization):
         whole = ca.vertcat(*given)
         return ca.Function("sampled", given, [end(solver(0, whole), whole)], [*names], ["end"])
 
-    def advance(
-        self, state: FloatArray, previous: FloatArray, held: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def advance(self, state: FloatArray, previous: FloatArray, held: FloatArray) -> Pair:
         """See :meth:`Discretization.advance`."""
         return self._single(state, previous, held, np.zeros(self._r))[:2]
 
     def predict(
         self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> Pair:
         """See :meth:`Discretization.predict`: no number where strings go slack."""
         r = self._r
         end, _, system = self._single(state, previous, held, load)
@@ -321,7 +289,7 @@ class RadauIIA(Discretization):
 
     def _single(
         self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    ) -> Triple:
         """Return end, stages and ∂G/∂K of a step; no numbers where Newton's method fails."""
         states, inputs = state[None], np.array([previous, held])
         stages = np.zeros((1, 3, self._r))
@@ -364,19 +332,14 @@ class RadauIIA(Discretization):
         """See :meth:`Discretization.load_response`."""
         return np.asarray(load @ self._by_load)
 
-    def corrected(
-        self,
-        stages: FloatArray,
-        states: FloatArray,
-        inputs: FloatArray,
-        load: FloatArray | None = None,
-    ) -> FloatArray:
+    def corrected(self, stages: FloatArray, changes: Pair, load: FloatArray | None) -> FloatArray:
         """See :meth:`Discretization.corrected`."""
-        changes = [states, inputs[1:], inputs[:-1]] if self.ramp else [states, inputs[1:]]
-        changes.append(np.zeros((len(states), self._r)))
+        states, inputs = changes
+        parts = [states, inputs[1:], inputs[:-1]] if self.ramp else [states, inputs[1:]]
+        parts.append(np.zeros((len(states), self._r)))
         if load is not None:
-            changes[-1][:] = load
-        moved = self._slopes @ np.hstack(changes)[:, :, None]
+            parts[-1][:] = load
+        moved = self._slopes @ np.hstack(parts)[:, :, None]
         return stages + self._change + moved.reshape(stages.shape)
 
     def _ends(self, states: FloatArray, stages: FloatArray) -> FloatArray:

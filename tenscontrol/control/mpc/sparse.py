@@ -18,8 +18,15 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.constraints import LimitRows, shifted
-from tenscontrol.control.mpc.problem import Form, MPCProblem, StageData
+from tenscontrol.control.mpc.problem import (
+    Form,
+    LimitRows,
+    MPCProblem,
+    Pair,
+    StageData,
+    Triple,
+    shifted,
+)
 from tenscontrol.control.mpc.shooting import StageJacobians, applied
 from tenscontrol.validation import FloatArray, IntArray
 
@@ -47,24 +54,10 @@ class Sparse(Form):
     Unknowns are z_1 … z_N, u_0 … u_{N−1} and the violations, in units of the state, of one
     input and of the rows. States and inputs are measured from zero, or from a plan.
 
-    Parameters
-    ----------
-    problem : MPCProblem
-        Where a matrix of the rows is zero, it stays so.
-    units : ndarray, shape (s,), optional
-        Of the state; 1 if not given.
-    varying : bool
-        Whether stage Jacobians are put in by :meth:`linearize`; if not, they are those of the
-        problem. With a terminal weight of ``[z_N; u_{N−1}]`` there are C_k too.
-
-    Attributes
-    ----------
-    limits : LimitRows
-        The rows after those of the dynamics, which are as many as entries of z_1 … z_N.
-    motion_indices : list of SparsityIndices
-        Of A_k, B_k and C_k; A_0 and C_0 meet only what is known.
-    row_indices : list of tuple of SparsityIndices
-        Of E_k, G_k and F_k, for each part of the limited rows; none where they are constant.
+    Stage Jacobians are those of the problem, or ``varying`` and put in by :meth:`linearize`; where
+    a matrix of the rows is zero, it stays so. With a terminal weight of ``[z_N; u_{N−1}]`` there
+    are C_k too. ``motion_indices`` are of A_k, B_k and C_k; A_0 and C_0 meet only what is known.
+    ``row_indices`` are of E_k, G_k and F_k, for each part of the limited rows.
     """
 
     def __init__(
@@ -110,7 +103,7 @@ class Sparse(Form):
             ))  # fmt: skip
         p = 0 if rows is None else len(rows.scale)
         self._row_offset, self._rows_first = np.zeros((N, p)), np.zeros((s, p))
-        self._about: tuple[FloatArray, FloatArray] | None = None
+        self._about: Pair | None = None
         if not varying:
             slopes = (np.tile(matrix.T, (N, 1, 1)) for matrix in (by_state, by_input))
             self.linearize(StageJacobians(np.zeros((N, s)), tuple(slopes)))
@@ -177,20 +170,13 @@ class Sparse(Form):
         self,
         motion: StageJacobians,
         rows: StageJacobians | None = None,
-        about: tuple[FloatArray, FloatArray] | None = None,
+        about: Pair | None = None,
     ) -> None:
-        """Put the values of stage Jacobians into A.
+        """Put the values of stage Jacobians into A: of the motion, and of rows if they are limited.
 
-        Parameters
-        ----------
-        motion : StageJacobians
-            A_k, B_k, C_k where inputs are ramps, and c_k.
-        rows : StageJacobians, optional
-            E_k, G_k, F_k and d_k, where rows are limited.
-        about : tuple of ndarray, shapes (N, s) and (N, α), optional
-            A plan z_1 …, u_0 … that unknowns are measured from, zero if not given. The solver
-            stops at an error relative to the unknowns: of rest lengths of stiff strings,
-            themselves thousands of stretches, that is too much.
+        Unknowns are measured from a plan z_1 …, u_0 … if one is given. The solver stops at an
+        error relative to the unknowns: of rest lengths of stiff strings, themselves thousands of
+        stretches, that is too much.
         """
         values = self.A.data
         for indices, slope in zip(self.motion_indices, motion.slopes, strict=True):
@@ -223,7 +209,7 @@ class Sparse(Form):
         data: StageData,
         previous: FloatArray,
         previous_input: FloatArray | None = None,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    ) -> Triple:
         """See :meth:`Form.vectors`. With C_k the previous input of the motion is needed too."""
         level = self._problem.level
         if self._about is not None:
@@ -266,7 +252,7 @@ class Sparse(Form):
         """See :meth:`Form.inputs`."""
         return self.trajectory(x)[1]
 
-    def trajectory(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def trajectory(self, x: FloatArray) -> Pair:
         """Return z_1 … z_N (N, s) and u_0 … u_{N−1} (N, α) of a solution."""
         N, count = self._problem.length, self._count
         found, rest = np.split(x, [self._states])
@@ -276,7 +262,7 @@ class Sparse(Form):
             return states, planned
         return states + self._about[0], planned + self._about[1]
 
-    def at_plan(self, guess: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    def at_plan(self, guess: Pair) -> Pair:
         """Return a guess of primal and dual solution whose states and inputs are those of a plan.
 
         It stays as it is where unknowns are not measured from a plan.
@@ -287,7 +273,7 @@ class Sparse(Form):
         x[: self._states + self._count] = 0.0
         return x, guess[1]
 
-    def shifted(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def shifted(self, x: FloatArray, y: FloatArray) -> Pair:
         """See :meth:`Form.shifted`."""
         N, (s, a) = self._problem.length, self._problem.input_matrix.shape
         return (

@@ -6,7 +6,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.control import Status
 from tenscontrol.control.mpc import OSQPSolver, QPSolution
-from tenscontrol.control.mpc.condensed import Condensed
+from tenscontrol.control.mpc.linear import Condensed
 from tenscontrol.control.mpc.problem import MPCProblem, StageData
 from tenscontrol.control.mpc.sparse import Sparse
 

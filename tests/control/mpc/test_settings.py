@@ -1,5 +1,6 @@
 """The settings that MPC and NMPC share: declared once, frozen, and prepared once for a plant."""
 
+import sys
 from dataclasses import FrozenInstanceError, fields, replace
 from typing import ClassVar
 
@@ -121,3 +122,28 @@ def test_a_second_controller_on_a_plant_builds_no_expression(kind, held, monkeyp
     assert "strings" in names[0]
     assert names[1] == []
     np.testing.assert_array_equal(*values)
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_held_lengths_are_found_once_for_a_plant(cut, monkeypatch):
+    structure = tc.prism()
+    gamma = tc.statics.prism_force_density(3, 17.3205)[0]
+    if cut:
+        structure = tc.subdivide(structure, segments=2, node_mass=0.01)
+        gamma = tc.structure.spread_force_density(structure, gamma)
+    model = tc.Model(structure, strings=tc.LinearStrings(stiffness=100.0))
+    plant = tc.linearize(model, tc.prestress(structure, gamma))
+    if cut:
+        plant = tc.plant.command_parents(plant)
+    built, module = [], sys.modules["tenscontrol.control.held_loop"]
+    for name in ("linearize", "string_map"):
+        made = getattr(module, name)
+        monkeypatch.setattr(
+            module, name, lambda *given, made=made, **kw: built.append(1) or made(*given, **kw)
+        )
+    for _ in range(2):
+        if cut:  # no string reaches the middle of a cut one across it
+            tc.control.held_loop(plant, np.zeros(plant.B.T.shape), sample_time=0.02)
+        else:
+            tc.MPC(plant, **GIVEN)
+    assert len(built) == 1 + cut

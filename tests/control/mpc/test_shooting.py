@@ -151,7 +151,7 @@ def test_stages_of_a_plan_converge_to_the_solved_step(pieces):
             np.einsum("kj,kji->ki", x, slope)
             for x, slope in zip(known, jacobians.slopes, strict=True)
         )
-        stages = motion.corrected(stages, 0 * states, 0 * acting)
+        stages = motion.corrected(stages, (0 * states, 0 * acting), None)
         exact = [motion.advance(states[k], acting[k], acting[k + 1]) for k in range(2)]
         off.append(max(np.abs(ends[k] - exact[k][0]).max() for k in range(2)))
     assert off[0] > 1e-6
@@ -169,7 +169,7 @@ def test_correction_is_the_first_order_of_what_moved():
     dz, du, load = 1e-6 * rng.normal(size=18), 1e-6 * rng.normal(size=(2, 9)), rng.normal(size=9)
     for size in (1.0, 0.5):
         motion.linearize(z[None], acting, stages[None])
-        found = motion.corrected(stages[None], size * dz[None], size * du, size * 1e-2 * load)
+        found = motion.corrected(stages[None], (size * dz[None], size * du), size * 1e-2 * load)
         _, exact, _ = motion._single(z + size * dz, *(acting + size * du), size * 1e-2 * load)
         off.append(np.abs(found[0] - exact).max() / np.abs(exact - stages).max())
     assert off[0] < 1e-2

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import tenscontrol as tc
-from tenscontrol.deploy.measurement import measurement
+from tenscontrol.deploy.measurement_code import measurement
 
 
 def plants():
