@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 
-from tenscontrol.dynamics.prepared import Prepared
+from tenscontrol.dynamics.evaluator import Prepared
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, frozen
@@ -45,6 +46,8 @@ class Equation:
     form : {"flat", "mapped", "loops"}
         How the functions are built: one expression of all members (SX);
         operations on all members at once (MX); loops over the members in C.
+    prepared : Prepared
+        What integrators have built for this equation, for every later call; not for users.
     """
 
     slope: ca.Function
@@ -55,7 +58,6 @@ class Equation:
     law: StringLaw | None = None
     load: FloatArray | None = None
     form: str = "flat"
-    #: What integrators have built for this equation, for every later call; not for users.
     prepared: Prepared = field(default_factory=Prepared, init=False, repr=False)
 
     @property
@@ -76,17 +78,17 @@ class Equation:
         x, u, taut, h = (make(name, size) for name, size in sizes.items())
         return x, u, taut, h
 
-    @property
+    @cached_property
     def states(self) -> int:
         """Number of entries of x."""
         return int(self.slope.size1_in(0))
 
-    @property
+    @cached_property
     def inputs(self) -> int:
         """Number of entries of u."""
         return int(self.slope.size1_in(1))
 
-    @property
+    @cached_property
     def switches(self) -> int:
         """Number of strings that can go slack: entries of ``taut``."""
         return int(self.slope.size1_in(2))

@@ -20,9 +20,10 @@ from tenscontrol.integrate.integrator import (
     Span,
     Work,
     checked_tolerance,
+    largest_frequency,
+    state_scale,
 )
 from tenscontrol.integrate.projection import Projector
-from tenscontrol.integrate.scales import largest_frequency, state_scale
 from tenscontrol.validation import FloatArray
 
 # States that one call returns. Powers of two, so that outputs fall on them. Where strings can go

@@ -10,6 +10,7 @@ import numpy as np
 from tenscontrol.dynamics import Equation, Evaluator, compiler
 from tenscontrol.integrate.events import crossing, landing, taut_strings
 from tenscontrol.integrate.integrator import (
+    Frequency,
     IntegrationError,
     Integrator,
     Report,
@@ -17,9 +18,9 @@ from tenscontrol.integrate.integrator import (
     Work,
     checked_tolerance,
     in_machine_code,
+    state_scale,
 )
 from tenscontrol.integrate.projection import Projector, projection
-from tenscontrol.integrate.scales import Frequency, state_scale
 from tenscontrol.validation import FloatArray
 
 # Evaluations of a step whose first slope is known, and of its interpolant.

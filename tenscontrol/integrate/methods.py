@@ -10,10 +10,9 @@ from tenscontrol.dynamics import Equation
 from tenscontrol.integrate.cvodes import CVODES
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
-from tenscontrol.integrate.integrator import Integrator
+from tenscontrol.integrate.integrator import Integrator, largest_frequency
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6
 from tenscontrol.integrate.rk4 import RK4
-from tenscontrol.integrate.scales import largest_frequency
 from tenscontrol.validation import FloatArray, choice
 
 # The largest step of an explicit method is about this over the largest frequency.
@@ -204,23 +203,6 @@ def choose(
     Where the user gives a step, the method is RK4. Else it is the one of order
     8 with steps of its own, unless the fastest string would force it to far more
     steps than the motion needs: then the implicit one.
-
-    Parameters
-    ----------
-    equation : Equation
-    state : ndarray, shape (states,)
-        x at the start.
-    held : ndarray, shape (inputs,)
-        u at the start.
-    duration : float
-        s.
-    tolerance : float
-    step : float or None
-        s.
-
-    Returns
-    -------
-    Choice
     """
     frequency = largest_frequency(equation, state, held)
     slack = "strings can go slack, each switch ends a step" if equation.switches else "no switches"
