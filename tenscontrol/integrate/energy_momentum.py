@@ -18,6 +18,7 @@ from tenscontrol.integrate.integrator import (
     Work,
     checked_tolerance,
 )
+from tenscontrol.integrate.projection import Bodies
 from tenscontrol.validation import FloatArray, positive_number
 
 # Tried steps per call into CasADi: those not needed cost next to nothing.
@@ -298,23 +299,69 @@ class StepEquations:
 
 
 def step_equations(equation: Equation) -> StepEquations:
-    """Return the equations of a step."""
+    """Return the equations of a step.
+
+    Bars turn by the Cayley map of the mean angular velocity, which keeps the length whatever that
+    velocity is.
+    """
     structure = equation.structure
     assert structure is not None  # checked by the integrator
-    motion = _Motion(equation)
+    bodies = Bodies(structure)
+    bars, turning = len(structure.free_bars), bodies.length.numel()
+    count = bodies.point_mass.numel() + turning
     x, u, h = ca.SX.sym("x", equation.states), ca.SX.sym("u", equation.inputs), ca.SX.sym("h")
-    y = ca.SX.sym("y", motion.size)
-    start = motion.start(x)
-    end, middle_bars = motion.moved(start, y, h)
-    gamma = u if equation.law is None else _mean_force_density(equation, start["N"], end, u, h)
-    middle = (start["N"] + end) / 2
+    y = ca.SX.sym("y", 3 * count)
+    scale = kernel.scale_columns
+
+    def split(y: Any) -> tuple[Any, Any]:
+        """Return velocities of points, and angular velocities times bar length."""
+        centres, turn, nodes = ca.horzsplit(ca.reshape(y, 3, -1), [0, bars, bars + turning, count])
+        return ca.horzcat(centres, nodes), turn
+
+    def join(points: Any, turn: Any) -> Any:
+        return ca.vec(ca.horzcat(points[:, :bars], turn, points[:, bars:]))
+
+    # The start is put on the constraint as the end will be: no jump between the two.
+    N, Nd = (ca.reshape(part, 3, -1) for part in ca.vertsplit(x, equation.states // 2))
+    points0, B0 = bodies.split(N, bodies.hinges)
+    B0 = _of_length(B0, bodies.length)
+    velocity0, Bd0 = bodies.split(Nd)
+    turn0 = scale(_cross(B0, Bd0), 1 / bodies.length)
+    start = join(velocity0, turn0)
+
+    # The end, and the bar vectors halfway.
+    velocity, turn = split(y)
+    a = scale(turn, h / 2 / bodies.length)
+    swept = _cross(a, B0)
+    swept += _cross(a, swept)
+    half = scale(swept, 1 / (1 + kernel.dots(a, a)))
+    B1 = _of_length(B0 + 2 * half, bodies.length)
+    end = bodies.join(points0 + h * velocity, B1, bodies.hinges)
+    velocity1, turn1 = split(2 * y - start)
+    Bd1 = _cross(scale(turn1, 1 / bodies.length), bodies.split(end, bodies.hinges)[1])
+    x1 = ca.vertcat(ca.vec(end), ca.vec(bodies.join(velocity1, Bd1)))
+
+    # Change of momentum less impulse of the forces: m l²/12 turns about the centre of a free bar,
+    # m l²/3 about the fixed end of one that swings.
+    N0, N1 = (
+        kernel.all_nodes(structure, nodes, structure.nodes)
+        for nodes in (bodies.join(points0, B0, bodies.hinges), end)
+    )
+    gamma = u if equation.law is None else _mean_force_density(equation, N0, N1, u, h)
     load = None if equation.load is None else ca.sparsify(ca.DM(equation.load))
-    F = kernel.node_forces(structure, middle, gamma, load)
-    residual = motion.impulse_balance(start, y, h, middle_bars, F)
+    forces = kernel.node_forces(structure, (N0 + N1) / 2, gamma, load)
+    on_points, on_vectors = bodies.resultants(forces[:, structure.free.tolist()])
+    share = ca.DM([0.5] * bars + [1.0] * (turning - bars)).T
+    torque = scale(_cross(B0 + half, scale(on_vectors, share)), h / bodies.length)
+    residual = join(
+        scale(velocity - velocity0, 2 * bodies.point_mass) - h * on_points,
+        scale(turn - turn0, 2 * share * bodies.vector_mass) - torque,
+    )
+    residual = ca.densify(residual)
     return StepEquations(
         system=ca.Function("system", [y, x, u, h], [residual, ca.jacobian(residual, y)]),
-        guess=ca.Function("guess", [x], [motion.mean(start)]),
-        end=ca.Function("end", [y, x, h], [motion.end_state(start, y, h, end)]),
+        guess=ca.Function("guess", [x], [ca.densify(start)]),
+        end=ca.Function("end", [y, x, h], [ca.densify(x1)]),
     )
 
 
@@ -329,11 +376,7 @@ def _mean_force_density(equation: Equation, N0: Any, N1: Any, rest: Any, h: Any)
     structure, law = equation.structure, equation.law
     assert structure is not None  # as in step_equations
     assert law is not None  # asked for only where there is a law
-    lengths = []
-    for N in (N0, N1):
-        S = kernel.differences(N, structure.strings)
-        lengths.append(ca.sqrt(kernel.dots(S, S)).T)
-    before, after = lengths
+    before, after = (kernel.length(kernel.differences(N, structure.strings)).T for N in (N0, N1))
     low, high = ca.fmax(before, rest), ca.fmax(after, rest)
     was, is_ = before > rest, after > rest
     change = after - before
@@ -344,106 +387,6 @@ def _mean_force_density(equation: Equation, N0: Any, N1: Any, rest: Any, h: Any)
     if law.is_damped:
         tension = ca.fmax(0, tension + law.damping * change / h)
     return 2 * share * tension / (before + after)
-
-
-class _Motion:
-    """Bars as a centre and a vector that turns, string nodes as points.
-
-    Bars turn by the Cayley map of the mean angular velocity, which keeps the
-    length whatever that velocity is.
-    """
-
-    def __init__(self, equation: Equation) -> None:
-        structure = equation.structure
-        assert structure is not None  # as in step_equations
-        self._structure = structure
-        self._free = structure.free.tolist()
-        self._starts, self._ends = structure.bars[structure.free_bars].T.tolist()
-        self._pivots, self._tips = structure.hinged_pairs.T.tolist()
-        self._points = structure.string_nodes.tolist()
-        turning = np.concatenate([structure.free_bars, structure.swinging_bars])
-        self._length = ca.DM(structure.bar_length[turning]).T
-        self._bar_mass = ca.DM(structure.bar_mass[structure.free_bars]).T
-        self._swing_mass = ca.DM(structure.bar_mass[structure.swinging_bars]).T
-        self._point_mass = ca.DM(structure.string_node_mass).T
-        self._counts = [len(self._starts), len(turning), len(self._points)]
-        self.size = 3 * sum(self._counts)
-
-    def _split(self, y: Any) -> list[Any]:
-        parts = np.cumsum([0, *self._counts]).tolist()
-        return list(ca.horzsplit(ca.reshape(y, 3, -1), parts))
-
-    def start(self, x: Any) -> dict[str, Any]:
-        """Return nodes, bar vectors of true length, and the velocities as y has them."""
-        structure = self._structure
-        half = x.shape[0] // 2
-        # Copies: `_place` writes into the nodes, which may be entries of x.
-        N = ca.SX(kernel.all_nodes(structure, ca.reshape(x[:half], 3, -1), structure.nodes))
-        Nd = kernel.all_nodes(structure, ca.reshape(x[half:], 3, -1))
-        tails, heads = self._starts + self._pivots, self._ends + self._tips
-        B = _of_length(N[:, heads] - N[:, tails], self._length)
-        # The start is put on the constraint as the end will be: no jump between the two.
-        centres = (N[:, self._starts] + N[:, self._ends]) / 2
-        self._place(N, centres, B)
-        turn = kernel.scale_columns(_cross(B, Nd[:, heads] - Nd[:, tails]), 1 / self._length)
-        return {
-            "N": N,
-            "B": B,
-            "centres": centres,
-            "velocity": (Nd[:, self._starts] + Nd[:, self._ends]) / 2,
-            "turn": turn,
-            "points": Nd[:, self._points],
-        }
-
-    def mean(self, start: dict[str, Any]) -> Any:
-        """Return y where no force acts."""
-        return ca.vec(ca.horzcat(start["velocity"], start["turn"], start["points"]))
-
-    def moved(self, start: dict[str, Any], y: Any, h: Any) -> tuple[Any, Any]:
-        """Return the nodes at the end, and the bar vectors halfway between start and end."""
-        velocity, turn, points = self._split(y)
-        B0 = start["B"]
-        a = kernel.scale_columns(turn, h / 2 / self._length)
-        swept = _cross(a, B0)
-        swept += _cross(a, swept)
-        half = kernel.scale_columns(swept, 1 / (1 + kernel.dots(a, a)))
-        N = ca.SX(start["N"])
-        self._place(N, start["centres"] + h * velocity, _of_length(B0 + 2 * half, self._length))
-        N[:, self._points] = start["N"][:, self._points] + h * points
-        return N, B0 + half
-
-    def _place(self, N: Any, centres: Any, B: Any) -> None:
-        free = self._counts[0]
-        N[:, self._starts] = centres - B[:, :free] / 2
-        N[:, self._ends] = centres + B[:, :free] / 2
-        N[:, self._tips] = N[:, self._pivots] + B[:, free:]
-
-    def impulse_balance(self, start: dict[str, Any], y: Any, h: Any, B: Any, F: Any) -> Any:
-        """Return change of momentum less impulse of the forces F, with B halfway."""
-        velocity, turn, points = self._split(y)
-        at_start, at_end = F[:, self._starts], F[:, self._ends]
-        scale = kernel.scale_columns
-        parts = [scale(velocity - start["velocity"], 2 * self._bar_mass) - h * (at_start + at_end)]
-        # I = m l²/12 about the centre of a free bar, m l²/3 about the fixed end of one that swings.
-        inertia = ca.horzcat(self._bar_mass / 6, self._swing_mass * 2 / 3)
-        lever = ca.horzcat((at_end - at_start) / 2, F[:, self._tips])
-        torque = scale(_cross(B, lever), h / self._length)
-        parts.append(scale(turn - start["turn"], inertia) - torque)
-        parts.append(scale(points - start["points"], 2 * self._point_mass) - h * F[:, self._points])
-        return ca.vec(ca.densify(ca.horzcat(*parts)))
-
-    def end_state(self, start: dict[str, Any], y: Any, h: Any, N: Any) -> Any:
-        """Return x at the end: velocities there are twice the mean less those at the start."""
-        free = self._counts[0]
-        velocity, turn, points = self._split(2 * y - self.mean(start))
-        tails, heads = self._starts + self._pivots, self._ends + self._tips
-        Bd = _cross(kernel.scale_columns(turn, 1 / self._length), N[:, heads] - N[:, tails])
-        Nd = ca.SX(3, N.shape[1])
-        Nd[:, self._starts] = velocity - Bd[:, :free] / 2
-        Nd[:, self._ends] = velocity + Bd[:, :free] / 2
-        Nd[:, self._tips] = Bd[:, free:]
-        Nd[:, self._points] = points
-        return ca.vertcat(ca.vec(N[:, self._free]), ca.vec(ca.densify(Nd[:, self._free])))
 
 
 def _cross(a: Any, b: Any) -> Any:

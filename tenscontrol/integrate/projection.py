@@ -104,10 +104,10 @@ class Bodies:
         self.hinges = ca.DM(structure.nodes[:, hinge])
         mass, hinged_mass = structure.bar_mass[free], structure.bar_mass[swinging]
         self.length = _row(structure.bar_length[np.concatenate([free, swinging])])
-        self._centre_mass = _row(mass)
-        self._point_mass = _row(structure.string_node_mass)
-        self._vector_mass = _row(mass / 6)
-        self._tip_mass = _row(hinged_mass / 3)
+        # Of points; and by which the difference of the end forces, or the force on the tip, moves
+        # a vector.
+        self.point_mass = _row(np.concatenate([mass, structure.string_node_mass]))
+        self.vector_mass = _row(np.concatenate([mass / 6, hinged_mass / 3]))
 
     def split(self, nodes: Symbolic, hinges: Symbolic = 0) -> tuple[Symbolic, Symbolic]:
         """Return points and vectors, shape (3, ·) each, of positions or velocities."""
@@ -122,22 +122,27 @@ class Bodies:
         blocks = centre - half, centre + half, vectors[:, bars:] + hinges, points[:, bars:]
         return ca.horzcat(*blocks)[:, self._order]
 
+    def resultants(self, forces: Symbolic) -> tuple[Symbolic, Symbolic]:
+        """Return what forces on the free nodes, N, shape (3, n), do to points and vectors.
+
+        The sum of the forces on a bar, or the force on a string node; and the force on the end
+        less that on the start, or the force on the tip of a bar that swings.
+        """
+        start, end = forces[:, self._start], forces[:, self._end]
+        points = ca.horzcat(start + end, forces[:, self._string_nodes])
+        return points, ca.horzcat(end - start, forces[:, self._tip])
+
     def accelerations(self, forces: Symbolic) -> tuple[Symbolic, Symbolic]:
         """Return how forces on the free nodes accelerate points and vectors, bar forces left out.
 
         ``r̈ = (f_start + f_end)/m`` (eq. 4), ``b̈ = 6/m (f_end − f_start)``
         (eq. 5 with λ = 0), and 3/m times its force for the tip of a bar that swings.
         """
-        start, end = forces[:, self._start], forces[:, self._end]
-        points = ca.horzcat(
-            scale_columns(start + end, 1 / self._centre_mass),
-            scale_columns(forces[:, self._string_nodes], 1 / self._point_mass),
+        points, vectors = self.resultants(forces)
+        return (
+            scale_columns(points, 1 / self.point_mass),
+            scale_columns(vectors, 1 / self.vector_mass),
         )
-        vectors = ca.horzcat(
-            scale_columns(end - start, 1 / self._vector_mass),
-            scale_columns(forces[:, self._tip], 1 / self._tip_mass),
-        )
-        return points, vectors
 
 
 def _row(values: FloatArray) -> ca.DM:
