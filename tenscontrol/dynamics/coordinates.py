@@ -18,14 +18,7 @@ from tenscontrol.structure import (
     refuse_wrong_bar_lengths,
     rigid_motions,
 )
-from tenscontrol.validation import (
-    FloatArray,
-    choice,
-    float_array,
-    frozen,
-    instance,
-    shaped,
-)
+from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped
 
 # Directions whose singular value is below this fraction of the largest do not exist.
 _RANK_TOLERANCE = 1e-9

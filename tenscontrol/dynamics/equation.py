@@ -11,7 +11,7 @@ import casadi as ca
 from tenscontrol.dynamics.evaluator import Prepared
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.validation import FloatArray
 
 #: How the functions of an equation can be built.
 FORMS = ("flat", "mapped", "loops")
@@ -103,24 +103,6 @@ class Equation:
         return ca.Function("kinked", [x, u], [self.slope(x, u, self.gap(x, u)[0] > 0)])
 
 
-def structure_equation(
-    structure: Structure,
-    law: StringLaw | None,
-    load: FloatArray,
-    form: str,
-    **functions: ca.Function,
-) -> Equation:
-    """Return the equation of a structure from its functions slope, gap and force."""
-    return Equation(
-        **functions,
-        velocity_dependent=law is not None and law.is_damped,
-        structure=structure,
-        law=law,
-        load=frozen(load) if load.any() else None,
-        form=form,
-    )
-
-
 def smooth_equation(slope: ca.Function) -> Equation:
     """Return the equation of a smooth right-hand side without a structure.
 
@@ -129,12 +111,8 @@ def smooth_equation(slope: ca.Function) -> Equation:
     slope : casadi.Function
         ``(x, u) -> xdot``, dense columns.
     """
-    x, u, taut = (
-        ca.SX.sym("x", slope.size1_in(0)),
-        ca.SX.sym("u", slope.size1_in(1)),
-        ca.SX.sym("taut", 0),
-    )
-    none = ca.SX(0, 1)
+    x, u = (ca.SX.sym(name, slope.size1_in(i)) for i, name in enumerate("xu"))
+    taut, none = ca.SX.sym("taut", 0), ca.SX(0, 1)
     return Equation(
         slope=ca.Function("slope", [x, u, taut], [slope(x, u)]),
         gap=ca.Function("gap", [x, u], [none, none]),

@@ -62,24 +62,10 @@ class CompilerError(RuntimeError):
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler.
+    """A C compiler."""
 
-    Attributes
-    ----------
-    command : tuple of str
-        Path of the program, and arguments that always go first.
-    version : str
-        What it says of itself.
-    """
-
-    command: tuple[str, ...]
-    version: str
-
-    def build(self, source: str, folder: Path, timeout: float) -> Path:
-        """Compile C code to a library in an empty private folder; see :meth:`link`."""
-        # Names without a folder: the library must not depend on where it was made.
-        (folder / "function.c").write_text(source, encoding="utf-8")
-        return self.link([Path("function.c")], folder, "function", timeout)
+    command: tuple[str, ...]  # path of the program, and arguments that always go first
+    version: str  # what it says of itself
 
     def link(
         self,
@@ -116,23 +102,8 @@ def compiler() -> Compiler | None:
     ``clang`` on the path that answers. ``TENSCONTROL_COMPILER=none`` switches
     compiling off: then there is none. A program with the options of GCC is needed.
 
-    Returns
-    -------
-    Compiler or None
-
-    Raises
-    ------
-    CompilerError
-        If one of the variables names a program that is not there or does not run.
-
-    Examples
-    --------
-    >>> import os
-    >>> from unittest.mock import patch
-    >>> from tenscontrol.dynamics.machine_code import compiler
-    >>> with patch.dict(os.environ, TENSCONTROL_COMPILER="none"):
-    ...     print(compiler())
-    None
+    Raises CompilerError if one of the variables names a program that is not there or does not
+    run.
     """
     if os.getenv(VARIABLE, "").strip().lower() == "none":
         return None
@@ -458,7 +429,10 @@ def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, 
     cached = library is not None
     if library is None:
         with kept.workshop() as folder:
-            library = kept.add(key, found.build(source, Path(folder), timeout))
+            # Names without a folder: the library must not depend on where it was made.
+            (Path(folder) / "function.c").write_text(source, encoding="utf-8")
+            made = found.link([Path("function.c")], Path(folder), "function", timeout)
+            library = kept.add(key, made)
     return library, cached, kept
 
 

@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.equation import FORMS, Equation, structure_equation
+from tenscontrol.dynamics.equation import FORMS, Equation
 from tenscontrol.dynamics.evaluator import Prepared
-from tenscontrol.dynamics.forms import loops_equation, mapped_equation
+from tenscontrol.dynamics.forms import loops_functions, mapped_functions
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
@@ -265,15 +265,20 @@ class Model:
 
         def build() -> Equation:
             if form == "flat":
-                return self._flat_equation(law, load)
-            make = mapped_equation if form == "mapped" else loops_equation
-            return make(self._structure, law, load)
+                slope, gap, force = self._flat_functions(law, load)
+            else:
+                make = mapped_functions if form == "mapped" else loops_functions
+                slope, gap, force = make(self._structure, law, load)
+            damped = law is not None and law.is_damped
+            constant = frozen(load) if load.any() else None
+            return Equation(slope, gap, force, damped, self._structure, law, constant, form)
 
         # Another compiler makes another library.
         by = compiler() if form == "loops" else None
         return self._prepared.get(("equation", input, load.tobytes(), form, by), build)
 
-    def _flat_equation(self, law: StringLaw | None, load: FloatArray) -> Equation:
+    def _flat_functions(self, law: StringLaw | None, load: FloatArray) -> tuple[ca.Function, ...]:
+        """Return slope, gap and force, every member written out."""
         structure = self._structure
         s = self._symbols()
         s["load"] = ca.sparsify(ca.DM(load)) if load.any() else None
@@ -289,14 +294,10 @@ class Model:
             gamma = taut * law.taut_force_density(length, u, rate)
         forces = ca.vec(ca.densify(self._forces(s, gamma)[:, structure.free.tolist()]))
         q, v = ca.vec(s["N"]), ca.vec(s["Nd"])
-        return structure_equation(
-            structure,
-            law,
-            load,
-            "flat",
-            slope=ca.Function("slope", [s["x"], u, taut], [self._xdot(s, gamma)]),
-            gap=ca.Function("gap", [s["x"], u], [ca.densify(gap), ca.densify(rate)]),
-            force=ca.Function("force", [q, v, u, taut], [forces]),
+        return (
+            ca.Function("slope", [s["x"], u, taut], [self._xdot(s, gamma)]),
+            ca.Function("gap", [s["x"], u], [ca.densify(gap), ca.densify(rate)]),
+            ca.Function("force", [q, v, u, taut], [forces]),
         )
 
     @cached_property

@@ -125,10 +125,7 @@ class StringLaw(ABC):
     def taut_force_density(self, length: Any, rest_length: Any, rate: Any = None) -> Any:
         """Return the expression of γ of a string that pulls, N/m: smooth, negative beyond.
 
-        Parameters
-        ----------
-        length, rest_length, rate : casadi.SX or MX, shape (α, 1)
-            As for :meth:`symbolic_force_density`.
+        Arguments as :meth:`symbolic_force_density`.
         """
         law = self.as_expressions()
         tension = law.tension(length, rest_length)
@@ -142,10 +139,7 @@ class StringLaw(ABC):
         A damped string stops pulling before it is as short as its rest length
         where it shortens fast; the tension that is left is measured in stretch.
 
-        Parameters
-        ----------
-        length, rest_length, rate : casadi.SX or MX, shape (α, 1)
-            As for :meth:`symbolic_force_density`.
+        Arguments as :meth:`symbolic_force_density`.
         """
         stretch = length - rest_length
         if not self.is_damped:

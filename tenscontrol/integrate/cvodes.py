@@ -335,10 +335,7 @@ class _Window:
     """The motion over a window: cubic interpolation between its states, exact in the states."""
 
     def __init__(
-        self,
-        times: FloatArray,
-        nodes: FloatArray,
-        slopes_at: Callable[[FloatArray], FloatArray],
+        self, times: FloatArray, nodes: FloatArray, slopes_at: Callable[[FloatArray], FloatArray]
     ) -> None:
         self.times, self.nodes = times, nodes  # equally spaced; one state a column
         self._slopes_at = slopes_at

@@ -115,29 +115,19 @@ class Method:
         return self.make(equation, **options)
 
 
+_STEP, _TOLERANCE = ("step",), ("tolerance",)
+_SYMPLECTIC = "symplectic, fixed steps; no damping"
 _ALL = (
-    Method("rk4", ("step",), "order 4, fixed steps; bar lengths drift", RK4),
-    Method("rattle", ("step",), "order 2, symplectic, fixed steps", Rattle, drifts=False),
+    Method("rk4", _STEP, "order 4, fixed steps; bar lengths drift", RK4),
+    Method("rattle", _STEP, "order 2, symplectic, fixed steps", Rattle, drifts=False),
+    Method("rattle4", _STEP, f"order 4, {_SYMPLECTIC}", Rattle4, drifts=False),
+    Method("rattle6", _STEP, f"order 6, {_SYMPLECTIC}: the fastest", Rattle6, drifts=False),
     Method(
-        "rattle4", ("step",), "order 4, symplectic, fixed steps; no damping", Rattle4, drifts=False
-    ),
-    Method(
-        "rattle6",
-        ("step",),
-        "order 6, symplectic, fixed steps; no damping: the fastest",
-        Rattle6,
-        drifts=False,
-    ),
-    Method(
-        "dop853",
-        ("tolerance",),
-        "order 8, steps of its own: accuracy on demand",
-        DOP853,
-        projects=True,
+        "dop853", _TOLERANCE, "order 8, steps of its own: accuracy on demand", DOP853, projects=True
     ),
     Method(
         "cvodes",
-        ("tolerance",),
+        _TOLERANCE,
         "orders 1 to 5, implicit, steps of its own: stiff damped strings",
         CVODES,
         projects=True,
@@ -146,7 +136,7 @@ _ALL = (
     ),
     Method(
         "energy_momentum",
-        ("step", "tolerance"),
+        _STEP + _TOLERANCE,
         "order 2, implicit, conserves energy and momenta: stiff strings, slow motion",
         EnergyMomentum,
         drifts=False,

@@ -13,19 +13,16 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.equation import Equation, structure_equation
 from tenscontrol.dynamics.forms.passes import Pass, Read, body_passes, gap_pass, string_pass
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
 
 
-def mapped_equation(structure: Structure, law: StringLaw | None, load: FloatArray) -> Equation:
-    """Return the state equation, each operation a loop over all members.
-
-    ``law`` is None where force densities are held; ``load`` are constant forces on all nodes, N,
-    shape (3, n).
-    """
+def mapped_functions(
+    structure: Structure, law: StringLaw | None, load: FloatArray
+) -> tuple[ca.Function, ...]:
+    """Return slope, gap and force of :class:`Equation`; arguments as for ``loops_source``."""
     free = structure.free
     N, Nd = ca.MX.sym("N", 3, len(free)), ca.MX.sym("Nd", 3, len(free))
     u = ca.MX.sym("u", len(structure.strings))
@@ -41,20 +38,12 @@ def mapped_equation(structure: Structure, law: StringLaw | None, load: FloatArra
     gap = rate = ca.MX(0, 1)
     if law is not None:
         gap, rate = (row.T for row in _outputs(gap_pass(structure, law), arrays, forces))
-    return structure_equation(
-        structure,
-        law,
-        load,
-        "mapped",
-        slope=ca.Function(
-            "slope",
-            [x, u, taut],
-            [ca.vertcat(ca.vec(Nd), ca.vec(_accelerations(structure, arrays, forces)))],
-        ),
-        gap=ca.Function("gap", [x, u], [gap, rate]),
-        force=ca.Function(
-            "force", [ca.vec(N), ca.vec(Nd), u, taut], [ca.vec(ca.densify(forces.on(free)))]
-        ),
+    xdot = ca.vertcat(ca.vec(Nd), ca.vec(_accelerations(structure, arrays, forces)))
+    on_free = ca.vec(ca.densify(forces.on(free)))
+    return (
+        ca.Function("slope", [x, u, taut], [xdot]),
+        ca.Function("gap", [x, u], [gap, rate]),
+        ca.Function("force", [ca.vec(N), ca.vec(Nd), u, taut], [on_free]),
     )
 
 
