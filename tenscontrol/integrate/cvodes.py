@@ -126,17 +126,15 @@ class CVODES(Integrator):
         times = duration * np.arange(1, outputs + 1) / outputs
         times[-1] = duration  # whatever round-off says
         states = np.empty((len(state), outputs))
-        border = None
-        if self._gap_of is not None:
-            # Where strings can go slack, u holds their rest lengths.
-            band = BAND * (1.0 if equation.structure is None else float(held.max()))
-            border = _Border(self._gap_of, scale, held, band)
-        motion = _Motion(self._solvers, self._slopes, border, scale, held, times, state / scale)
+        band = BAND
+        if equation.switches and equation.structure is not None:
+            band *= float(held.max())  # where strings can go slack, u holds their rest lengths
+        motion = _Motion(self._solvers, self._slopes, self._gap_of, band, (held, scale), times)
         done = 0
         try:
             # A state that is not finite is looked for, so NumPy need not warn of it.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                motion.begin()
+                motion.begin(state / scale)
                 while motion.now < duration:
                     window = motion.next_window()
                     reached = int(np.searchsorted(times, motion.now, side="right"))
@@ -157,27 +155,6 @@ class CVODES(Integrator):
         return Span(self._projected(states * scale[:, None]), motion.work)
 
 
-class _Border:
-    """How far strings are from switching, at states as parts of their scale."""
-
-    def __init__(
-        self, gap: ColumnEvaluator, scale: FloatArray, held: FloatArray, band: float
-    ) -> None:
-        self._gap_of, self._scale, self._held, self._band = gap, scale, held, band
-
-    def taut(self, state: FloatArray) -> FloatArray:
-        """Return 1 for each string that pulls, else 0."""
-        return (self._gap(state[:, None])[:, 0] > 0).astype(float)
-
-    def room(self, states: FloatArray, taut: FloatArray) -> FloatArray:
-        """Return the room of each string in bands: 1 on the border, 0 where it switches."""
-        return np.where(taut > 0, 1.0, -1.0)[:, None] * self._gap(states) / self._band + 1.0
-
-    def _gap(self, states: FloatArray) -> FloatArray:
-        inputs = np.broadcast_to(self._held[:, None], (len(self._held), states.shape[1]))
-        return self._gap_of(states * self._scale[:, None], inputs)[0]
-
-
 class _Motion:
     """Calls of the solver over one span, each over a window of time in which no string switches.
 
@@ -191,32 +168,32 @@ class _Motion:
         self,
         solvers: _Solvers,
         slopes: Evaluator,
-        border: _Border | None,
-        scale: FloatArray,
-        held: FloatArray,
+        gap: ColumnEvaluator | None,
+        band: float,
+        given: tuple[FloatArray, FloatArray],
         times: FloatArray,
-        state: FloatArray,
     ) -> None:
-        self._solvers, self._slopes, self._border = solvers, slopes, border
-        self._scale, self._held, self._times = scale, held, times
+        self._solvers, self._slopes, self._gap_of, self._band = solvers, slopes, gap, band
+        self._held, self._scale = given
+        self._times = times
         self._window = np.inf  # longest window, s
         self._taut = np.zeros(0)
         self._crossed: FloatArray | None = None  # 1 for each string that switches now
         self._landings = deque([-float(times[-1])], maxlen=CHATTER)
-        self.now, self.state = 0.0, state
-        self.work = Work()
+        self.now, self.work = 0.0, Work()
 
-    def begin(self) -> None:
-        """Find out which strings pull at the start."""
-        if self._border is not None:
-            self._taut = self._border.taut(self.state)
+    def begin(self, state: FloatArray) -> None:
+        """Start from a state, with the strings that pull in it."""
+        self.state = state
+        if self._gap_of is not None:
+            self._taut = (self._gap(self._gap_of, state[:, None])[:, 0] > 0).astype(float)
 
     def next_window(self) -> _Window:
         """Integrate over one window, up to its end or the first switch within it."""
         window = self._integrated()
         self.now, self.state = float(window.times[-1]), window.nodes[:, -1]
-        if self._border is not None:
-            self._land(window, self._border)
+        if self._gap_of is not None:
+            self._land(window, self._gap_of)
         return window
 
     def switch(self) -> None:
@@ -237,7 +214,7 @@ class _Motion:
                     raise FloatingPointError("the step size vanishes")
                 self._window = span / 4
                 continue
-            if self._border is None:
+            if self._gap_of is None:
                 self._window *= 2  # all that is left, unless a call had to be cut short
                 break
             # As many states as steps, about: the last step tells, the first ones are tiny.
@@ -248,12 +225,20 @@ class _Motion:
         nodes = np.column_stack([self.state, states])
         return _Window(np.linspace(self.now, end, grid + 1), nodes, self._slopes_at)
 
-    def _land(self, window: _Window, border: _Border) -> None:
+    def _gap(self, gap_of: ColumnEvaluator, states: FloatArray) -> FloatArray:
+        inputs = np.broadcast_to(self._held[:, None], (len(self._held), states.shape[1]))
+        return gap_of(states * self._scale[:, None], inputs)[0]
+
+    def _land(self, window: _Window, gap_of: ColumnEvaluator) -> None:
         """Go back to the first switch within a window, if there is one."""
-        taut = self._taut
+        sign = np.where(self._taut > 0, 1.0, -1.0)[:, None]
+
+        def room_in(states: FloatArray) -> FloatArray:
+            """Return the room of each string in bands: 1 on the border, 0 where it switches."""
+            return sign * self._gap(gap_of, states) / self._band + 1.0
 
         def room(times: FloatArray) -> FloatArray:
-            return border.room(window.between(times), taut)
+            return room_in(window.between(times))
 
         start, end = float(window.times[0]), float(window.times[-1])
         time = first_crossing(room, window.times)
@@ -269,7 +254,7 @@ class _Motion:
         apart = 1e-3 * (end - start)
         for _ in range(_NEWTON_STEPS):
             state = self._state_at(window, time)
-            left = border.room(state[:, None], taut)[:, 0]
+            left = room_in(state[:, None])[:, 0]
             if abs(left.min()) < 0.25:
                 break
             around = room(np.array([time - apart, time + apart]))[left.argmin()]

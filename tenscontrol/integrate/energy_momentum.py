@@ -17,6 +17,7 @@ from tenscontrol.integrate.integrator import (
     Span,
     Work,
     checked_tolerance,
+    where_needed,
 )
 from tenscontrol.integrate.projection import Bodies
 from tenscontrol.validation import FloatArray, positive_number
@@ -220,11 +221,11 @@ def _attempt(equation: Equation, size: float, adaptive: bool) -> ca.Function:
     """Return ``(work, u, limits) -> work`` that tries a step, or nothing where none is left."""
     try_step = _tried_step(equation, size, adaptive)
     inputs = [ca.MX.sym(f"a{i}", try_step.size1_in(i)) for i in range(3)]
-    work = inputs[0]
-    idle = ca.Function("idle", inputs, [work])
-    choose = ca.Function.if_else("choose", try_step, idle)
-    left, failed = (work[equation.states + _PROGRESS.index(name)] for name in ("left", "failed"))
-    return ca.Function("attempt", inputs, [choose(ca.logic_and(left > 0, failed == 0), *inputs)])
+    left, failed = (
+        inputs[0][equation.states + _PROGRESS.index(name)] for name in ("left", "failed")
+    )
+    going = ca.logic_and(left > 0, failed == 0)
+    return ca.Function("attempt", inputs, [where_needed(try_step)(going, *inputs)])
 
 
 def _tried_step(equation: Equation, size: float, adaptive: bool) -> ca.Function:
@@ -236,17 +237,27 @@ def _tried_step(equation: Equation, size: float, adaptive: bool) -> ca.Function:
     # The small allowance lets 0.02/0.001 be 20 steps, whatever round-off says.
     count = ca.fmax(1, ca.ceil(left / wish - 1e-9))
     h = left / count
-    take = _doubled_step if adaptive else _single_step
-    new, converged, iterations, error = take(equation, size, x, u, h)
-    ratio = 1.0
+    step = step_equations(equation)
+    solve = newton_solver(step.system, size)
     if adaptive:
+        first, good_1, iterations_1 = solve(step.guess(x), x, u, h / 2)
+        middle = step.end(first, x, h / 2)
+        second, good_2, iterations_2 = solve(step.guess(middle), middle, u, h / 2)
+        new = step.end(second, middle, h / 2)
+        whole, good_3, iterations_3 = solve((first + second) / 2, x, u, h)
+        difference = (new - step.end(whole, x, h))[: equation.states // 2] / 3
+        error = ca.mmax(ca.fabs(difference)) / size
+        converged = ca.logic_and(ca.logic_and(good_1, good_2), good_3)
+        iterations = iterations_1 + iterations_2 + iterations_3
         # Of a NaN fmax and fmin take the other argument; `accepted` does not.
         ratio = _SAFETY * (tolerance / ca.fmax(error, 1e-3 * tolerance)) ** (1 / 3)
         accepted = ca.logic_and(converged, error <= tolerance)
         shorter = ca.if_else(converged, h * ca.fmax(_SHRINK, ratio), h / 2)
         longer = ca.fmax(wish, h * ca.fmin(_GROW, ratio))
     else:
-        accepted, shorter, longer = converged, h / 2, 2 * wish
+        y, accepted, iterations = solve(step.guess(x), x, u, h)
+        new = step.end(y, x, h)
+        shorter, longer = h / 2, 2 * wish
     wish = ca.if_else(accepted, ca.fmin(longer, largest), shorter)
     progress = [
         # Exactly zero after the last step, whatever round-off says.
@@ -259,29 +270,6 @@ def _tried_step(equation: Equation, size: float, adaptive: bool) -> ca.Function:
     ]
     new = ca.if_else(accepted, new, x)
     return ca.Function("try_step", [work, u, limits], [ca.vertcat(new, *progress)])
-
-
-def _single_step(equation: Equation, size: float, x: Any, u: Any, h: Any) -> tuple[Any, ...]:
-    """Return state at the end, whether Newton converged, iterations, and no error."""
-    step = step_equations(equation)
-    y, converged, iterations = newton_solver(step.system, size)(step.guess(x), x, u, h)
-    return step.end(y, x, h), converged, iterations, None
-
-
-def _doubled_step(equation: Equation, size: float, x: Any, u: Any, h: Any) -> tuple[Any, ...]:
-    """Return the same for two steps of half the length, and the error that they make."""
-    step = step_equations(equation)
-    solve = newton_solver(step.system, size)
-    first, good_1, iterations_1 = solve(step.guess(x), x, u, h / 2)
-    middle = step.end(first, x, h / 2)
-    second, good_2, iterations_2 = solve(step.guess(middle), middle, u, h / 2)
-    end = step.end(second, middle, h / 2)
-    whole, good_3, iterations_3 = solve((first + second) / 2, x, u, h)
-    positions = slice(0, equation.states // 2)
-    difference = (end - step.end(whole, x, h))[positions] / 3
-    error = ca.mmax(ca.fabs(difference)) / size
-    good = ca.logic_and(ca.logic_and(good_1, good_2), good_3)
-    return end, good, iterations_1 + iterations_2 + iterations_3, error
 
 
 @dataclass(frozen=True, eq=False)
@@ -420,10 +408,8 @@ def newton_solver(system: ca.Function, size: float) -> ca.Function:
     far smaller.
     """
     iterate = _iteration(system)
-    z = ca.MX.sym("z", iterate.size1_in(0))
     given = [ca.MX.sym(f"a{i}", system.size1_in(i)) for i in range(1, 4)]
-    idle = ca.Function("idle", [z, *given], [z])
-    choose = ca.Function.if_else("choose", iterate, idle)
+    choose = where_needed(iterate)
     guess = ca.MX.sym("guess", system.size1_in(0))
     scale = size + ca.mmax(ca.fabs(given[0][: system.size1_in(1) // 2]))
     # Change made last, m, and number of iterations follow the unknowns.

@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Equation
+from tenscontrol.integrate.integrator import where_needed
 from tenscontrol.validation import FloatArray
 
 # How far a string may pass the border of slack before it is acted on, as part of its rest
@@ -236,11 +237,7 @@ def _approach(step: ca.Function, equation: Equation) -> ca.Function:
     speed = ca.if_else(ca.logic_and(apart, secant < 0), secant, speed)
     inputs = [state, x, taut, u, h, chosen]
     again = ca.vertcat(part - gap / speed, part, gap, speed, taken + 1, end)
-    choose = ca.Function.if_else(
-        "again_or_there",
-        ca.Function("again", inputs, [again]),
-        ca.Function("there", inputs, [state]),
-    )
+    choose = where_needed(ca.Function("again", inputs, [again]))
     far = ca.logic_or(taken == 0, ca.fabs(gap_before) > 0.4 * BAND * ca.mmin(u))
     return ca.Function("approach", inputs, [choose(far, *inputs)])
 
@@ -278,7 +275,6 @@ def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.F
     """
     state, held = (ca.MX.sym(substep.name_in(i), substep.size1_in(i)) for i in range(2))
     u, h = held[:-1], held[-1]
-    same = ca.Function("same", [state, held], [state])
     x, taut, left, counts = _split(state, equation)
     end = step(x, u, taut, left)
     more = counts + _count(tries=1, unlocated=1)
@@ -287,20 +283,13 @@ def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.F
     )
     rest = _SUBSTEPS - 1
     cut_up = substep.fold(rest)(state, ca.repmat(held, 1, rest))
-    last = ca.Function.if_else("last", whole, same)
-    several = ca.Function(
-        "several", [state, held], [last(_left(cut_up, equation) > _REST * h, cut_up, held)]
-    )
-    first = substep(state, held)
-    choose = ca.Function.if_else("choose_several", several, same)
-    return ca.Function(
-        "finish", [state, held], [choose(_left(first, equation) > _REST * h, first, held)]
-    )
 
+    def followed(by: ca.Function, after: Any) -> Any:
+        """Return what follows a state of substeps where time is left."""
+        return where_needed(by)(_split(after, equation)[2] > _REST * h, after, held)
 
-def _left(state: Any, equation: Equation) -> Any:
-    """Return the time left of a step, from the state of a substep."""
-    return _split(state, equation)[2]
+    several = ca.Function("several", [state, held], [followed(whole, cut_up)])
+    return ca.Function("finish", [state, held], [followed(several, substep(state, held))])
 
 
 def _symbols(equation: Equation) -> tuple[Any, Any, Any, Any, Any]:

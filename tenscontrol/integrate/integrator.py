@@ -105,6 +105,14 @@ def in_machine_code(equation: Equation, step: ca.Function, wanted: bool) -> tupl
     return (step, "virtual machine") if code is None else (code.function, "machine code")
 
 
+def where_needed(function: ca.Function) -> ca.Function:
+    """Return ``(needed, first, …) -> value``: what a function returns, or else its first input."""
+    count = function.n_in()
+    inputs = [ca.MX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(count)]
+    idle = ca.Function("idle", inputs, [inputs[0]])
+    return ca.Function.if_else(f"{function.name()}_or_not", function, idle)
+
+
 class Integrator(ABC):
     """Integrates ``ẋ = f(x, u)`` with u held.
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import zip_longest
 from math import factorial
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import casadi as ca
 
@@ -150,11 +150,11 @@ def _called(motion: _Motion, steps: Splitting, x: Any, h: Any) -> ca.Function:
     """Return the step as calls of its flights and kicks."""
     kind, u, taut = type(x), motion.u, motion.taut
     begun = motion.start(x)
-    start = ca.Function("start", [x], begun.parts())
-    parts = [kind.sym(f"part{i}", part.shape) for i, part in enumerate(begun.parts())]
+    start = ca.Function("start", [x], list(begun))
+    parts = [kind.sym(f"part{i}", part.shape) for i, part in enumerate(begun)]
     state = _State(*parts)
-    flight = ca.Function("flight", [*parts, h], motion.flight(state, h).parts())
-    kick = ca.Function("kick", [*parts, u, taut, h], motion.kick(state, h).parts())
+    flight = ca.Function("flight", [*parts, h], list(motion.flight(state, h)))
+    kick = ca.Function("kick", [*parts, u, taut, h], list(motion.kick(state, h)))
     end = ca.Function("end", parts, [motion.end(state)])
     x, u, taut, h = (ca.MX.sym("of_step", each.shape) for each in (x, u, taut, h))
     now = start(x)
@@ -211,17 +211,13 @@ class Rattle6(_Rattle):
     order = 6
 
 
-@dataclass(frozen=True)
-class _State:
+class _State(NamedTuple):
     """Points and vectors of :class:`Bodies`, and their rates."""
 
     points: Symbolic
     vectors: Symbolic
     point_rates: Symbolic
     vector_rates: Symbolic
-
-    def parts(self) -> list[Symbolic]:
-        return [self.points, self.vectors, self.point_rates, self.vector_rates]
 
 
 @dataclass(frozen=True)
