@@ -109,7 +109,7 @@ class Coordinates:
         V = self.structure.checked_nodes("velocities", velocities)
         if self.kind == "internal" and len(self.structure.fixed) < 2:
             turn, centre = self._alignment(N)
-            N = turn @ (N - centre) + self._reference_centre
+            N = turn @ (N - centre) + self._centre(self.nodes)
             V = turn @ V
         q = self._projection @ (N - self.nodes).ravel(order="F")
         return np.concatenate([q, self._projection @ V.ravel(order="F")])
@@ -191,10 +191,6 @@ class Coordinates:
         vectors = self.structure.bar_vectors(self.nodes)
         return np.asarray(vectors / np.linalg.norm(vectors, axis=0))
 
-    @cached_property
-    def _reference_centre(self) -> FloatArray:
-        return self._centre(self.nodes)
-
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
@@ -209,7 +205,7 @@ class Coordinates:
         part along a rigid motion.
         """
         centre = self._centre(nodes)
-        spread = (self.nodes - self._reference_centre) @ self._mass @ (nodes - centre).T
+        spread = (self.nodes - self._centre(self.nodes)) @ self._mass @ (nodes - centre).T
         U, _, Vt = np.linalg.svd(spread)
         U[:, 2] *= np.linalg.det(U @ Vt)
         return U @ Vt, centre
@@ -227,10 +223,6 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
         ``"nodes"``: 3n coordinates, the node positions themselves.
         ``"minimal"``: 5 a bar and 3 a string node, without bar-length changes.
         ``"internal"``: minimal less rigid-body motion.
-
-    Returns
-    -------
-    Coordinates
 
     Raises
     ------

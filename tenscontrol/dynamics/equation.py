@@ -104,13 +104,7 @@ class Equation:
 
 
 def smooth_equation(slope: ca.Function) -> Equation:
-    """Return the equation of a smooth right-hand side without a structure.
-
-    Parameters
-    ----------
-    slope : casadi.Function
-        ``(x, u) -> xdot``, dense columns.
-    """
+    """Return the equation of a smooth ``(x, u) -> xdot``, dense columns, without a structure."""
     x, u = (ca.SX.sym(name, slope.size1_in(i)) for i, name in enumerate("xu"))
     taut, none = ca.SX.sym("taut", 0), ca.SX(0, 1)
     return Equation(

@@ -22,28 +22,15 @@ _MOST = 32
 
 
 class Prepared:
-    """Functions and matrices by key: bounded, thread-safe, and left out of pickles and copies.
-
-    Examples
-    --------
-    >>> prepared = Prepared()
-    >>> prepared.get("square", lambda: print("built") or 4), prepared.get("square", None)
-    built
-    (4, 4)
-    """
+    """Functions and matrices by key: bounded, thread-safe, and left out of pickles and copies."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
 
     def get(self, key: Hashable, build: Callable[[], _Value]) -> _Value:
-        """Return what was built for a key; the first time, build it.
+        """Return what was built for a key; the first time, build it: anything but None.
 
-        Parameters
-        ----------
-        key : hashable
-            All that the value depends on, beside the owner of this object.
-        build : callable
-            Builds the value; must not return None.
+        The key holds all that the value depends on, beside the owner of this object.
         """
         with _BUILDING:
             value: _Value | None = self._kept.get(key)
@@ -69,13 +56,8 @@ _MAPPED = Prepared()
 class Evaluator:
     """A CasADi function behind its buffer: about fifty times cheaper to call than the function.
 
-    Outputs are views of memory that the next call overwrites; copy what must
-    last. Inputs are trusted: callers check them.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        All inputs and outputs dense.
+    Outputs are views of memory that the next call overwrites; copy what must last. Inputs are
+    trusted: callers check them. All inputs and outputs of the function must be dense.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -107,12 +89,8 @@ class Evaluator:
 class ColumnEvaluator:
     """A function of dense column vectors, evaluated at any number of them without building anew.
 
-    Columns are taken in chunks of one size, the last one filled up.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Kept with its map to a chunk, for the next evaluator of the same function.
+    Columns are taken in chunks of one size, the last one filled up. The function is kept with its
+    map to a chunk, for the next evaluator of the same function.
     """
 
     def __init__(self, function: ca.Function) -> None:

@@ -243,10 +243,6 @@ class Model:
             where there is a C compiler, else mapped. ``.form`` of the
             equation says which.
 
-        Returns
-        -------
-        Equation
-
         Raises
         ------
         ValueError

@@ -47,10 +47,8 @@ class StringLaw(ABC):
 
         Parameters
         ----------
-        length : casadi.SX or MX, shape (α, 1)
-            l, m.
-        rest_length : casadi.SX or MX, shape (α, 1)
-            l0, m.
+        length, rest_length : casadi.SX or MX, shape (α, 1)
+            l and l0, m.
         """
 
     @abstractmethod
@@ -71,10 +69,8 @@ class StringLaw(ABC):
 
         Parameters
         ----------
-        length : casadi.SX or MX, shape (α, 1)
-            l, m.
-        rest_length : casadi.SX or MX, shape (α, 1)
-            l0, m.
+        length, rest_length : casadi.SX or MX, shape (α, 1)
+            l and l0, m.
         """
 
     @property
@@ -108,10 +104,8 @@ class StringLaw(ABC):
 
         Parameters
         ----------
-        length : casadi.SX or MX, shape (α, 1)
-            l, m.
-        rest_length : casadi.SX or MX, shape (α, 1)
-            l0, m.
+        length, rest_length : casadi.SX or MX, shape (α, 1)
+            l and l0, m.
         rate : casadi.SX or MX, shape (α, 1), optional
             l̇, m/s; needed only where the law is damped.
         """
@@ -158,10 +152,6 @@ class StringLaw(ABC):
         ----------
         count : int
             Number α of strings.
-
-        Returns
-        -------
-        StringLaw
 
         Raises
         ------
@@ -215,10 +205,8 @@ class StringLaw(ABC):
 
         Parameters
         ----------
-        length : float or array_like, shape (α,)
-            Current length l, m, positive.
-        rest_length : float or array_like, shape (α,)
-            Rest length l0, m, positive.
+        length, rest_length : float or array_like, shape (α,)
+            Current length l and rest length l0, m, positive.
         rate : float or array_like, shape (α,)
             Rate l̇, m/s; matters only where there is damping.
 

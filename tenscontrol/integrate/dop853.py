@@ -11,7 +11,6 @@ import numpy as np
 from tenscontrol.dynamics import Equation, Evaluator, compiler
 from tenscontrol.integrate.events import crossing, landing, taut_strings
 from tenscontrol.integrate.integrator import (
-    Frequency,
     IntegrationError,
     Integrator,
     Report,
@@ -19,6 +18,7 @@ from tenscontrol.integrate.integrator import (
     Work,
     checked_tolerance,
     in_machine_code,
+    largest_frequency,
     state_scale,
 )
 from tenscontrol.integrate.projection import Projector, projection
@@ -82,7 +82,8 @@ class DOP853(Integrator):
         super().__init__(equation)
         self.tolerance = checked_tolerance(tolerance)
         self._projected = Projector(equation, project)
-        self._frequency = Frequency(equation)
+        self._frequency = 0.0  # largest, rad/s
+        self._held: FloatArray | None = None  # input for which it was found
         by = compiler() if machine_code else None
         built = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
         chunk, start, self._turns, self.back_end = built
@@ -111,15 +112,18 @@ class DOP853(Integrator):
     ) -> Span:
         """See :meth:`Integrator.advance`."""
         n, switches = self._equation.states, self._equation.switches
-        frequency = self._frequency(state, held)
-        scale = state_scale(self._equation, state, held, frequency)
+        before, change = self._held, 0.2  # of an input, from which on its frequency is another
+        if before is None or (np.abs(held - before) > change * np.abs(before)).any():
+            self._frequency = largest_frequency(self._equation, state, held)
+            self._held = held.copy()
+        scale = state_scale(self._equation, state, held, self._frequency)
         taut, slope = (part.copy() for part in self._start(state, held))
         step = _first_step(slope, scale, duration)
         carried = np.concatenate([state, slope, taut, [0.0, step], np.zeros(len(_CARRIED) - 2)])
         spacing = duration / outputs
         times: FloatArray = np.linspace(0.0, duration, outputs + 1)[1:]
         states = np.empty((n, outputs))
-        longest = min(_STABLE / max(frequency, 1e-300), duration)
+        longest = min(_STABLE / max(self._frequency, 1e-300), duration)
         given = np.concatenate([held, [duration, spacing, longest], self.tolerance * scale])
         given = np.tile(given[:, None], (1, self._turns)) if self._turns > 1 else given
         done, told = 0, dict.fromkeys(_CARRIED, 0.0)

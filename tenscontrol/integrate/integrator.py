@@ -159,10 +159,6 @@ class Integrator(ABC):
         report : callable, optional
             Told the time reached, now and then.
 
-        Returns
-        -------
-        Span
-
         Raises
         ------
         IntegrationError
@@ -204,24 +200,6 @@ def state_scale(
     speeds = (np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass), 1e-3 * size * frequency)
     # Where nothing moves and nothing pulls, any speed will do.
     return np.repeat([size, max(speeds) or size], len(q))
-
-
-class Frequency:
-    """The largest frequency of a motion whose input changes now and then.
-
-    Found again only where an input has changed by more than a fifth.
-    """
-
-    def __init__(self, equation: Equation) -> None:
-        self._equation = equation
-        self._held: FloatArray | None = None
-        self._found = 0.0
-
-    def __call__(self, state: FloatArray, held: FloatArray) -> float:
-        """Return it for a state and what is held, rad/s."""
-        if self._held is None or (np.abs(held - self._held) > 0.2 * np.abs(self._held)).any():
-            self._found, self._held = largest_frequency(self._equation, state, held), held.copy()
-        return self._found
 
 
 def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -> float:

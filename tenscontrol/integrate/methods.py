@@ -87,10 +87,6 @@ class Method:
             Whether to compile the steps, where the method can be compiled and
             there is a C compiler; :attr:`Integrator.back_end` says what came.
 
-        Returns
-        -------
-        Integrator
-
         Raises
         ------
         ValueError

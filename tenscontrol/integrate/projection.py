@@ -21,17 +21,6 @@ def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
     removed, and the rest is scaled by the inverse, so that ``b × ḃ`` stays.
     Centres, string nodes and hinges stay, and linear and angular momentum with
     them, to round-off.
-
-    Examples
-    --------
-    >>> import numpy as np, tenscontrol as tc
-    >>> from tenscontrol.integrate.projection import project
-    >>> prism = tc.prism()
-    >>> stretched = np.concatenate([1.01 * prism.nodes.ravel(order="F"), np.zeros(18)])
-    >>> x = np.array(project(prism)(stretched)).ravel()
-    >>> nodes = x[:18].reshape(3, 6, order="F")
-    >>> bool(np.allclose(np.linalg.norm(prism.bar_vectors(nodes), axis=0), prism.bar_length))
-    True
     """
     bodies = Bodies(structure)
     count = len(structure.free)

@@ -22,7 +22,6 @@ from tenscontrol.validation import FloatArray
 
 # Entries that each array has for a node or a string.
 _WIDTH = {"p": 3, "v": 3, "f": 3, "a": 3, "u": 1, "taut": 1, "gap": 1, "rate": 1}
-_WRITTEN = ("f", "a", "gap", "rate")
 
 
 def loops_functions(
@@ -93,18 +92,15 @@ class _Loop:
         lines += [line for write in over.writes for line in self._write(write)]
         arrays = dict.fromkeys([read.array for read in over.reads.values()])
         arrays |= dict.fromkeys([write.array for write in over.writes])
+        written = {write.array for write in over.writes}
         declared = ", ".join(
-            f"{'' if name in _WRITTEN and self._is_written(name) else 'const '}double *{name}"
-            for name in arrays
+            f"{'' if name in written else 'const '}double *{name}" for name in arrays
         )
         self.call = f"{over.name}({', '.join(arrays)});"
         body = "\n".join(f"    {line}" for line in lines)
         self.text = _LOOP % {
             "name": over.name, "arrays": declared, "count": over.count, "body": body
         }  # fmt: skip
-
-    def _is_written(self, array: str) -> bool:
-        return any(write.array == array for write in self.over.writes)
 
     def _kernel_lines(self) -> list[str]:
         """Make the kernel of one member, and return the lines that call it."""
