@@ -220,9 +220,8 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
     nodes : array_like, shape (3, n), optional
         Reference shape, m; that of the structure if not given.
     kind : {"internal", "minimal", "nodes"}
-        ``"nodes"``: 3n coordinates, the node positions themselves.
-        ``"minimal"``: 5 a bar and 3 a string node, without bar-length changes.
-        ``"internal"``: minimal less rigid-body motion.
+        ``"nodes"``: 3n coordinates, the node positions themselves. ``"minimal"``: 5 a bar and 3 a
+        string node, without bar-length changes. ``"internal"``: minimal less rigid-body motion.
 
     Raises
     ------
@@ -261,10 +260,9 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
 def bar_basis(structure: Structure, nodes: FloatArray) -> FloatArray:
     """Return the mass-orthonormal basis of motions that keep bar lengths, shape (3n, r).
 
-    In closed form, bar by bar: three translations ``e/√m`` and two rotations
-    in which the ends move by ``∓ t √(3/m)`` across the bar; for a bar that
-    swings about a fixed end two rotations ``t √(3/m)`` of the other; three
-    translations ``e/√m_s`` for a string node.
+    In closed form, bar by bar: three translations ``e/√m`` and two rotations in which the ends
+    move by ``∓ t √(3/m)`` across the bar; for a bar that swings about a fixed end two rotations
+    ``t √(3/m)`` of the other; three translations ``e/√m_s`` for a string node.
     """
     blocks: list[tuple[list[int], FloatArray]] = []
     for i in structure.free_bars:

@@ -32,9 +32,8 @@ LARGEST_FLAT = 40
 class Model:
     """The dynamics of a structure, with the force densities γ as the input.
 
-    The functions are built for the scene: what is absent takes no input and no
-    instruction. The state is ``x = [vec(N); vec(Ṅ)]``, node by node:
-    x1 y1 z1 x2 …, then the velocities.
+    The functions are built for the scene: what is absent takes no input and no instruction. The
+    state is ``x = [vec(N); vec(Ṅ)]``, node by node: x1 y1 z1 x2 …, then the velocities.
 
     Parameters
     ----------
@@ -235,13 +234,11 @@ class Model:
             Load that acts all the time, N, beside what is built in; for a
             model built with ``external_force=True``.
         form : {"auto", "flat", "mapped", "loops"}
-            How the functions are built. ``"flat"``: one expression with every
-            member written out, to be put into larger expressions.
-            ``"mapped"``: operations on all members at once. ``"loops"``:
-            loops over the members in compiled C, without derivatives; needs a
-            compiler. ``"auto"``: flat up to 40 members, beyond them loops
-            where there is a C compiler, else mapped. ``.form`` of the
-            equation says which.
+            How the functions are built. ``"flat"``: one expression with every member written out,
+            to be put into larger expressions. ``"mapped"``: operations on all members at once.
+            ``"loops"``: loops over the members in compiled C, without derivatives; needs a
+            compiler. ``"auto"``: flat up to 40 members, beyond them loops where there is a C
+            compiler, else mapped. ``.form`` of the equation says which.
 
         Raises
         ------
@@ -395,9 +392,8 @@ class Model:
         law = self._needed_strings()
         S, Sd = self._string_vectors(s)
         length = kernel.length(S)
-        rate = kernel.length_rate(S, Sd, length).T
-        length = length.T
-        return law.symbolic_force_density(length, s["rest_length"], rate)
+        rate = kernel.length_rate(S, Sd, length)
+        return law.symbolic_force_density(length.T, s["rest_length"], rate.T)
 
     def _needed_strings(self) -> StringLaw:
         if self._strings is None:

@@ -112,8 +112,9 @@ class DOP853(Integrator):
     ) -> Span:
         """See :meth:`Integrator.advance`."""
         n, switches = self._equation.states, self._equation.switches
-        before, change = self._held, 0.2  # of an input, from which on its frequency is another
-        if before is None or (np.abs(held - before) > change * np.abs(before)).any():
+        before = self._held
+        # The frequency is found again only where an input has changed by more than a fifth.
+        if before is None or (np.abs(held - before) > 0.2 * np.abs(before)).any():
             self._frequency = largest_frequency(self._equation, state, held)
             self._held = held.copy()
         scale = state_scale(self._equation, state, held, self._frequency)
@@ -311,15 +312,12 @@ class _Turn:
         inputs = [ca.MX.sym(name, v.sparsity()) for name, v in zip(names, values, strict=True)]
         made = ca.vertcat(inputs[0], ca.vec(self._interpolant(*inputs)))
         left_out = ca.Function("left_out", inputs, [ca.DM.zeros(made.shape)])
-        choose = ca.Function.if_else(
-            "interpolant_or_not", ca.Function("made", inputs, [made]), left_out
-        )
+        made = ca.Function("made", inputs, [made])
+        choose = ca.Function.if_else("interpolant_or_not", made, left_out)
         # The end of the span needs no interpolant.
-        outputs = ca.floor(after / self._spacing * (1 + 1e-14)) > ca.floor(
-            time / self._spacing * (1 + 1e-14)
-        )
-        needed = ca.logic_and(outputs, after < self._duration)
-        needed = ca.logic_or(needed, ca.logic_and(outputs, time + self._spacing < after))
+        until, since = (ca.floor(t / self._spacing * (1 + 1e-14)) for t in (after, time))
+        inside = ca.logic_or(after < self._duration, time + self._spacing < after)
+        needed = ca.logic_and(until > since, inside)
         return ca.vertcat(time, h * needed, choose(needed, *values)), needed
 
     def _counted(self, **changes: Any) -> list[Any]:

@@ -42,9 +42,8 @@ _PROGRESS = ("left", "step", "failed", "steps", "rejections", "evaluations")
 class EnergyMomentum(Integrator):
     """Steps far beyond the period of stiff strings, by an energy-momentum method of order 2.
 
-    Each step solves for the motion with which the forces, averaged over the
-    lengths that the strings pass, do exactly the work that the strings store.
-    Whatever the step, then,
+    Each step solves for the motion with which the forces, averaged over the lengths that the
+    strings pass, do exactly the work that the strings store. Whatever the step, then,
 
     - the energy, kinetic, stored in the strings, and that of constant loads,
       stays what it is, through slack and taut; damping only takes from it;
@@ -55,9 +54,8 @@ class EnergyMomentum(Integrator):
     The first two hold to round-off, as far as Newton's iteration converges;
     the third by construction. A step never ends at a switch: there is no need.
 
-    Give ``step`` or ``tolerance``. By tolerance each step is done as two
-    halves and as a whole, and the difference of the positions, which is three
-    times the error, chooses the step.
+    Give ``step`` or ``tolerance``. By tolerance each step is done as two halves and as a whole,
+    and the difference of the positions, which is three times the error, chooses the step.
 
     Parameters
     ----------
@@ -81,11 +79,10 @@ class EnergyMomentum(Integrator):
     their Jacobian: two for each of Newton's iterations. Each iteration solves
     a sparse linear system besides.
 
-    Sideways vibrations of light strings that are faster than the steps are not
-    damped. With long steps (in a prism of 3 kg with beads of 10 mg: 2 ms) they
-    can grow, at the cost of the energy of the rest: use shorter steps, or the
-    tolerance. Energy is exact for laws in which the tension of a taut string
-    is linear in its length, as those of the package are.
+    Sideways vibrations of light strings that are faster than the steps are not damped. With long
+    steps (in a prism of 3 kg with beads of 10 mg: 2 ms) they can grow, at the cost of the energy
+    of the rest: use shorter steps, or the tolerance. Energy is exact for laws in which the tension
+    of a taut string is linear in its length, as those of the package are.
 
     References
     ----------
@@ -356,10 +353,9 @@ def step_equations(equation: Equation) -> StepEquations:
 def _mean_force_density(equation: Equation, N0: Any, N1: Any, rest: Any, h: Any) -> Any:
     """Return 2 T̄/(l₀ + l₁), where T̄ is the mean of the tension over the lengths passed.
 
-    ``T̄ (l₁ − l₀)`` is then the change of the stored energy: a discrete gradient.
-    A string that is slack on a part of the way pulls on the other part only.
-    For laws in which the tension is linear in the length, the mean over the
-    taut part is the tension in its middle.
+    ``T̄ (l₁ − l₀)`` is then the change of the stored energy: a discrete gradient. A string that is
+    slack on a part of the way pulls on the other part only. For laws in which the tension is
+    linear in the length, the mean over the taut part is the tension in its middle.
     """
     structure, law = equation.structure, equation.law
     assert structure is not None  # as in step_equations
@@ -404,8 +400,7 @@ _LARGE = 1e3
 def newton_solver(system: ca.Function, size: float) -> ca.Function:
     """Return ``(y, x, u, h) -> (y, converged, iterations)``: the root from a first guess.
 
-    Convergence is quadratic: where the last change was small, what is left is
-    far smaller.
+    Convergence is quadratic: where the last change was small, what is left is far smaller.
     """
     iterate = _iteration(system)
     given = [ca.MX.sym(f"a{i}", system.size1_in(i)) for i in range(1, 4)]

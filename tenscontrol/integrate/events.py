@@ -158,9 +158,9 @@ def _interpolant(equation: Equation) -> ca.Function:
     They belong to the polynomial of degree 5 with the positions, velocities and
     accelerations at both ends; one column a power of the part of the step.
     """
-    symbols, n = _kind(equation), equation.states
-    x, xd, x1, xd1 = (symbols.sym(name, n) for name in ("x", "xd", "x1", "xd1"))
-    h = symbols.sym("h")
+    n = equation.states
+    x, xd, x1, xd1 = (equation.symbol(name, n) for name in ("x", "xd", "x1", "xd1"))
+    h = equation.symbol("h")
     q0, v0, q1, v1 = x[: n // 2], h * x[n // 2 :], x1[: n // 2], h * x1[n // 2 :]
     a0, a1 = h**2 * xd[n // 2 :], h**2 * xd1[n // 2 :]
     d, e, f = q1 - q0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
@@ -170,10 +170,9 @@ def _interpolant(equation: Equation) -> ca.Function:
 
 def _room(equation: Equation) -> ca.Function:
     """Return ``(coefficients, u, taut, h, part) -> room`` of each string inside a step."""
-    symbols, n = _kind(equation), equation.states
-    coefficients = symbols.sym("coefficients", n // 2, 6)
-    u, taut = symbols.sym("u", equation.inputs), symbols.sym("taut", equation.switches)
-    h, s = symbols.sym("h"), symbols.sym("part")
+    coefficients = equation.symbol("coefficients", equation.states // 2, 6)
+    _, u, taut, h = equation.symbols()
+    s = equation.symbol("part")
     q: Any = 0
     v: Any = 0
     for power in range(5, -1, -1):
@@ -187,13 +186,11 @@ def _room(equation: Equation) -> ca.Function:
 def _zoom(room: ca.Function, equation: Equation) -> ca.Function:
     """Return ``(coefficients, u, taut, h, low, high) -> (low, high, found)``.
 
-    The least room is sampled at equal parts of the bracket, and the bracket
-    closes in on the samples next to the first that is negative; where none is,
-    on the lowest.
+    The least room is sampled at equal parts of the bracket, and the bracket closes in on the
+    samples next to the first that is negative; where none is, on the lowest.
     """
-    symbols = _kind(equation)
-    if symbols is ca.SX and room.n_instructions() > _MOST_WRITTEN:
-        symbols = ca.MX  # the room is called; written out six times it takes compilers long
+    written = equation.form == "flat" and room.n_instructions() <= _MOST_WRITTEN
+    symbols: Any = ca.SX if written else ca.MX  # a call, not written out six times for compilers
     within = [symbols.sym(room.name_in(i), room.sparsity_in(i)) for i in range(4)]
     low, high = symbols.sym("low"), symbols.sym("high")
     width = (high - low) / _SAMPLES
@@ -209,11 +206,6 @@ def _zoom(room: ca.Function, equation: Equation) -> ca.Function:
         last = ca.if_else(rooms[j] < 0, j + 1, last)
     ends = [low + first * width, low + last * width]
     return ca.Function("zoom", [*within, low, high], [*ends, least < 0])
-
-
-def _kind(equation: Equation) -> Any:
-    """Return the kind of symbols to write expressions of an equation in."""
-    return ca.SX if equation.form == "flat" else ca.MX
 
 
 def _approach(step: ca.Function, equation: Equation) -> ca.Function:

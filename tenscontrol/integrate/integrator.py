@@ -162,8 +162,7 @@ class Integrator(ABC):
         Raises
         ------
         IntegrationError
-            If the state grows beyond all bounds, the step size vanishes, or
-            the user interrupts.
+            If the state grows beyond all bounds, the step size vanishes, or the user interrupts.
         """
 
 
@@ -178,11 +177,10 @@ def state_scale(
 ) -> FloatArray:
     """Return the size of each entry of the state, shape (states,).
 
-    For positions it is the length of the longest bar or string; for velocities
-    the larger of the fastest node's and the speed that the forces at the start
-    give the whole structure over its own size, but a thousandth of what the
-    fastest vibration of that size would have at least. So the answer does not
-    change with units or place. An equation that is no structure's has the entry
+    For positions it is the length of the longest bar or string; for velocities the larger of the
+    fastest node's and the speed that the forces at the start give the whole structure over its own
+    size, but a thousandth of what the fastest vibration of that size would have at least. So the
+    answer does not change with units or place. An equation that is no structure's has the entry
     itself and 1.
 
     ``frequency`` is from :func:`largest_frequency`, rad/s.

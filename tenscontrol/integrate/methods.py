@@ -81,8 +81,7 @@ class Method:
         setting : {"step", "tolerance"}, optional
             Which of the two; the usual one of the method if not given.
         project : bool, optional
-            Whether to make bar lengths exact after each step; as
-            :attr:`projects` if not given.
+            Whether to make bar lengths exact after each step; as :attr:`projects` if not given.
         machine_code : bool
             Whether to compile the steps, where the method can be compiled and
             there is a C compiler; :attr:`Integrator.back_end` says what came.
@@ -90,8 +89,7 @@ class Method:
         Raises
         ------
         ValueError
-            If the method takes no such setting, or keeps bar lengths by itself
-            and is told not to.
+            If the method takes no such setting, or keeps bar lengths by itself and is told not to.
         """
         setting = self.setting if setting is None else setting
         if setting not in self.settings:

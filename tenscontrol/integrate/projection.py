@@ -16,11 +16,10 @@ from tenscontrol.validation import FloatArray, IntArray
 def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
     """Return ``(x) -> x``: the state near by whose bars have their lengths and do not stretch.
 
-    Bar by bar and in closed form: the bar vector is scaled to its length, the
-    nearest state in the metric of the mass; what its rate has along the bar is
-    removed, and the rest is scaled by the inverse, so that ``b × ḃ`` stays.
-    Centres, string nodes and hinges stay, and linear and angular momentum with
-    them, to round-off.
+    Bar by bar and in closed form: the bar vector is scaled to its length, the nearest state in the
+    metric of the mass; what its rate has along the bar is removed, and the rest is scaled by the
+    inverse, so that ``b × ḃ`` stays. Centres, string nodes and hinges stay, and linear and angular
+    momentum with them, to round-off.
     """
     bodies = Bodies(structure)
     count = len(structure.free)
@@ -69,12 +68,11 @@ def projected(step: ca.Function, equation: Equation) -> ca.Function:
 class Bodies:
     """The map between free nodes and bodies, the same for positions, velocities and forces.
 
-    *Points* are the centres of the bars with two free ends, then the string
-    nodes. *Vectors* are those of the bars with two free ends, then of the bars
-    that swing, from the fixed to the free end. Bars with both ends fixed do
-    not move and are left out. In these coordinates the mass matrix is
-    diagonal: m, m_s, m/12 and m/3. Expressions may be SX or MX, one column per
-    node, point or vector.
+    *Points* are the centres of the bars with two free ends, then the string nodes. *Vectors* are
+    those of the bars with two free ends, then of the bars that swing, from the fixed to the free
+    end. Bars with both ends fixed do not move and are left out. In these coordinates the mass
+    matrix is diagonal: m, m_s, m/12 and m/3. Expressions may be SX or MX, one column per node,
+    point or vector.
     """
 
     def __init__(self, structure: Structure) -> None:

@@ -48,17 +48,15 @@ class Splitting:
 def splitting(order: int) -> Splitting:
     """Return the alternation of flights and kicks of order 2, 4 or 6.
 
-    2: Störmer and Verlet, in the form with one kick. 4: Omelyan, Mryglod & Folk, "PEFRL",
-    eq. (22), doi:10.1016/S0010-4655(02)00451-4. 6: Blanes & Moan,
-    doi:10.1016/S0377-0427(01)00492-7, Table 3, SRKN 14 a; it takes the kicks to depend on
-    positions only.
+    2: Störmer and Verlet, in the form with one kick. 4: Omelyan, Mryglod & Folk, "PEFRL", eq.
+    (22), doi:10.1016/S0010-4655(02)00451-4. 6: Blanes & Moan, doi:10.1016/S0377-0427(01)00492-7,
+    Table 3, SRKN 14 a; it takes the kicks to depend on positions only.
 
-    Chosen by measurement on prisms, with held force densities and with
-    elastic strings, among other methods of the two papers, forms that begin
-    with a kick, and the compositions of Suzuki, Yoshida, and Kahan & Li
-    (Hairer, Lubich & Wanner, *Geometric Numerical Integration*, eqs. (II.4.5),
-    (V.3.11), (V.3.12)). With as many evaluations, the best composition had 5
-    to 50 times the error at order 4 and 1000 times and more at order 6.
+    Chosen by measurement on prisms, with held force densities and with elastic strings, among
+    other methods of the two papers, forms that begin with a kick, and the compositions of Suzuki,
+    Yoshida, and Kahan & Li (Hairer, Lubich & Wanner, *Geometric Numerical Integration*, eqs.
+    (II.4.5), (V.3.11), (V.3.12)). With as many evaluations, the best composition had 5 to 50 times
+    the error at order 4 and 1000 times and more at order 6.
     """
     if order == 2:
         return Splitting((0.5, 0.5), (1.0,))
