@@ -1,12 +1,8 @@
 """The equations of motion as CasADi functions."""
 
-from tenscontrol.dynamics.coordinates import (
-    KINDS,
-    Coordinates,
-    coordinates,
-)
+from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates
 from tenscontrol.dynamics.equation import Equation, smooth_equation
-from tenscontrol.dynamics.evaluator import ColumnEvaluator, Evaluator, evaluate_columns
+from tenscontrol.dynamics.evaluator import ColumnEvaluator, Evaluator, Prepared, evaluate_columns
 from tenscontrol.dynamics.machine_code import (
     Compiled,
     Compiler,
@@ -16,7 +12,6 @@ from tenscontrol.dynamics.machine_code import (
     compiler,
 )
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
-from tenscontrol.dynamics.prepared import Prepared
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
 
 __all__ = [

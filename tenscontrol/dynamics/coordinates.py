@@ -18,14 +18,7 @@ from tenscontrol.structure import (
     refuse_wrong_bar_lengths,
     rigid_motions,
 )
-from tenscontrol.validation import (
-    FloatArray,
-    choice,
-    float_array,
-    frozen,
-    instance,
-    shaped,
-)
+from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped
 
 # Directions whose singular value is below this fraction of the largest do not exist.
 _RANK_TOLERANCE = 1e-9
@@ -116,7 +109,7 @@ class Coordinates:
         V = self.structure.checked_nodes("velocities", velocities)
         if self.kind == "internal" and len(self.structure.fixed) < 2:
             turn, centre = self._alignment(N)
-            N = turn @ (N - centre) + self._reference_centre
+            N = turn @ (N - centre) + self._centre(self.nodes)
             V = turn @ V
         q = self._projection @ (N - self.nodes).ravel(order="F")
         return np.concatenate([q, self._projection @ V.ravel(order="F")])
@@ -198,10 +191,6 @@ class Coordinates:
         vectors = self.structure.bar_vectors(self.nodes)
         return np.asarray(vectors / np.linalg.norm(vectors, axis=0))
 
-    @cached_property
-    def _reference_centre(self) -> FloatArray:
-        return self._centre(self.nodes)
-
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
@@ -216,7 +205,7 @@ class Coordinates:
         part along a rigid motion.
         """
         centre = self._centre(nodes)
-        spread = (self.nodes - self._reference_centre) @ self._mass @ (nodes - centre).T
+        spread = (self.nodes - self._centre(self.nodes)) @ self._mass @ (nodes - centre).T
         U, _, Vt = np.linalg.svd(spread)
         U[:, 2] *= np.linalg.det(U @ Vt)
         return U @ Vt, centre
@@ -231,13 +220,8 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
     nodes : array_like, shape (3, n), optional
         Reference shape, m; that of the structure if not given.
     kind : {"internal", "minimal", "nodes"}
-        ``"nodes"``: 3n coordinates, the node positions themselves.
-        ``"minimal"``: 5 a bar and 3 a string node, without bar-length changes.
-        ``"internal"``: minimal less rigid-body motion.
-
-    Returns
-    -------
-    Coordinates
+        ``"nodes"``: 3n coordinates, the node positions themselves. ``"minimal"``: 5 a bar and 3 a
+        string node, without bar-length changes. ``"internal"``: minimal less rigid-body motion.
 
     Raises
     ------
@@ -276,10 +260,9 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
 def bar_basis(structure: Structure, nodes: FloatArray) -> FloatArray:
     """Return the mass-orthonormal basis of motions that keep bar lengths, shape (3n, r).
 
-    In closed form, bar by bar: three translations ``e/√m`` and two rotations
-    in which the ends move by ``∓ t √(3/m)`` across the bar; for a bar that
-    swings about a fixed end two rotations ``t √(3/m)`` of the other; three
-    translations ``e/√m_s`` for a string node.
+    In closed form, bar by bar: three translations ``e/√m`` and two rotations in which the ends
+    move by ``∓ t √(3/m)`` across the bar; for a bar that swings about a fixed end two rotations
+    ``t √(3/m)`` of the other; three translations ``e/√m_s`` for a string node.
     """
     blocks: list[tuple[list[int], FloatArray]] = []
     for i in structure.free_bars:

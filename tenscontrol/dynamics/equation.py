@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 
-from tenscontrol.dynamics.prepared import Prepared
+from tenscontrol.dynamics.evaluator import Prepared
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.validation import FloatArray
 
 #: How the functions of an equation can be built.
 FORMS = ("flat", "mapped", "loops")
@@ -77,17 +78,17 @@ class Equation:
         x, u, taut, h = (make(name, size) for name, size in sizes.items())
         return x, u, taut, h
 
-    @property
+    @cached_property
     def states(self) -> int:
         """Number of entries of x."""
         return int(self.slope.size1_in(0))
 
-    @property
+    @cached_property
     def inputs(self) -> int:
         """Number of entries of u."""
         return int(self.slope.size1_in(1))
 
-    @property
+    @cached_property
     def switches(self) -> int:
         """Number of strings that can go slack: entries of ``taut``."""
         return int(self.slope.size1_in(2))
@@ -102,38 +103,10 @@ class Equation:
         return ca.Function("kinked", [x, u], [self.slope(x, u, self.gap(x, u)[0] > 0)])
 
 
-def structure_equation(
-    structure: Structure,
-    law: StringLaw | None,
-    load: FloatArray,
-    form: str,
-    **functions: ca.Function,
-) -> Equation:
-    """Return the equation of a structure from its functions slope, gap and force."""
-    return Equation(
-        **functions,
-        velocity_dependent=law is not None and law.is_damped,
-        structure=structure,
-        law=law,
-        load=frozen(load) if load.any() else None,
-        form=form,
-    )
-
-
 def smooth_equation(slope: ca.Function) -> Equation:
-    """Return the equation of a smooth right-hand side without a structure.
-
-    Parameters
-    ----------
-    slope : casadi.Function
-        ``(x, u) -> xdot``, dense columns.
-    """
-    x, u, taut = (
-        ca.SX.sym("x", slope.size1_in(0)),
-        ca.SX.sym("u", slope.size1_in(1)),
-        ca.SX.sym("taut", 0),
-    )
-    none = ca.SX(0, 1)
+    """Return the equation of a smooth ``(x, u) -> xdot``, dense columns, without a structure."""
+    x, u = (ca.SX.sym(name, slope.size1_in(i)) for i, name in enumerate("xu"))
+    taut, none = ca.SX.sym("taut", 0), ca.SX(0, 1)
     return Equation(
         slope=ca.Function("slope", [x, u, taut], [slope(x, u)]),
         gap=ca.Function("gap", [x, u], [none, none]),

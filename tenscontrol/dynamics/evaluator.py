@@ -1,14 +1,52 @@
-"""Calls of a CasADi function on NumPy arrays without conversion or allocation."""
+"""CasADi functions: kept once they are built, and called on NumPy arrays without allocation."""
 
 from __future__ import annotations
 
-from typing import Any
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics.prepared import Prepared
 from tenscontrol.validation import FloatArray
+
+_Value = TypeVar("_Value")
+
+# CasADi's symbols are counted without a lock of their own: one thread builds at a time.
+_BUILDING = threading.RLock()
+
+# Distinct inputs, methods and settings of one model in a program; the oldest is dropped.
+_MOST = 32
+
+
+class Prepared:
+    """Functions and matrices by key: bounded, thread-safe, and left out of pickles and copies."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Hashable, Any] = OrderedDict()
+
+    def get(self, key: Hashable, build: Callable[[], _Value]) -> _Value:
+        """Return what was built for a key; the first time, build it: anything but None.
+
+        The key holds all that the value depends on, beside the owner of this object.
+        """
+        with _BUILDING:
+            value: _Value | None = self._kept.get(key)
+            if value is None:
+                value = build()
+                self._kept[key] = value
+                while len(self._kept) > _MOST:
+                    self._kept.popitem(last=False)
+            else:
+                self._kept.move_to_end(key)
+            return value
+
+    def __reduce__(self) -> tuple[type[Prepared], tuple[()]]:
+        """Pickle and copy as an empty store."""
+        return Prepared, ()
+
 
 # Columns that are evaluated in one call, and functions mapped to so many.
 _CHUNK = 32
@@ -18,13 +56,8 @@ _MAPPED = Prepared()
 class Evaluator:
     """A CasADi function behind its buffer: about fifty times cheaper to call than the function.
 
-    Outputs are views of memory that the next call overwrites; copy what must
-    last. Inputs are trusted: callers check them.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        All inputs and outputs dense.
+    Outputs are views of memory that the next call overwrites; copy what must last. Inputs are
+    trusted: callers check them. All inputs and outputs of the function must be dense.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -56,12 +89,8 @@ class Evaluator:
 class ColumnEvaluator:
     """A function of dense column vectors, evaluated at any number of them without building anew.
 
-    Columns are taken in chunks of one size, the last one filled up.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Kept with its map to a chunk, for the next evaluator of the same function.
+    Columns are taken in chunks of one size, the last one filled up. The function is kept with its
+    map to a chunk, for the next evaluator of the same function.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -86,18 +115,7 @@ class ColumnEvaluator:
 
 
 def evaluate_columns(function: ca.Function, *columns: FloatArray) -> list[FloatArray]:
-    """Evaluate a function of column vectors at T of them, one a column of each argument.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Dense column vectors in and out.
-    *columns : ndarray, shape (size of the input, T)
-
-    Returns
-    -------
-    list of ndarray, shape (size of the output, T)
-    """
+    """Evaluate a function of column vectors at T of them; see :class:`ColumnEvaluator`."""
     return ColumnEvaluator(function)(*columns)
 
 

@@ -141,10 +141,9 @@ def free_bar(
     (eq. 5) with f the end force less the start force, and ``r̈ = (f_start +
     f_end)/m`` (eq. 4); the ends move with ``r̈ ∓ b̈/2``.
 
-    ``λ = −m ‖ḃ‖²/(12 ‖b‖²) − bᵀ f/(2 ‖b‖²)``. The current ‖b‖² stands where
-    the paper has l²: the two are equal on exact trajectories, and with l² an
-    error of the bar length made by an integrator would grow exponentially
-    under compression.
+    ``λ = −m ‖ḃ‖²/(12 ‖b‖²) − bᵀ f/(2 ‖b‖²)``. The current ‖b‖² stands where the paper has l²: the
+    two are equal on exact trajectories, and with l² an error of the bar length made by an
+    integrator would grow exponentially under compression.
     """
     f = end - start
     lam = -(mass / 12 * dots(Bd, Bd) + dots(B, f) / 2) / dots(B, B)

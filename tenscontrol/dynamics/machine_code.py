@@ -62,24 +62,10 @@ class CompilerError(RuntimeError):
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler.
+    """A C compiler."""
 
-    Attributes
-    ----------
-    command : tuple of str
-        Path of the program, and arguments that always go first.
-    version : str
-        What it says of itself.
-    """
-
-    command: tuple[str, ...]
-    version: str
-
-    def build(self, source: str, folder: Path, timeout: float) -> Path:
-        """Compile C code to a library in an empty private folder; see :meth:`link`."""
-        # Names without a folder: the library must not depend on where it was made.
-        (folder / "function.c").write_text(source, encoding="utf-8")
-        return self.link([Path("function.c")], folder, "function", timeout)
+    command: tuple[str, ...]  # path of the program, and arguments that always go first
+    version: str  # what it says of itself
 
     def link(
         self,
@@ -116,23 +102,7 @@ def compiler() -> Compiler | None:
     ``clang`` on the path that answers. ``TENSCONTROL_COMPILER=none`` switches
     compiling off: then there is none. A program with the options of GCC is needed.
 
-    Returns
-    -------
-    Compiler or None
-
-    Raises
-    ------
-    CompilerError
-        If one of the variables names a program that is not there or does not run.
-
-    Examples
-    --------
-    >>> import os
-    >>> from unittest.mock import patch
-    >>> from tenscontrol.dynamics.machine_code import compiler
-    >>> with patch.dict(os.environ, TENSCONTROL_COMPILER="none"):
-    ...     print(compiler())
-    None
+    Raises CompilerError if one of the variables names a program that is not there or does not run.
     """
     if os.getenv(VARIABLE, "").strip().lower() == "none":
         return None
@@ -249,17 +219,13 @@ class Cache:
         return None
 
     def add(self, key: str, library: Path) -> Path:
-        """Move a library that was made in :meth:`workshop` to its place, in one operation."""
+        """Move a library that was made on the same file system to its place, in one operation."""
         library.chmod(0o700)
         place = self._place(key, library.read_bytes())
         # Another process may have been first; then it is the same file.
         if not place.exists():
             os.replace(library, place)
         return place
-
-    def workshop(self) -> tempfile.TemporaryDirectory[str]:
-        """Return a private folder to compile in, on the same file system."""
-        return tempfile.TemporaryDirectory(dir=self.folder, prefix="making-")
 
     def _place(self, key: str, content: bytes) -> Path:
         return self.folder / f"{key}-{sha256(content).hexdigest()[:_DIGITS]}{suffix()}"
@@ -279,12 +245,6 @@ def open_cache() -> Cache:
         folder, "folder", "put it right (chmod 700), or set XDG_CACHE_HOME to another folder"
     )
     return Cache(folder, False) if os.access(folder, os.W_OK | os.X_OK) else _temporary()
-
-
-def key_of(source: str, compiler: Compiler, *others: object) -> str:
-    """Return the hash of all that a library depends on."""
-    text = "\0".join([source, *compiler.command, compiler.version, *map(str, others)])
-    return sha256(text.encode()).hexdigest()[:_DIGITS]
 
 
 def _user_folder() -> Path | None:
@@ -343,8 +303,7 @@ class Compiled:
     cached : bool
         Whether the library was there already.
     temporary : bool
-        Whether the library goes when the process ends, because the cache folder
-        cannot be written.
+        Whether the library goes when the process ends, because the cache folder cannot be written.
     compiler : Compiler
     """
 
@@ -359,13 +318,12 @@ class Compiled:
 def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
     """Return a function in machine code, or None on a machine without a C compiler.
 
-    The code does the same operations in the same order as CasADi's virtual
-    machine, and gives the same numbers to the last bit; only what is not a
-    number may have another sign. It is four times as fast or more. The library
-    is kept in the user's cache folder, so that the next run need not compile
-    again: ``$XDG_CACHE_HOME/tenscontrol``, else
-    ``~/.cache/tenscontrol``, on macOS ``~/Library/Caches/tenscontrol``, on
-    Windows ``tenscontrol`` in ``%LOCALAPPDATA%``. It may be deleted at any time.
+    The code does the same operations in the same order as CasADi's virtual machine, and gives the
+    same numbers to the last bit; only what is not a number may have another sign. It is four times
+    as fast or more. The library is kept in the user's cache folder, so that the next run need not
+    compile again: ``$XDG_CACHE_HOME/tenscontrol``, else ``~/.cache/tenscontrol``, on macOS
+    ``~/Library/Caches/tenscontrol``, on Windows ``tenscontrol`` in ``%LOCALAPPDATA%``. It may be
+    deleted at any time.
 
     Parameters
     ----------
@@ -452,13 +410,18 @@ def compiled_library(source: str) -> Path:
 def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, Cache]:
     """Return the library made of C code, whether it was there already, and where."""
     machine = (sys.platform, platform.machine(), *platform.libc_ver())
-    key = key_of(source, found, FLAGS, ca.__version__, *machine)
+    # All that a library depends on.
+    parts = (source, *found.command, found.version, str(FLAGS), ca.__version__, *machine)
+    key = sha256("\0".join(parts).encode()).hexdigest()[:_DIGITS]
     kept = open_cache()
     library = kept.find(key)
     cached = library is not None
     if library is None:
-        with kept.workshop() as folder:
-            library = kept.add(key, found.build(source, Path(folder), timeout))
+        with tempfile.TemporaryDirectory(dir=kept.folder, prefix="making-") as folder:
+            # Names without a folder: the library must not depend on where it was made.
+            (Path(folder) / "function.c").write_text(source, encoding="utf-8")
+            made = found.link([Path("function.c")], Path(folder), "function", timeout)
+            library = kept.add(key, made)
     return library, cached, kept
 
 

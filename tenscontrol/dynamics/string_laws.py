@@ -47,10 +47,8 @@ class StringLaw(ABC):
 
         Parameters
         ----------
-        length : casadi.SX or MX, shape (α, 1)
-            l, m.
-        rest_length : casadi.SX or MX, shape (α, 1)
-            l0, m.
+        length, rest_length : casadi.SX or MX, shape (α, 1)
+            l and l0, m.
         """
 
     @abstractmethod
@@ -71,10 +69,8 @@ class StringLaw(ABC):
 
         Parameters
         ----------
-        length : casadi.SX or MX, shape (α, 1)
-            l, m.
-        rest_length : casadi.SX or MX, shape (α, 1)
-            l0, m.
+        length, rest_length : casadi.SX or MX, shape (α, 1)
+            l and l0, m.
         """
 
     @property
@@ -108,10 +104,8 @@ class StringLaw(ABC):
 
         Parameters
         ----------
-        length : casadi.SX or MX, shape (α, 1)
-            l, m.
-        rest_length : casadi.SX or MX, shape (α, 1)
-            l0, m.
+        length, rest_length : casadi.SX or MX, shape (α, 1)
+            l and l0, m.
         rate : casadi.SX or MX, shape (α, 1), optional
             l̇, m/s; needed only where the law is damped.
         """
@@ -125,10 +119,7 @@ class StringLaw(ABC):
     def taut_force_density(self, length: Any, rest_length: Any, rate: Any = None) -> Any:
         """Return the expression of γ of a string that pulls, N/m: smooth, negative beyond.
 
-        Parameters
-        ----------
-        length, rest_length, rate : casadi.SX or MX, shape (α, 1)
-            As for :meth:`symbolic_force_density`.
+        Arguments as :meth:`symbolic_force_density`.
         """
         law = self.as_expressions()
         tension = law.tension(length, rest_length)
@@ -142,10 +133,7 @@ class StringLaw(ABC):
         A damped string stops pulling before it is as short as its rest length
         where it shortens fast; the tension that is left is measured in stretch.
 
-        Parameters
-        ----------
-        length, rest_length, rate : casadi.SX or MX, shape (α, 1)
-            As for :meth:`symbolic_force_density`.
+        Arguments as :meth:`symbolic_force_density`.
         """
         stretch = length - rest_length
         if not self.is_damped:
@@ -164,10 +152,6 @@ class StringLaw(ABC):
         ----------
         count : int
             Number α of strings.
-
-        Returns
-        -------
-        StringLaw
 
         Raises
         ------
@@ -221,10 +205,8 @@ class StringLaw(ABC):
 
         Parameters
         ----------
-        length : float or array_like, shape (α,)
-            Current length l, m, positive.
-        rest_length : float or array_like, shape (α,)
-            Rest length l0, m, positive.
+        length, rest_length : float or array_like, shape (α,)
+            Current length l and rest length l0, m, positive.
         rate : float or array_like, shape (α,)
             Rate l̇, m/s; matters only where there is damping.
 

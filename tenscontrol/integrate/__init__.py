@@ -3,11 +3,18 @@
 from tenscontrol.integrate.cvodes import CVODES, jacobian_weight, state_jacobian
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
-from tenscontrol.integrate.integrator import IntegrationError, Integrator, Report, Span, Work
+from tenscontrol.integrate.integrator import (
+    IntegrationError,
+    Integrator,
+    Report,
+    Span,
+    Work,
+    largest_frequency,
+    state_scale,
+)
 from tenscontrol.integrate.methods import METHODS, Choice, Method, choose, method_of
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6, splitting
 from tenscontrol.integrate.rk4 import RK4
-from tenscontrol.integrate.scales import largest_frequency, state_scale
 
 __all__ = [
     "CVODES",

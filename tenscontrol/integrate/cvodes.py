@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
 from threading import Lock
 from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator
-from tenscontrol.integrate.events import EventIntegrator, SmoothMotion, Step
-from tenscontrol.integrate.integrator import Work
+from tenscontrol.dynamics import ColumnEvaluator, Equation, Evaluator
+from tenscontrol.integrate.events import BAND, CHATTER, first_crossing, refuse_chatter
+from tenscontrol.integrate.integrator import (
+    IntegrationError,
+    Integrator,
+    Report,
+    Span,
+    Work,
+    checked_tolerance,
+    largest_frequency,
+    state_scale,
+)
+from tenscontrol.integrate.projection import Projector
 from tenscontrol.validation import FloatArray
 
 # States that one call returns. Powers of two, so that outputs fall on them. Where strings can go
@@ -26,9 +39,25 @@ _MOST_STEPS = 2_000
 # A call as short as this part of the span that still fails has met the end of the motion.
 _SHORTEST = 1e-12
 
+# A landing is sought so many times at most: it is Newton's method with an almost exact start.
+_NEWTON_STEPS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class _Solvers:
+    """What is built once for an equation and a tolerance, for ``y = x/scale``."""
+
+    grid: int  # states that a call of ``window`` returns
+    window: ca.Function
+    hop: ca.Function  # to one time
+    slopes: ca.Function  # at the start and all states of a window
+    gap: ca.Function | None  # of each string; None where none can go slack
+    weight: int  # evaluations that a Jacobian counts as
+    calling: Lock  # solvers are shared, and keep the figures of their last call
+
 
 @final
-class CVODES(EventIntegrator):
+class CVODES(Integrator):
     """Implicit multistep method of orders 1 to 5 of SUNDIALS, by ``casadi.integrator``.
 
     Backward differentiation formulas with Newton's method, exact Jacobians and
@@ -54,114 +83,221 @@ class CVODES(EventIntegrator):
     name = "cvodes"
 
     def __init__(self, equation: Equation, tolerance: float, project: bool = True) -> None:
-        super().__init__(equation, tolerance, project)
-        self._grid = _LOOKS if equation.switches else _OUTPUTS
-        built = self._kept(self._build, self.tolerance)
-        self._long, self._hop, slopes, self._weight, self._calling = built
-        self._slopes = Evaluator(slopes)
+        super().__init__(equation)
+        self._projected = Projector(equation, project)
+        self.tolerance = checked_tolerance(tolerance)
+        self._scale: FloatArray | None = None  # set by the first motion
+        self._solvers = self._kept(self._build, self.tolerance)
+        self._slopes = Evaluator(self._solvers.slopes)
+        gap = self._solvers.gap
+        self._gap_of = None if gap is None else ColumnEvaluator(gap)
 
-    def _build(self) -> tuple[ca.Function, ca.Function, ca.Function, int, Lock]:
-        scaled = _scaled(self._equation)
-        return (
-            _solver(scaled, self._equation, self._grid, self.tolerance),
-            _solver(scaled, self._equation, 1, self.tolerance),
-            scaled.map("slopes", "serial", self._grid + 1, [1, 2, 3], []),
+    def _build(self) -> _Solvers:
+        equation = self._equation
+        grid = _LOOKS if equation.switches else _OUTPUTS
+        scaled, gap = _scaled(equation), None
+        if equation.switches:
+            x, u, _, _ = equation.symbols()
+            gap = ca.Function("gap", [x, u], [equation.gap(x, u)[0]])
+        return _Solvers(
+            grid,
+            _solver(scaled, equation, grid, self.tolerance),
+            _solver(scaled, equation, 1, self.tolerance),
+            scaled.map("slopes", "serial", grid + 1, [1, 2, 3], []),
+            gap,
             jacobian_weight(scaled, state_jacobian(scaled)),
             Lock(),
         )
 
-    def _begin(
+    def advance(
         self,
-        now: float,
         state: FloatArray,
         held: FloatArray,
-        taut: FloatArray,
-        times: FloatArray,
-        before: SmoothMotion | None,
-    ) -> SmoothMotion:
-        window = before.window if isinstance(before, _Windows) else np.inf
-        return _Windows(self, now, state, held, taut, times, window)
+        duration: float,
+        outputs: int,
+        report: Report | None = None,
+    ) -> Span:
+        """See :meth:`Integrator.advance`."""
+        equation = self._equation
+        if self._scale is None:
+            frequency = largest_frequency(equation, state, held)
+            self._scale = state_scale(equation, state, held, frequency)
+        scale = self._scale
+        times = duration * np.arange(1, outputs + 1) / outputs
+        times[-1] = duration  # whatever round-off says
+        states = np.empty((len(state), outputs))
+        band = BAND
+        if equation.switches and equation.structure is not None:
+            band *= float(held.max())  # where strings can go slack, u holds their rest lengths
+        motion = _Motion(self._solvers, self._slopes, self._gap_of, band, (held, scale), times)
+        done = 0
+        try:
+            # A state that is not finite is looked for, so NumPy need not warn of it.
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                motion.begin(state / scale)
+                while motion.now < duration:
+                    window = motion.next_window()
+                    reached = int(np.searchsorted(times, motion.now, side="right"))
+                    if reached > done:
+                        states[:, done:reached] = window.between(times[done:reached])
+                        if times[reached - 1] == motion.now:
+                            states[:, reached - 1] = motion.state
+                        done = reached
+                    if report is not None:
+                        report(motion.now)
+                    motion.switch()
+        except (FloatingPointError, KeyboardInterrupt) as error:
+            interrupted = isinstance(error, KeyboardInterrupt)
+            stopped = f"{self.name} stopped after {motion.now:.6g} s: {error}"
+            so_far = Span(self._projected(states[:, :done] * scale[:, None]), motion.work)
+            message = "interrupted" if interrupted else stopped
+            raise IntegrationError(message, motion.now, so_far, interrupted) from None
+        return Span(self._projected(states * scale[:, None]), motion.work)
 
 
-class _Windows:
-    """Calls of the solver while no string switches, each over one window of time."""
+class _Motion:
+    """Calls of the solver over one span, each over a window of time in which no string switches.
+
+    Where a string passes the border of slack within a window, the window is cut there: the
+    crossing is found on the interpolated states, the motion integrated again up to it, and the
+    time corrected until the string is on the border. Strings that are there together switch
+    together.
+    """
 
     def __init__(
         self,
-        method: CVODES,
-        now: float,
-        state: FloatArray,
-        held: FloatArray,
-        taut: FloatArray,
+        solvers: _Solvers,
+        slopes: Evaluator,
+        gap: ColumnEvaluator | None,
+        band: float,
+        given: tuple[FloatArray, FloatArray],
         times: FloatArray,
-        window: float,
     ) -> None:
-        self._method, self._now, self._state, self._times = method, now, state, times
-        self._given, self.window = (held, taut, method._scale), window
-        self._looked = len(taut) > 0
-        self._done = Work()
+        self._solvers, self._slopes, self._gap_of, self._band = solvers, slopes, gap, band
+        self._held, self._scale = given
+        self._times = times
+        self._window = np.inf  # longest window, s
+        self._taut = np.zeros(0)
+        self._crossed: FloatArray | None = None  # 1 for each string that switches now
+        self._landings = deque([-float(times[-1])], maxlen=CHATTER)
+        self.now, self.work = 0.0, Work()
 
-    @property
-    def work(self) -> Work:
-        """What was done so far, landings included."""
-        return self._done
+    def begin(self, state: FloatArray) -> None:
+        """Start from a state, with the strings that pull in it."""
+        self.state = state
+        if self._gap_of is not None:
+            self._taut = (self._gap(self._gap_of, state[:, None])[:, 0] > 0).astype(float)
 
-    def step(self) -> Step:
-        """Integrate over one window."""
-        grid = self._method._grid
+    def next_window(self) -> _Window:
+        """Integrate over one window, up to its end or the first switch within it."""
+        window = self._integrated()
+        self.now, self.state = float(window.times[-1]), window.nodes[:, -1]
+        if self._gap_of is not None:
+            self._land(window, self._gap_of)
+        return window
+
+    def switch(self) -> None:
+        """Let the strings go slack or taut that are on the border now."""
+        if self._crossed is not None:
+            self._taut = np.abs(self._taut - self._crossed)
+            self._crossed = None
+            refuse_chatter(self._landings, self.now, float(self._times[-1]))
+
+    def _integrated(self) -> _Window:
+        grid = self._solvers.grid
         while True:
             end = self._end()
-            span = end - self._now
-            states, stats = self._call(self._method._long, self._state, span)
+            span = end - self.now
+            states, stats = self._call(self._solvers.window, self.state, span)
             if states is None:
                 if span <= _SHORTEST * self._times[-1]:
                     raise FloatingPointError("the step size vanishes")
-                self.window = span / 4
+                self._window = span / 4
                 continue
-            if not self._looked:
-                self.window *= 2  # all that is left, unless a call had to be cut short
+            if self._gap_of is None:
+                self._window *= 2  # all that is left, unless a call had to be cut short
                 break
             # As many states as steps, about: the last step tells, the first ones are tiny.
             fitting = 1.5 * grid * stats["hlast"] * span
-            self.window = float(np.clip(fitting, span / 16, 4 * span))
+            self._window = float(np.clip(fitting, span / 16, 4 * span))
             if stats["nsteps"] <= _COARSE * grid:
                 break
-        nodes = np.column_stack([self._state, states])
-        times = np.linspace(self._now, end, grid + 1)
-        self._now, self._state = end, nodes[:, -1]
-        return Step(times, _Hermite(self, times, nodes), self._state)
+        nodes = np.column_stack([self.state, states])
+        return _Window(np.linspace(self.now, end, grid + 1), nodes, self._slopes_at)
 
-    def land(self, step: Step, time: float) -> FloatArray:
+    def _gap(self, gap_of: ColumnEvaluator, states: FloatArray) -> FloatArray:
+        inputs = np.broadcast_to(self._held[:, None], (len(self._held), states.shape[1]))
+        return gap_of(states * self._scale[:, None], inputs)[0]
+
+    def _land(self, window: _Window, gap_of: ColumnEvaluator) -> None:
+        """Go back to the first switch within a window, if there is one."""
+        sign = np.where(self._taut > 0, 1.0, -1.0)[:, None]
+
+        def room_in(states: FloatArray) -> FloatArray:
+            """Return the room of each string in bands: 1 on the border, 0 where it switches."""
+            return sign * self._gap(gap_of, states) / self._band + 1.0
+
+        def room(times: FloatArray) -> FloatArray:
+            return room_in(window.between(times))
+
+        start, end = float(window.times[0]), float(window.times[-1])
+        time = first_crossing(room, window.times)
+        if time is None:
+            return
+        if time - start <= 4 * np.spacing(end):
+            # Past the border already, by less than the interpolation of the last window saw.
+            at = room(window.times[:1])[:, 0]
+            self._crossed = (at <= max(0.5, float(at.min()))).astype(float)
+            self.now, self.state = start, window.nodes[:, 0]
+            self.work += Work(unlocated=1)
+            return
+        apart = 1e-3 * (end - start)
+        for _ in range(_NEWTON_STEPS):
+            state = self._state_at(window, time)
+            left = room_in(state[:, None])[:, 0]
+            if abs(left.min()) < 0.25:
+                break
+            around = room(np.array([time - apart, time + apart]))[left.argmin()]
+            rate = (around[1] - around[0]) / (2 * apart)
+            if not rate < 0:
+                break  # it grazes the border: an ordinary end of a window
+            time = float(np.clip(time - left.min() / rate, start + 1e-3 * apart, end))
+        self._crossed = (left < 0.5).astype(float)
+        self.now, self.state = time, state
+        self.work += Work(switches=int(self._crossed.sum()))
+
+    def _state_at(self, window: _Window, time: float) -> FloatArray:
         """Integrate again from the last state before."""
-        before = int(np.searchsorted(step.times[1:-1], time, side="left"))
-        start = step.between(step.times[before : before + 1])[:, 0]
-        states, _ = self._call(self._method._hop, start, time - step.times[before])
+        before = int(np.searchsorted(window.times[1:-1], time, side="left"))
+        span = time - window.times[before]
+        states, _ = self._call(self._solvers.hop, window.nodes[:, before], span)
         if states is None:
             raise FloatingPointError("the step size vanishes")
         return states[:, 0]
 
-    def slopes(self, nodes: FloatArray) -> FloatArray:
+    def _slopes_at(self, nodes: FloatArray) -> FloatArray:
         """Return ẋ at all states of a window."""
-        self._done += Work(evaluations=nodes.shape[1])
-        return self._method._slopes(nodes, *self._given)[0].copy()
+        self.work += Work(evaluations=nodes.shape[1])
+        return self._slopes(nodes, self._held, self._taut, self._scale)[0].copy()
 
     def _end(self) -> float:
         """Return where the next window ends: outputs must fall on its states, or end it."""
-        times, now, grid = self._times, self._now, self._method._grid
+        times, now = self._times, self.now
         following = int(np.searchsorted(times, now, side="right"))
         whole = now == 0.0 or times[following - 1] == now
         # times[-1] may be off by a bit, so outputs are counted rather than divided by.
-        most = min(self.window / (times[-1] / len(times)), len(times) - following, grid)
+        fitting = self._window / (times[-1] / len(times))
+        most = min(fitting, len(times) - following, self._solvers.grid)
         if whole and most >= 1:
             return float(times[following - 1 + 2 ** int(np.log2(most))])
-        return float(min(times[following], now + self.window))
+        return float(min(times[following], now + self._window))
 
     def _call(
         self, solver: ca.Function, state: FloatArray, span: float
     ) -> tuple[FloatArray | None, dict[str, Any]]:
         """Return the states over a span of time, None if the solver failed."""
-        parameters = np.concatenate([[span], *self._given])
-        with self._method._calling:  # the solver is shared, and keeps the figures of its last call
+        parameters = np.concatenate([[span], self._held, self._taut, self._scale])
+        with self._solvers.calling:
             try:
                 states = np.array(solver(x0=state, p=parameters)["xf"])
             except RuntimeError as error:
@@ -170,35 +306,39 @@ class _Windows:
                 states = None
             stats = solver.stats()
         # After a failure the counts reach up to the last state that was good.
-        self._done += Work(
+        self.work += Work(
             steps=0 if states is None else stats["nsteps"],
             rejections=stats["netfails"] + stats["nncfails"],
-            evaluations=stats["nfevals"] + self._method._weight * stats["nlinsetups"],
+            evaluations=stats["nfevals"] + self._solvers.weight * stats["nlinsetups"],
         )
         if states is not None and not np.isfinite(states).all():
             states = None
         return states, stats
 
 
-class _Hermite:
-    """Cubic interpolation between the states of a window, exact in the states."""
+class _Window:
+    """The motion over a window: cubic interpolation between its states, exact in the states."""
 
-    def __init__(self, windows: _Windows, times: FloatArray, nodes: FloatArray) -> None:
-        self._windows, self._times, self._nodes = windows, times, nodes
+    def __init__(
+        self, times: FloatArray, nodes: FloatArray, slopes_at: Callable[[FloatArray], FloatArray]
+    ) -> None:
+        self.times, self.nodes = times, nodes  # equally spaced; one state a column
+        self._slopes_at = slopes_at
         self._slopes: FloatArray | None = None
 
-    def __call__(self, times: FloatArray) -> FloatArray:
-        last = len(self._times) - 1
-        spacing = (self._times[-1] - self._times[0]) / last
-        place = (times - self._times[0]) / spacing
+    def between(self, times: FloatArray) -> FloatArray:
+        """Return the states at some times, one a column."""
+        last = len(self.times) - 1
+        spacing = (self.times[-1] - self.times[0]) / last
+        place = (times - self.times[0]) / spacing
         nearest = np.clip(np.rint(place), 0, last).astype(int)
-        if (np.abs(times - self._times[nearest]) <= 4 * np.spacing(self._times[-1])).all():
-            return self._nodes[:, nearest]
+        if (np.abs(times - self.times[nearest]) <= 4 * np.spacing(self.times[-1])).all():
+            return self.nodes[:, nearest]
         if self._slopes is None:
-            self._slopes = self._windows.slopes(self._nodes)
+            self._slopes = self._slopes_at(self.nodes)
         i = np.clip(place.astype(int), 0, last - 1)
         s = place - i
-        x0, x1 = self._nodes[:, i], self._nodes[:, i + 1]
+        x0, x1 = self.nodes[:, i], self.nodes[:, i + 1]
         v0, v1 = spacing * self._slopes[:, i], spacing * self._slopes[:, i + 1]
         cubic = 2 * (x0 - x1) + v0 + v1
         states: FloatArray = x0 + s * (v0 + s * (x1 - x0 - v0 - (1 - s) * cubic))

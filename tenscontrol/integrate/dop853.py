@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, final
 
 import casadi as ca
@@ -17,9 +18,10 @@ from tenscontrol.integrate.integrator import (
     Work,
     checked_tolerance,
     in_machine_code,
+    largest_frequency,
+    state_scale,
 )
 from tenscontrol.integrate.projection import Projector, projection
-from tenscontrol.integrate.scales import Frequency, state_scale
 from tenscontrol.validation import FloatArray
 
 # Evaluations of a step whose first slope is known, and of its interpolant.
@@ -45,18 +47,8 @@ _STABLE = 4.0
 _MOST_STALLS = 50
 
 # What a turn carries beside x, its slope and taut.
-_CARRIED = (
-    "time",
-    "step",
-    "stuck",
-    "stalls",
-    "tries",
-    "rejections",
-    "landings",
-    "approaches",
-    "switches",
-    "interpolants",
-)
+_CARRIED: tuple[str, ...] = ("time", "step", "stuck", "stalls", "tries", "rejections")
+_CARRIED += ("landings", "approaches", "switches", "interpolants")
 
 
 @final
@@ -90,7 +82,8 @@ class DOP853(Integrator):
         super().__init__(equation)
         self.tolerance = checked_tolerance(tolerance)
         self._projected = Projector(equation, project)
-        self._frequency = Frequency(equation)
+        self._frequency = 0.0  # largest, rad/s
+        self._held: FloatArray | None = None  # input for which it was found
         by = compiler() if machine_code else None
         built = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
         chunk, start, self._turns, self.back_end = built
@@ -119,15 +112,19 @@ class DOP853(Integrator):
     ) -> Span:
         """See :meth:`Integrator.advance`."""
         n, switches = self._equation.states, self._equation.switches
-        frequency = self._frequency(state, held)
-        scale = state_scale(self._equation, state, held, frequency)
+        before = self._held
+        # The frequency is found again only where an input has changed by more than a fifth.
+        if before is None or (np.abs(held - before) > 0.2 * np.abs(before)).any():
+            self._frequency = largest_frequency(self._equation, state, held)
+            self._held = held.copy()
+        scale = state_scale(self._equation, state, held, self._frequency)
         taut, slope = (part.copy() for part in self._start(state, held))
         step = _first_step(slope, scale, duration)
         carried = np.concatenate([state, slope, taut, [0.0, step], np.zeros(len(_CARRIED) - 2)])
         spacing = duration / outputs
         times: FloatArray = np.linspace(0.0, duration, outputs + 1)[1:]
         states = np.empty((n, outputs))
-        longest = min(_STABLE / max(frequency, 1e-300), duration)
+        longest = min(_STABLE / max(self._frequency, 1e-300), duration)
         given = np.concatenate([held, [duration, spacing, longest], self.tolerance * scale])
         given = np.tile(given[:, None], (1, self._turns)) if self._turns > 1 else given
         done, told = 0, dict.fromkeys(_CARRIED, 0.0)
@@ -205,25 +202,18 @@ class _Turn:
         self._method = _DormandPrince(equation, project)
         self._tried, self._interpolant = self._method.tried(), self._method.interpolant()
         n = equation.states
-        sizes = {"x": n, "f": n, "taut": equation.switches}
-        self._state = [ca.MX.sym(name, size) for name, size in sizes.items()]
-        self._numbers = [ca.MX.sym(name) for name in _CARRIED]
-        self._u = ca.MX.sym("u", equation.inputs)
-        self._duration, self._spacing = ca.MX.sym("duration"), ca.MX.sym("spacing")
-        self._longest = ca.MX.sym("longest")
-        self._scale = ca.MX.sym("scale", n)
+        self._sizes = [n, n, equation.switches, *[1] * len(_CARRIED)]
+        self._given_sizes = [equation.inputs, 1, 1, 1, n]
+        self._carried = _symbols(("x", "f", "taut", *_CARRIED), self._sizes)
+        self._numbers = self._carried[3:]
+        names = ("u", "duration", "spacing", "longest", "scale")
+        given = _symbols(names, self._given_sizes)
+        self._u, self._duration, self._spacing, self._longest, self._scale = given
+        self._inputs = [*self._carried, *given]
         # The step tried.
-        self._h, self._x1, self._f1 = ca.MX.sym("h"), ca.MX.sym("x1", n), ca.MX.sym("f1", n)
-        self._error, self._K = ca.MX.sym("error"), ca.MX.sym("K", n, _STAGES + 1)
-        self._inputs = [
-            *self._state,
-            *self._numbers,
-            self._u,
-            self._duration,
-            self._spacing,
-            self._longest,
-            self._scale,
-        ]
+        self._h, self._x1, self._f1, self._error = _symbols(("h", "x1", "f1", "e"), (1, n, n, 1))
+        self._K = ca.MX.sym("K", n, _STAGES + 1)
+        self._step = [self._h, self._x1, self._f1, self._error, self._K]
         self._nothing = ca.DM.zeros(2 + n * (1 + _POWERS))
 
     def function(self) -> ca.Function:
@@ -232,59 +222,49 @@ class _Turn:
         The record is the time at which the step began, its length, x there, and
         the coefficients of its interpolant; zeros where no output lies in it.
         """
-        n, equation = self._equation.states, self._equation
-        sizes = [n, n, equation.switches, *[1] * len(_CARRIED)]
-        z = ca.MX.sym("z", sum(sizes))
-        given = ca.MX.sym("given", equation.inputs + 3 + n)
-        parts = [
-            *ca.vertsplit(z, _ends(sizes)),
-            *ca.vertsplit(given, _ends([equation.inputs, 1, 1, 1, n])),
-        ]
-        kept = self._branch("kept", [*self._state, *self._numbers], self._nothing, self._inputs)
-        going = self._going()
+        z, given = ca.MX.sym("z", sum(self._sizes)), ca.MX.sym("given", sum(self._given_sizes))
+        carried = ca.vertsplit(z, _ends(self._sizes))
+        parts = [*carried, *ca.vertsplit(given, _ends(self._given_sizes))]
+        kept = self._branch("kept", self._carried, self._nothing, self._inputs)
         time, stuck, duration = parts[3], parts[5], parts[-4]
         over = ca.logic_or(time >= duration, stuck)
-        choose = ca.Function.if_else("turn_or_not", kept, going)
+        choose = ca.Function.if_else("turn_or_not", kept, self._going())
         return ca.Function("turn", [z, given], list(choose(over, *parts)))
 
     def _going(self) -> ca.Function:
-        x, f, taut = self._state
+        x, f, taut = self._carried[:3]
         time, step = self._numbers[:2]
         h = ca.fmin(ca.fmin(step, self._longest), self._duration - time)
         x1, f1, error, K = self._tried(x, f, self._u, taut, h, self._scale)
         crossed: Any = 0
-        if self._equation.switches:
-            crossed = crossing(self._equation)(x, x1, self._u, taut, h)
-        fate = ca.if_else(error < 1, 1 + crossed, 0)
         branches = [self._thrown_away(), self._accepted()]
         if self._equation.switches:
+            crossed = crossing(self._equation)(x, x1, self._u, taut, h)
             branches.append(self._cut())
+        fate = ca.if_else(error < 1, 1 + crossed, 0)
         choose = ca.Function.conditional("fate", branches[:-1], branches[-1])
-        return ca.Function(
-            "going", self._inputs, list(choose(fate, *self._inputs, h, x1, f1, error, K))
-        )
+        outputs = choose(fate, *self._inputs, h, x1, f1, error, K)
+        return ca.Function("going", self._inputs, list(outputs))
 
     def _thrown_away(self) -> ca.Function:
-        x, f, taut = self._state
         finite = self._error < ca.inf
         factor = ca.if_else(finite, ca.fmin(self._factor(), 1), _LEAST / 2)
         shorter = self._h * factor
         numbers = self._counted(
             step=shorter, tries=1, rejections=1, stuck=shorter < _SHORTEST * self._duration
         )
-        return self._branch("thrown_away", [x, f, taut, *numbers], self._nothing)
+        return self._branch("thrown_away", [*self._carried[:3], *numbers], self._nothing)
 
     def _accepted(self) -> ca.Function:
-        x, f, taut = self._state
+        x, f, taut = self._carried[:3]
         time = self._after(self._h)
         record, made = self._recorded(x, self._x1, f, self._f1, self._K, time, self._h)
-        numbers = self._counted(
-            time=time, step=self._h * self._factor(), tries=1, interpolants=made
-        )
+        step = self._h * self._factor()
+        numbers = self._counted(time=time, step=step, tries=1, interpolants=made)
         return self._branch("accepted", [self._x1, self._f1, taut, *numbers], record)
 
     def _cut(self) -> ca.Function:
-        x, f, taut = self._state
+        x, f, taut = self._carried[:3]
         land = landing(self._method.plain(), self._equation)
         _, taut2, taken, switched, tries = land(x, taut, self._u, self._h, self._x1)
         x2, f2, _, K2 = self._tried(x, f, self._u, taut, taken, self._scale)
@@ -311,12 +291,9 @@ class _Turn:
     def _branch(
         self, name: str, state: list[Any], record: Any, inputs: list[Any] | None = None
     ) -> ca.Function:
-        tried = [self._h, self._x1, self._f1, self._error, self._K]
-        return ca.Function(
-            name,
-            [*self._inputs, *tried] if inputs is None else inputs,
-            [ca.densify(ca.vertcat(*state)), ca.densify(ca.vertcat(record))],
-        )
+        inputs = [*self._inputs, *self._step] if inputs is None else inputs
+        outputs = [ca.densify(ca.vertcat(*state)), ca.densify(record)]
+        return ca.Function(name, inputs, outputs)
 
     def _factor(self) -> Any:
         error = ca.fmax(self._error, 1e-16)
@@ -331,19 +308,16 @@ class _Turn:
         """Return the record of a step, and whether an output lies in it."""
         time = self._numbers[0]
         names = ["x", "x1", "f", "f1", "K", "u", "taut", "h"]
-        values = [x, x1, f, f1, K, self._u, self._state[2], h]
+        values = [x, x1, f, f1, K, self._u, self._carried[2], h]
         inputs = [ca.MX.sym(name, v.sparsity()) for name, v in zip(names, values, strict=True)]
         made = ca.vertcat(inputs[0], ca.vec(self._interpolant(*inputs)))
         left_out = ca.Function("left_out", inputs, [ca.DM.zeros(made.shape)])
-        choose = ca.Function.if_else(
-            "interpolant_or_not", ca.Function("made", inputs, [made]), left_out
-        )
+        made = ca.Function("made", inputs, [made])
+        choose = ca.Function.if_else("interpolant_or_not", made, left_out)
         # The end of the span needs no interpolant.
-        outputs = ca.floor(after / self._spacing * (1 + 1e-14)) > ca.floor(
-            time / self._spacing * (1 + 1e-14)
-        )
-        needed = ca.logic_and(outputs, after < self._duration)
-        needed = ca.logic_or(needed, ca.logic_and(outputs, time + self._spacing < after))
+        until, since = (ca.floor(t / self._spacing * (1 + 1e-14)) for t in (after, time))
+        inside = ca.logic_or(after < self._duration, time + self._spacing < after)
+        needed = ca.logic_and(until > since, inside)
         return ca.vertcat(time, h * needed, choose(needed, *values)), needed
 
     def _counted(self, **changes: Any) -> list[Any]:
@@ -353,6 +327,10 @@ class _Turn:
             changes.get(name, old) if name in replaced else old + changes.get(name, 0)
             for name, old in zip(_CARRIED, self._numbers, strict=True)
         ]
+
+
+def _symbols(names: tuple[str, ...], sizes: Sequence[int]) -> list[Any]:
+    return [ca.MX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
 
 
 def _ends(sizes: list[int]) -> list[int]:
@@ -409,11 +387,8 @@ class _DormandPrince:
     def interpolant(self) -> ca.Function:
         """Return ``(x, x1, f, f1, K, u, taut, h) -> coefficients``, one column each."""
         x, f, u, taut, h = self._inputs
-        x1, f1, K = (
-            ca.MX.sym("x1", x.shape),
-            ca.MX.sym("f1", x.shape),
-            ca.MX.sym("K", x.shape[0], _STAGES + 1),
-        )
+        x1, f1 = ca.MX.sym("x1", x.shape), ca.MX.sym("f1", x.shape)
+        K = ca.MX.sym("K", x.shape[0], _STAGES + 1)
         slopes = ca.horzsplit(K)
         for a in self._method.A_EXTRA:
             slopes.append(self._equation.slope(x + h * _combined(slopes, a), u, taut))

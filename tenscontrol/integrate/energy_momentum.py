@@ -17,7 +17,9 @@ from tenscontrol.integrate.integrator import (
     Span,
     Work,
     checked_tolerance,
+    where_needed,
 )
+from tenscontrol.integrate.projection import Bodies
 from tenscontrol.validation import FloatArray, positive_number
 
 # Tried steps per call into CasADi: those not needed cost next to nothing.
@@ -40,9 +42,8 @@ _PROGRESS = ("left", "step", "failed", "steps", "rejections", "evaluations")
 class EnergyMomentum(Integrator):
     """Steps far beyond the period of stiff strings, by an energy-momentum method of order 2.
 
-    Each step solves for the motion with which the forces, averaged over the
-    lengths that the strings pass, do exactly the work that the strings store.
-    Whatever the step, then,
+    Each step solves for the motion with which the forces, averaged over the lengths that the
+    strings pass, do exactly the work that the strings store. Whatever the step, then,
 
     - the energy, kinetic, stored in the strings, and that of constant loads,
       stays what it is, through slack and taut; damping only takes from it;
@@ -53,9 +54,8 @@ class EnergyMomentum(Integrator):
     The first two hold to round-off, as far as Newton's iteration converges;
     the third by construction. A step never ends at a switch: there is no need.
 
-    Give ``step`` or ``tolerance``. By tolerance each step is done as two
-    halves and as a whole, and the difference of the positions, which is three
-    times the error, chooses the step.
+    Give ``step`` or ``tolerance``. By tolerance each step is done as two halves and as a whole,
+    and the difference of the positions, which is three times the error, chooses the step.
 
     Parameters
     ----------
@@ -79,11 +79,10 @@ class EnergyMomentum(Integrator):
     their Jacobian: two for each of Newton's iterations. Each iteration solves
     a sparse linear system besides.
 
-    Sideways vibrations of light strings that are faster than the steps are not
-    damped. With long steps (in a prism of 3 kg with beads of 10 mg: 2 ms) they
-    can grow, at the cost of the energy of the rest: use shorter steps, or the
-    tolerance. Energy is exact for laws in which the tension of a taut string
-    is linear in its length, as those of the package are.
+    Sideways vibrations of light strings that are faster than the steps are not damped. With long
+    steps (in a prism of 3 kg with beads of 10 mg: 2 ms) they can grow, at the cost of the energy
+    of the rest: use shorter steps, or the tolerance. Energy is exact for laws in which the tension
+    of a taut string is linear in its length, as those of the package are.
 
     References
     ----------
@@ -219,11 +218,11 @@ def _attempt(equation: Equation, size: float, adaptive: bool) -> ca.Function:
     """Return ``(work, u, limits) -> work`` that tries a step, or nothing where none is left."""
     try_step = _tried_step(equation, size, adaptive)
     inputs = [ca.MX.sym(f"a{i}", try_step.size1_in(i)) for i in range(3)]
-    work = inputs[0]
-    idle = ca.Function("idle", inputs, [work])
-    choose = ca.Function.if_else("choose", try_step, idle)
-    left, failed = (work[equation.states + _PROGRESS.index(name)] for name in ("left", "failed"))
-    return ca.Function("attempt", inputs, [choose(ca.logic_and(left > 0, failed == 0), *inputs)])
+    left, failed = (
+        inputs[0][equation.states + _PROGRESS.index(name)] for name in ("left", "failed")
+    )
+    going = ca.logic_and(left > 0, failed == 0)
+    return ca.Function("attempt", inputs, [where_needed(try_step)(going, *inputs)])
 
 
 def _tried_step(equation: Equation, size: float, adaptive: bool) -> ca.Function:
@@ -235,17 +234,27 @@ def _tried_step(equation: Equation, size: float, adaptive: bool) -> ca.Function:
     # The small allowance lets 0.02/0.001 be 20 steps, whatever round-off says.
     count = ca.fmax(1, ca.ceil(left / wish - 1e-9))
     h = left / count
-    take = _doubled_step if adaptive else _single_step
-    new, converged, iterations, error = take(equation, size, x, u, h)
-    ratio = 1.0
+    step = step_equations(equation)
+    solve = newton_solver(step.system, size)
     if adaptive:
+        first, good_1, iterations_1 = solve(step.guess(x), x, u, h / 2)
+        middle = step.end(first, x, h / 2)
+        second, good_2, iterations_2 = solve(step.guess(middle), middle, u, h / 2)
+        new = step.end(second, middle, h / 2)
+        whole, good_3, iterations_3 = solve((first + second) / 2, x, u, h)
+        difference = (new - step.end(whole, x, h))[: equation.states // 2] / 3
+        error = ca.mmax(ca.fabs(difference)) / size
+        converged = ca.logic_and(ca.logic_and(good_1, good_2), good_3)
+        iterations = iterations_1 + iterations_2 + iterations_3
         # Of a NaN fmax and fmin take the other argument; `accepted` does not.
         ratio = _SAFETY * (tolerance / ca.fmax(error, 1e-3 * tolerance)) ** (1 / 3)
         accepted = ca.logic_and(converged, error <= tolerance)
         shorter = ca.if_else(converged, h * ca.fmax(_SHRINK, ratio), h / 2)
         longer = ca.fmax(wish, h * ca.fmin(_GROW, ratio))
     else:
-        accepted, shorter, longer = converged, h / 2, 2 * wish
+        y, accepted, iterations = solve(step.guess(x), x, u, h)
+        new = step.end(y, x, h)
+        shorter, longer = h / 2, 2 * wish
     wish = ca.if_else(accepted, ca.fmin(longer, largest), shorter)
     progress = [
         # Exactly zero after the last step, whatever round-off says.
@@ -258,29 +267,6 @@ def _tried_step(equation: Equation, size: float, adaptive: bool) -> ca.Function:
     ]
     new = ca.if_else(accepted, new, x)
     return ca.Function("try_step", [work, u, limits], [ca.vertcat(new, *progress)])
-
-
-def _single_step(equation: Equation, size: float, x: Any, u: Any, h: Any) -> tuple[Any, ...]:
-    """Return state at the end, whether Newton converged, iterations, and no error."""
-    step = step_equations(equation)
-    y, converged, iterations = newton_solver(step.system, size)(step.guess(x), x, u, h)
-    return step.end(y, x, h), converged, iterations, None
-
-
-def _doubled_step(equation: Equation, size: float, x: Any, u: Any, h: Any) -> tuple[Any, ...]:
-    """Return the same for two steps of half the length, and the error that they make."""
-    step = step_equations(equation)
-    solve = newton_solver(step.system, size)
-    first, good_1, iterations_1 = solve(step.guess(x), x, u, h / 2)
-    middle = step.end(first, x, h / 2)
-    second, good_2, iterations_2 = solve(step.guess(middle), middle, u, h / 2)
-    end = step.end(second, middle, h / 2)
-    whole, good_3, iterations_3 = solve((first + second) / 2, x, u, h)
-    positions = slice(0, equation.states // 2)
-    difference = (end - step.end(whole, x, h))[positions] / 3
-    error = ca.mmax(ca.fabs(difference)) / size
-    good = ca.logic_and(ca.logic_and(good_1, good_2), good_3)
-    return end, good, iterations_1 + iterations_2 + iterations_3, error
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,42 +284,83 @@ class StepEquations:
 
 
 def step_equations(equation: Equation) -> StepEquations:
-    """Return the equations of a step."""
+    """Return the equations of a step.
+
+    Bars turn by the Cayley map of the mean angular velocity, which keeps the length whatever that
+    velocity is.
+    """
     structure = equation.structure
     assert structure is not None  # checked by the integrator
-    motion = _Motion(equation)
+    bodies = Bodies(structure)
+    bars, turning = len(structure.free_bars), bodies.length.numel()
+    count = bodies.point_mass.numel() + turning
     x, u, h = ca.SX.sym("x", equation.states), ca.SX.sym("u", equation.inputs), ca.SX.sym("h")
-    y = ca.SX.sym("y", motion.size)
-    start = motion.start(x)
-    end, middle_bars = motion.moved(start, y, h)
-    gamma = u if equation.law is None else _mean_force_density(equation, start["N"], end, u, h)
-    middle = (start["N"] + end) / 2
+    y = ca.SX.sym("y", 3 * count)
+    scale = kernel.scale_columns
+
+    def split(y: Any) -> tuple[Any, Any]:
+        """Return velocities of points, and angular velocities times bar length."""
+        centres, turn, nodes = ca.horzsplit(ca.reshape(y, 3, -1), [0, bars, bars + turning, count])
+        return ca.horzcat(centres, nodes), turn
+
+    def join(points: Any, turn: Any) -> Any:
+        return ca.vec(ca.horzcat(points[:, :bars], turn, points[:, bars:]))
+
+    # The start is put on the constraint as the end will be: no jump between the two.
+    N, Nd = (ca.reshape(part, 3, -1) for part in ca.vertsplit(x, equation.states // 2))
+    points0, B0 = bodies.split(N, bodies.hinges)
+    B0 = _of_length(B0, bodies.length)
+    velocity0, Bd0 = bodies.split(Nd)
+    turn0 = scale(_cross(B0, Bd0), 1 / bodies.length)
+    start = join(velocity0, turn0)
+
+    # The end, and the bar vectors halfway.
+    velocity, turn = split(y)
+    a = scale(turn, h / 2 / bodies.length)
+    swept = _cross(a, B0)
+    swept += _cross(a, swept)
+    half = scale(swept, 1 / (1 + kernel.dots(a, a)))
+    B1 = _of_length(B0 + 2 * half, bodies.length)
+    end = bodies.join(points0 + h * velocity, B1, bodies.hinges)
+    velocity1, turn1 = split(2 * y - start)
+    Bd1 = _cross(scale(turn1, 1 / bodies.length), bodies.split(end, bodies.hinges)[1])
+    x1 = ca.vertcat(ca.vec(end), ca.vec(bodies.join(velocity1, Bd1)))
+
+    # Change of momentum less impulse of the forces: m l²/12 turns about the centre of a free bar,
+    # m l²/3 about the fixed end of one that swings.
+    N0, N1 = (
+        kernel.all_nodes(structure, nodes, structure.nodes)
+        for nodes in (bodies.join(points0, B0, bodies.hinges), end)
+    )
+    gamma = u if equation.law is None else _mean_force_density(equation, N0, N1, u, h)
     load = None if equation.load is None else ca.sparsify(ca.DM(equation.load))
-    F = kernel.node_forces(structure, middle, gamma, load)
-    residual = motion.impulse_balance(start, y, h, middle_bars, F)
+    forces = kernel.node_forces(structure, (N0 + N1) / 2, gamma, load)
+    on_points, on_vectors = bodies.resultants(forces[:, structure.free.tolist()])
+    share = ca.DM([0.5] * bars + [1.0] * (turning - bars)).T
+    torque = scale(_cross(B0 + half, scale(on_vectors, share)), h / bodies.length)
+    residual = join(
+        scale(velocity - velocity0, 2 * bodies.point_mass) - h * on_points,
+        scale(turn - turn0, 2 * share * bodies.vector_mass) - torque,
+    )
+    residual = ca.densify(residual)
     return StepEquations(
         system=ca.Function("system", [y, x, u, h], [residual, ca.jacobian(residual, y)]),
-        guess=ca.Function("guess", [x], [motion.mean(start)]),
-        end=ca.Function("end", [y, x, h], [motion.end_state(start, y, h, end)]),
+        guess=ca.Function("guess", [x], [ca.densify(start)]),
+        end=ca.Function("end", [y, x, h], [ca.densify(x1)]),
     )
 
 
 def _mean_force_density(equation: Equation, N0: Any, N1: Any, rest: Any, h: Any) -> Any:
     """Return 2 T̄/(l₀ + l₁), where T̄ is the mean of the tension over the lengths passed.
 
-    ``T̄ (l₁ − l₀)`` is then the change of the stored energy: a discrete gradient.
-    A string that is slack on a part of the way pulls on the other part only.
-    For laws in which the tension is linear in the length, the mean over the
-    taut part is the tension in its middle.
+    ``T̄ (l₁ − l₀)`` is then the change of the stored energy: a discrete gradient. A string that is
+    slack on a part of the way pulls on the other part only. For laws in which the tension is
+    linear in the length, the mean over the taut part is the tension in its middle.
     """
     structure, law = equation.structure, equation.law
     assert structure is not None  # as in step_equations
     assert law is not None  # asked for only where there is a law
-    lengths = []
-    for N in (N0, N1):
-        S = kernel.differences(N, structure.strings)
-        lengths.append(ca.sqrt(kernel.dots(S, S)).T)
-    before, after = lengths
+    before, after = (kernel.length(kernel.differences(N, structure.strings)).T for N in (N0, N1))
     low, high = ca.fmax(before, rest), ca.fmax(after, rest)
     was, is_ = before > rest, after > rest
     change = after - before
@@ -344,106 +371,6 @@ def _mean_force_density(equation: Equation, N0: Any, N1: Any, rest: Any, h: Any)
     if law.is_damped:
         tension = ca.fmax(0, tension + law.damping * change / h)
     return 2 * share * tension / (before + after)
-
-
-class _Motion:
-    """Bars as a centre and a vector that turns, string nodes as points.
-
-    Bars turn by the Cayley map of the mean angular velocity, which keeps the
-    length whatever that velocity is.
-    """
-
-    def __init__(self, equation: Equation) -> None:
-        structure = equation.structure
-        assert structure is not None  # as in step_equations
-        self._structure = structure
-        self._free = structure.free.tolist()
-        self._starts, self._ends = structure.bars[structure.free_bars].T.tolist()
-        self._pivots, self._tips = structure.hinged_pairs.T.tolist()
-        self._points = structure.string_nodes.tolist()
-        turning = np.concatenate([structure.free_bars, structure.swinging_bars])
-        self._length = ca.DM(structure.bar_length[turning]).T
-        self._bar_mass = ca.DM(structure.bar_mass[structure.free_bars]).T
-        self._swing_mass = ca.DM(structure.bar_mass[structure.swinging_bars]).T
-        self._point_mass = ca.DM(structure.string_node_mass).T
-        self._counts = [len(self._starts), len(turning), len(self._points)]
-        self.size = 3 * sum(self._counts)
-
-    def _split(self, y: Any) -> list[Any]:
-        parts = np.cumsum([0, *self._counts]).tolist()
-        return list(ca.horzsplit(ca.reshape(y, 3, -1), parts))
-
-    def start(self, x: Any) -> dict[str, Any]:
-        """Return nodes, bar vectors of true length, and the velocities as y has them."""
-        structure = self._structure
-        half = x.shape[0] // 2
-        # Copies: `_place` writes into the nodes, which may be entries of x.
-        N = ca.SX(kernel.all_nodes(structure, ca.reshape(x[:half], 3, -1), structure.nodes))
-        Nd = kernel.all_nodes(structure, ca.reshape(x[half:], 3, -1))
-        tails, heads = self._starts + self._pivots, self._ends + self._tips
-        B = _of_length(N[:, heads] - N[:, tails], self._length)
-        # The start is put on the constraint as the end will be: no jump between the two.
-        centres = (N[:, self._starts] + N[:, self._ends]) / 2
-        self._place(N, centres, B)
-        turn = kernel.scale_columns(_cross(B, Nd[:, heads] - Nd[:, tails]), 1 / self._length)
-        return {
-            "N": N,
-            "B": B,
-            "centres": centres,
-            "velocity": (Nd[:, self._starts] + Nd[:, self._ends]) / 2,
-            "turn": turn,
-            "points": Nd[:, self._points],
-        }
-
-    def mean(self, start: dict[str, Any]) -> Any:
-        """Return y where no force acts."""
-        return ca.vec(ca.horzcat(start["velocity"], start["turn"], start["points"]))
-
-    def moved(self, start: dict[str, Any], y: Any, h: Any) -> tuple[Any, Any]:
-        """Return the nodes at the end, and the bar vectors halfway between start and end."""
-        velocity, turn, points = self._split(y)
-        B0 = start["B"]
-        a = kernel.scale_columns(turn, h / 2 / self._length)
-        swept = _cross(a, B0)
-        swept += _cross(a, swept)
-        half = kernel.scale_columns(swept, 1 / (1 + kernel.dots(a, a)))
-        N = ca.SX(start["N"])
-        self._place(N, start["centres"] + h * velocity, _of_length(B0 + 2 * half, self._length))
-        N[:, self._points] = start["N"][:, self._points] + h * points
-        return N, B0 + half
-
-    def _place(self, N: Any, centres: Any, B: Any) -> None:
-        free = self._counts[0]
-        N[:, self._starts] = centres - B[:, :free] / 2
-        N[:, self._ends] = centres + B[:, :free] / 2
-        N[:, self._tips] = N[:, self._pivots] + B[:, free:]
-
-    def impulse_balance(self, start: dict[str, Any], y: Any, h: Any, B: Any, F: Any) -> Any:
-        """Return change of momentum less impulse of the forces F, with B halfway."""
-        velocity, turn, points = self._split(y)
-        at_start, at_end = F[:, self._starts], F[:, self._ends]
-        scale = kernel.scale_columns
-        parts = [scale(velocity - start["velocity"], 2 * self._bar_mass) - h * (at_start + at_end)]
-        # I = m l²/12 about the centre of a free bar, m l²/3 about the fixed end of one that swings.
-        inertia = ca.horzcat(self._bar_mass / 6, self._swing_mass * 2 / 3)
-        lever = ca.horzcat((at_end - at_start) / 2, F[:, self._tips])
-        torque = scale(_cross(B, lever), h / self._length)
-        parts.append(scale(turn - start["turn"], inertia) - torque)
-        parts.append(scale(points - start["points"], 2 * self._point_mass) - h * F[:, self._points])
-        return ca.vec(ca.densify(ca.horzcat(*parts)))
-
-    def end_state(self, start: dict[str, Any], y: Any, h: Any, N: Any) -> Any:
-        """Return x at the end: velocities there are twice the mean less those at the start."""
-        free = self._counts[0]
-        velocity, turn, points = self._split(2 * y - self.mean(start))
-        tails, heads = self._starts + self._pivots, self._ends + self._tips
-        Bd = _cross(kernel.scale_columns(turn, 1 / self._length), N[:, heads] - N[:, tails])
-        Nd = ca.SX(3, N.shape[1])
-        Nd[:, self._starts] = velocity - Bd[:, :free] / 2
-        Nd[:, self._ends] = velocity + Bd[:, :free] / 2
-        Nd[:, self._tips] = Bd[:, free:]
-        Nd[:, self._points] = points
-        return ca.vertcat(ca.vec(N[:, self._free]), ca.vec(ca.densify(Nd[:, self._free])))
 
 
 def _cross(a: Any, b: Any) -> Any:
@@ -473,14 +400,11 @@ _LARGE = 1e3
 def newton_solver(system: ca.Function, size: float) -> ca.Function:
     """Return ``(y, x, u, h) -> (y, converged, iterations)``: the root from a first guess.
 
-    Convergence is quadratic: where the last change was small, what is left is
-    far smaller.
+    Convergence is quadratic: where the last change was small, what is left is far smaller.
     """
     iterate = _iteration(system)
-    z = ca.MX.sym("z", iterate.size1_in(0))
     given = [ca.MX.sym(f"a{i}", system.size1_in(i)) for i in range(1, 4)]
-    idle = ca.Function("idle", [z, *given], [z])
-    choose = ca.Function.if_else("choose", iterate, idle)
+    choose = where_needed(iterate)
     guess = ca.MX.sym("guess", system.size1_in(0))
     scale = size + ca.mmax(ca.fabs(given[0][: system.size1_in(1) // 2]))
     # Change made last, m, and number of iterations follow the unknowns.

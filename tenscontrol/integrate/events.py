@@ -5,40 +5,30 @@ the strings that pull and those that are slack as they are at its start. If one 
 within, the step is cut there, and the rest follows with the string changed.
 
 Methods whose step is a CasADi expression locate switches inside CasADi: :func:`located`,
-:func:`crossing`, :func:`landing`. Methods with a solver of their own are an
-:class:`EventIntegrator`.
+:func:`crossing`, :func:`landing`. CVODES cannot: its call takes many steps of its own, starts
+again at order 1, and serves equations without accelerations, which the quintic interpolant of a
+single step needs; so it searches the states of a call by :func:`first_crossing`.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ColumnEvaluator, Equation
-from tenscontrol.integrate.integrator import (
-    IntegrationError,
-    Integrator,
-    Report,
-    Span,
-    Work,
-    checked_tolerance,
-)
-from tenscontrol.integrate.projection import Projector
-from tenscontrol.integrate.scales import largest_frequency, state_scale
+from tenscontrol.dynamics import Equation
+from tenscontrol.integrate.integrator import where_needed
 from tenscontrol.validation import FloatArray
 
 # How far a string may pass the border of slack before it is acted on, as part of its rest
-# length; in an EventIntegrator, of the longest rest length. It covers round-off, so that strings
+# length; in CVODES, of the longest rest length. It covers round-off, so that strings
 # that switch together by symmetry are taken together, and a string that was switched does not
 # switch back at once: it must come back by twice as much. The force is wrong by the stiffness
 # times this, for as long as the string needs to cross it.
-_BAND = 1e-11
+BAND = 1e-11
 
 # The search inside a step: samples, how often it zooms in on the samples next to the first
 # crossing, and true steps to the place found. The interpolant is off by O(h⁶), its slope by
@@ -56,9 +46,8 @@ _MOST_WRITTEN = 1000
 # What is left of a step below this part of it is round-off.
 _REST = 1e-13
 
-# So many landings of an EventIntegrator within this part of a span are chatter. A landing is
-# sought so many times at most: it is Newton's method with an almost exact start.
-_CHATTER, _CHATTER_TIME, _NEWTON_STEPS = 200, 1e-6, 8
+# So many landings of CVODES within this part of a span are chatter.
+CHATTER, _CHATTER_TIME = 200, 1e-6
 
 #: What a located step counts: tries of a step, each with the evaluations of one; landings on a
 #: switch, with two evaluations beside their tries; strings switched; rests taken whole.
@@ -101,7 +90,7 @@ def crossing(equation: Equation) -> ca.Function:
     x1 = equation.symbol("x1", n)
     sign = 2 * taut - 1
     (gap0, rate0), (gap1, rate1) = equation.gap(x, u), equation.gap(x1, u)
-    room0, room1 = sign * gap0 + _BAND * u, sign * gap1 + _BAND * u
+    room0, room1 = sign * gap0 + BAND * u, sign * gap1 + BAND * u
     out, back = -sign * rate0, sign * rate1
     # The tangents room0 - out t and room1 - back (h - t) meet below zero.
     below = back * room0 + out * room1 < out * back * h
@@ -111,7 +100,7 @@ def crossing(equation: Equation) -> ca.Function:
         # The border of a damped string has other tangents: look at the middle.
         q, v, q1, v1 = x[: n // 2], x[n // 2 :], x1[: n // 2], x1[n // 2 :]
         middle = ca.vertcat((q + q1) / 2 + h / 8 * (v - v1), 1.5 / h * (q1 - q) - (v + v1) / 4)
-        found = ca.fmax(found, ca.mmax(sign * equation.gap(middle, u)[0] + _BAND * u < 0))
+        found = ca.fmax(found, ca.mmax(sign * equation.gap(middle, u)[0] + BAND * u < 0))
     # A state that is not finite is not searched.
     found = ca.if_else(ca.sumsqr(x1) < ca.inf, found, 0)
     return ca.Function("crossing", [x, x1, u, taut, h], [found])
@@ -135,7 +124,7 @@ def landing(step: ca.Function, equation: Equation) -> ca.Function:
     inside, outside = room(*within, low), room(*within, high)
     out = ca.mmin(outside)
     # The string that is out first; several, where they are out together.
-    chosen = outside <= out + 0.5 * _BAND * ca.mmin(u)
+    chosen = outside <= out + 0.5 * BAND * ca.mmin(u)
     before, after = (ca.dot(chosen, value) / ca.sum1(chosen) for value in (inside, outside))
     speed = (after - before) / (high - low)
     reached = _approach(step, equation).fold(_POLISHES)(
@@ -144,7 +133,7 @@ def landing(step: ca.Function, equation: Equation) -> ca.Function:
     )
     part, steps, end = reached[1], reached[4], reached[5:]
     # Whatever else has reached the border and is on its way out switches with it.
-    at_border = (2 * taut - 1) * equation.gap(end, u)[0] <= 0.5 * _BAND * u
+    at_border = (2 * taut - 1) * equation.gap(end, u)[0] <= 0.5 * BAND * u
     switch = ca.logic_and(at_border, outside < inside)
     outputs = [
         ca.if_else(found, end, x1),
@@ -169,9 +158,9 @@ def _interpolant(equation: Equation) -> ca.Function:
     They belong to the polynomial of degree 5 with the positions, velocities and
     accelerations at both ends; one column a power of the part of the step.
     """
-    symbols, n = _kind(equation), equation.states
-    x, xd, x1, xd1 = (symbols.sym(name, n) for name in ("x", "xd", "x1", "xd1"))
-    h = symbols.sym("h")
+    n = equation.states
+    x, xd, x1, xd1 = (equation.symbol(name, n) for name in ("x", "xd", "x1", "xd1"))
+    h = equation.symbol("h")
     q0, v0, q1, v1 = x[: n // 2], h * x[n // 2 :], x1[: n // 2], h * x1[n // 2 :]
     a0, a1 = h**2 * xd[n // 2 :], h**2 * xd1[n // 2 :]
     d, e, f = q1 - q0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
@@ -181,30 +170,27 @@ def _interpolant(equation: Equation) -> ca.Function:
 
 def _room(equation: Equation) -> ca.Function:
     """Return ``(coefficients, u, taut, h, part) -> room`` of each string inside a step."""
-    symbols, n = _kind(equation), equation.states
-    coefficients = symbols.sym("coefficients", n // 2, 6)
-    u, taut = symbols.sym("u", equation.inputs), symbols.sym("taut", equation.switches)
-    h, s = symbols.sym("h"), symbols.sym("part")
+    coefficients = equation.symbol("coefficients", equation.states // 2, 6)
+    _, u, taut, h = equation.symbols()
+    s = equation.symbol("part")
     q: Any = 0
     v: Any = 0
     for power in range(5, -1, -1):
         q = q * s + coefficients[:, power]
         if power:
             v = v * s + power * coefficients[:, power]
-    room = (2 * taut - 1) * equation.gap(ca.vertcat(q, v / h), u)[0] + _BAND * u
+    room = (2 * taut - 1) * equation.gap(ca.vertcat(q, v / h), u)[0] + BAND * u
     return ca.Function("room", [coefficients, u, taut, h, s], [room])
 
 
 def _zoom(room: ca.Function, equation: Equation) -> ca.Function:
     """Return ``(coefficients, u, taut, h, low, high) -> (low, high, found)``.
 
-    The least room is sampled at equal parts of the bracket, and the bracket
-    closes in on the samples next to the first that is negative; where none is,
-    on the lowest.
+    The least room is sampled at equal parts of the bracket, and the bracket closes in on the
+    samples next to the first that is negative; where none is, on the lowest.
     """
-    symbols = _kind(equation)
-    if symbols is ca.SX and room.n_instructions() > _MOST_WRITTEN:
-        symbols = ca.MX  # the room is called; written out six times it takes compilers long
+    written = equation.form == "flat" and room.n_instructions() <= _MOST_WRITTEN
+    symbols: Any = ca.SX if written else ca.MX  # a call, not written out six times for compilers
     within = [symbols.sym(room.name_in(i), room.sparsity_in(i)) for i in range(4)]
     low, high = symbols.sym("low"), symbols.sym("high")
     width = (high - low) / _SAMPLES
@@ -220,11 +206,6 @@ def _zoom(room: ca.Function, equation: Equation) -> ca.Function:
         last = ca.if_else(rooms[j] < 0, j + 1, last)
     ends = [low + first * width, low + last * width]
     return ca.Function("zoom", [*within, low, high], [*ends, least < 0])
-
-
-def _kind(equation: Equation) -> Any:
-    """Return the kind of symbols to write expressions of an equation in."""
-    return ca.SX if equation.form == "flat" else ca.MX
 
 
 def _approach(step: ca.Function, equation: Equation) -> ca.Function:
@@ -248,12 +229,8 @@ def _approach(step: ca.Function, equation: Equation) -> ca.Function:
     speed = ca.if_else(ca.logic_and(apart, secant < 0), secant, speed)
     inputs = [state, x, taut, u, h, chosen]
     again = ca.vertcat(part - gap / speed, part, gap, speed, taken + 1, end)
-    choose = ca.Function.if_else(
-        "again_or_there",
-        ca.Function("again", inputs, [again]),
-        ca.Function("there", inputs, [state]),
-    )
-    far = ca.logic_or(taken == 0, ca.fabs(gap_before) > 0.4 * _BAND * ca.mmin(u))
+    choose = where_needed(ca.Function("again", inputs, [again]))
+    far = ca.logic_or(taken == 0, ca.fabs(gap_before) > 0.4 * BAND * ca.mmin(u))
     return ca.Function("approach", inputs, [choose(far, *inputs)])
 
 
@@ -290,7 +267,6 @@ def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.F
     """
     state, held = (ca.MX.sym(substep.name_in(i), substep.size1_in(i)) for i in range(2))
     u, h = held[:-1], held[-1]
-    same = ca.Function("same", [state, held], [state])
     x, taut, left, counts = _split(state, equation)
     end = step(x, u, taut, left)
     more = counts + _count(tries=1, unlocated=1)
@@ -299,20 +275,13 @@ def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.F
     )
     rest = _SUBSTEPS - 1
     cut_up = substep.fold(rest)(state, ca.repmat(held, 1, rest))
-    last = ca.Function.if_else("last", whole, same)
-    several = ca.Function(
-        "several", [state, held], [last(_left(cut_up, equation) > _REST * h, cut_up, held)]
-    )
-    first = substep(state, held)
-    choose = ca.Function.if_else("choose_several", several, same)
-    return ca.Function(
-        "finish", [state, held], [choose(_left(first, equation) > _REST * h, first, held)]
-    )
 
+    def followed(by: ca.Function, after: Any) -> Any:
+        """Return what follows a state of substeps where time is left."""
+        return where_needed(by)(_split(after, equation)[2] > _REST * h, after, held)
 
-def _left(state: Any, equation: Equation) -> Any:
-    """Return the time left of a step, from the state of a substep."""
-    return _split(state, equation)[2]
+    several = ca.Function("several", [state, held], [followed(whole, cut_up)])
+    return ca.Function("finish", [state, held], [followed(several, substep(state, held))])
 
 
 def _symbols(equation: Equation) -> tuple[Any, Any, Any, Any, Any]:
@@ -331,200 +300,15 @@ def _count(**counted: Any) -> Any:
     return ca.vertcat(*(counted.get(name, 0) for name in COUNTS))
 
 
-# ---- methods with a solver of their own ----
+# ---- a method with a solver of its own ----
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """Motion over one step of a method."""
+def first_crossing(room: Callable[[FloatArray], FloatArray], times: FloatArray) -> float | None:
+    """Return when the least room first falls below zero within a window, or None.
 
-    times: FloatArray  # where gaps are sampled, s: equally spaced, from the start to the end
-    between: Callable[[FloatArray], FloatArray]  # times to states, (states, count), interpolated
-    state: FloatArray  # at the end
-
-
-class SmoothMotion(Protocol):
-    """A motion in which no string switches, taken step by step."""
-
-    @property
-    def work(self) -> Work:
-        """What was done so far, landings included."""
-
-    def step(self) -> Step:
-        """Take the next step; raise FloatingPointError where there is none."""
-
-    def land(self, step: Step, time: float) -> FloatArray:
-        """Return the state at a time within a step as exactly as at the ends of steps."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Landing:
-    time: float
-    state: FloatArray
-    crossed: FloatArray  # 1 for each string that goes slack or taut here
-    located: bool
-
-
-class EventIntegrator(Integrator):
-    """Adaptive integration that never steps across a switch of a string.
-
-    Where a string passes the border of slack within a step, the step is cut
-    there: the crossing is found on the method's interpolation, the motion
-    integrated again up to it, and the time corrected until the string is on
-    the border. Strings that are there together switch together. Where no
-    string can go slack nothing of this is done.
-
-    A method integrates the state as part of its scale, ``y = x/scale``.
+    ``room`` takes times to an array (α, count); ``times``, where it is sampled first, are equally
+    spaced.
     """
-
-    def __init__(self, equation: Equation, tolerance: float, project: bool = True) -> None:
-        super().__init__(equation)
-        self._projected = Projector(equation, project)
-        self.tolerance = checked_tolerance(tolerance)
-        self._scale: FloatArray | None = None  # set by the first motion
-        self._gap_of: ColumnEvaluator | None = None
-        if equation.switches:
-            self._gap_of = ColumnEvaluator(equation.prepared.get("gap alone", self._gap_function))
-
-    def _gap_function(self) -> ca.Function:
-        equation = self._equation
-        x, u, _, _ = equation.symbols()
-        return ca.Function("gap", [x, u], [equation.gap(x, u)[0]])
-
-    @abstractmethod
-    def _begin(
-        self,
-        now: float,
-        state: FloatArray,
-        held: FloatArray,
-        taut: FloatArray,
-        times: FloatArray,
-        before: SmoothMotion | None,
-    ) -> SmoothMotion:
-        """Return the motion from now on; ``times`` are the outputs, the last ends the span."""
-
-    def advance(
-        self,
-        state: FloatArray,
-        held: FloatArray,
-        duration: float,
-        outputs: int,
-        report: Report | None = None,
-    ) -> Span:
-        """See :meth:`Integrator.advance`."""
-        if self._scale is None:
-            frequency = largest_frequency(self._equation, state, held)
-            self._scale = state_scale(self._equation, state, held, frequency)
-        state = state / self._scale
-        times = duration * np.arange(1, outputs + 1) / outputs
-        times[-1] = duration  # whatever round-off says
-        states = np.empty((len(state), outputs))
-        now, done, work = 0.0, 0, Work()
-        motion: SmoothMotion | None = None
-        landings = deque([-duration], maxlen=_CHATTER)
-        try:
-            # A state that is not finite is looked for, so NumPy need not warn of it.
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                taut = self._taut(state, held)
-                while now < duration:
-                    following = self._begin(now, state, held, taut, times, motion)
-                    work += Work() if motion is None else motion.work
-                    motion, landing = following, None
-                    while now < duration and landing is None:
-                        step = motion.step()
-                        landing = self._landing(motion, step, held, taut)
-                        end = float(step.times[-1])
-                        now, state = end, step.state
-                        if landing is not None:
-                            now, state = landing.time, landing.state
-                        reached = int(np.searchsorted(times, now, side="right"))
-                        if reached > done:
-                            states[:, done:reached] = step.between(times[done:reached])
-                            if times[reached - 1] == now:
-                                states[:, reached - 1] = state
-                            done = reached
-                        if report is not None:
-                            report(now)
-                    if landing is not None:
-                        taut = np.abs(taut - landing.crossed)
-                        count = int(landing.crossed.sum())
-                        work += Work(switches=count) if landing.located else Work(unlocated=1)
-                        _refuse_chatter(landings, now, duration)
-        except FloatingPointError as error:
-            work += Work() if motion is None else motion.work
-            raise IntegrationError(
-                f"{self.name} stopped after {now:.6g} s: {error}",
-                now,
-                Span(self._returned(states[:, :done]), work),
-            ) from None
-        except KeyboardInterrupt:
-            work += Work() if motion is None else motion.work
-            so_far = Span(self._returned(states[:, :done]), work)
-            raise IntegrationError("interrupted", now, so_far, True) from None
-        assert motion is not None  # the span has a length
-        return Span(self._returned(states), work + motion.work)
-
-    def _returned(self, states: FloatArray) -> FloatArray:
-        """Return states in m and m/s, bar lengths exact if that is wanted."""
-        assert self._scale is not None  # set before the first step
-        return self._projected(states * self._scale[:, None])
-
-    # ---- where strings go slack or taut ----
-
-    def _gap(self, states: FloatArray, held: FloatArray) -> FloatArray:
-        """Return the gap of each string at each of some states, shape (α, count)."""
-        assert self._scale is not None  # set before the first step
-        assert self._gap_of is not None  # asked for only where strings can go slack
-        inputs = np.broadcast_to(held[:, None], (len(held), states.shape[1]))
-        return self._gap_of(states * self._scale[:, None], inputs)[0]
-
-    def _taut(self, state: FloatArray, held: FloatArray) -> FloatArray:
-        if self._equation.switches == 0:
-            return np.zeros(0)
-        return (self._gap(state[:, None], held)[:, 0] > 0).astype(float)
-
-    def _room(self, states: FloatArray, held: FloatArray, taut: FloatArray) -> FloatArray:
-        """Return how far strings are from switching, in bands: 1 on the border, 0 where they do."""
-        # Where strings can go slack, u holds their rest lengths.
-        band = _BAND * (1.0 if self._equation.structure is None else float(held.max()))
-        return np.where(taut > 0, 1.0, -1.0)[:, None] * self._gap(states, held) / band + 1.0
-
-    def _landing(
-        self, motion: SmoothMotion, step: Step, held: FloatArray, taut: FloatArray
-    ) -> _Landing | None:
-        """Return the first switch within a step, if there is one."""
-        if self._equation.switches == 0:
-            return None
-
-        def room(times: FloatArray) -> FloatArray:
-            return self._room(step.between(times), held, taut)
-
-        start, end = float(step.times[0]), float(step.times[-1])
-        time = _first_crossing(room, step.times)
-        if time is None:
-            return None
-        if time - start <= 4 * np.spacing(end):
-            # Past the border already, by less than the interpolation of the last step saw.
-            at = room(step.times[:1])[:, 0]
-            crossed = at <= max(0.5, float(at.min()))
-            state = step.between(step.times[:1])[:, 0]
-            return _Landing(start, state, crossed.astype(float), located=False)
-        apart = 1e-3 * (end - start)
-        for _ in range(_NEWTON_STEPS):
-            state = motion.land(step, time)
-            left = self._room(state[:, None], held, taut)[:, 0]
-            if abs(left.min()) < 0.25:
-                break
-            around = room(np.array([time - apart, time + apart]))[left.argmin()]
-            rate = (around[1] - around[0]) / (2 * apart)
-            if not rate < 0:
-                break  # it grazes the border: an ordinary end of a step
-            time = float(np.clip(time - left.min() / rate, start + 1e-3 * apart, end))
-        return _Landing(time, state, (left < 0.5).astype(float), located=True)
-
-
-def _first_crossing(room: Callable[[FloatArray], FloatArray], times: FloatArray) -> float | None:
-    """Return when the least room first falls below zero within a step, or None."""
     from scipy.optimize import brentq
 
     seen = room(times)
@@ -561,9 +345,10 @@ def _dips(times: FloatArray, seen: FloatArray) -> FloatArray:
     return found
 
 
-def _refuse_chatter(landings: deque[float], now: float, duration: float) -> None:
+def refuse_chatter(landings: deque[float], now: float, duration: float) -> None:
+    """Add a landing; raise FloatingPointError if too many lie within a small part of the span."""
     landings.append(now)
-    if len(landings) == _CHATTER and now - landings[0] < _CHATTER_TIME * duration:
+    if len(landings) == CHATTER and now - landings[0] < _CHATTER_TIME * duration:
         raise FloatingPointError(
-            f"strings go slack and taut {_CHATTER} times within {now - landings[0]:.1e} s"
+            f"strings go slack and taut {CHATTER} times within {now - landings[0]:.1e} s"
         )

@@ -18,6 +18,7 @@ from tenscontrol.integrate.integrator import (
     Span,
     Work,
     in_machine_code,
+    where_needed,
 )
 from tenscontrol.integrate.projection import projected
 from tenscontrol.validation import FloatArray, positive_number
@@ -76,7 +77,12 @@ class FixedStep(Integrator):
 
     @abstractmethod
     def step_function(self, equation: Equation) -> ca.Function:
-        """Return ``(x, u, taut, h) -> x1``: one step for fixed ``taut``."""
+        """Return ``(x, u, taut, h) -> x1``: one step for fixed ``taut``.
+
+        Parameters
+        ----------
+        equation : Equation
+        """
 
     def advance(
         self,
@@ -146,9 +152,7 @@ class FixedStep(Integrator):
 def _block(step: ca.Function) -> ca.Function:
     """Return ``(z, u, [h1 h2 …]) -> [z1 z2 …]``, one column a step; none is taken where h is 0."""
     z, u, h = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
-    same = ca.Function("same", [z, u, h], [z])
-    step_or_not = ca.Function.if_else("step_or_not", step, same)
-    maybe = ca.Function("maybe", [z, u, h], [step_or_not(h > 0, z, u, h)])
+    maybe = ca.Function("maybe", [z, u, h], [where_needed(step)(h > 0, z, u, h)])
     steps = ca.MX.sym("h", _BLOCK)
     many = maybe.mapaccum(_BLOCK)(z, ca.repmat(u, 1, _BLOCK), steps.T)
     return ca.Function("block", [z, u, steps], [many])

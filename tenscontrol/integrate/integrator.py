@@ -1,4 +1,4 @@
-"""What every integrator does: carry a state over a span of time while the input is held."""
+"""What integrators share: their interface, results, and the scales that errors are measured by."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, compiled
+from tenscontrol.dynamics import Equation, Evaluator, compiled
 from tenscontrol.validation import FloatArray, positive_number
 
 _Built = TypeVar("_Built")
@@ -105,6 +105,14 @@ def in_machine_code(equation: Equation, step: ca.Function, wanted: bool) -> tupl
     return (step, "virtual machine") if code is None else (code.function, "machine code")
 
 
+def where_needed(function: ca.Function) -> ca.Function:
+    """Return ``(needed, first, …) -> value``: what a function returns, or else its first input."""
+    count = function.n_in()
+    inputs = [ca.MX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(count)]
+    idle = ca.Function("idle", inputs, [inputs[0]])
+    return ca.Function.if_else(f"{function.name()}_or_not", function, idle)
+
+
 class Integrator(ABC):
     """Integrates ``ẋ = f(x, u)`` with u held.
 
@@ -151,13 +159,71 @@ class Integrator(ABC):
         report : callable, optional
             Told the time reached, now and then.
 
-        Returns
-        -------
-        Span
-
         Raises
         ------
         IntegrationError
-            If the state grows beyond all bounds, the step size vanishes, or
-            the user interrupts.
+            If the state grows beyond all bounds, the step size vanishes, or the user interrupts.
         """
+
+
+# ---- scales ----
+
+# Iterations of the power method, and the step of its finite differences as part of the size.
+_POWER_ITERATIONS, _DIFFERENCE = 60, 1e-6
+
+
+def state_scale(
+    equation: Equation, state: FloatArray, held: FloatArray, frequency: float
+) -> FloatArray:
+    """Return the size of each entry of the state, shape (states,).
+
+    For positions it is the length of the longest bar or string; for velocities the larger of the
+    fastest node's and the speed that the forces at the start give the whole structure over its own
+    size, but a thousandth of what the fastest vibration of that size would have at least. So the
+    answer does not change with units or place. An equation that is no structure's has the entry
+    itself and 1.
+
+    ``frequency`` is from :func:`largest_frequency`, rad/s.
+    """
+    structure, force = equation.structure, equation.force
+    if structure is None or force is None:
+        return 1 + np.abs(state)
+    q, v = np.split(state, 2)
+    taut = (np.array(equation.gap(state, held)[0]) > 0).astype(float)
+    forces = np.abs(np.array(force(q, v, held, taut))).max(initial=0.0)
+    nodes = structure.nodes
+    members = np.vstack([structure.bars, structure.strings])
+    size = np.linalg.norm(nodes[:, members[:, 1]] - nodes[:, members[:, 0]], axis=0).max()
+    mass = structure.bar_mass.sum() + structure.string_node_mass.sum()
+    speeds = (np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass), 1e-3 * size * frequency)
+    # Where nothing moves and nothing pulls, any speed will do.
+    return np.repeat([size, max(speeds) or size], len(q))
+
+
+def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -> float:
+    """Return the largest frequency of small motions about a state with all strings taut, rad/s.
+
+    By power iteration on the derivative of the accelerations with respect to
+    the positions: its largest eigenvalue is -ω². It is 0 for an equation that is no structure's.
+    """
+    if equation.structure is None:
+        return 0.0
+    n = equation.states // 2
+    q, v = np.split(state, 2)
+    size = float(np.abs(q - q.mean()).max()) or 1.0
+    slope, taut = Evaluator(equation.slope), np.ones(equation.switches)
+
+    def moved(direction: FloatArray) -> FloatArray:
+        x = np.concatenate([q + _DIFFERENCE * size * direction, v])
+        return slope(x, held, taut)[0][n:].copy()
+
+    vector: FloatArray = np.random.default_rng(0).standard_normal(n)
+    square = 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_POWER_ITERATIONS):
+            vector = vector / np.linalg.norm(vector)
+            vector = (moved(vector) - moved(-vector)) / (2 * _DIFFERENCE * size)
+            square = float(np.linalg.norm(vector))
+            if not np.isfinite(square) or square == 0.0:
+                break
+        return float(np.sqrt(square))

@@ -10,10 +10,9 @@ from tenscontrol.dynamics import Equation
 from tenscontrol.integrate.cvodes import CVODES
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
-from tenscontrol.integrate.integrator import Integrator
+from tenscontrol.integrate.integrator import Integrator, largest_frequency
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6
 from tenscontrol.integrate.rk4 import RK4
-from tenscontrol.integrate.scales import largest_frequency
 from tenscontrol.validation import FloatArray, choice
 
 # The largest step of an explicit method is about this over the largest frequency.
@@ -82,21 +81,15 @@ class Method:
         setting : {"step", "tolerance"}, optional
             Which of the two; the usual one of the method if not given.
         project : bool, optional
-            Whether to make bar lengths exact after each step; as
-            :attr:`projects` if not given.
+            Whether to make bar lengths exact after each step; as :attr:`projects` if not given.
         machine_code : bool
             Whether to compile the steps, where the method can be compiled and
             there is a C compiler; :attr:`Integrator.back_end` says what came.
 
-        Returns
-        -------
-        Integrator
-
         Raises
         ------
         ValueError
-            If the method takes no such setting, or keeps bar lengths by itself
-            and is told not to.
+            If the method takes no such setting, or keeps bar lengths by itself and is told not to.
         """
         setting = self.setting if setting is None else setting
         if setting not in self.settings:
@@ -116,29 +109,19 @@ class Method:
         return self.make(equation, **options)
 
 
+_STEP, _TOLERANCE = ("step",), ("tolerance",)
+_SYMPLECTIC = "symplectic, fixed steps; no damping"
 _ALL = (
-    Method("rk4", ("step",), "order 4, fixed steps; bar lengths drift", RK4),
-    Method("rattle", ("step",), "order 2, symplectic, fixed steps", Rattle, drifts=False),
+    Method("rk4", _STEP, "order 4, fixed steps; bar lengths drift", RK4),
+    Method("rattle", _STEP, "order 2, symplectic, fixed steps", Rattle, drifts=False),
+    Method("rattle4", _STEP, f"order 4, {_SYMPLECTIC}", Rattle4, drifts=False),
+    Method("rattle6", _STEP, f"order 6, {_SYMPLECTIC}: the fastest", Rattle6, drifts=False),
     Method(
-        "rattle4", ("step",), "order 4, symplectic, fixed steps; no damping", Rattle4, drifts=False
-    ),
-    Method(
-        "rattle6",
-        ("step",),
-        "order 6, symplectic, fixed steps; no damping: the fastest",
-        Rattle6,
-        drifts=False,
-    ),
-    Method(
-        "dop853",
-        ("tolerance",),
-        "order 8, steps of its own: accuracy on demand",
-        DOP853,
-        projects=True,
+        "dop853", _TOLERANCE, "order 8, steps of its own: accuracy on demand", DOP853, projects=True
     ),
     Method(
         "cvodes",
-        ("tolerance",),
+        _TOLERANCE,
         "orders 1 to 5, implicit, steps of its own: stiff damped strings",
         CVODES,
         projects=True,
@@ -147,7 +130,7 @@ _ALL = (
     ),
     Method(
         "energy_momentum",
-        ("step", "tolerance"),
+        _STEP + _TOLERANCE,
         "order 2, implicit, conserves energy and momenta: stiff strings, slow motion",
         EnergyMomentum,
         drifts=False,
@@ -204,23 +187,6 @@ def choose(
     Where the user gives a step, the method is RK4. Else it is the one of order
     8 with steps of its own, unless the fastest string would force it to far more
     steps than the motion needs: then the implicit one.
-
-    Parameters
-    ----------
-    equation : Equation
-    state : ndarray, shape (states,)
-        x at the start.
-    held : ndarray, shape (inputs,)
-        u at the start.
-    duration : float
-        s.
-    tolerance : float
-    step : float or None
-        s.
-
-    Returns
-    -------
-    Choice
     """
     frequency = largest_frequency(equation, state, held)
     slack = "strings can go slack, each switch ends a step" if equation.switches else "no switches"

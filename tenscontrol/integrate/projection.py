@@ -16,22 +16,10 @@ from tenscontrol.validation import FloatArray, IntArray
 def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
     """Return ``(x) -> x``: the state near by whose bars have their lengths and do not stretch.
 
-    Bar by bar and in closed form: the bar vector is scaled to its length, the
-    nearest state in the metric of the mass; what its rate has along the bar is
-    removed, and the rest is scaled by the inverse, so that ``b × ḃ`` stays.
-    Centres, string nodes and hinges stay, and linear and angular momentum with
-    them, to round-off.
-
-    Examples
-    --------
-    >>> import numpy as np, tenscontrol as tc
-    >>> from tenscontrol.integrate.projection import project
-    >>> prism = tc.prism()
-    >>> stretched = np.concatenate([1.01 * prism.nodes.ravel(order="F"), np.zeros(18)])
-    >>> x = np.array(project(prism)(stretched)).ravel()
-    >>> nodes = x[:18].reshape(3, 6, order="F")
-    >>> bool(np.allclose(np.linalg.norm(prism.bar_vectors(nodes), axis=0), prism.bar_length))
-    True
+    Bar by bar and in closed form: the bar vector is scaled to its length, the nearest state in the
+    metric of the mass; what its rate has along the bar is removed, and the rest is scaled by the
+    inverse, so that ``b × ḃ`` stays. Centres, string nodes and hinges stay, and linear and angular
+    momentum with them, to round-off.
     """
     bodies = Bodies(structure)
     count = len(structure.free)
@@ -80,12 +68,11 @@ def projected(step: ca.Function, equation: Equation) -> ca.Function:
 class Bodies:
     """The map between free nodes and bodies, the same for positions, velocities and forces.
 
-    *Points* are the centres of the bars with two free ends, then the string
-    nodes. *Vectors* are those of the bars with two free ends, then of the bars
-    that swing, from the fixed to the free end. Bars with both ends fixed do
-    not move and are left out. In these coordinates the mass matrix is
-    diagonal: m, m_s, m/12 and m/3. Expressions may be SX or MX, one column per
-    node, point or vector.
+    *Points* are the centres of the bars with two free ends, then the string nodes. *Vectors* are
+    those of the bars with two free ends, then of the bars that swing, from the fixed to the free
+    end. Bars with both ends fixed do not move and are left out. In these coordinates the mass
+    matrix is diagonal: m, m_s, m/12 and m/3. Expressions may be SX or MX, one column per node,
+    point or vector.
     """
 
     def __init__(self, structure: Structure) -> None:
@@ -104,10 +91,10 @@ class Bodies:
         self.hinges = ca.DM(structure.nodes[:, hinge])
         mass, hinged_mass = structure.bar_mass[free], structure.bar_mass[swinging]
         self.length = _row(structure.bar_length[np.concatenate([free, swinging])])
-        self._centre_mass = _row(mass)
-        self._point_mass = _row(structure.string_node_mass)
-        self._vector_mass = _row(mass / 6)
-        self._tip_mass = _row(hinged_mass / 3)
+        # Of points; and by which the difference of the end forces, or the force on the tip, moves
+        # a vector.
+        self.point_mass = _row(np.concatenate([mass, structure.string_node_mass]))
+        self.vector_mass = _row(np.concatenate([mass / 6, hinged_mass / 3]))
 
     def split(self, nodes: Symbolic, hinges: Symbolic = 0) -> tuple[Symbolic, Symbolic]:
         """Return points and vectors, shape (3, ·) each, of positions or velocities."""
@@ -122,22 +109,27 @@ class Bodies:
         blocks = centre - half, centre + half, vectors[:, bars:] + hinges, points[:, bars:]
         return ca.horzcat(*blocks)[:, self._order]
 
+    def resultants(self, forces: Symbolic) -> tuple[Symbolic, Symbolic]:
+        """Return what forces on the free nodes, N, shape (3, n), do to points and vectors.
+
+        The sum of the forces on a bar, or the force on a string node; and the force on the end
+        less that on the start, or the force on the tip of a bar that swings.
+        """
+        start, end = forces[:, self._start], forces[:, self._end]
+        points = ca.horzcat(start + end, forces[:, self._string_nodes])
+        return points, ca.horzcat(end - start, forces[:, self._tip])
+
     def accelerations(self, forces: Symbolic) -> tuple[Symbolic, Symbolic]:
         """Return how forces on the free nodes accelerate points and vectors, bar forces left out.
 
         ``r̈ = (f_start + f_end)/m`` (eq. 4), ``b̈ = 6/m (f_end − f_start)``
         (eq. 5 with λ = 0), and 3/m times its force for the tip of a bar that swings.
         """
-        start, end = forces[:, self._start], forces[:, self._end]
-        points = ca.horzcat(
-            scale_columns(start + end, 1 / self._centre_mass),
-            scale_columns(forces[:, self._string_nodes], 1 / self._point_mass),
+        points, vectors = self.resultants(forces)
+        return (
+            scale_columns(points, 1 / self.point_mass),
+            scale_columns(vectors, 1 / self.vector_mass),
         )
-        vectors = ca.horzcat(
-            scale_columns(end - start, 1 / self._vector_mass),
-            scale_columns(forces[:, self._tip], 1 / self._tip_mass),
-        )
-        return points, vectors
 
 
 def _row(values: FloatArray) -> ca.DM:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import zip_longest
 from math import factorial
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import casadi as ca
 
@@ -46,33 +46,17 @@ class Splitting:
 
 
 def splitting(order: int) -> Splitting:
-    """Return the alternation of flights and kicks of this order.
+    """Return the alternation of flights and kicks of order 2, 4 or 6.
 
-    Parameters
-    ----------
-    order : {2, 4, 6}
-        2: Störmer and Verlet, in the form with one kick. 4: Omelyan, Mryglod &
-        Folk, "PEFRL", eq. (22), doi:10.1016/S0010-4655(02)00451-4. 6: Blanes & Moan,
-        doi:10.1016/S0377-0427(01)00492-7, Table 3, SRKN 14 a; it takes the
-        kicks to depend on positions only.
+    2: Störmer and Verlet, in the form with one kick. 4: Omelyan, Mryglod & Folk, "PEFRL", eq.
+    (22), doi:10.1016/S0010-4655(02)00451-4. 6: Blanes & Moan, doi:10.1016/S0377-0427(01)00492-7,
+    Table 3, SRKN 14 a; it takes the kicks to depend on positions only.
 
-    Returns
-    -------
-    Splitting
-
-    Raises
-    ------
-    ValueError
-        If ``order`` is another number.
-
-    Notes
-    -----
-    Chosen by measurement on prisms, with held force densities and with
-    elastic strings, among other methods of the two papers, forms that begin
-    with a kick, and the compositions of Suzuki, Yoshida, and Kahan & Li
-    (Hairer, Lubich & Wanner, *Geometric Numerical Integration*, eqs. (II.4.5),
-    (V.3.11), (V.3.12)). With as many evaluations, the best composition had 5
-    to 50 times the error at order 4 and 1000 times and more at order 6.
+    Chosen by measurement on prisms, with held force densities and with elastic strings, among
+    other methods of the two papers, forms that begin with a kick, and the compositions of Suzuki,
+    Yoshida, and Kahan & Li (Hairer, Lubich & Wanner, *Geometric Numerical Integration*, eqs.
+    (II.4.5), (V.3.11), (V.3.12)). With as many evaluations, the best composition had 5 to 50 times
+    the error at order 4 and 1000 times and more at order 6.
     """
     if order == 2:
         return Splitting((0.5, 0.5), (1.0,))
@@ -164,11 +148,11 @@ def _called(motion: _Motion, steps: Splitting, x: Any, h: Any) -> ca.Function:
     """Return the step as calls of its flights and kicks."""
     kind, u, taut = type(x), motion.u, motion.taut
     begun = motion.start(x)
-    start = ca.Function("start", [x], begun.parts())
-    parts = [kind.sym(f"part{i}", part.shape) for i, part in enumerate(begun.parts())]
+    start = ca.Function("start", [x], list(begun))
+    parts = [kind.sym(f"part{i}", part.shape) for i, part in enumerate(begun)]
     state = _State(*parts)
-    flight = ca.Function("flight", [*parts, h], motion.flight(state, h).parts())
-    kick = ca.Function("kick", [*parts, u, taut, h], motion.kick(state, h).parts())
+    flight = ca.Function("flight", [*parts, h], list(motion.flight(state, h)))
+    kick = ca.Function("kick", [*parts, u, taut, h], list(motion.kick(state, h)))
     end = ca.Function("end", parts, [motion.end(state)])
     x, u, taut, h = (ca.MX.sym("of_step", each.shape) for each in (x, u, taut, h))
     now = start(x)
@@ -225,17 +209,13 @@ class Rattle6(_Rattle):
     order = 6
 
 
-@dataclass(frozen=True)
-class _State:
+class _State(NamedTuple):
     """Points and vectors of :class:`Bodies`, and their rates."""
 
     points: Symbolic
     vectors: Symbolic
     point_rates: Symbolic
     vector_rates: Symbolic
-
-    def parts(self) -> list[Symbolic]:
-        return [self.points, self.vectors, self.point_rates, self.vector_rates]
 
 
 @dataclass(frozen=True)

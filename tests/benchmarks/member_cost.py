@@ -21,8 +21,9 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.dynamics import Evaluator
-from tenscontrol.dynamics.forms import LARGEST_FLAT, loops_source
+from tenscontrol.dynamics.forms import loops_source
 from tenscontrol.dynamics.machine_code import compiled_library, compiler
+from tenscontrol.dynamics.model import LARGEST_FLAT
 from tests.benchmarks.command_line import options
 
 BARS = (3, 30, 300, 3_000, 30_000)

@@ -6,8 +6,9 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics import Evaluator, pack_state
-from tenscontrol.dynamics.forms import LARGEST_FLAT, loops_source, suitable_form
+from tenscontrol.dynamics.forms import loops_source
 from tenscontrol.dynamics.machine_code import compiler
+from tenscontrol.dynamics.model import LARGEST_FLAT
 from tests.dynamics.scenes import any_motion, random_structure, side_by_side
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
@@ -181,7 +182,6 @@ def test_a_small_scene_is_flat(monkeypatch):
     monkeypatch.delenv("CC", raising=False)
     prism = tc.prism()
     assert len(prism.bars) + len(prism.strings) <= LARGEST_FLAT
-    assert suitable_form(prism) == "flat"
     assert tc.Model(prism).equation("force_density").form == "flat"
 
 

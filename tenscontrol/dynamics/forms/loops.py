@@ -13,7 +13,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics.equation import Equation, structure_equation
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.dynamics.forms.passes import Pass, body_passes, gap_pass, string_pass
 from tenscontrol.dynamics.machine_code import compiled_source
@@ -23,22 +22,21 @@ from tenscontrol.validation import FloatArray
 
 # Entries that each array has for a node or a string.
 _WIDTH = {"p": 3, "v": 3, "f": 3, "a": 3, "u": 1, "taut": 1, "gap": 1, "rate": 1}
-_WRITTEN = ("f", "a", "gap", "rate")
 
 
-def loops_equation(structure: Structure, law: StringLaw | None, load: FloatArray) -> Equation:
-    """Return the state equation, with the loops over the members in compiled C.
-
-    Its functions have no derivatives. ``law`` is None where force densities are held; ``load``
-    are constant forces on all nodes, N, shape (3, n).
-    """
-    source = loops_source(structure, law, load)
-    slope, gap, force = compiled_source(source, ("slope", "gap", "force"))
-    return structure_equation(structure, law, load, "loops", slope=slope, gap=gap, force=force)
+def loops_functions(
+    structure: Structure, law: StringLaw | None, load: FloatArray
+) -> tuple[ca.Function, ...]:
+    """Return slope, gap and force of :class:`Equation` in compiled C, without derivatives."""
+    return compiled_source(loops_source(structure, law, load), ("slope", "gap", "force"))
 
 
 def loops_source(structure: Structure, law: StringLaw | None, load: FloatArray) -> str:
-    """Return the C text: the functions of :class:`Equation` with CasADi's interface."""
+    """Return the C text: the functions of :class:`Equation` with CasADi's interface.
+
+    ``law`` is None where force densities are held; ``load`` are constant forces on all nodes, N,
+    shape (3, n).
+    """
     strings, bodies = [string_pass(structure, law)], body_passes(structure)
     gaps = [] if law is None else [gap_pass(structure, law)]
     passes = [each for each in [*strings, *bodies, *gaps] if each.count]
@@ -94,18 +92,15 @@ class _Loop:
         lines += [line for write in over.writes for line in self._write(write)]
         arrays = dict.fromkeys([read.array for read in over.reads.values()])
         arrays |= dict.fromkeys([write.array for write in over.writes])
+        written = {write.array for write in over.writes}
         declared = ", ".join(
-            f"{'' if name in _WRITTEN and self._is_written(name) else 'const '}double *{name}"
-            for name in arrays
+            f"{'' if name in written else 'const '}double *{name}" for name in arrays
         )
         self.call = f"{over.name}({', '.join(arrays)});"
         body = "\n".join(f"    {line}" for line in lines)
         self.text = _LOOP % {
             "name": over.name, "arrays": declared, "count": over.count, "body": body
         }  # fmt: skip
-
-    def _is_written(self, array: str) -> bool:
-        return any(write.array == array for write in self.over.writes)
 
     def _kernel_lines(self) -> list[str]:
         """Make the kernel of one member, and return the lines that call it."""
@@ -187,17 +182,11 @@ def _table(name: str, values: Any) -> str:
 
 def _interface(name: str, inputs: list[int], outputs: list[int]) -> str:
     """Return what CasADi asks about an external function: its arguments, all dense columns."""
-    shapes = {"in": inputs, "out": outputs}
-    tables = {
-        side: ", ".join(f"{{{rows}, 1, 1}}" for rows in sizes) for side, sizes in shapes.items()
-    }
-    return _INTERFACE % {
-        "name": name,
-        "inputs": len(inputs),
-        "outputs": len(outputs),
-        "shapes_in": tables["in"],
-        "shapes_out": tables["out"],
-    }
+    shapes_in, shapes_out = (
+        ", ".join(f"{{{rows}, 1, 1}}" for rows in sizes) for sizes in (inputs, outputs)
+    )
+    counts = {"inputs": len(inputs), "outputs": len(outputs)}
+    return _INTERFACE % {"name": name, "shapes_in": shapes_in, "shapes_out": shapes_out, **counts}
 
 
 # ---- the parts of the C text that are the same for every scene ----

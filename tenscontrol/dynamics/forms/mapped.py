@@ -13,19 +13,16 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.equation import Equation, structure_equation
-from tenscontrol.dynamics.forms.passes import Pass, Read, body_passes, gap_pass, string_pass
+from tenscontrol.dynamics.forms.passes import Pass, body_passes, gap_pass, string_pass
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
 
 
-def mapped_equation(structure: Structure, law: StringLaw | None, load: FloatArray) -> Equation:
-    """Return the state equation, each operation a loop over all members.
-
-    ``law`` is None where force densities are held; ``load`` are constant forces on all nodes, N,
-    shape (3, n).
-    """
+def mapped_functions(
+    structure: Structure, law: StringLaw | None, load: FloatArray
+) -> tuple[ca.Function, ...]:
+    """Return slope, gap and force of :class:`Equation`; arguments as for ``loops_source``."""
     free = structure.free
     N, Nd = ca.MX.sym("N", 3, len(free)), ca.MX.sym("Nd", 3, len(free))
     u = ca.MX.sym("u", len(structure.strings))
@@ -36,73 +33,54 @@ def mapped_equation(structure: Structure, law: StringLaw | None, load: FloatArra
         "u": u.T,
         "taut": taut.T,
     }
-    forces = _Forces(structure, arrays, law, load)
+    arrays["f"] = _forces(structure, arrays, law, load)
     x = ca.vertcat(ca.vec(N), ca.vec(Nd))
     gap = rate = ca.MX(0, 1)
     if law is not None:
-        gap, rate = (row.T for row in _outputs(gap_pass(structure, law), arrays, forces))
-    return structure_equation(
-        structure,
-        law,
-        load,
-        "mapped",
-        slope=ca.Function(
-            "slope",
-            [x, u, taut],
-            [ca.vertcat(ca.vec(Nd), ca.vec(_accelerations(structure, arrays, forces)))],
-        ),
-        gap=ca.Function("gap", [x, u], [gap, rate]),
-        force=ca.Function(
-            "force", [ca.vec(N), ca.vec(Nd), u, taut], [ca.vec(ca.densify(forces.on(free)))]
-        ),
+        gap, rate = (row.T for row in _outputs(gap_pass(structure, law), arrays))
+    xdot = ca.vertcat(ca.vec(Nd), ca.vec(_accelerations(structure, arrays)))
+    on_free = ca.vec(ca.densify(arrays["f"][:, free.tolist()]))
+    return (
+        ca.Function("slope", [x, u, taut], [xdot]),
+        ca.Function("gap", [x, u], [gap, rate]),
+        ca.Function("force", [ca.vec(N), ca.vec(Nd), u, taut], [on_free]),
     )
 
 
-class _Forces:
-    """The forces on the nodes, from the pulls of all strings."""
-
-    def __init__(
-        self, structure: Structure, arrays: dict[str, Any], law: StringLaw | None, load: FloatArray
-    ) -> None:
-        strings = string_pass(structure, law)
-        n, alpha = structure.nodes.shape[1], strings.count
-        self._load = load
-        self._pulls = _outputs(strings, arrays, None)[0] if alpha else ca.MX(3, 0)
-        # Adds the pulls up: a column a node, by the strings that meet there.
-        rows = np.repeat(np.arange(alpha), 2)
-        columns = structure.strings.ravel()
-        signs = np.tile([float(write.sign) for write in strings.writes], alpha)
-        self._gather = ca.DM.triplet(rows.tolist(), columns.tolist(), ca.DM(signs), alpha, n)
-
-    def on(self, nodes: IntArray) -> Any:
-        """Return the forces on some nodes, N, shape (3, k)."""
-        forces = ca.mtimes(self._pulls, self._gather[:, nodes.tolist()])
-        load = self._load[:, nodes]
-        return forces + ca.DM(load) if load.any() else forces
+def _forces(
+    structure: Structure, arrays: dict[str, Any], law: StringLaw | None, load: FloatArray
+) -> Any:
+    """Return the forces on all nodes, N, shape (3, n)."""
+    strings = string_pass(structure, law)
+    n, alpha = structure.nodes.shape[1], strings.count
+    pulls = _outputs(strings, arrays)[0] if alpha else ca.MX(3, 0)
+    # Adds the pulls up: a column a node, by the strings that meet there.
+    rows = np.repeat(np.arange(alpha), 2)
+    columns = structure.strings.ravel()
+    signs = np.tile([float(write.sign) for write in strings.writes], alpha)
+    gather = ca.DM.triplet(rows.tolist(), columns.tolist(), ca.DM(signs), alpha, n)
+    forces = ca.mtimes(pulls, gather)
+    return forces + ca.DM(load) if load.any() else forces
 
 
-def _accelerations(structure: Structure, arrays: dict[str, Any], forces: _Forces) -> Any:
+def _accelerations(structure: Structure, arrays: dict[str, Any]) -> Any:
     """Return N̈ of the free nodes, m/s², shape (3, n)."""
     columns: list[Any] = []
     nodes: list[IntArray] = []
     for each in body_passes(structure):
-        columns += _outputs(each, arrays, forces)
+        columns += _outputs(each, arrays)
         nodes += [write.nodes for write in each.writes if write.nodes is not None]
     place = np.argsort(np.concatenate(nodes))
     return ca.horzcat(*columns)[:, place.tolist()]
 
 
-def _outputs(over: Pass, arrays: dict[str, Any], forces: _Forces | None) -> list[Any]:
+def _outputs(over: Pass, arrays: dict[str, Any]) -> list[Any]:
     """Return the outputs of the kernel, a column a member."""
-    columns = {name: _columns(read, arrays, forces) for name, read in over.reads.items()}
+    columns = {
+        name: arrays[read.array]
+        if read.nodes is None
+        else arrays[read.array][:, read.nodes.tolist()]
+        for name, read in over.reads.items()
+    }
     columns |= {name: ca.DM(value).T for name, value in over.parameters.items()}
     return [ca.densify(part) for part in over.kernel(columns)]
-
-
-def _columns(read: Read, arrays: dict[str, Any], forces: _Forces | None) -> Any:
-    if read.nodes is None:
-        return arrays[read.array]
-    if read.array == "f":
-        assert forces is not None  # no pass reads the forces before they are there
-        return forces.on(read.nodes)
-    return arrays[read.array][:, read.nodes.tolist()]

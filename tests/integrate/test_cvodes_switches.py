@@ -1,4 +1,4 @@
-"""Steps that end where strings go slack or taut, of integrators with a solver of their own."""
+"""Calls of CVODES that end where strings go slack or taut."""
 
 import casadi as ca
 import numpy as np
