@@ -9,7 +9,7 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
-from tenscontrol.accuracy.measurement import (
+from tenscontrol.accuracy.measured_run import (
     Bench,
     as_taken,
     checked_settings,

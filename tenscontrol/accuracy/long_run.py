@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case, fastest_rate
-from tenscontrol.accuracy.measurement import (
+from tenscontrol.accuracy.measured_run import (
     conserves_energy,
     conserves_momentum,
     invariants,

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, fastest_rate
-from tenscontrol.accuracy.measurement import checked_settings, invariants, method_named
+from tenscontrol.accuracy.measured_run import checked_settings, invariants, method_named
 from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.integrate import IntegrationError, Method

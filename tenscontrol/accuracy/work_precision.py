@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
-from tenscontrol.accuracy.measurement import (
+from tenscontrol.accuracy.measured_run import (
     NOT_KNOWN,
     Bench,
     Measurement,
@@ -20,7 +20,7 @@ from tenscontrol.accuracy.measurement import (
     default_settings,
     method_named,
 )
-from tenscontrol.accuracy.peers.peer import Peer
+from tenscontrol.accuracy.peers import Peer
 from tenscontrol.accuracy.predictability import Predictability, predictability
 from tenscontrol.integrate import METHODS, Method
 from tenscontrol.progress import progress_bar

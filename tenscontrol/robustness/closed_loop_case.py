@@ -15,8 +15,7 @@ from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
 from tenscontrol.plant import LinearPlant
 from tenscontrol.robustness.distributions import one_number
 from tenscontrol.robustness.sweep_report import SweepError
-from tenscontrol.simulation import Fault, HealthLimits, Trajectory, simulate
-from tenscontrol.simulation.faults import Faults
+from tenscontrol.simulation import Fault, Faults, HealthLimits, Trajectory, simulate
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,

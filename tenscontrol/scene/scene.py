@@ -91,7 +91,16 @@ class Scene:
         return self.model.structure
 
     def simulate(self, progress: bool = False) -> Trajectory:
-        """Return the motion, with a progress bar on a terminal if ``progress``.
+        """Return the motion.
+
+        Parameters
+        ----------
+        progress : bool
+            Whether to show a progress bar; never shown away from a terminal.
+
+        Returns
+        -------
+        Trajectory
 
         Raises
         ------
@@ -124,7 +133,16 @@ class Scene:
     def linearize(self, input: str | None = None, coordinates: str = "internal") -> LinearPlant:
         """Return the linear plant about the shape of the structure, as :func:`linearize` does.
 
-        ``input`` is that of the scene if not given.
+        Parameters
+        ----------
+        input : {"force_density", "rest_length"}, optional
+            That of the scene if not given.
+        coordinates : {"internal", "minimal", "nodes"}
+            See :func:`linearize`.
+
+        Returns
+        -------
+        LinearPlant
 
         Raises
         ------

@@ -12,7 +12,7 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case, fastest_rate
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, largest_distance
-from tenscontrol.accuracy.peers.peer import Peer, steps_between
+from tenscontrol.accuracy.peers import Peer, steps_between
 from tenscontrol.dynamics import evaluate_columns, pack_state, unpack_states
 from tenscontrol.integrate import METHODS, IntegrationError, Method, Work
 from tenscontrol.validation import FloatArray, choice, positive_number
