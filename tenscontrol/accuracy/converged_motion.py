@@ -71,9 +71,7 @@ class ConvergedMotion:
 
 
 def converged_motion(
-    scene: Case | Scene,
-    outputs: int = 100,
-    report: Callable[[float], None] | None = None,
+    scene: Case | Scene, outputs: int = 100, report: Callable[[float], None] | None = None
 ) -> ConvergedMotion:
     """Return the motion of a case as exactly as double precision allows, and its error.
 
@@ -146,10 +144,7 @@ def largest_distance(nodes: FloatArray, others: FloatArray) -> float:
 
 
 class PiecewiseSolver:
-    """SciPy's DOP853 on a case, piece by piece, each smooth: with all switches located.
-
-    ``switches`` are the times at which strings switched in the last run, s.
-    """
+    """SciPy's DOP853 on a case in smooth pieces, with the times of all ``switches``, s, located."""
 
     def __init__(self, case: Case) -> None:
         equation = case.equation()
@@ -166,8 +161,7 @@ class PiecewiseSolver:
     def states(self, times: FloatArray, tolerance: float) -> Iterator[FloatArray]:
         """Yield the states at the times, s, ascending above 0, each as soon as it is reached.
 
-        ``tolerance`` is that of a step, relative and, a tenth of it, absolute. Raises
-        ArithmeticError if the state grows beyond all bounds, or strings chatter.
+        ``tolerance`` of a step is relative and, a tenth of it, absolute. Raises ArithmeticError.
         """
         self.switches = []
         state, now, done = self._case.state, 0.0, 0
@@ -226,10 +220,7 @@ class PiecewiseSolver:
         return float((sign * self._gaps(state)).min()) + _BORDER
 
     def _comes_near(self, x0: FloatArray, x1: FloatArray, step: float, sign: FloatArray) -> bool:
-        """Return whether a string may come to the border within a step.
-
-        It cannot if its ends are farther away than it goes at twice its larger speed there.
-        """
+        """Whether a string may reach the border in a step at twice its larger speed at the ends."""
         if not self._can_switch:
             return False
         if self._is_damped:  # the border then moves with the speed

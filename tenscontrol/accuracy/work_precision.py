@@ -326,9 +326,8 @@ def work_precision(
     methods : sequence of str, optional
         Our own; all of them if not given.
     settings : mapping of str to sequence of float, optional
-        Steps, s, or tolerances, by the name of a method or peer; steps that
-        fit the case, or 1e-3 to 1e-12, where not given. No step is longer than
-        from one output to the next.
+        Steps, s, or tolerances, by the name of a method or peer; steps that fit the case, or 1e-3
+        to 1e-12, where not given. No step is longer than from one output to the next.
     peers : sequence of Peer
         Integrators of other packages to measure beside.
     reference : ConvergedMotion, optional
@@ -445,10 +444,7 @@ def _refuse_other_times(reference: ConvergedMotion, case: Case) -> None:
 
 
 def frontier(rows: Sequence[Measurement], floor: float) -> tuple[FloatArray, FloatArray]:
-    """Return times and errors of the runs that no faster run beats, from coarse to fine.
-
-    No error is known to be less than ``floor``, that of the reference, m.
-    """
+    """Return times and errors, at least ``floor``, of runs that no faster run beats."""
     points = sorted(
         (row.time, max(row.error, floor)) for row in rows if not row.failure and row.time > 0
     )
@@ -461,10 +457,9 @@ def frontier(rows: Sequence[Measurement], floor: float) -> tuple[FloatArray, Flo
 
 
 def time_to_reach(rows: Sequence[Measurement], error: float, floor: float) -> float:
-    """Return the run time at which a method has an error, s.
+    """Return the run time at which a method has an error, s, between the logarithms of its runs.
 
-    Interpolated between logarithms; never carried on beyond what was run: to a larger error than
-    any the fastest run goes, a smaller one is not reached (NaN).
+    To a larger error than any, that of the fastest run; a smaller one is not reached (NaN).
     """
     times, errors = frontier(rows, floor)
     if not len(times) or error < errors[-1]:

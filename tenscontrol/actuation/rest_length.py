@@ -46,8 +46,7 @@ def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLe
     Raises
     ------
     TypeError, ValueError
-        If the model has no string law, an argument does not fit, or a string
-        is too soft for its γ.
+        If the model has no string law, an argument does not fit, or a string is too soft for its γ.
 
     Examples
     --------

@@ -13,20 +13,11 @@ from tenscontrol.simulation import Trajectory
 from tenscontrol.validation import FloatArray, IntArray, instance, whole_number
 
 # Marks for what became of readings, told apart by their form.
-_MARKERS = {
-    "partly used": "|",
-    "lost": "x",
-    "refused": "v",
-    "waiting": ".",
-    "started anew": "s",
-}
+_MARKERS = {"partly used": "|", "lost": "x", "refused": "v", "waiting": ".", "started anew": "s"}
 
 
 def estimate(
-    run: Trajectory,
-    *,
-    strings: Sequence[int] = (0,),
-    axes: Sequence[Axes] | None = None,
+    run: Trajectory, *, strings: Sequence[int] = (0,), axes: Sequence[Axes] | None = None
 ) -> dict[str, Curves]:
     """Draw lengths of strings as they are and as estimated, and how far the estimate is off.
 

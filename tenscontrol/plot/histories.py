@@ -197,10 +197,7 @@ def mark_statuses(
     markers: Mapping[str, str],
     height: float = 0.0,
 ) -> Curves:
-    """Mark the samples with one of the statuses that have a marker, at a height in the panel.
-
-    ``time`` (K,) is in s. The legend is left as it is.
-    """
+    """Mark the samples (K,), s, whose status has a marker; the legend is left as it is."""
     marks: dict[str, Line2D] = {}
     for position, (status, marker) in enumerate(markers.items()):
         at = np.array([found == status for found in statuses])

@@ -97,10 +97,7 @@ def new_space(figure: Figure, rows: int = 1, columns: int = 1, index: int = 1) -
 
 
 def frame(ax: Any, points: Iterable[FloatArray], grow: bool, fill: float = 0.77) -> None:
-    """Set limits that hold all points (3, ·), and the former ones with ``grow``; one scale.
-
-    The box is zoomed to the share ``fill`` of the axes; the default leaves room for the labels.
-    """
+    """Set limits that hold all points (3, ·), with ``grow`` the former; ``fill`` of the axes."""
     corners = np.hstack(list(points))
     lower, upper = corners.min(axis=1), corners.max(axis=1)
     largest = max(float((upper - lower).max()), 1e-9)

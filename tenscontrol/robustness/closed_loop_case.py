@@ -218,25 +218,11 @@ class ClosedLoopCase:
         self._model({})  # refuses strings and gravity that do not fit
 
     def __call__(self, parameters: Mapping[str, object], rng: np.random.Generator) -> Outcome:
-        """Return what becomes of the closed loop with these parameters.
+        """Return what becomes of the closed loop with these factors and start; noise by ``rng``.
 
-        Parameters
-        ----------
-        parameters : mapping of str to float or array_like
-            Factors, and where the structure starts.
-        rng : numpy.random.Generator
-            For the noise of the readings.
-
-        Returns
-        -------
-        Outcome
-
-        Raises
-        ------
-        TypeError, ValueError, SimulationError
-            If the plant cannot be built of these, or the motion runs away or is not accurate.
-        SweepError
-            If there is no such parameter, or it has nothing to act on.
+        Raises TypeError, ValueError or SimulationError if the plant cannot be built or the motion
+        runs away or is not accurate; SweepError if there is no such parameter, or it has nothing to
+        act on.
         """
         unknown = sorted(set(parameters) - set(_PARAMETERS))
         if unknown:

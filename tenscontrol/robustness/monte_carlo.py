@@ -56,17 +56,15 @@ def sweep(
         ``Client(...).get_executor()``. If not given, new processes, which a script
         may start only inside ``if __name__ == "__main__":``.
     processes : int, optional
-        Number of new processes, where no executor is given; all processors if
-        not given.
+        Number of new processes, where no executor is given; all processors if not given.
     in_flight : int, optional
         How many runs are handed out at a time, at least the number of workers. Two
         a process if not given, 64 on an executor that is given.
     file : path, optional
-        Where each run is written down as soon as it is done. If the file is
-        there, the sweep goes on from it: one of its runs is done again, and must
-        give the same numbers; the others are not. ``count`` may differ from that
-        of the file: a larger one adds runs to it, with a smaller one the first
-        ``count`` runs are reported, and the file keeps all.
+        Where each run is written down as soon as it is done. If the file is there, the sweep goes
+        on from it: one of its runs is done again, and must give the same numbers; the others are
+        not. ``count`` may differ from that of the file: a larger one adds runs to it, with a
+        smaller one the first ``count`` runs are reported, and the file keeps all.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 

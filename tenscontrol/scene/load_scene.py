@@ -91,12 +91,11 @@ def load_scene(file: str | Path) -> Scene:
         ``plants = 8``, MPCs are designed at eight shapes along the reference and take turns as a
         :class:`GainSchedule`.
     ``[[controller.reference]]``
-        A shape to be reached at ``time``, s, through equilibria within the controller's bounds of
-        γ and the limits of the winches: ``height``, m, and ``twist``, rad, between the nodes
-        ``top`` and ``bottom`` (those of a prism if not given); ``nodes`` with their ``positions``.
-        The move begins at ``start``, s; at the end of the one before if not given.
-        ``force_density``: mean γ of the group of the first string in that shape, N/m; that of the
-        prestress if not given.
+        A shape to be reached at ``time``, s, through equilibria within the controller's bounds of γ
+        and the limits of the winches: ``height``, m, and ``twist``, rad, between the nodes ``top``
+        and ``bottom`` (those of a prism if not given); ``nodes`` with their ``positions``. The move
+        begins at ``start``, s; at the end of the one before if not given. ``force_density``: mean γ
+        of the group of the first string in that shape, N/m; that of the prestress if not given.
     ``[[controller.outputs]]``, ``[[controller.tracked]]``
         A node coordinate, ``node`` and ``axis = "x"``, ``"y"`` or ``"z"``, less that of the
         node ``relative_to``. As ``outputs`` with ``low`` and ``high``, m, and ``penalty``.

@@ -347,11 +347,7 @@ class Twist(Demand):
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
         def __init__(
-            self,
-            angle: float,
-            top: Sequence[int],
-            bottom: Sequence[int],
-            tolerance: float = 0.0,
+            self, angle: float, top: Sequence[int], bottom: Sequence[int], tolerance: float = 0.0
         ) -> None: ...
 
     def _checked(self) -> dict[str, object]:

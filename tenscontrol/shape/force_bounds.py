@@ -223,10 +223,9 @@ def choose_force_density(
 ) -> FloatArray | None:
     """Return γ, shape (α,), that balances in the shape of a structure, or None if none does.
 
-    ``kind`` is "centred", the analytic centre of the bounds (Boyd & Vandenberghe,
-    *Convex Optimization*, section 8.5.3), or "least", the least sum of squares.
-    Both are unique, so that a symmetric shape gets symmetric forces. ``low`` and
-    ``high``, N/m, replace the bounds of γ in ``limits``; ``high`` may be infinite.
+    ``kind`` is "centred", the analytic centre of the bounds (Boyd & Vandenberghe, *Convex
+    Optimization*, 8.5.3), or "least", the least sum of squares: unique, so that a symmetric shape
+    gets symmetric forces. ``low`` and ``high``, N/m, replace the bounds of γ in ``limits``.
     """
     live = is_movable(structure, np.vstack([structure.strings, structure.bars]))
     alpha = len(structure.strings)

@@ -126,10 +126,7 @@ class ShapeProblem:
         return self._reduced.strings
 
     def neutral_fields(self, nodes: FloatArray) -> FloatArray:
-        """Return the displacements, shape (f, m), in rigid motions that nothing resists.
-
-        They include those that break the symmetry.
-        """
+        """Return displacements, (f, m), in all rigid motions that nothing resists."""
         motions = self._neutral_motions(np.eye(6))
         if motions.shape[1] == 0:
             return np.zeros((len(self.model.structure.free_rows), 0))
@@ -152,8 +149,8 @@ class ShapeProblem:
     ) -> Found:
         """Return unknowns that solve the equations and minimize an objective, by IPOPT.
 
-        ``more`` lists further expressions with their bounds; ``extra`` are further
-        unknowns after v; ``lowest`` and ``highest`` bound γ in units of the level.
+        ``more`` lists further expressions with their bounds, ``extra`` further unknowns after v;
+        ``lowest`` and ``highest`` bound γ in units of the level.
         """
         v = ca.vertcat(self.unknowns, extra)
         rows = ca.vertcat(self.equations, *(expression for expression, _, _ in more))
@@ -181,10 +178,7 @@ class ShapeProblem:
         return Found(np.array(answer["x"].full()).ravel(), bool(solver.stats()["success"]))
 
     def polish(self, values: FloatArray, rows: Any = None) -> tuple[FloatArray, FloatArray]:
-        """Return the unknowns nearest by that solve the equations, and what is left of them.
-
-        ``rows`` are further expressions to be brought to zero, by Newton steps of least length.
-        """
+        """Return the nearest unknowns at which equations and ``rows`` vanish, and what is left."""
         every = self.equations if rows is None else ca.vertcat(self.equations, rows)
         newton = ca.Function("newton", [self.unknowns], [every, ca.jacobian(every, self.unknowns)])
         best = point = values[: self.unknowns.numel()]
@@ -200,11 +194,9 @@ class ShapeProblem:
         return best, left
 
     def stability_margin(self, rest: Prestress) -> float:
-        """Return the smallest eigenvalue of the stiffness at rest of what can move, N/m.
+        """Return the smallest eigenvalue of the stiffness at rest, N/m, of what can move.
 
-        With a string law: rest lengths held, bars rigid, motions as one body that
-        nothing resists left out. Without: taut strings rigid as well, so that
-        only the prestress stiffens, and infinite if there is no mechanism.
+        As in :class:`ShapeTarget`; motions as one body that nothing resists are left out.
         """
         from scipy import linalg
 

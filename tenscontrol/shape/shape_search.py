@@ -131,8 +131,7 @@ class _DemandRows:
 def _signed_distances(structure: Structure, nodes: FloatArray, N: Any) -> Any:
     """Return the distances, m, of bars that pass one another in a shape, in terms of N.
 
-    Positive on the side where they are in that shape: a smooth function, unlike the
-    distance itself. Pairs that are nearest at an end are left out.
+    Positive on the side where they are: smooth. Pairs that are nearest at an end are left out.
     """
     found = bar_distances(structure, nodes)
     rows = []

@@ -123,9 +123,8 @@ class ShapeError(ValueError):
     Attributes
     ----------
     nearest : ShapeTarget or None
-        The equilibrium found that misses them least in the sense of least
-        squares (lengths in units of the size of the structure, angles in rad);
-        None if no equilibrium was found at all.
+        The equilibrium found that misses them least in the sense of least squares (lengths in units
+        of the size of the structure, angles in rad); None if no equilibrium was found at all.
     """
 
     def __init__(self, message: str, nearest: ShapeTarget | None) -> None:

@@ -195,10 +195,7 @@ def prestress(
 
 
 def prism_force_density(
-    sides: int,
-    force_density: float,
-    radius: float = 1.0,
-    top_radius: float | None = None,
+    sides: int, force_density: float, radius: float = 1.0, top_radius: float | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the force densities at which a prism rests, in the order of :func:`prism`.
 
@@ -215,8 +212,7 @@ def prism_force_density(
     force_density : float
         γ_t of the top strings, N/m.
     radius, top_radius : float
-        Radii of bottom and top, m; only their ratio matters. Equal if
-        ``top_radius`` is not given.
+        Radii of bottom and top, m; only their ratio matters. Equal if ``top_radius`` is not given.
 
     Returns
     -------

@@ -57,9 +57,8 @@ class Structure:
         Mass of each string node, kg, in ascending order of node index.
         Needed when there are string nodes, refused when there are none.
     fixed : sequence of int, optional
-        Nodes that are held in place. They cost no state and no mass. A bar
-        with one fixed end swings about it; one with both ends fixed is part of
-        the support.
+        Nodes that are held in place. They cost no state and no mass. A bar with one fixed end
+        swings about it; one with both ends fixed is part of the support.
     string_groups : sequence of str, length α, optional
         A group name for each string, used in names of signals and to refer to
         strings in words. All are ``"string"`` when not given.
@@ -75,11 +74,10 @@ class Structure:
     TypeError
         If an argument is not an array of numbers, or an index is not a whole number.
     ValueError
-        If a shape does not fit, an index is out of range, a member joins a
-        node to itself or repeats another, two bars share a node, a node has no
-        member, a bar has no length, a mass is missing or not positive, a fixed
-        node is named twice, or ``string_parent`` does not fit ``parent``. The
-        message names the culprit.
+        If a shape does not fit, an index is out of range, a member joins a node to itself or
+        repeats another, two bars share a node, a node has no member, a bar has no length, a mass is
+        missing or not positive, a fixed node is named twice, or ``string_parent`` does not fit
+        ``parent``. The message names the culprit.
 
     Notes
     -----
