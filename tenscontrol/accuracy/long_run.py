@@ -201,7 +201,6 @@ def long_run(
     steps = whole_number("steps", steps, least=10)
     outputs = whole_number("outputs", outputs, least=_BLOCKS)
     truth("machine_code", machine_code, "whether to compile the steps")
-    truth("progress", progress, "whether to show a progress bar")
     duration = setting * steps if chosen.setting == "step" else steps / fastest_rate(case)
     case = replace(case, duration=duration)
     recorder = _Recorder(case)

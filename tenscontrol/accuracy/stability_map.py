@@ -18,7 +18,7 @@ from tenscontrol.progress import progress_bar
 from tenscontrol.statics import prestress
 from tenscontrol.structure import prism, restore_bar_lengths, spread_force_density, subdivide
 from tenscontrol.tables import aligned
-from tenscontrol.validation import FloatArray, frozen, instance, truth, whole_number
+from tenscontrol.validation import FloatArray, frozen, instance, whole_number
 
 # A motion with more than so many times its kinetic energy is not stable.
 _GROWN = 100.0
@@ -146,7 +146,6 @@ def stability_map(
     stiff = checked_settings("stiffness", stiffness, "N/m")[::-1]
     ratios = checked_settings("mass_ratio", mass_ratio, "1")[::-1]
     count = whole_number("steps", steps, least=20)
-    truth("progress", progress, "whether to show a progress bar")
     make = prism_near_rest if case is None else case
     limit = theoretical_limit(method)
     shape = (len(stiff), len(ratios))

@@ -355,7 +355,6 @@ def extreme_suite(quick: bool = False, only: str = "", progress: bool = False) -
     (0, ('rk4', 'rattle', 'rattle4'))
     """
     checked_truth("quick", quick, "whether to run a few cases only")
-    checked_truth("progress", progress, "whether to show a progress bar")
     cases = [case for case in extremes(quick) if only in case.name]
     if not cases:
         groups = ", ".join(dict.fromkeys(case.group for case in extremes(quick)))

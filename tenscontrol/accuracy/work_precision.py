@@ -372,7 +372,6 @@ def work_precision(
     repeats = whole_number("repeats", repeats, least=1)
     outputs = whole_number("outputs", outputs, least=1)
     truth("machine_code", machine_code, "whether to compile our own methods")
-    truth("progress", progress, "whether to show a progress bar")
     chosen = [method_named(name) for name in _names(methods)]
     for i, peer in enumerate(peers):
         instance(f"peers[{i}]", peer, Peer, "make one by subclassing Peer")

@@ -25,6 +25,7 @@ from tenscontrol.validation import (
     per_member,
     positive_number,
     truth,
+    wrong_kind,
 )
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ class Outcome:
     def __init__(self, success: bool, figures: Mapping[str, object] | None = None) -> None:
         given = {} if figures is None else figures
         if not isinstance(given, Mapping):
-            raise TypeError(f"figures is a {type(given).__name__}, expected a dict of numbers")
+            raise wrong_kind("figures", given, "a dict of numbers")
         put = object.__setattr__  # the dataclass is frozen for everyone else
         put(self, "success", truth("success", success, "whether the run was a success"))
         numbers = ((_name(name), one_number(f"figures[{name!r}]", given[name])) for name in given)

@@ -17,7 +17,7 @@ from tenscontrol.robustness.distributions import Distribution
 from tenscontrol.robustness.pool import run_one, spread, workers
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError, SweepReport, collected
-from tenscontrol.validation import instance, truth, whole_number
+from tenscontrol.validation import instance, truth, whole_number, wrong_kind
 
 
 def sweep(
@@ -176,9 +176,7 @@ def _checked_path(file: object) -> Path | None:
 
 def _pickled(case: object) -> bytes:
     if not callable(case):
-        raise TypeError(
-            f"case is a {type(case).__name__}, expected a function case(parameters, rng)"
-        )
+        raise wrong_kind("case", case, "a function case(parameters, rng)")
     try:
         return pickle.dumps(case)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
@@ -194,9 +192,7 @@ def _name(case: object) -> str:
 
 def _checked_parameters(parameters: object) -> dict[str, Distribution]:
     if not isinstance(parameters, Mapping):
-        raise TypeError(
-            f"parameters is a {type(parameters).__name__}, expected a dict of distributions"
-        )
+        raise wrong_kind("parameters", parameters, "a dict of distributions")
     for name, distribution in parameters.items():
         if not isinstance(name, str) or not name:
             raise TypeError(f"parameters has the key {name!r}, expected a name")

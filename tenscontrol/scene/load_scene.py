@@ -27,7 +27,7 @@ from tenscontrol.scene.structure_tables import (
     build_start,
     build_structure,
 )
-from tenscontrol.validation import positive_number
+from tenscontrol.validation import positive_number, wrong_kind
 
 # With strings whose law is known, rest lengths are the input if nothing else is said.
 _INPUTS = ("force_density", "rest_length")
@@ -130,7 +130,7 @@ def load_scene(file: str | Path) -> Scene:
     (Structure(6 nodes, 3 bars, 9 strings), 'force_density', Trajectory(0.5 s, 501 states, rk4))
     """
     if not isinstance(file, str | Path):
-        raise TypeError(f"file is a {type(file).__name__}, expected a path")
+        raise wrong_kind("file", file, "a path")
     document = read_document(file)
     structure = build_structure(document)
     laws = build_law(document, structure)

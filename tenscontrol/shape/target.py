@@ -22,7 +22,7 @@ from tenscontrol.structure import (
     refuse_moved_supports,
     restore_bar_lengths,
 )
-from tenscontrol.validation import FloatArray, choice, frozen, instance, truth
+from tenscontrol.validation import FloatArray, choice, frozen, instance, truth, wrong_kind
 
 CHOICES = ("centred", "least")
 
@@ -222,10 +222,8 @@ def shape_target(
     structure = model.structure
     wanted: Any = (demands,) if isinstance(demands, Demand) else demands
     if not isinstance(wanted, Sequence) or isinstance(wanted, str):
-        raise TypeError(
-            f"demands is a {type(demands).__name__}, expected a demand or a sequence of them: "
-            "NodesAt, PointAt, Height, Twist"
-        )
+        how = "a demand or a sequence of them: NodesAt, PointAt, Height, Twist"
+        raise wrong_kind("demands", demands, how)
     for i, demand in enumerate(wanted):
         instance(f"demands[{i}]", demand, Demand, "NodesAt, PointAt, Height or Twist")
         demand.refuse_other_nodes(f"demands[{i}]", structure)
