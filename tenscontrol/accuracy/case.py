@@ -132,10 +132,7 @@ def as_case(scene: object) -> Case:
     if isinstance(scene, Case):
         return scene
     instance("scene", scene, Scene, "make one by load_scene(file), or give a Case")
-    return _of_scene(scene)  # type: ignore[arg-type]  # checked just now
-
-
-def _of_scene(scene: Scene) -> Case:
+    assert isinstance(scene, Scene)  # checked just now
     input = "force_density" if scene.rest_length is None else "rest_length"
     notes = []
     if scene.controller is not None:

@@ -122,20 +122,16 @@ def converged_motion(
     span = DOP853(case.equation(), _TOLERANCE).advance(case.state, case.value, case.duration, count)
     nodes, velocities = unpack_states(case.structure, states)
     error = largest_distance(nodes, unpack_states(case.structure, span.states)[0])
+    switches = np.array(solver.switches)
+    apart = np.diff(switches, prepend=-case.duration)
     return ConvergedMotion(
         time=frozen(times),
         nodes=frozen(nodes),
         velocities=frozen(velocities),
         states=frozen(states),
         error=error,
-        switches=frozen(_moments(solver.switches, case.duration)),
+        switches=frozen(switches[apart > _TOGETHER * case.duration]),
     )
-
-
-def _moments(switches: list[float], duration: float) -> FloatArray:
-    """Return times of switches, those that round-off sets apart once."""
-    times = np.array(switches)
-    return times[np.diff(times, prepend=-duration) > _TOGETHER * duration]
 
 
 def largest_distance(nodes: FloatArray, others: FloatArray) -> float:
@@ -178,15 +174,21 @@ class PiecewiseSolver:
                 if not near and stepper.t < times[done]:
                     continue
                 between = stepper.dense_output()
-                if near and self._crosses(between(at + (stepper.t - at) * _LOOKS), sign):
-                    switch = self._first_crossing(between, at, float(stepper.t), sign)
+                if near:
+                    looks = between(at + (stepper.t - at) * _LOOKS)
+                    gaps = self._gaps_within(looks, self._held_within)[0]
+                    if (sign[:, None] * gaps + _BORDER).min() < 0:
+                        switch = self._first_crossing(between, at, float(stepper.t), sign)
                 reached = float(stepper.t) if switch is None else switch
                 while done < len(times) and times[done] <= reached:
                     yield np.asarray(between(times[done]))
                     done += 1
             if switch is not None:
                 # Dense output is less accurate than a step: step to the switch anew.
-                state, now = _landed(_stepper(slope, at, before, switch, tolerance)), switch
+                stepper = _stepper(slope, at, before, switch, tolerance)
+                while stepper.status == "running":
+                    _advance(stepper)
+                state, now = np.asarray(stepper.y), switch
                 pulls = pulls ^ (sign * self._gaps(state) < -0.5 * _BORDER)
                 self._note_switch(now, len(pulls))
 
@@ -215,10 +217,6 @@ class PiecewiseSolver:
             return np.zeros(0)
         return self._gap(state, self._case.value)[0].copy()
 
-    def _room(self, state: FloatArray, sign: FloatArray) -> float:
-        """Return how far the nearest string is from having passed the border, m."""
-        return float((sign * self._gaps(state)).min()) + _BORDER
-
     def _comes_near(self, x0: FloatArray, x1: FloatArray, step: float, sign: FloatArray) -> bool:
         """Whether a string may reach the border in a step at twice its larger speed at the ends."""
         if not self._can_switch:
@@ -230,17 +228,12 @@ class PiecewiseSolver:
         way = 2 * step * np.maximum(np.abs(rate0), np.abs(rate1))
         return bool((sign * (gap0 + gap1) <= way + _BORDER).any())
 
-    def _crosses(self, states: FloatArray, sign: FloatArray) -> bool:
-        """Return whether a string is over the border in one of the states."""
-        gaps = self._gaps_within(states, self._held_within)[0]
-        return bool((sign[:, None] * gaps + _BORDER).min() < 0)
-
     def _first_crossing(self, between: Any, start: float, end: float, sign: FloatArray) -> float:
         """Return when the first string passes the border; one does at one of the looks."""
         from scipy.optimize import brentq
 
-        def room(time: float) -> float:
-            return self._room(between(time), sign)
+        def room(time: float) -> float:  # of the nearest string to the border, m
+            return float((sign * self._gaps(between(time))).min()) + _BORDER
 
         last = start
         for time in start + (end - start) * _LOOKS:
@@ -264,10 +257,3 @@ def _advance(stepper: Any) -> None:
         trouble = stepper.step()
     if stepper.status == "failed":
         raise ArithmeticError(f"DOP853 stopped at {stepper.t:.6g} s: {trouble}")
-
-
-def _landed(stepper: Any) -> FloatArray:
-    """Return the state at the end of a short way."""
-    while stepper.status == "running":
-        _advance(stepper)
-    return np.asarray(stepper.y)

@@ -372,7 +372,12 @@ def work_precision(
     repeats = whole_number("repeats", repeats, least=1)
     outputs = whole_number("outputs", outputs, least=1)
     truth("machine_code", machine_code, "whether to compile our own methods")
-    chosen = [method_named(name) for name in _names(methods)]
+    names = tuple(METHODS) if methods is None else methods
+    if isinstance(names, str):
+        raise TypeError(f"methods is {names!r}, expected a sequence of names: [{names!r}]")
+    if len(set(names)) != len(names):
+        raise ValueError(f"methods is {list(names)}, expected each method once")
+    chosen = [method_named(name) for name in names]
     for i, peer in enumerate(peers):
         instance(f"peers[{i}]", peer, Peer, "make one by subclassing Peer")
     given = _checked_settings(settings, chosen, peers)
@@ -400,17 +405,6 @@ def work_precision(
         report(total)
     refused = tuple((name, why) for name, why in refusals.items() if why is not None)
     return WorkPrecision(case, tuple(rows), reference, growth, refused)
-
-
-def _names(names: Sequence[str] | None) -> Sequence[str]:
-    """Return names of methods, all if none are given."""
-    if names is None:
-        return tuple(METHODS)
-    if isinstance(names, str):
-        raise TypeError(f"methods is {names!r}, expected a sequence of names: [{names!r}]")
-    if len(set(names)) != len(names):
-        raise ValueError(f"methods is {list(names)}, expected each method once")
-    return names
 
 
 def _checked_settings(

@@ -368,7 +368,9 @@ def structure(
         )
         drawing = replace(drawing, colorbar=bar)
     if legend and not faint:
-        _add_legend(ax, structure, gamma)
+        slack = gamma is not None and bool(is_slack(gamma).any())
+        samples = legend_samples(structure, slack, colored=gamma is not None)
+        ax.legend(handles=samples, loc="upper left", frameon=False, fontsize="small")
     return drawing
 
 
@@ -388,9 +390,3 @@ def _numbered(drawing: Drawing, shape: FloatArray, nodes: bool, members: bool) -
         bar_labels=write(of_bars, "b", members, NORMAL.bar_color),
         string_labels=write(of_strings, "s", members, NORMAL.string_color),
     )
-
-
-def _add_legend(ax: Any, structure: Structure, gamma: FloatArray | None) -> None:
-    slack = gamma is not None and bool(is_slack(gamma).any())
-    samples = legend_samples(structure, slack, colored=gamma is not None)
-    ax.legend(handles=samples, loc="upper left", frameon=False, fontsize="small")

@@ -124,8 +124,11 @@ def sweep(
         processes = whole_number("processes", processes, least=1)
     if in_flight is not None:
         in_flight = whole_number("in_flight", in_flight, least=1)
-    header = store.make_header(_name(case), seed, count, distributions)
-    path = _checked_path(file)
+    name = str(getattr(case, "__qualname__", type(case).__qualname__))
+    header = store.make_header(name, seed, count, distributions)
+    if file is not None and not isinstance(file, str | os.PathLike):
+        raise TypeError(f"file is {file!r}, expected a path, or None for no file")
+    path = None if file is None else Path(file)
     known_count, known = (count, []) if path is None else store.resume(path, header)
     records = {record.run: record for record in known}
     beyond = sum(run >= count for run in records)  # the file may be that of a longer sweep
@@ -166,14 +169,6 @@ def sweep(
     return collected(header, records)
 
 
-def _checked_path(file: object) -> Path | None:
-    if file is None:
-        return None
-    if not isinstance(file, str | os.PathLike):
-        raise TypeError(f"file is {file!r}, expected a path, or None for no file")
-    return Path(file)
-
-
 def _pickled(case: object) -> bytes:
     if not callable(case):
         raise wrong_kind("case", case, "a function case(parameters, rng)")
@@ -184,10 +179,6 @@ def _pickled(case: object) -> bytes:
             f"case cannot be pickled, so no worker can have it: {error}. Make it a function at "
             "the top of a module, or an object of a class there whose attributes can be pickled"
         ) from error
-
-
-def _name(case: object) -> str:
-    return str(getattr(case, "__qualname__", type(case).__qualname__))
 
 
 def _checked_parameters(parameters: object) -> dict[str, Distribution]:

@@ -103,7 +103,8 @@ def workers(
     if executor is not None:
         yield Workers(executor, in_flight or _IN_FLIGHT)
         return
-    width = processes or _processors()
+    affinity = getattr(os, "sched_getaffinity", None)  # what this process may use, where it is told
+    width = processes or (len(affinity(0)) if affinity else os.cpu_count() or 1)
     # Processes are started anew: a fork of a process that has threads can lock up.
     context = _Remembering()
     pool = ProcessPoolExecutor(width, context, initializer=ignore_interrupts)
@@ -174,13 +175,6 @@ def _stopped(error: BaseException, run: int, in_flight: Iterable[int]) -> SweepE
             "`if __name__ == '__main__':`, which the start of processes needs"
         )
     return SweepError(f"run {run} stopped the sweep: {type(error).__name__}: {error}")
-
-
-def _processors() -> int:
-    """Return the number of processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 # ---- in a worker ----

@@ -82,11 +82,6 @@ class ForceLimits:
     reference: IntArray
     scale: float  # size of the force densities, N/m
 
-    @property
-    def level_text(self) -> str:
-        """The level in words."""
-        return "" if self.level is None else f", {self.level:g} N/m in the reference strings"
-
     def bounded(
         self, gamma: FloatArray, rest_length: FloatArray | None
     ) -> list[tuple[str, str, FloatArray, FloatArray, FloatArray]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -29,14 +28,6 @@ _TIE = 1e-10
 
 # A string with less than this fraction of the largest γ is slack.
 _SLACK = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Result of a search: the unknowns, and whether the optimizer converged."""
-
-    values: FloatArray
-    success: bool
 
 
 class ShapeProblem:
@@ -146,8 +137,8 @@ class ShapeProblem:
         lowest: FloatArray,
         highest: FloatArray,
         guess: FloatArray,
-    ) -> Found:
-        """Return unknowns that solve the equations and minimize an objective, by IPOPT.
+    ) -> tuple[FloatArray, bool]:
+        """Return unknowns that solve the equations at least cost, by IPOPT, and if it converged.
 
         ``more`` lists further expressions with their bounds, ``extra`` further unknowns after v;
         ``lowest`` and ``highest`` bound γ in units of the level.
@@ -175,7 +166,7 @@ class ShapeProblem:
         problem = {"x": v, "f": objective + tie, "g": rows}
         solver = ca.nlpsol("shape", "ipopt", problem, options)
         answer = solver(x0=guess, lbx=least, ubx=most, lbg=low, ubg=high)
-        return Found(np.array(answer["x"].full()).ravel(), bool(solver.stats()["success"]))
+        return np.array(answer["x"].full()).ravel(), bool(solver.stats()["success"])
 
     def polish(self, values: FloatArray, rows: Any = None) -> tuple[FloatArray, FloatArray]:
         """Return the nearest unknowns at which equations and ``rows`` vanish, and what is left."""

@@ -179,13 +179,12 @@ def solve_shape(
             for weight in weights:
                 away = ca.sumsqr(problem.positions - ca.DM(home[: problem.positions.numel()]))
                 objective = away + weight * ca.sumsqr(e) + forces
-                found = problem.search(objective, bounds, e, low, high, guess)
-                if not found.success:
+                guess, success = problem.search(objective, bounds, e, low, high, guess)
+                if not success:
                     break
-                values = _polished(problem, demanded, level, (low, high), found.values)
+                values = _polished(problem, demanded, level, (low, high), guess)
                 if values is not None:
                     yield values
-                guess = found.values
             else:
                 return
 
@@ -198,8 +197,7 @@ def solve_shape(
             outside = float(np.linalg.norm(demanded.outside(values)))
             if best is None or outside < max(best.outside, MET):
                 found = _finished(problem, demanded, limits, kind, values, outside)
-                better = best is None or best.outside > MET or found.margin > best.margin
-                if better:
+                if best is None or best.outside > MET or found.margin > best.margin:
                     best = found
             if outside <= MET:
                 break

@@ -246,9 +246,10 @@ def shape_target(
     refuse_load_without_support(structure, model.constant_force)
     solved = solve_shape(model, tuple(wanted), limits, prestress, symmetry, place)
     if solved is None:
+        level = f", {limits.level:g} N/m in the reference strings" if limits.level else ""
         raise ShapeError(
             "no equilibrium found with bars of their lengths and γ of at least "
-            f"min_force_density{limits.level_text}. Start from another shape, or lower "
+            f"min_force_density{level}. Start from another shape, or lower "
             "min_force_density",
             None,
         )

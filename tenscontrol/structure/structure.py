@@ -296,8 +296,7 @@ class Structure:
         array([0.866, 0.866, 0.866, 0.866, 0.866, 0.866, 1.033, 1.033, 1.033])
         """
         vectors = self.string_vectors(self.nodes if nodes is None else nodes)
-        length: FloatArray = np.linalg.norm(vectors, axis=0)
-        return length
+        return np.asarray(np.linalg.norm(vectors, axis=0))
 
     def strings_in(self, group: str) -> IntArray:
         """Return the indices of the strings of one group, or raise and list the groups.
@@ -322,8 +321,8 @@ class Structure:
             What the message calls them.
         nodes : array_like, shape (3, n)
         """
-        shape = self.nodes.shape
-        return shaped(name, nodes, (3, shape[1]), "one column of x, y, z per node of the structure")
+        meaning = "one column of x, y, z per node of the structure"
+        return shaped(name, nodes, self.nodes.shape, meaning)
 
     # The paper's matrices, built on demand. The dynamics never multiply by them:
     # every product is done member by member.
@@ -368,14 +367,10 @@ class Structure:
 
 def same_members(one: Structure, other: Structure | None) -> bool:
     """Return whether bars, strings and supports are the same; masses and lengths may differ."""
-    return (
-        other is not None
-        and one.nodes.shape == other.nodes.shape
-        and all(
-            np.array_equal(getattr(one, what), getattr(other, what))
-            for what in ("bars", "strings", "fixed")
-        )
-    )
+    if other is None or one.nodes.shape != other.nodes.shape:
+        return False
+    names = ("bars", "strings", "fixed")
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
 
 
 def _members(name: str, pairs: Any, count: int) -> IntArray:
