@@ -29,12 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0, or 2 with a message on stderr.
     """
     options = _parser().parse_args(arguments)
-    commands = {
-        "demo": _demo,
-        "simulate": _simulate,
-        "modes": _modes,
-        "accuracy": _accuracy,
-    }
+    commands = {"demo": _demo, "simulate": _simulate, "modes": _modes, "accuracy": _accuracy}
     try:
         commands[options.command](options)
     except (ValueError, ArithmeticError, OSError) as error:

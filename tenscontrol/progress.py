@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from tenscontrol.validation import truth
+
 
 @contextmanager
 def progress_bar(
@@ -12,9 +14,9 @@ def progress_bar(
 ) -> Iterator[Callable[[float], None]]:
     """Yield a function that is told how far things are: the simulated time reached, s.
 
-    The bar shows only on a terminal.
+    The bar shows only on a terminal. ``shown`` is what the user gives as ``progress``.
     """
-    if not shown:
+    if not truth("progress", shown, "whether to show a progress bar"):
         yield lambda reached: None
         return
     from tqdm import tqdm

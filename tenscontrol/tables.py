@@ -12,36 +12,14 @@ Cell = str | float | int | None
 
 
 def shown(value: Cell, form: str = ".1e") -> str:
-    """Return a cell as people read it; what is not known is a dash.
-
-    Parameters
-    ----------
-    value : str, float, int or None
-    form : str
-        Format of a float.
-
-    Returns
-    -------
-    str
-    """
+    """Return a cell as people read it, floats in a format; what is not known is a dash."""
     if value is None or (isinstance(value, float) and isnan(value)):
         return "–"
     return format(value, form) if isinstance(value, float) else str(value)
 
 
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Return columns of text; the first ``left`` are flush left, the others right.
-
-    Parameters
-    ----------
-    head : sequence of str
-    rows : sequence of sequence of str
-    left : int
-
-    Returns
-    -------
-    str
-    """
+    """Return columns of text; the first ``left`` are flush left, the others right."""
     width = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
     lines = [
         "  ".join(
@@ -53,35 +31,14 @@ def aligned(head: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Return a table in Markdown.
-
-    Parameters
-    ----------
-    head : sequence of str
-    rows : sequence of sequence of str
-    left : int
-        Columns that are flush left.
-
-    Returns
-    -------
-    str
-    """
+    """Return a table in Markdown; the first ``left`` columns are flush left."""
     rule = [":--" if i < left else "--:" for i in range(len(head))]
     escaped = [[cell.replace("|", "\\|") for cell in row] for row in (head, rule, *rows)]
     return "\n".join(f"| {' | '.join(row)} |" for row in escaped)
 
 
 def write_csv(path: str | Path, columns: Sequence[str], records: Sequence[object]) -> Path:
-    """Write attributes of records as CSV with full precision; what is not known is left empty.
-
-    Parameters
-    ----------
-    path : str or Path
-    columns : sequence of str
-        Names of the attributes.
-    records : sequence of object
-        One a line.
-    """
+    """Write attributes of records as CSV with full precision; what is not known is left empty."""
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)

@@ -214,7 +214,12 @@ def member_parameters(parameters: dict[str, FloatArray]) -> None:
         raise ValueError(f"shapes do not go together: {found}; expected one count of strings")
 
 
+def wrong_kind(name: str, value: object, expected: str) -> TypeError:
+    """Return the error of a value that is of another kind."""
+    return TypeError(f"{name} is a {type(value).__name__}, expected {expected}")
+
+
 def instance(name: str, value: object, kind: type, how: str) -> None:
     """Refuse a value of the wrong class and say where the right one comes from."""
     if not isinstance(value, kind):
-        raise TypeError(f"{name} is a {type(value).__name__}, expected {kind.__name__}: {how}")
+        raise wrong_kind(name, value, f"{kind.__name__}: {how}")

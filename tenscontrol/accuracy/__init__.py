@@ -4,8 +4,8 @@ from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.convergence import ConvergenceOrder, convergence_order
 from tenscontrol.accuracy.long_run import Drift, LongRun, long_run
-from tenscontrol.accuracy.measurement import Measurement
-from tenscontrol.accuracy.peers.peer import Peer, Solution
+from tenscontrol.accuracy.measured_run import Measurement
+from tenscontrol.accuracy.peers import Peer, Solution
 from tenscontrol.accuracy.predictability import Predictability, predictability
 from tenscontrol.accuracy.stability_map import StabilityMap, stability_map
 from tenscontrol.accuracy.work_precision import Ratios, WorkPrecision, work_precision

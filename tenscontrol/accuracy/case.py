@@ -133,10 +133,7 @@ def as_case(scene: object) -> Case:
     if isinstance(scene, Case):
         return scene
     instance("scene", scene, Scene, "make one by load_scene(file), or give a Case")
-    return _of_scene(scene)  # type: ignore[arg-type]  # checked just now
-
-
-def _of_scene(scene: Scene) -> Case:
+    assert isinstance(scene, Scene)  # checked just now
     input = "force_density" if scene.rest_length is None else "rest_length"
     notes = []
     if scene.controller is not None:
@@ -159,7 +156,7 @@ def _of_scene(scene: Scene) -> Case:
 def state_change(case: Case, moves: FloatArray) -> FloatArray:
     """Return the change of the state where nodes are moved, m, shape (3, n), and no bar stretches.
 
-    Both shapes are restored: a bar off by round-off in the case does not count as perturbed.
+    Both shapes are restored: a bar off by round-off does not count as perturbed.
     """
     moved = restore_bar_lengths(case.structure, case.nodes + moves)
     change = moved - restore_bar_lengths(case.structure, case.nodes)
@@ -173,8 +170,8 @@ _DENSE = 600
 def fastest_rate(case: Case) -> float:
     """Return the largest magnitude of the eigenvalues of ∂f/∂x at the start, 1/s.
 
-    All strings pull. Of an undamped structure that is its highest angular frequency ω. A motion
-    without any is given the rate at which it passes its duration.
+    All strings pull. Of an undamped structure that is its highest angular frequency ω; 1/duration
+    at least.
     """
     equation = case.equation()
     x, u, taut = (

@@ -71,9 +71,7 @@ class ConvergedMotion:
 
 
 def converged_motion(
-    scene: Case | Scene,
-    outputs: int = 100,
-    report: Callable[[float], None] | None = None,
+    scene: Case | Scene, outputs: int = 100, report: Callable[[float], None] | None = None
 ) -> ConvergedMotion:
     """Return the motion of a case as exactly as double precision allows, and its error.
 
@@ -124,20 +122,16 @@ def converged_motion(
     span = DOP853(case.equation(), _TOLERANCE).advance(case.state, case.value, case.duration, count)
     nodes, velocities = unpack_states(case.structure, states)
     error = largest_distance(nodes, unpack_states(case.structure, span.states)[0])
+    switches = np.array(solver.switches)
+    apart = np.diff(switches, prepend=-case.duration)
     return ConvergedMotion(
         time=frozen(times),
         nodes=frozen(nodes),
         velocities=frozen(velocities),
         states=frozen(states),
         error=error,
-        switches=frozen(_moments(solver.switches, case.duration)),
+        switches=frozen(switches[apart > _TOGETHER * case.duration]),
     )
-
-
-def _moments(switches: list[float], duration: float) -> FloatArray:
-    """Return times of switches, those that round-off sets apart once."""
-    times = np.array(switches)
-    return times[np.diff(times, prepend=-duration) > _TOGETHER * duration]
 
 
 def largest_distance(nodes: FloatArray, others: FloatArray) -> float:
@@ -146,10 +140,7 @@ def largest_distance(nodes: FloatArray, others: FloatArray) -> float:
 
 
 class PiecewiseSolver:
-    """SciPy's DOP853 on a case, piece by piece, each smooth: with all switches located.
-
-    ``switches`` are the times at which strings switched in the last run, s.
-    """
+    """SciPy's DOP853 on a case in smooth pieces, with the times of all ``switches``, s, located."""
 
     def __init__(self, case: Case) -> None:
         equation = case.equation()
@@ -166,8 +157,7 @@ class PiecewiseSolver:
     def states(self, times: FloatArray, tolerance: float) -> Iterator[FloatArray]:
         """Yield the states at the times, s, ascending above 0, each as soon as it is reached.
 
-        ``tolerance`` is that of a step, relative and, a tenth of it, absolute. Raises
-        ArithmeticError if the state grows beyond all bounds, or strings chatter.
+        ``tolerance`` of a step is relative and, a tenth of it, absolute. Raises ArithmeticError.
         """
         self.switches = []
         state, now, done = self._case.state, 0.0, 0
@@ -184,15 +174,21 @@ class PiecewiseSolver:
                 if not near and stepper.t < times[done]:
                     continue
                 between = stepper.dense_output()
-                if near and self._crosses(between(at + (stepper.t - at) * _LOOKS), sign):
-                    switch = self._first_crossing(between, at, float(stepper.t), sign)
+                if near:
+                    looks = between(at + (stepper.t - at) * _LOOKS)
+                    gaps = self._gaps_within(looks, self._held_within)[0]
+                    if (sign[:, None] * gaps + _BORDER).min() < 0:
+                        switch = self._first_crossing(between, at, float(stepper.t), sign)
                 reached = float(stepper.t) if switch is None else switch
                 while done < len(times) and times[done] <= reached:
                     yield np.asarray(between(times[done]))
                     done += 1
             if switch is not None:
                 # Dense output is less accurate than a step: step to the switch anew.
-                state, now = _landed(_stepper(slope, at, before, switch, tolerance)), switch
+                stepper = _stepper(slope, at, before, switch, tolerance)
+                while stepper.status == "running":
+                    _advance(stepper)
+                state, now = np.asarray(stepper.y), switch
                 pulls = pulls ^ (sign * self._gaps(state) < -0.5 * _BORDER)
                 self._note_switch(now, len(pulls))
 
@@ -221,15 +217,8 @@ class PiecewiseSolver:
             return np.zeros(0)
         return self._gap(state, self._case.value)[0].copy()
 
-    def _room(self, state: FloatArray, sign: FloatArray) -> float:
-        """Return how far the nearest string is from having passed the border, m."""
-        return float((sign * self._gaps(state)).min()) + _BORDER
-
     def _comes_near(self, x0: FloatArray, x1: FloatArray, step: float, sign: FloatArray) -> bool:
-        """Return whether a string may come to the border within a step.
-
-        It cannot if its ends are farther away than it goes at twice its larger speed there.
-        """
+        """Whether a string may reach the border in a step at twice its larger speed at the ends."""
         if not self._can_switch:
             return False
         if self._is_damped:  # the border then moves with the speed
@@ -239,17 +228,12 @@ class PiecewiseSolver:
         way = 2 * step * np.maximum(np.abs(rate0), np.abs(rate1))
         return bool((sign * (gap0 + gap1) <= way + _BORDER).any())
 
-    def _crosses(self, states: FloatArray, sign: FloatArray) -> bool:
-        """Return whether a string is over the border in one of the states."""
-        gaps = self._gaps_within(states, self._held_within)[0]
-        return bool((sign[:, None] * gaps + _BORDER).min() < 0)
-
     def _first_crossing(self, between: Any, start: float, end: float, sign: FloatArray) -> float:
         """Return when the first string passes the border; one does at one of the looks."""
         from scipy.optimize import brentq
 
-        def room(time: float) -> float:
-            return self._room(between(time), sign)
+        def room(time: float) -> float:  # of the nearest string to the border, m
+            return float((sign * self._gaps(between(time))).min()) + _BORDER
 
         last = start
         for time in start + (end - start) * _LOOKS:
@@ -273,10 +257,3 @@ def _advance(stepper: Any) -> None:
         trouble = stepper.step()
     if stepper.status == "failed":
         raise ArithmeticError(f"DOP853 stopped at {stepper.t:.6g} s: {trouble}")
-
-
-def _landed(stepper: Any) -> FloatArray:
-    """Return the state at the end of a short way."""
-    while stepper.status == "running":
-        _advance(stepper)
-    return np.asarray(stepper.y)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
-from tenscontrol.accuracy.measurement import (
+from tenscontrol.accuracy.measured_run import (
     Bench,
     as_taken,
     checked_settings,
@@ -19,7 +19,7 @@ from tenscontrol.accuracy.measurement import (
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, shown
-from tenscontrol.validation import FloatArray, frozen, truth, whole_number
+from tenscontrol.validation import FloatArray, frozen, whole_number
 
 # Errors above this part of the size are not small yet; below so many times what the reference is
 # off by, and so many units of round-off a step, they are not the method's any more.
@@ -126,10 +126,9 @@ def convergence_order(
 
     Notes
     -----
-    A run is fitted if its error is below a hundredth of the size of the
-    structure, above ten times the error of the reference, and above ten units
-    of round-off for each step taken: outside, it is not the method that one
-    sees.
+    A run is fitted if its error is below a hundredth of the size of the structure, above ten times
+    the error of the reference, and above ten units of round-off for each step taken: outside, it is
+    not the method that one sees.
 
     Examples
     --------
@@ -146,7 +145,6 @@ def convergence_order(
     count = whole_number("outputs", outputs, least=1)
     if reference is not None:
         count = len(reference.time)
-    truth("progress", progress, "whether to show a progress bar")
     unit = "s" if chosen.setting == "step" else "1"
     settings = default_settings(chosen, case)
     if steps is not None:

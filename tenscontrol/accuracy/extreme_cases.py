@@ -47,13 +47,12 @@ _LET_GO = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Extreme:
-    """A motion with something extreme about it.
+    """A motion with something extreme about it: ``group`` says what, ``label`` how much.
 
-    ``group`` and ``label`` say what is extreme and how much: ``"string stiffness"``,
-    ``"1e9 N/m"``. Fixed steps are ``longer`` times too long. Motions are compared at so many
-    equally spaced ``outputs``. Steps must also follow ``turning``, the largest speed of turning,
-    rad/s. A run that costs more than ``budget`` evaluations of a prism by explicit methods is not
-    run. ``closed_form`` returns nodes, m, shape (3, n, T), over time where the motion is known.
+    Fixed steps are ``longer`` times too long. Motions are compared at ``outputs`` times. Steps must
+    also follow ``turning``, the largest speed of turning, rad/s. A run that costs more than
+    ``budget`` evaluations of a prism by explicit methods is not run. ``closed_form`` returns nodes,
+    m, shape (3, n, T), over time where the motion is known.
     """
 
     group: str
@@ -96,10 +95,7 @@ class Extreme:
         return {"tolerance": TOLERANCE}
 
     def evaluations(self, method: str) -> float:
-        """Return about how many evaluations of the forces a method needs, at most.
-
-        0 for a method that need not follow the fastest motion.
-        """
+        """Return about how many evaluations a method needs; 0 if it need not follow the fastest."""
         if method in _ANGLES:
             return _EVALUATIONS[method] * self.angle / (self.longer * _ANGLES[method])
         return _BY_RADIAN.get(method, 0.0) * self.angle

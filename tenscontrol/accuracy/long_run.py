@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case, fastest_rate
-from tenscontrol.accuracy.measurement import (
+from tenscontrol.accuracy.measured_run import (
     conserves_energy,
     conserves_momentum,
     invariants,
@@ -179,12 +179,11 @@ def long_run(
 
     Notes
     -----
-    The run is cut into 21 blocks. A slope is the mean difference of the means
-    of successive blocks by their time; its 95 % interval is Student's t of
-    these 20 differences as they come from a random walk of round-off. A slope
-    whose interval covers zero cannot be told from zero. Of the three
-    components of a momentum the one with the clearest slope is given, and its
-    interval allows for the choice.
+    The run is cut into 21 blocks. A slope is the mean difference of the means of successive blocks
+    by their time; its 95 % interval is Student's t of these 20 differences as they come from a
+    random walk of round-off. A slope whose interval covers zero cannot be told from zero. Of the
+    three components of a momentum the one with the clearest slope is given, and its interval allows
+    for the choice.
 
     Examples
     --------
@@ -202,7 +201,6 @@ def long_run(
     steps = whole_number("steps", steps, least=10)
     outputs = whole_number("outputs", outputs, least=_BLOCKS)
     truth("machine_code", machine_code, "whether to compile the steps")
-    truth("progress", progress, "whether to show a progress bar")
     duration = setting * steps if chosen.setting == "step" else steps / fastest_rate(case)
     case = replace(case, duration=duration)
     recorder = _Recorder(case)
@@ -283,10 +281,9 @@ class _Recorder:
 def trend(spacing: float, values: FloatArray) -> tuple[float, float]:
     """Return the slope of a series and the half-width of its 95 % confidence interval.
 
-    See the notes of :func:`long_run`: a random walk, which round-off makes, is no drift. For an
-    oscillation about a level the differences cancel, and the interval is wider than it need be.
-    ``values`` of shape (T,), one each ``spacing``, s. Of several series, shape (k, T), that with
-    the clearest slope is returned; its interval allows for the choice (Bonferroni).
+    See the notes of :func:`long_run`. ``values`` (T,) come one each ``spacing``, s. Of several
+    series, (k, T), that with the clearest slope is returned; its interval allows for the choice
+    (Bonferroni).
     """
     from scipy.special import stdtrit
 

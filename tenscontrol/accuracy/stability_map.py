@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, fastest_rate
-from tenscontrol.accuracy.measurement import checked_settings, invariants, method_named
+from tenscontrol.accuracy.measured_run import checked_settings, invariants, method_named
 from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.integrate import IntegrationError, Method
@@ -18,7 +18,7 @@ from tenscontrol.progress import progress_bar
 from tenscontrol.statics import prestress
 from tenscontrol.structure import prism, restore_bar_lengths, spread_force_density, subdivide
 from tenscontrol.tables import aligned
-from tenscontrol.validation import FloatArray, frozen, instance, truth, whole_number
+from tenscontrol.validation import FloatArray, frozen, instance, whole_number
 
 # A motion with more than so many times its kinetic energy is not stable.
 _GROWN = 100.0
@@ -146,7 +146,6 @@ def stability_map(
     stiff = checked_settings("stiffness", stiffness, "N/m")[::-1]
     ratios = checked_settings("mass_ratio", mass_ratio, "1")[::-1]
     count = whole_number("steps", steps, least=20)
-    truth("progress", progress, "whether to show a progress bar")
     make = prism_near_rest if case is None else case
     limit = theoretical_limit(method)
     shape = (len(stiff), len(ratios))
@@ -210,10 +209,7 @@ class _Probe:
         return isfinite(self._energy(product))
 
     def _energy(self, product: float) -> float:
-        """Return the largest kinetic energy of a run with this h ω, J; infinite if it fails.
-
-        The run is broken off once the energy is larger than allowed.
-        """
+        """Return the largest kinetic energy of a run with this h ω, J; infinite if not allowed."""
         state, step, largest = self._case.state, product / self._rate, 0.0
         for first in range(0, self._count, _PART):
             count = min(_PART, self._count - first)
@@ -232,11 +228,7 @@ class _Probe:
 
 
 def prism_near_rest(stiffness: float, mass_ratio: float) -> Case:
-    """Return a prism with a point mass in the middle of each string, all but at rest.
-
-    ``stiffness`` is that of a whole string, N/m, above its force density; ``mass_ratio`` the mass
-    of a point by that of a bar.
-    """
+    """Return a prism near rest with a point mass amid each string, of this stiffness, N/m."""
     segments, disturbance = 2, 1e-5
     bare = prism()
     rest = prestress(bare, force_density=17.3205)
@@ -251,19 +243,12 @@ def prism_near_rest(stiffness: float, mass_ratio: float) -> Case:
 
 
 def theoretical_limit(method: str) -> float:
-    """Return the largest ``h ω`` at which an undamped oscillation stays bounded.
+    """Return the largest ``h ω`` at which an undamped oscillation stays bounded; NaN if not known.
 
-    Of the classical Runge-Kutta method it is 2√2, where the imaginary axis leaves its region of
-    stability (2.785 is where the real axis does). A method that alternates flights and kicks
-    multiplies position and velocity by a matrix of determinant 1 a step, which is bounded while its
-    trace is below 2: 2 for Störmer and Verlet's.
-
-    NaN where none is known.
-
-    Notes
-    -----
-    Hairer & Wanner, *Solving Ordinary Differential Equations II*, section
-    IV.2; Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VIII.4.
+    2√2 for the classical Runge-Kutta method, by its region of stability on the imaginary axis. A
+    splitting multiplies position and velocity by a matrix of determinant 1 a step, bounded while
+    its trace is below 2 (Hairer & Wanner, *Solving Ordinary Differential Equations II*, IV.2;
+    Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VIII.4).
     """
     if method == "rk4":
         return float(np.sqrt(8))

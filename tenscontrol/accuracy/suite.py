@@ -63,9 +63,8 @@ class Truth:
     """The true motion, by a closed form or computed twice.
 
     ``nodes``, m, shape (3, n, T), are those at the times of the case. ``error`` is the largest
-    distance of a node between the two computations, by the size, up to where they are compared:
-    for ``outputs`` times. ``growth``, shape (T,), is how much a perturbation of the start has
-    grown, and ``how`` says where the motion is from.
+    distance between the two computations, by the size, for ``outputs`` times; ``growth``, shape
+    (T,), that of a perturbation of the start; ``how`` says where the motion is from.
     """
 
     nodes: FloatArray
@@ -75,10 +74,9 @@ class Truth:
     how: str
 
     def comparable(self, error: float) -> int:
-        """Return at how many times a run that makes this error can be compared.
+        """Return at how many times a run that makes this error, by the size, can be compared.
 
-        Up to where the error, grown as a perturbation of the start grows, is the error asked for:
-        no run that makes such errors can be right for longer. Errors are by the size.
+        Up to where the error, grown as a perturbation of the start grows, is the error asked for.
         """
         # Errors near what is asked are compared until they have grown tenfold.
         counted = min(max(error, _ROUND_OFF), 0.1 * ASKED)
@@ -146,21 +144,18 @@ def _perturbation(extreme: Extreme) -> FloatArray:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of one method in one case.
+    """What came of one method in one case: one of :data:`VERDICTS`.
 
-    One of :data:`VERDICTS`. ``"accurate"``: the error is no larger than asked. ``"in part"``: nor
-    is it up to where the growth of a perturbation lets motions be compared, before the end; beyond,
-    errors grow, of which the run may know nothing. ``"warned"``: it is larger, and the run said so.
-    ``"stopped"``: the run ended with an error; ``"refused"``: it did not begin. ``"too long"``: not
-    run, for it would take too many evaluations. ``"unknown"``: there is no truth to compare with.
-    ``"SILENT"``: wrong without a word.
+    ``"accurate"``: the error is no larger than asked. ``"in part"``: nor is it up to where the
+    growth of a perturbation lets motions be compared. ``"warned"``: it is larger, and the run said
+    so. ``"stopped"``: the run ended with an error; ``"refused"``: it did not begin; ``"too long"``:
+    it would take too many evaluations. ``"unknown"``: there is no truth. ``"SILENT"``: wrong
+    without a word.
 
-    ``error`` is the largest distance of a node from the truth, by the size, up to the time
-    ``compared``, s, which is ``part`` of the duration; ``error_to_end`` goes on to the end, or to
-    where the truth is known. ``estimate`` is the run's own, ``run.health.position_error``.
-    ``growth`` is that of a small perturbation of the start by the end, ``reference_error`` the
-    error of the truth itself, by the size. ``evaluations`` were taken, or are expected where it was
-    not run; ``reason`` has the words of the run, or why it was not run. NaN: not known.
+    Errors are by the size: ``error`` up to the time ``compared``, s, which is ``part`` of the
+    duration; ``error_to_end`` to the end, or to where the truth is known; ``estimate`` is the run's
+    own, ``growth`` that of a small perturbation of the start, ``reference_error`` that of the
+    truth. ``reason`` has the words of the run. NaN: not known.
     """
 
     case: str
@@ -349,40 +344,17 @@ def _cell(row: Verdict) -> str:
 def extreme_suite(quick: bool = False, only: str = "", progress: bool = False) -> SuiteResult:
     """Run every method on stiff and extreme structures, and say what came of each.
 
-    Strings of 1 to 1e9 N/m, masses of a milligram beside a kilogram, a string of 64 segments, bars
-    that turn at 1000 rad/s, prestress from 1e-6 to 1e6 N/m, slack strings, strings at zero length,
-    needles and coins, steps too long, long runs, damping, sizes from microns to kilometres. In each
-    the true motion is known in closed form, or computed by two methods that have little in common.
-    Every run is accurate, or says in a warning or an error that it is not, or is not started as too
-    long; else it is silently wrong, which is what the suite is to find.
+    The true motion is known in closed form, or computed by two methods that have little in common.
+    A run is accurate, or says in a warning or an error that it is not, or is not started as too
+    long; else it is silently wrong. ``quick`` runs a few cases, ``only`` those with this in their
+    name.
 
-    Parameters
-    ----------
-    quick : bool
-        Whether to run a few cases only, in some seconds; all take minutes.
-    only : str
-        Only cases with this in their name.
-    progress : bool
-        Whether to show a progress bar; never shown away from a terminal.
-
-    Returns
-    -------
-    SuiteResult
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind, or no case has that name.
-
-    Examples
-    --------
     >>> from tenscontrol.accuracy.suite import extreme_suite
     >>> found = extreme_suite(quick=True, only="free bar")
     >>> len(found.silent), found.methods[:3]
     (0, ('rk4', 'rattle', 'rattle4'))
     """
     checked_truth("quick", quick, "whether to run a few cases only")
-    checked_truth("progress", progress, "whether to show a progress bar")
     cases = [case for case in extremes(quick) if only in case.name]
     if not cases:
         groups = ", ".join(dict.fromkeys(case.group for case in extremes(quick)))
@@ -399,10 +371,7 @@ def extreme_suite(quick: bool = False, only: str = "", progress: bool = False) -
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the suite from the command line.
-
-    Return the exit status: 0, 1 where a run was silently wrong, or 2 with a message on stderr.
-    """
+    """Run the suite; return 0, 1 where a run was silently wrong, or 2 with a message on stderr."""
     options = _parser().parse_args(arguments)
     try:
         found = extreme_suite(options.quick, options.only, progress=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
-from tenscontrol.accuracy.measurement import (
+from tenscontrol.accuracy.measured_run import (
     NOT_KNOWN,
     Bench,
     Measurement,
@@ -20,7 +20,7 @@ from tenscontrol.accuracy.measurement import (
     default_settings,
     method_named,
 )
-from tenscontrol.accuracy.peers.peer import Peer
+from tenscontrol.accuracy.peers import Peer
 from tenscontrol.accuracy.predictability import Predictability, predictability
 from tenscontrol.integrate import METHODS, Method
 from tenscontrol.progress import progress_bar
@@ -326,9 +326,8 @@ def work_precision(
     methods : sequence of str, optional
         Our own; all of them if not given.
     settings : mapping of str to sequence of float, optional
-        Steps, s, or tolerances, by the name of a method or peer; steps that
-        fit the case, or 1e-3 to 1e-12, where not given. No step is longer than
-        from one output to the next.
+        Steps, s, or tolerances, by the name of a method or peer; steps that fit the case, or 1e-3
+        to 1e-12, where not given. No step is longer than from one output to the next.
     peers : sequence of Peer
         Integrators of other packages to measure beside.
     reference : ConvergedMotion, optional
@@ -373,8 +372,12 @@ def work_precision(
     repeats = whole_number("repeats", repeats, least=1)
     outputs = whole_number("outputs", outputs, least=1)
     truth("machine_code", machine_code, "whether to compile our own methods")
-    truth("progress", progress, "whether to show a progress bar")
-    chosen = [method_named(name) for name in _names(methods)]
+    names = tuple(METHODS) if methods is None else methods
+    if isinstance(names, str):
+        raise TypeError(f"methods is {names!r}, expected a sequence of names: [{names!r}]")
+    if len(set(names)) != len(names):
+        raise ValueError(f"methods is {list(names)}, expected each method once")
+    chosen = [method_named(name) for name in names]
     for i, peer in enumerate(peers):
         instance(f"peers[{i}]", peer, Peer, "make one by subclassing Peer")
     given = _checked_settings(settings, chosen, peers)
@@ -402,17 +405,6 @@ def work_precision(
         report(total)
     refused = tuple((name, why) for name, why in refusals.items() if why is not None)
     return WorkPrecision(case, tuple(rows), reference, growth, refused)
-
-
-def _names(names: Sequence[str] | None) -> Sequence[str]:
-    """Return names of methods, all if none are given."""
-    if names is None:
-        return tuple(METHODS)
-    if isinstance(names, str):
-        raise TypeError(f"methods is {names!r}, expected a sequence of names: [{names!r}]")
-    if len(set(names)) != len(names):
-        raise ValueError(f"methods is {list(names)}, expected each method once")
-    return names
 
 
 def _checked_settings(
@@ -445,10 +437,7 @@ def _refuse_other_times(reference: ConvergedMotion, case: Case) -> None:
 
 
 def frontier(rows: Sequence[Measurement], floor: float) -> tuple[FloatArray, FloatArray]:
-    """Return times and errors of the runs that no faster run beats, from coarse to fine.
-
-    No error is known to be less than ``floor``, that of the reference, m.
-    """
+    """Return times and errors, at least ``floor``, of runs that no faster run beats."""
     points = sorted(
         (row.time, max(row.error, floor)) for row in rows if not row.failure and row.time > 0
     )
@@ -461,10 +450,9 @@ def frontier(rows: Sequence[Measurement], floor: float) -> tuple[FloatArray, Flo
 
 
 def time_to_reach(rows: Sequence[Measurement], error: float, floor: float) -> float:
-    """Return the run time at which a method has an error, s.
+    """Return the run time at which a method has an error, s, between the logarithms of its runs.
 
-    Interpolated between logarithms; never carried on beyond what was run: to a larger error than
-    any the fastest run goes, a smaller one is not reached (NaN).
+    To a larger error than any, that of the fastest run; a smaller one is not reached (NaN).
     """
     times, errors = frontier(rows, floor)
     if not len(times) or error < errors[-1]:

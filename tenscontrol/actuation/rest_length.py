@@ -46,8 +46,7 @@ def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLe
     Raises
     ------
     TypeError, ValueError
-        If the model has no string law, an argument does not fit, or a string
-        is too soft for its γ.
+        If the model has no string law, an argument does not fit, or a string is too soft for its γ.
 
     Examples
     --------
@@ -61,10 +60,7 @@ def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLe
     >>> tc.to_force_density(model, prism.nodes, found.rest_length)[[0, 6]].round(4)
     array([17.3205, 30.    ])
     """
-    law = _law(model)
-    shape = model.structure.checked_nodes("nodes", nodes)
-    refuse_strings_without_length("nodes", model.structure, shape)
-    length = model.structure.string_length(shape)
+    law, length = _law_and_length(model, nodes)
     rest_length = law.rest_length(length, force_density)
     wanted = np.broadcast_to(np.asarray(force_density, dtype=float), length.shape)
     return RestLengths(frozen(rest_length), frozen(np.flatnonzero(wanted == 0)))
@@ -100,17 +96,18 @@ def to_force_density(model: Model, nodes: object, rest_length: object) -> FloatA
     >>> tc.to_force_density(model, prism.nodes, rest_length=0.7)[[0, 6]].round(3)
     array([19.171, 32.233])
     """
-    law = _law(model)
-    shape = model.structure.checked_nodes("nodes", nodes)
-    refuse_strings_without_length("nodes", model.structure, shape)
-    return law.force_density(model.structure.string_length(shape), rest_length)
+    law, length = _law_and_length(model, nodes)
+    return law.force_density(length, rest_length)
 
 
-def _law(model: Model) -> StringLaw:
+def _law_and_length(model: Model, nodes: object) -> tuple[StringLaw, FloatArray]:
+    """Return the string law, and the string lengths in a shape, m."""
     instance("model", model, Model, "make one by Model(structure, strings=...)")
     if model.strings is None:
         raise ValueError(
             "the model has no string law, so rest lengths mean nothing to it; "
             "build it as Model(structure, strings=LinearStrings(stiffness=...))"
         )
-    return model.strings
+    shape = model.structure.checked_nodes("nodes", nodes)
+    refuse_strings_without_length("nodes", model.structure, shape)
+    return model.strings, model.structure.string_length(shape)

@@ -181,11 +181,9 @@ def disturbed(plant: LinearPlant) -> FloatArray:
 def distance(plant: LinearPlant, run: Trajectory) -> FloatArray:
     """Return how far the farthest node is from the operating shape, rigid motion apart, m."""
     r = plant.degrees_of_freedom
-    far = []
-    for k in range(len(run.time)):
-        q = plant.measure(run.nodes[:, :, k], run.velocities[:, :, k])[:r]
-        far.append(np.linalg.norm(plant.to_nodes(q) - plant.nodes, axis=0).max())
-    return np.array(far)
+    moments = zip(run.nodes.T, run.velocities.T, strict=True)
+    shapes = [plant.to_nodes(plant.measure(N.T, V.T)[:r]) for N, V in moments]
+    return np.array([np.linalg.norm(shape - plant.nodes, axis=0).max() for shape in shapes])
 
 
 def height_of(nodes: FloatArray) -> FloatArray:

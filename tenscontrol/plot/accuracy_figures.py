@@ -45,10 +45,9 @@ _FEW_DECADES = 2.0
 def work_precision(result: WorkPrecision, *, ax: Axes | None = None) -> Curves:
     """Draw run time over error, one marker for each run: down and to the right is better.
 
-    Our own methods are drawn in colour, others in grey and dashed. Hollow
-    markers are errors that the reference does not resolve; within the grey band
-    errors are below its own. Failed runs and errors beyond the size of the
-    structure are not drawn.
+    Our own methods are drawn in colour, others in grey and dashed. Hollow markers are errors that
+    the reference does not resolve; within the grey band errors are below its own. Failed runs and
+    errors beyond the size of the structure are not drawn.
 
     Parameters
     ----------
@@ -234,8 +233,7 @@ def stability_map(result: StabilityMap, *, ax: Axes | None = None) -> Curves:
 def long_run(result: LongRun, *, ax: Axes | None = None) -> Curves:
     """Draw the error of the energy over a long run, with its slope.
 
-    Where the motion conserves no energy, how far bars are off their length is
-    drawn instead.
+    Where the motion conserves no energy, how far bars are off their length is drawn instead.
 
     Parameters
     ----------

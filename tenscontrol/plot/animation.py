@@ -40,10 +40,7 @@ _NEARLY_WHITE = 247
 
 
 def write_gif(path: Path, canvas: Any, pictures: Iterable[None], count: int, rate: float) -> None:
-    """Write what an Agg canvas shows after each of ``count`` pictures, ``rate`` a second.
-
-    A GIF counts hundredths of a second: pictures differ in length to keep the time as a whole.
-    """
+    """Write what an Agg canvas shows after each of ``count`` pictures, ``rate`` a second."""
     frames: list[Image.Image] = []
     palette: Image.Image | None = None
     for _ in pictures:
@@ -100,9 +97,8 @@ def animate(
         Time that the animation takes, s; as long as the motion if not given,
         so that it plays in real time.
     target : array_like, shape (3, n), optional
-        Node positions of a shape to draw faintly, m: where the motion should
-        go. It is drawn where it is given; a free structure may reach the shape
-        at another place.
+        Node positions of a shape to draw faintly, m: where the motion should go. It is drawn where
+        it is given; a free structure may reach the shape at another place.
     view : tuple of two floats
         Elevation and azimuth of the eye, degrees.
     dpi : int

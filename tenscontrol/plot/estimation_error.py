@@ -8,25 +8,16 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from tenscontrol.plot.histories import Curves, draw_curves, mark_statuses
-from tenscontrol.plot.style import PALETTE, curve_style, legend_above, panel_axes
+from tenscontrol.plot.style import PALETTE, checked_indices, curve_style, legend_above, panel_axes
 from tenscontrol.simulation import Trajectory
-from tenscontrol.validation import FloatArray, IntArray, instance, whole_number
+from tenscontrol.validation import FloatArray, IntArray, instance
 
 # Marks for what became of readings, told apart by their form.
-_MARKERS = {
-    "partly used": "|",
-    "lost": "x",
-    "refused": "v",
-    "waiting": ".",
-    "started anew": "s",
-}
+_MARKERS = {"partly used": "|", "lost": "x", "refused": "v", "waiting": ".", "started anew": "s"}
 
 
 def estimate(
-    run: Trajectory,
-    *,
-    strings: Sequence[int] = (0,),
-    axes: Sequence[Axes] | None = None,
+    run: Trajectory, *, strings: Sequence[int] = (0,), axes: Sequence[Axes] | None = None
 ) -> dict[str, Curves]:
     """Draw lengths of strings as they are and as estimated, and how far the estimate is off.
 
@@ -77,7 +68,7 @@ def estimate(
     structure = run.structure
     if structure.parent is not None and record.nodes.shape[1] < structure.nodes.shape[1]:
         structure = structure.parent
-    which = _checked(strings, len(structure.strings))
+    which = checked_indices("strings", strings, len(structure.strings), "string indices", "(0, 1)")
     pairs = structure.strings[which]
     seen = run.nodes[:, : record.nodes.shape[1]]
     true, found = _lengths(seen, pairs), _lengths(record.nodes, pairs)
@@ -121,20 +112,6 @@ def estimate(
     error = mark_statuses(error, record.time, record.status, _MARKERS, height=0.03)
     legend_above(places[1])
     return {"length": length, "error": error}
-
-
-def _checked(strings: object, count: int) -> list[int]:
-    if isinstance(strings, str) or not isinstance(strings, Sequence | np.ndarray):
-        raise TypeError(f"strings is {strings!r}, expected a sequence of indices, like (0, 1)")
-    if len(strings) == 0:
-        raise ValueError("strings is empty, expected at least one index")
-    which = [whole_number(f"strings[{i}]", entry, least=0) for i, entry in enumerate(strings)]
-    if max(which) >= count:
-        raise ValueError(
-            f"strings names {max(which)}, expected 0 to {count - 1}: "
-            f"there are {count} strings, counted from 0"
-        )
-    return which
 
 
 def _lengths(nodes: FloatArray, pairs: IntArray) -> FloatArray:

@@ -18,7 +18,7 @@ from tenscontrol.plot.style import (
     marker_style,
     reference_style,
 )
-from tenscontrol.validation import FloatArray, float_array
+from tenscontrol.validation import FloatArray, float_array, wrong_kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,9 +176,7 @@ def _checked_rows(name: str, values: object, count: int) -> FloatArray:
 
 def _checked_mapping(name: str, mapping: object) -> Mapping[str, object]:
     if not isinstance(mapping, Mapping):
-        raise TypeError(
-            f"{name} is a {type(mapping).__name__}, expected a dict from names to numbers"
-        )
+        raise wrong_kind(name, mapping, "a dict from names to numbers")
     for key in mapping:
         if not isinstance(key, str):
             raise TypeError(f"{name} has the key {key!r}, expected text for the legend")
@@ -197,10 +195,7 @@ def mark_statuses(
     markers: Mapping[str, str],
     height: float = 0.0,
 ) -> Curves:
-    """Mark the samples with one of the statuses that have a marker, at a height in the panel.
-
-    ``time`` (K,) is in s. The legend is left as it is.
-    """
+    """Mark the samples (K,), s, whose status has a marker; the legend is left as it is."""
     marks: dict[str, Line2D] = {}
     for position, (status, marker) in enumerate(markers.items()):
         at = np.array([found == status for found in statuses])

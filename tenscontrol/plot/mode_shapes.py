@@ -54,9 +54,8 @@ def mode_shapes(
 ) -> tuple[ModeShape, ...]:
     """Draw mode shapes side by side, each over the reference shape in grey.
 
-    A mode has no size of its own: the displacements are exaggerated, and along
-    straight lines, so that bars look longer than they are. All panels have one
-    scale; axes are left out for that.
+    A mode has no size of its own: the displacements are exaggerated, and along straight lines, so
+    that bars look longer than they are. All panels have one scale; axes are left out for that.
 
     Parameters
     ----------

@@ -79,11 +79,10 @@ def trajectory(
 ) -> dict[str, Curves]:
     """Draw the time histories of a motion, one panel for each kind of quantity.
 
-    The panels are ``"coordinates"``; ``"force_density"``, with one style for
-    each string group, if there are strings; and ``"rest_length"`` if rest
-    lengths were held. What was held is drawn in steps. Samples at which a
-    controller's status was not ``"ok"`` are marked on the lowest time axis, faults
-    in the panels of force densities and rest lengths; a cut string has no rest length.
+    The panels are ``"coordinates"``; ``"force_density"``, with one style for each string group, if
+    there are strings; and ``"rest_length"`` if rest lengths were held. What was held is drawn in
+    steps. Samples at which a controller's status was not ``"ok"`` are marked on the lowest time
+    axis, faults in the panels of force densities and rest lengths; a cut string has no rest length.
 
     Parameters
     ----------
@@ -189,9 +188,8 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     """Draw what tells whether to trust a motion.
 
     The panels are ``"energy"``; ``"momentum"``, the change since the start; and
-    ``"bar_length_error"``, the largest of all bars, if there are bars. The
-    last two have logarithmic scales: a straight rise is a drift. What is below
-    round-off is drawn at round-off.
+    ``"bar_length_error"``, the largest of all bars, if there are bars. The last two have
+    logarithmic scales: a straight rise is a drift. What is below round-off is drawn at round-off.
 
     Parameters
     ----------

@@ -57,9 +57,8 @@ def poles(poles: object, *, ax: Axes | None = None) -> PoleMap:
     Parameters
     ----------
     poles : array_like of complex, shape (k,), or mapping of str to such arrays
-        Poles s of a system in continuous time, 1/s, for example
-        ``numpy.linalg.eigvals(plant.A)``. Several sets, by the name that the
-        legend shows, get different markers.
+        Poles s of a system in continuous time, 1/s, for example ``numpy.linalg.eigvals(plant.A)``.
+        Several sets, by the name that the legend shows, get different markers.
     ax : Axes, optional
         Where to draw; a new figure if not given.
 
@@ -179,10 +178,7 @@ def _lay_out(ax: Axes, sets: Mapping[str, np.ndarray], largest: float) -> None:
 
 
 def _distinct(values: np.ndarray, tolerance: float) -> tuple[np.ndarray, list[int]]:
-    """Return the different poles, equal ones averaged, and how often each is there.
-
-    They come from the outermost imaginary part inward, which keeps numbers in order.
-    """
+    """Return the different poles, outermost first, equal ones averaged, and how often each is."""
     groups: list[list[complex]] = []
     for value in values[np.lexsort([values.real, values.imag])]:
         near = next((group for group in groups if abs(group[0] - value) <= tolerance), None)

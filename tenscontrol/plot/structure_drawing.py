@@ -97,10 +97,7 @@ def new_space(figure: Figure, rows: int = 1, columns: int = 1, index: int = 1) -
 
 
 def frame(ax: Any, points: Iterable[FloatArray], grow: bool, fill: float = 0.77) -> None:
-    """Set limits that hold all points (3, ·), and the former ones with ``grow``; one scale.
-
-    The box is zoomed to the share ``fill`` of the axes; the default leaves room for the labels.
-    """
+    """Set limits that hold all points (3, ·), with ``grow`` the former; ``fill`` of the axes."""
     corners = np.hstack(list(points))
     lower, upper = corners.min(axis=1), corners.max(axis=1)
     largest = max(float((upper - lower).max()), 1e-9)
@@ -371,7 +368,9 @@ def structure(
         )
         drawing = replace(drawing, colorbar=bar)
     if legend and not faint:
-        _add_legend(ax, structure, gamma)
+        slack = gamma is not None and bool(is_slack(gamma).any())
+        samples = legend_samples(structure, slack, colored=gamma is not None)
+        ax.legend(handles=samples, loc="upper left", frameon=False, fontsize="small")
     return drawing
 
 
@@ -391,9 +390,3 @@ def _numbered(drawing: Drawing, shape: FloatArray, nodes: bool, members: bool) -
         bar_labels=write(of_bars, "b", members, NORMAL.bar_color),
         string_labels=write(of_strings, "s", members, NORMAL.string_color),
     )
-
-
-def _add_legend(ax: Any, structure: Structure, gamma: FloatArray | None) -> None:
-    slack = gamma is not None and bool(is_slack(gamma).any())
-    samples = legend_samples(structure, slack, colored=gamma is not None)
-    ax.legend(handles=samples, loc="upper left", frameon=False, fontsize="small")

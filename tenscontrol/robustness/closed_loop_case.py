@@ -15,8 +15,7 @@ from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
 from tenscontrol.plant import LinearPlant
 from tenscontrol.robustness.distributions import one_number
 from tenscontrol.robustness.sweep_report import SweepError
-from tenscontrol.simulation import Fault, HealthLimits, Trajectory, simulate
-from tenscontrol.simulation.faults import Faults
+from tenscontrol.simulation import Fault, Faults, HealthLimits, Trajectory, simulate
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
@@ -26,6 +25,7 @@ from tenscontrol.validation import (
     per_member,
     positive_number,
     truth,
+    wrong_kind,
 )
 
 if TYPE_CHECKING:
@@ -72,22 +72,19 @@ class Outcome:
     def __init__(self, success: bool, figures: Mapping[str, object] | None = None) -> None:
         given = {} if figures is None else figures
         if not isinstance(given, Mapping):
-            raise TypeError(f"figures is a {type(given).__name__}, expected a dict of numbers")
+            raise wrong_kind("figures", given, "a dict of numbers")
         put = object.__setattr__  # the dataclass is frozen for everyone else
         put(self, "success", truth("success", success, "whether the run was a success"))
-        numbers = ((_name(name), one_number(f"figures[{name!r}]", given[name])) for name in given)
+        for name in given:
+            if not isinstance(name, str) or not name:
+                raise TypeError(f"figures has the key {name!r}, expected a name")
+        numbers = ((name, one_number(f"figures[{name!r}]", given[name])) for name in given)
         put(self, "_figures", tuple(numbers))
 
     @property
     def figures(self) -> dict[str, float]:
         """The figures by name; a new dict at each access."""
         return dict(self._figures)
-
-
-def _name(name: object) -> str:
-    if not isinstance(name, str) or not name:
-        raise TypeError(f"figures has the key {name!r}, expected a name")
-    return name
 
 
 @final
@@ -215,29 +212,20 @@ class ClosedLoopCase:
             instance("sensors", self.sensors, Sensors, "make them by Sensors(structure=..., ...)")
             if self.estimator is None:
                 raise ValueError("sensors go with an estimator; kalman(...) makes one")
-        put(self, "faults", self._checked_faults())
+        held = "force_density" if self.strings is None else "rest_length"
+        size = float(np.ptp(self.structure.nodes, axis=1).max())
+        winches = len(self.controller.plant.commanded.strings)
+        faults = Faults(self.faults, size, self.input or held)
+        faults.refuse_unknown(len(self.structure.strings), winches)
+        put(self, "faults", tuple(self.faults))
         self._model({})  # refuses strings and gravity that do not fit
 
     def __call__(self, parameters: Mapping[str, object], rng: np.random.Generator) -> Outcome:
-        """Return what becomes of the closed loop with these parameters.
+        """Return what becomes of the closed loop with these factors and start; noise by ``rng``.
 
-        Parameters
-        ----------
-        parameters : mapping of str to float or array_like
-            Factors, and where the structure starts.
-        rng : numpy.random.Generator
-            For the noise of the readings.
-
-        Returns
-        -------
-        Outcome
-
-        Raises
-        ------
-        TypeError, ValueError, SimulationError
-            If the plant cannot be built of these, or the motion runs away or is not accurate.
-        SweepError
-            If there is no such parameter, or it has nothing to act on.
+        Raises TypeError, ValueError or SimulationError if the plant cannot be built or the motion
+        runs away or is not accurate; SweepError if there is no such parameter, or it has nothing to
+        act on.
         """
         unknown = sorted(set(parameters) - set(_PARAMETERS))
         if unknown:
@@ -280,15 +268,6 @@ class ClosedLoopCase:
                 )
         return Model(structure, strings=strings, gravity=self.gravity)
 
-    def _checked_faults(self) -> tuple[Fault, ...]:
-        """Return the faults, after checking that there is what they break."""
-        held = "force_density" if self.strings is None else "rest_length"
-        size = float(np.ptp(self.structure.nodes, axis=1).max())
-        breaking = Faults(self.faults, size, self.input or held)
-        winches = len(self.controller.plant.commanded.strings)
-        breaking.refuse_unknown(len(self.structure.strings), winches)
-        return tuple(self.faults)
-
     def _start(self, parameters: Mapping[str, object]) -> FloatArray | None:
         if "start" not in parameters:
             return self.nodes
@@ -303,7 +282,11 @@ class ClosedLoopCase:
     def _judged(self, run: Trajectory) -> Outcome:
         record = run.control
         assert record is not None  # a controller was given
-        error = self._error(run)
+        plant = self.controller.plant
+        late = run.time >= (1 - _SETTLED) * run.time[-1]
+        # Of a subdivision, the nodes of its parent come first.
+        nodes = run.nodes[:, : plant.nodes.shape[1], late]
+        error = farthest_node(plant, nodes, plant.nodes if self.target is None else self.target)
         figures = {
             "final_error": error,
             "least_force_density": float(run.force_density.min()),
@@ -312,14 +295,6 @@ class ClosedLoopCase:
             "commands_not_ok": float(sum(status is not Status.OK for status in record.status)),
         }
         return Outcome(success=error <= self.tolerance, figures=figures)
-
-    def _error(self, run: Trajectory) -> float:
-        """Return how far the farthest node is from its place at the end, m."""
-        plant = self.controller.plant
-        late = run.time >= (1 - _SETTLED) * run.time[-1]
-        # Of a subdivision, the nodes of its parent come first.
-        nodes = run.nodes[:, : plant.nodes.shape[1], late]
-        return farthest_node(plant, nodes, plant.nodes if self.target is None else self.target)
 
 
 def _varied_strings(

@@ -17,7 +17,7 @@ from tenscontrol.robustness.distributions import Distribution
 from tenscontrol.robustness.pool import run_one, spread, workers
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError, SweepReport, collected
-from tenscontrol.validation import instance, truth, whole_number
+from tenscontrol.validation import instance, truth, whole_number, wrong_kind
 
 
 def sweep(
@@ -56,17 +56,15 @@ def sweep(
         ``Client(...).get_executor()``. If not given, new processes, which a script
         may start only inside ``if __name__ == "__main__":``.
     processes : int, optional
-        Number of new processes, where no executor is given; all processors if
-        not given.
+        Number of new processes, where no executor is given; all processors if not given.
     in_flight : int, optional
         How many runs are handed out at a time, at least the number of workers. Two
         a process if not given, 64 on an executor that is given.
     file : path, optional
-        Where each run is written down as soon as it is done. If the file is
-        there, the sweep goes on from it: one of its runs is done again, and must
-        give the same numbers; the others are not. ``count`` may differ from that
-        of the file: a larger one adds runs to it, with a smaller one the first
-        ``count`` runs are reported, and the file keeps all.
+        Where each run is written down as soon as it is done. If the file is there, the sweep goes
+        on from it: one of its runs is done again, and must give the same numbers; the others are
+        not. ``count`` may differ from that of the file: a larger one adds runs to it, with a
+        smaller one the first ``count`` runs are reported, and the file keeps all.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 
@@ -126,8 +124,11 @@ def sweep(
         processes = whole_number("processes", processes, least=1)
     if in_flight is not None:
         in_flight = whole_number("in_flight", in_flight, least=1)
-    header = store.make_header(_name(case), seed, count, distributions)
-    path = _checked_path(file)
+    name = str(getattr(case, "__qualname__", type(case).__qualname__))
+    header = store.make_header(name, seed, count, distributions)
+    if file is not None and not isinstance(file, str | os.PathLike):
+        raise TypeError(f"file is {file!r}, expected a path, or None for no file")
+    path = None if file is None else Path(file)
     known_count, known = (count, []) if path is None else store.resume(path, header)
     records = {record.run: record for record in known}
     beyond = sum(run >= count for run in records)  # the file may be that of a longer sweep
@@ -168,19 +169,9 @@ def sweep(
     return collected(header, records)
 
 
-def _checked_path(file: object) -> Path | None:
-    if file is None:
-        return None
-    if not isinstance(file, str | os.PathLike):
-        raise TypeError(f"file is {file!r}, expected a path, or None for no file")
-    return Path(file)
-
-
 def _pickled(case: object) -> bytes:
     if not callable(case):
-        raise TypeError(
-            f"case is a {type(case).__name__}, expected a function case(parameters, rng)"
-        )
+        raise wrong_kind("case", case, "a function case(parameters, rng)")
     try:
         return pickle.dumps(case)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
@@ -190,15 +181,9 @@ def _pickled(case: object) -> bytes:
         ) from error
 
 
-def _name(case: object) -> str:
-    return str(getattr(case, "__qualname__", type(case).__qualname__))
-
-
 def _checked_parameters(parameters: object) -> dict[str, Distribution]:
     if not isinstance(parameters, Mapping):
-        raise TypeError(
-            f"parameters is a {type(parameters).__name__}, expected a dict of distributions"
-        )
+        raise wrong_kind("parameters", parameters, "a dict of distributions")
     for name, distribution in parameters.items():
         if not isinstance(name, str) or not name:
             raise TypeError(f"parameters has the key {name!r}, expected a name")

@@ -99,14 +99,12 @@ def _interrupts_blocked() -> Iterator[None]:
 def workers(
     executor: Executor | None, processes: int | None, in_flight: int | None
 ) -> Iterator[Workers]:
-    """Yield the user's executor, or processes of our own.
-
-    Our own have ended afterwards, the user's executor is left as it is.
-    """
+    """Yield the user's executor as it is, or processes of our own, ended afterwards."""
     if executor is not None:
         yield Workers(executor, in_flight or _IN_FLIGHT)
         return
-    width = processes or _processors()
+    affinity = getattr(os, "sched_getaffinity", None)  # what this process may use, where it is told
+    width = processes or (len(affinity(0)) if affinity else os.cpu_count() or 1)
     # Processes are started anew: a fork of a process that has threads can lock up.
     context = _Remembering()
     pool = ProcessPoolExecutor(width, context, initializer=ignore_interrupts)
@@ -122,10 +120,7 @@ def spread(
     runs: Iterable[int],
     keep: Callable[[Record], None],
 ) -> None:
-    """Do all runs, and keep the record of each as it comes.
-
-    Whatever stops this, runs that are not done are given up.
-    """
+    """Do all runs, and keep the record of each as it comes; if stopped, give up the others."""
     todo = iter(runs)
     pending: dict[Future[Record], int] = {}
     over = False
@@ -182,22 +177,14 @@ def _stopped(error: BaseException, run: int, in_flight: Iterable[int]) -> SweepE
     return SweepError(f"run {run} stopped the sweep: {type(error).__name__}: {error}")
 
 
-def _processors() -> int:
-    """Return the number of processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 # ---- in a worker ----
 
 
 def run_one(case: bytes, parameters: Mapping[str, Distribution], seed: int, run: int) -> Record:
-    """Return the record of one run.
+    """Return the record of one run, the same whichever worker does it, and when.
 
-    The case comes pickled and is loaded anew for each run, so that nothing that one run leaves
-    in it (the last plan of a controller, say) reaches another. The random numbers hang on the
-    seed and the index alone. So it does not matter which worker does a run, or when.
+    The case comes pickled and is loaded anew, so that nothing that one run leaves in it reaches
+    another. The random numbers hang on the seed and the index alone.
     """
     function = _loaded(case)
     drawn = {
@@ -226,11 +213,7 @@ def run_one(case: bytes, parameters: Mapping[str, Distribution], seed: int, run:
 
 
 def ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent process.
-
-    A simulation that is interrupted returns the part that is done, which must not pass for a
-    whole run.
-    """
+    """Leave Ctrl-C to the parent: what is left of a simulation must not pass for a whole run."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

@@ -20,10 +20,9 @@ from tenscontrol.robustness.distributions import Distribution, Drawn
 
 @dataclass(frozen=True)
 class Record:
-    """One run: what was drawn, and what came of it.
+    """One run, by its index from 0: what was drawn, and what came of it.
 
-    ``run`` is its index, from 0. Where the case raised, ``success`` is False, ``figures`` is None,
-    and ``error`` and ``message`` are kind and text of what it raised.
+    Where the case raised, ``figures`` is None, ``error`` and ``message`` are kind and text.
     """
 
     run: int
@@ -62,12 +61,8 @@ def make_header(case: str, seed: int, count: int, parameters: Mapping[str, Distr
 def read(file: Path) -> tuple[Header, list[Record], int]:
     """Return header and records of a file, and how many of its bytes are whole lines.
 
-    The count of the header is the largest that was asked for.
-
-    Warns
-    -----
-    RuntimeWarning
-        If the last line is torn, as a process that is killed leaves it; it is dropped.
+    A last line that is torn, as a process that is killed leaves it, is dropped with a
+    RuntimeWarning.
     """
     whole, _, torn = file.read_bytes().rpartition(b"\n")
     first, *lines = whole.decode("utf-8").split("\n")
@@ -110,10 +105,7 @@ def read(file: Path) -> tuple[Header, list[Record], int]:
 
 
 def resume(file: Path, header: Header) -> tuple[int, list[Record]]:
-    """Return count and records of an earlier, equal sweep, and leave the file ready for more.
-
-    A file that is not there is begun. The sweep of the file may be longer, or shorter.
-    """
+    """Return count and records of an earlier, equal sweep; the file is begun, or ready for more."""
     if not file.exists():
         file.write_text(json.dumps(asdict(header), allow_nan=False) + "\n", "utf-8", newline="\n")
         return header.count, []

@@ -191,11 +191,10 @@ class SweepReport:
 
         Notes
         -----
-        The exact interval of Clopper and Pearson, *Biometrika* 26 (1934), from
-        quantiles of the beta distribution. It covers the true rate at least as
-        often as its level says, for any number of runs. It knows only the chance
-        of the draw: not whether the parameters vary as much in the world as in
-        the sweep.
+        The exact interval of Clopper and Pearson, *Biometrika* 26 (1934), from quantiles of the
+        beta distribution. It covers the true rate at least as often as its level says, for any
+        number of runs. It knows only the chance of the draw: not whether the parameters vary as
+        much in the world as in the sweep.
         """
         from scipy.special import betaincinv
 

@@ -97,10 +97,7 @@ def _schedule(table: Table, model: Model, arguments: dict[str, Any], input: str)
 def _build_reference(
     table: Table, model: Model, rest: Prestress, limits: dict[str, Any]
 ) -> Reference:
-    """Return the path by the shapes of ``[[controller.reference]]``, through equilibria.
-
-    It begins at ``rest`` and keeps within the limits of γ and of the winches.
-    """
+    """Return the path from ``rest`` by the shapes of ``[[controller.reference]]``."""
     sample_time = table.need("sample_time")
     groups = np.array(model.structure.string_groups)
     level = float(rest.force_density[groups == groups[0]].mean())
@@ -241,10 +238,7 @@ def build_estimator(
 
 
 def build_faults(document: Document, strings: int, winches: int | None) -> tuple[Fault, ...]:
-    """Return the faults of ``[[faults]]``.
-
-    ``strings`` can be cut, segments if there are any; ``winches`` is None without a controller.
-    """
+    """Return the faults; ``strings`` can be cut; ``winches`` is None without a controller."""
     found: list[Fault] = []
     for i in range(len(document.values.get("faults", ()))):
         title, values = f"[[faults]] number {i + 1}", document.values["faults"][i]

@@ -202,8 +202,8 @@ _TOKEN = re.compile(
 def key_lines(text: str) -> dict[KeyPath, int]:
     """Return the line, from 1, of each table header and key of a text that tomllib has accepted.
 
-    Their paths are like ``("loads", "forces", 0, "node")``. Keys within inline tables and arrays
-    belong to the key before the ``=``. The text is read once.
+    Paths are like ``("loads", "forces", 0, "node")``. Keys within inline tables belong to the key
+    before.
     """
     found: dict[KeyPath, int] = {}
     last_entry: dict[KeyPath, int] = {}  # of each array of tables

@@ -27,7 +27,7 @@ from tenscontrol.scene.structure_tables import (
     build_start,
     build_structure,
 )
-from tenscontrol.validation import positive_number
+from tenscontrol.validation import positive_number, wrong_kind
 
 # With strings whose law is known, rest lengths are the input if nothing else is said.
 _INPUTS = ("force_density", "rest_length")
@@ -91,12 +91,11 @@ def load_scene(file: str | Path) -> Scene:
         ``plants = 8``, MPCs are designed at eight shapes along the reference and take turns as a
         :class:`GainSchedule`.
     ``[[controller.reference]]``
-        A shape to be reached at ``time``, s, through equilibria within the controller's bounds of
-        γ and the limits of the winches: ``height``, m, and ``twist``, rad, between the nodes
-        ``top`` and ``bottom`` (those of a prism if not given); ``nodes`` with their ``positions``.
-        The move begins at ``start``, s; at the end of the one before if not given.
-        ``force_density``: mean γ of the group of the first string in that shape, N/m; that of the
-        prestress if not given.
+        A shape to be reached at ``time``, s, through equilibria within the controller's bounds of γ
+        and the limits of the winches: ``height``, m, and ``twist``, rad, between the nodes ``top``
+        and ``bottom`` (those of a prism if not given); ``nodes`` with their ``positions``. The move
+        begins at ``start``, s; at the end of the one before if not given. ``force_density``: mean γ
+        of the group of the first string in that shape, N/m; that of the prestress if not given.
     ``[[controller.outputs]]``, ``[[controller.tracked]]``
         A node coordinate, ``node`` and ``axis = "x"``, ``"y"`` or ``"z"``, less that of the
         node ``relative_to``. As ``outputs`` with ``low`` and ``high``, m, and ``penalty``.
@@ -131,7 +130,7 @@ def load_scene(file: str | Path) -> Scene:
     (Structure(6 nodes, 3 bars, 9 strings), 'force_density', Trajectory(0.5 s, 501 states, rk4))
     """
     if not isinstance(file, str | Path):
-        raise TypeError(f"file is a {type(file).__name__}, expected a path")
+        raise wrong_kind("file", file, "a path")
     document = read_document(file)
     structure = build_structure(document)
     laws = build_law(document, structure)

@@ -91,7 +91,16 @@ class Scene:
         return self.model.structure
 
     def simulate(self, progress: bool = False) -> Trajectory:
-        """Return the motion, with a progress bar on a terminal if ``progress``.
+        """Return the motion.
+
+        Parameters
+        ----------
+        progress : bool
+            Whether to show a progress bar; never shown away from a terminal.
+
+        Returns
+        -------
+        Trajectory
 
         Raises
         ------
@@ -105,7 +114,10 @@ class Scene:
             names += ["controller", "input", "winches", "sample_time", "estimator", "seed"]
         settings: dict[str, Any] = {name: getattr(self, name) for name in names}
         if self.controller is not None and self.rest_length is not None:
-            settings["rest_length"] = self._initial_winches(self.controller)
+            wound = self.rest_length
+            if len(self.controller.plant.model.structure.strings) != len(wound):
+                wound = to_strings(self.structure, "rest_length", wound)
+            settings["rest_length"] = wound
         elif self.rest_length is not None:
             settings["rest_length"] = self.rest_length
         elif self.controller is None:
@@ -114,17 +126,19 @@ class Scene:
             self.model, nodes=self.nodes, velocities=self.velocities, progress=progress, **settings
         )
 
-    def _initial_winches(self, controller: Controller) -> FloatArray:
-        """Return rest lengths of whole strings, m: the sum over the segments of each."""
-        assert self.rest_length is not None  # the caller saw
-        if len(controller.plant.model.structure.strings) == len(self.structure.strings):
-            return self.rest_length
-        return to_strings(self.structure, "rest_length", self.rest_length)
-
     def linearize(self, input: str | None = None, coordinates: str = "internal") -> LinearPlant:
         """Return the linear plant about the shape of the structure, as :func:`linearize` does.
 
-        ``input`` is that of the scene if not given.
+        Parameters
+        ----------
+        input : {"force_density", "rest_length"}, optional
+            That of the scene if not given.
+        coordinates : {"internal", "minimal", "nodes"}
+            See :func:`linearize`.
+
+        Returns
+        -------
+        LinearPlant
 
         Raises
         ------

@@ -112,11 +112,7 @@ def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
 
 
 def build_law(document: Document, structure: Structure) -> tuple[StringLaw, StringLaw] | None:
-    """Return the law of the strings and that of the whole strings, or None if there is no table.
-
-    Segments act in series: a string of stiffness k and damping c has segments of
-    s k and s c. Axial rigidity is that of the material and stays.
-    """
+    """Return the law of the strings and that of the whole strings, or None if there is no table."""
     if not document.has("strings"):
         return None
     kind, table = document.table("strings").chosen("law", LAWS)
@@ -163,8 +159,7 @@ def build_loads(document: Document, structure: Structure) -> tuple[object, Float
 def build_force_density(document: Document, structure: Structure, load: FloatArray) -> FloatArray:
     """Return γ of each string in the shape of the structure, N/m, shape (α,).
 
-    A single number is the mean γ of the reference strings in a state of self-stress under the
-    load (3, n), N; a list or a table is taken as it is, in balance or not.
+    A single number is the mean γ of the reference strings in balance with the load (3, n), N.
     """
     if not document.has("prestress"):
         if len(structure.strings):
@@ -210,10 +205,7 @@ def build_design(
     forces: FloatArray | None,
     gamma: FloatArray,
 ) -> tuple[Model, Prestress]:
-    """Return the model with its strings whole, for controller and estimator, and its equilibrium.
-
-    ``law`` is that of the whole strings; loads and γ (α,) are those of the structure.
-    """
+    """Return the model with its strings whole, and its equilibrium, for the controller."""
     design = whole(structure)
     load: Any = False if forces is None else forces[:, : design.nodes.shape[1]]
     model = Model(design, strings=law, external_force=load, gravity=gravity)

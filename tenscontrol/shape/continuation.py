@@ -34,11 +34,9 @@ class Waypoint:
 class Continuation:
     """The equilibria nearest to the straight line from one to another.
 
-    At each s the squared distance ``‖y − y(s)‖² + w ‖g − g(s)‖²`` from the point
-    between start and goal is least among the equilibria with γ in its bounds. Its
-    conditions (Karush, Kuhn and Tucker) are solved by Newton steps with an active
-    set, from a prediction along the tangent. ``start`` and ``goal`` are unknowns of
-    the problem; ``low`` and ``high`` bound γ in units of the level.
+    At each s the squared distance ``‖y − y(s)‖² + w ‖g − g(s)‖²`` is least among the equilibria
+    with γ in its bounds, which are in units of the level. Its conditions (Karush, Kuhn and Tucker)
+    are solved by Newton steps with an active set, from a prediction along the tangent.
     """
 
     def __init__(

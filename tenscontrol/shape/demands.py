@@ -41,6 +41,7 @@ class Demand(ABC):
     tolerance: float
     unit: ClassVar[str] = "m"
     _node_lists: ClassVar[tuple[str, ...]]  # the fields that name nodes
+    _numbers: ClassVar[str]  # the field that holds the demanded numbers
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # the dataclasses are frozen for everyone else
@@ -65,9 +66,9 @@ class Demand(ABC):
         """A name for each demanded number."""
 
     @property
-    @abstractmethod
     def wanted(self) -> FloatArray:
-        """The demanded numbers, shape (k,)."""
+        """The demanded numbers, m or rad, shape (k,); places node by node."""
+        return np.ravel(getattr(self, self._numbers), order="F")
 
     @abstractmethod
     def miss(self, N: Any) -> Any:
@@ -128,6 +129,7 @@ class NodesAt(Demand):
     directions: str = "xyz"
     tolerance: float = 0.0
     _node_lists = ("nodes",)
+    _numbers = "positions"
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
@@ -148,11 +150,6 @@ class NodesAt(Demand):
     def names(self) -> tuple[str, ...]:
         """``"x[0]"`` and so on, node by node."""
         return tuple(f"{axis}[{i}]" for i in self.nodes for axis in self.directions)
-
-    @property
-    def wanted(self) -> FloatArray:
-        """The coordinates asked for, m, node by node."""
-        return self.positions.ravel(order="F")
 
     def miss(self, N: Any) -> Any:
         """Return found less wanted coordinates."""
@@ -197,6 +194,7 @@ class PointAt(Demand):
     directions: str = "xyz"
     tolerance: float = 0.0
     _node_lists = ("nodes",)
+    _numbers = "position"
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
@@ -223,11 +221,6 @@ class PointAt(Demand):
     def names(self) -> tuple[str, ...]:
         """``"x of point"`` and so on."""
         return tuple(f"{axis} of point" for axis in self.directions)
-
-    @property
-    def wanted(self) -> FloatArray:
-        """The place asked for, m."""
-        return self.position
 
     def miss(self, N: Any) -> Any:
         """Return found less wanted place."""
@@ -271,6 +264,7 @@ class Height(Demand):
     axis: FloatArray = (0.0, 0.0, 1.0)  # type: ignore[assignment]  # replaced in __post_init__
     tolerance: float = 0.0
     _node_lists = ("top", "bottom")
+    _numbers = "height"
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
@@ -293,11 +287,6 @@ class Height(Demand):
     def names(self) -> tuple[str, ...]:
         """``("height",)``."""
         return ("height",)
-
-    @property
-    def wanted(self) -> FloatArray:
-        """The height, m, shape (1,)."""
-        return np.array([self.height])
 
     def miss(self, N: Any) -> Any:
         """Return found less wanted height."""
@@ -343,15 +332,12 @@ class Twist(Demand):
     tolerance: float = 0.0
     unit = "rad"
     _node_lists = ("top", "bottom")
+    _numbers = "angle"
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
         def __init__(
-            self,
-            angle: float,
-            top: Sequence[int],
-            bottom: Sequence[int],
-            tolerance: float = 0.0,
+            self, angle: float, top: Sequence[int], bottom: Sequence[int], tolerance: float = 0.0
         ) -> None: ...
 
     def _checked(self) -> dict[str, object]:
@@ -366,11 +352,6 @@ class Twist(Demand):
     def names(self) -> tuple[str, ...]:
         """``("twist",)``."""
         return ("twist",)
-
-    @property
-    def wanted(self) -> FloatArray:
-        """The angle, rad, shape (1,)."""
-        return np.array([self.angle])
 
     def miss(self, N: Any) -> Any:
         """Return found less wanted angle, between −π and π."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model
-from tenscontrol.statics import equilibrium_matrix, least_distance
+from tenscontrol.statics import least_distance, member_forces
 from tenscontrol.structure import Structure, free_coordinates, is_movable
 from tenscontrol.validation import (
     FloatArray,
@@ -81,11 +81,6 @@ class ForceLimits:
     level: float | None  # mean γ of the reference strings, N/m
     reference: IntArray
     scale: float  # size of the force densities, N/m
-
-    @property
-    def level_text(self) -> str:
-        """The level in words."""
-        return "" if self.level is None else f", {self.level:g} N/m in the reference strings"
 
     def bounded(
         self, gamma: FloatArray, rest_length: FloatArray | None
@@ -223,21 +218,14 @@ def choose_force_density(
 ) -> FloatArray | None:
     """Return γ, shape (α,), that balances in the shape of a structure, or None if none does.
 
-    ``kind`` is "centred", the analytic centre of the bounds (Boyd & Vandenberghe,
-    *Convex Optimization*, section 8.5.3), or "least", the least sum of squares.
-    Both are unique, so that a symmetric shape gets symmetric forces. ``low`` and
-    ``high``, N/m, replace the bounds of γ in ``limits``; ``high`` may be infinite.
+    ``kind`` is "centred", the analytic centre of the bounds (Boyd & Vandenberghe, *Convex
+    Optimization*, 8.5.3), or "least", the least sum of squares: unique, so that a symmetric shape
+    gets symmetric forces. ``low`` and ``high``, N/m, replace the bounds of γ in ``limits``.
     """
-    live = is_movable(structure, np.vstack([structure.strings, structure.bars]))
-    alpha = len(structure.strings)
-    pulls = live[:alpha]
-    E = equilibrium_matrix(structure)[structure.free_rows][:, live]
-    w = free_coordinates(structure, load) / limits.scale
+    forces = member_forces(structure, free_coordinates(structure, load) / limits.scale)
+    pulls = forces.live[: len(structure.strings)]
     count = int(pulls.sum())
-    U, sizes, Vt = np.linalg.svd(E)
-    rank = int(np.count_nonzero(sizes > _RANK * sizes.max(initial=0.0)))
-    at = Vt[:rank].T @ ((U[:, :rank].T @ w) / sizes[:rank])
-    D, p = Vt[rank:].T[:count], at[:count]
+    D, p = forces.states[:count], forces.particular[:count]
     if limits.level is not None:
         mine = np.flatnonzero(np.isin(np.flatnonzero(pulls), limits.reference))
         mean = D[mine].mean(axis=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -29,14 +28,6 @@ _TIE = 1e-10
 
 # A string with less than this fraction of the largest γ is slack.
 _SLACK = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Result of a search: the unknowns, and whether the optimizer converged."""
-
-    values: FloatArray
-    success: bool
 
 
 class ShapeProblem:
@@ -126,10 +117,7 @@ class ShapeProblem:
         return self._reduced.strings
 
     def neutral_fields(self, nodes: FloatArray) -> FloatArray:
-        """Return the displacements, shape (f, m), in rigid motions that nothing resists.
-
-        They include those that break the symmetry.
-        """
+        """Return displacements, (f, m), in all rigid motions that nothing resists."""
         motions = self._neutral_motions(np.eye(6))
         if motions.shape[1] == 0:
             return np.zeros((len(self.model.structure.free_rows), 0))
@@ -149,11 +137,11 @@ class ShapeProblem:
         lowest: FloatArray,
         highest: FloatArray,
         guess: FloatArray,
-    ) -> Found:
-        """Return unknowns that solve the equations and minimize an objective, by IPOPT.
+    ) -> tuple[FloatArray, bool]:
+        """Return unknowns that solve the equations at least cost, by IPOPT, and if it converged.
 
-        ``more`` lists further expressions with their bounds; ``extra`` are further
-        unknowns after v; ``lowest`` and ``highest`` bound γ in units of the level.
+        ``more`` lists further expressions with their bounds, ``extra`` further unknowns after v;
+        ``lowest`` and ``highest`` bound γ in units of the level.
         """
         v = ca.vertcat(self.unknowns, extra)
         rows = ca.vertcat(self.equations, *(expression for expression, _, _ in more))
@@ -178,13 +166,10 @@ class ShapeProblem:
         problem = {"x": v, "f": objective + tie, "g": rows}
         solver = ca.nlpsol("shape", "ipopt", problem, options)
         answer = solver(x0=guess, lbx=least, ubx=most, lbg=low, ubg=high)
-        return Found(np.array(answer["x"].full()).ravel(), bool(solver.stats()["success"]))
+        return np.array(answer["x"].full()).ravel(), bool(solver.stats()["success"])
 
     def polish(self, values: FloatArray, rows: Any = None) -> tuple[FloatArray, FloatArray]:
-        """Return the unknowns nearest by that solve the equations, and what is left of them.
-
-        ``rows`` are further expressions to be brought to zero, by Newton steps of least length.
-        """
+        """Return the nearest unknowns at which equations and ``rows`` vanish, and what is left."""
         every = self.equations if rows is None else ca.vertcat(self.equations, rows)
         newton = ca.Function("newton", [self.unknowns], [every, ca.jacobian(every, self.unknowns)])
         best = point = values[: self.unknowns.numel()]
@@ -200,11 +185,9 @@ class ShapeProblem:
         return best, left
 
     def stability_margin(self, rest: Prestress) -> float:
-        """Return the smallest eigenvalue of the stiffness at rest of what can move, N/m.
+        """Return the smallest eigenvalue of the stiffness at rest, N/m, of what can move.
 
-        With a string law: rest lengths held, bars rigid, motions as one body that
-        nothing resists left out. Without: taut strings rigid as well, so that
-        only the prestress stiffens, and infinite if there is no mechanism.
+        As in :class:`ShapeTarget`; motions as one body that nothing resists are left out.
         """
         from scipy import linalg
 

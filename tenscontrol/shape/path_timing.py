@@ -39,8 +39,7 @@ class PathError(ValueError):
 class TimedPath:
     """A path laid out in time, each shape solved anew at its time.
 
-    ``rate`` is the limit of the winches, m/s, ``duration`` and ``step``, the largest time
-    between shapes, are in s; without duration, the shortest that the winches allow.
+    ``rate`` limits the winches, m/s; ``step`` is the largest time between shapes, s.
     """
 
     def __init__(
@@ -113,11 +112,9 @@ class TimedPath:
 class TimeScaling:
     """The place on a path at any time.
 
-    The pace p(s) is the time that a unit of the path takes at full speed. The
-    speed, as a share of the full one, rises over a ramp by ``3τ² − 2τ³``, stays,
-    and falls again; acceleration is zero at both ends of a ramp. ``pace`` is p at
-    ``places`` from 0 to 1, straight in between; a ramp takes the share ``ramp`` of the
-    duration, at most 1/2.
+    The pace p(s), given at ``places`` and straight in between, is the time that a unit of the path
+    takes at full speed. The speed, as a share of the full one, rises over the share ``ramp`` of the
+    duration by ``3τ² − 2τ³``, stays, and falls again; acceleration is zero at both ends of a ramp.
     """
 
     def __init__(self, places: FloatArray, pace: FloatArray, ramp: float) -> None:

@@ -157,11 +157,7 @@ class ShapePath:
 
 
 def plants_along(
-    model: Model,
-    nodes: FloatArray,
-    force_density: FloatArray,
-    count: int,
-    input: str,
+    model: Model, nodes: FloatArray, force_density: FloatArray, count: int, input: str
 ) -> tuple[LinearPlant, ...]:
     """Return linear plants at some of T equilibria, evenly by the distance that nodes travel.
 

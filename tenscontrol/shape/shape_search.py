@@ -131,8 +131,7 @@ class _DemandRows:
 def _signed_distances(structure: Structure, nodes: FloatArray, N: Any) -> Any:
     """Return the distances, m, of bars that pass one another in a shape, in terms of N.
 
-    Positive on the side where they are in that shape: a smooth function, unlike the
-    distance itself. Pairs that are nearest at an end are left out.
+    Positive on the side where they are: smooth. Pairs that are nearest at an end are left out.
     """
     found = bar_distances(structure, nodes)
     rows = []
@@ -180,13 +179,12 @@ def solve_shape(
             for weight in weights:
                 away = ca.sumsqr(problem.positions - ca.DM(home[: problem.positions.numel()]))
                 objective = away + weight * ca.sumsqr(e) + forces
-                found = problem.search(objective, bounds, e, low, high, guess)
-                if not found.success:
+                guess, success = problem.search(objective, bounds, e, low, high, guess)
+                if not success:
                     break
-                values = _polished(problem, demanded, level, (low, high), found.values)
+                values = _polished(problem, demanded, level, (low, high), guess)
                 if values is not None:
                     yield values
-                guess = found.values
             else:
                 return
 
@@ -199,8 +197,7 @@ def solve_shape(
             outside = float(np.linalg.norm(demanded.outside(values)))
             if best is None or outside < max(best.outside, MET):
                 found = _finished(problem, demanded, limits, kind, values, outside)
-                better = best is None or best.outside > MET or found.margin > best.margin
-                if better:
+                if best is None or best.outside > MET or found.margin > best.margin:
                     best = found
             if outside <= MET:
                 break

@@ -118,10 +118,7 @@ class RotationalSymmetry:
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """Coordinates y of the shapes that are searched: all, or those with a symmetry.
-
-    The free coordinates are ``offset + basis y``, m; ``basis`` is orthonormal.
-    """
+    """Coordinates y of the shapes searched: the free coordinates are ``offset + basis y``, m."""
 
     basis: FloatArray  # (f, r)
     offset: FloatArray  # (f,)

@@ -22,7 +22,7 @@ from tenscontrol.structure import (
     refuse_moved_supports,
     restore_bar_lengths,
 )
-from tenscontrol.validation import FloatArray, choice, frozen, instance, truth
+from tenscontrol.validation import FloatArray, choice, frozen, instance, truth, wrong_kind
 
 CHOICES = ("centred", "least")
 
@@ -123,9 +123,8 @@ class ShapeError(ValueError):
     Attributes
     ----------
     nearest : ShapeTarget or None
-        The equilibrium found that misses them least in the sense of least
-        squares (lengths in units of the size of the structure, angles in rad);
-        None if no equilibrium was found at all.
+        The equilibrium found that misses them least in the sense of least squares (lengths in units
+        of the size of the structure, angles in rad); None if no equilibrium was found at all.
     """
 
     def __init__(self, message: str, nearest: ShapeTarget | None) -> None:
@@ -223,10 +222,8 @@ def shape_target(
     structure = model.structure
     wanted: Any = (demands,) if isinstance(demands, Demand) else demands
     if not isinstance(wanted, Sequence) or isinstance(wanted, str):
-        raise TypeError(
-            f"demands is a {type(demands).__name__}, expected a demand or a sequence of them: "
-            "NodesAt, PointAt, Height, Twist"
-        )
+        how = "a demand or a sequence of them: NodesAt, PointAt, Height, Twist"
+        raise wrong_kind("demands", demands, how)
     for i, demand in enumerate(wanted):
         instance(f"demands[{i}]", demand, Demand, "NodesAt, PointAt, Height or Twist")
         demand.refuse_other_nodes(f"demands[{i}]", structure)
@@ -249,9 +246,10 @@ def shape_target(
     refuse_load_without_support(structure, model.constant_force)
     solved = solve_shape(model, tuple(wanted), limits, prestress, symmetry, place)
     if solved is None:
+        level = f", {limits.level:g} N/m in the reference strings" if limits.level else ""
         raise ShapeError(
             "no equilibrium found with bars of their lengths and γ of at least "
-            f"min_force_density{limits.level_text}. Start from another shape, or lower "
+            f"min_force_density{level}. Start from another shape, or lower "
             "min_force_density",
             None,
         )

@@ -1,6 +1,6 @@
 """Forces at rest: self-stress, prestress, mechanisms, stability."""
 
-from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, null_space
+from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, member_forces, null_space
 from tenscontrol.statics.least_distance import least_distance
 from tenscontrol.statics.prestress import Prestress, prestress, prism_force_density
 from tenscontrol.statics.stability import Stability, stress_matrix
@@ -10,6 +10,7 @@ __all__ = [
     "Stability",
     "equilibrium_matrix",
     "least_distance",
+    "member_forces",
     "null_space",
     "prestress",
     "prism_force_density",

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, is_movable
 from tenscontrol.validation import FloatArray, instance
 
 # Singular values below this fraction of the largest count as zero: far above round-off, far below
@@ -65,3 +67,32 @@ def null_space(matrix: FloatArray) -> FloatArray:
     _, sizes, Vt = np.linalg.svd(matrix)
     rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
     return np.asarray(Vt[rank:].T)
+
+
+@dataclass(frozen=True, eq=False)
+class MemberForces:
+    """Force densities of the k movable members, strings first: ``particular + states @ x``.
+
+    Members between two fixed nodes are part of the support, and fixed nodes take any force.
+    """
+
+    live: np.ndarray  # (α + β,), which members are movable
+    matrix: FloatArray  # (f, k), E of these members and the free coordinates
+    sizes: FloatArray  # its singular values
+    states: FloatArray  # (k, ·), orthonormal states of self-stress
+    particular: FloatArray  # (k,), the least γ and λ that balance the load best
+
+    @property
+    def rank(self) -> int:
+        """Rank of the matrix."""
+        return int(self.matrix.shape[1] - self.states.shape[1])
+
+
+def member_forces(structure: Structure, load: FloatArray) -> MemberForces:
+    """Return the force densities that balance a load on the free coordinates, shape (f,)."""
+    live = is_movable(structure, np.vstack([structure.strings, structure.bars]))
+    E = equilibrium_matrix(structure)[structure.free_rows][:, live]
+    U, sizes, Vt = np.linalg.svd(E)
+    rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
+    particular = Vt[:rank].T @ ((U[:, :rank].T @ load) / sizes[:rank])
+    return MemberForces(live, E, sizes, Vt[rank:].T, particular)

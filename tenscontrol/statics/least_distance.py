@@ -35,9 +35,7 @@ def nearest_in_cone(
 ) -> FloatArray | None:
     """Return x, shape (k,), that minimizes ``‖D x + o − target‖`` subject to ``D x + o ≥ 0``.
 
-    D are the ``directions``, shape (m, k), o the ``offset``. ``D x`` is unique,
-    so that a symmetric structure gets a symmetric answer. Entries that are zero
-    in the whole set are found first by a linear program. None if no x is feasible.
+    ``D x`` is unique, so that a symmetric structure gets a symmetric answer. None if there is none.
     """
     scale = max(float(np.abs(offset).max()), float(np.abs(target).max()))
     best = _nearest(directions, offset / scale, target / scale)

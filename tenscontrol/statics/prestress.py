@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix
+from tenscontrol.statics.equilibrium_matrix import member_forces
 from tenscontrol.statics.least_distance import nearest_in_cone
 from tenscontrol.statics.stability import Stability, stability
-from tenscontrol.structure import Structure, free_coordinates, is_movable, rigid_basis
+from tenscontrol.structure import Structure, free_coordinates, rigid_basis
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -144,20 +144,14 @@ def prestress(
     load = np.zeros((3, n))
     if external_force is not None:
         load = shaped("external_force", external_force, (3, n), "one force per node, N")
-    # Fixed nodes take any force; a member between two of them is part of the support.
-    rows = structure.free_rows
-    live = is_movable(structure, np.vstack([structure.strings, structure.bars]))
-    E = equilibrium_matrix(structure)[rows][:, live]
     w = free_coordinates(structure, load)
+    forces = member_forces(structure, w)
+    live, E, states, particular = forces.live, forces.matrix, forces.states, forces.particular
     live_strings = live[:alpha]
     count = int(live_strings.sum())
-    U, sizes, Vt = np.linalg.svd(E)
-    rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
-    states = Vt[rank:].T
 
     if given.ndim == 0:
         level = positive_number("force_density", float(given), "N/m")
-        particular = Vt[:rank].T @ ((U[:, :rank].T @ w) / sizes[:rank])
         _refuse_unbalanced(
             structure, E, particular, w, "no member forces balance external_force",
             "In this shape the load meets a mechanism; equilibrium(model, ...) lets the shape give",
@@ -166,7 +160,7 @@ def prestress(
         strings = np.flatnonzero(np.isin(np.flatnonzero(live_strings), structure.strings_in(group)))
         densities = _nearest_to_uniform(particular, states, strings, level, count)
         if densities is None:
-            raise ValueError(_infeasible(structure, states, sizes, bool(w.any())))
+            raise ValueError(_infeasible(states, forces.sizes, bool(w.any())))
     else:
         if reference is not None:
             raise ValueError("reference goes with a single force_density, not with an array")
@@ -190,15 +184,12 @@ def prestress(
         external_force=frozen(load),
         residual=float(np.abs(E @ densities - w).max(initial=0.0)),
         self_stress_states=states.shape[1],
-        mechanisms=len(rows) - rigid_basis(structure).shape[1] - rank,
+        mechanisms=len(w) - rigid_basis(structure).shape[1] - forces.rank,
     )
 
 
 def prism_force_density(
-    sides: int,
-    force_density: float,
-    radius: float = 1.0,
-    top_radius: float | None = None,
+    sides: int, force_density: float, radius: float = 1.0, top_radius: float | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the force densities at which a prism rests, in the order of :func:`prism`.
 
@@ -215,8 +206,7 @@ def prism_force_density(
     force_density : float
         γ_t of the top strings, N/m.
     radius, top_radius : float
-        Radii of bottom and top, m; only their ratio matters. Equal if
-        ``top_radius`` is not given.
+        Radii of bottom and top, m; only their ratio matters. Equal if ``top_radius`` is not given.
 
     Returns
     -------
@@ -269,7 +259,7 @@ def _nearest_to_uniform(
     return np.asarray(densities)
 
 
-def _infeasible(structure: Structure, states: FloatArray, sizes: FloatArray, loaded: bool) -> str:
+def _infeasible(states: FloatArray, sizes: FloatArray, loaded: bool) -> str:
     """Say why no force densities were found."""
     if states.shape[1] == 0:
         smallest = sizes[-1] / sizes[0]

@@ -24,12 +24,10 @@ class Stability:
         members that carry force (prestress stability; sufficient for a
         strict minimum of the energy, whatever the string stiffness).
     is_super_stable : bool
-        Whether the stress matrix is positive semidefinite with the least
-        possible rank defect (4 in space, 3 for a flat structure), and no
-        affine motion keeps all member lengths (Connelly 1999,
-        doi:10.1007/0-306-47029-3_3): stable at any level of prestress, and
-        rigid in any dimension. Fixed nodes take away from the rank defect what
-        they hold of the affine motions.
+        Whether the stress matrix is positive semidefinite with the least possible rank defect (4 in
+        space, 3 for a flat structure), and no affine motion keeps all member lengths (Connelly
+        1999, doi:10.1007/0-306-47029-3_3): stable at any level of prestress, and rigid in any
+        dimension. Fixed nodes take away from the rank defect what they hold of the affine motions.
     mechanism_stiffness : ndarray, shape (k,)
         Eigenvalues of the prestress energy on the mechanisms, N/m, ascending.
     stress_matrix_rank_defect : int

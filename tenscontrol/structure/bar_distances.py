@@ -14,10 +14,9 @@ from tenscontrol.validation import FloatArray, IntArray
 class BarDistances:
     """Distances between the axes of all p pairs of bars.
 
-    ``side`` is the sign of the volume that two bars span; 0 where they are nearest at
-    an end, so that one can go around the other. ``nearest`` is where along its length
-    each of two lines is nearest to the other, 0 at the start of the bar and 1 at its
-    end; of parallel bars, anywhere.
+    ``side`` is the sign of the volume that two bars span; 0 where they are nearest at an end, so
+    that one can go around the other. ``nearest`` is where along its length each of two lines is
+    nearest to the other, 0 at the start of the bar and 1 at its end; of parallel bars, anywhere.
     """
 
     pairs: IntArray  # (p, 2)

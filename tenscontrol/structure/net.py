@@ -18,17 +18,12 @@ from tenscontrol.validation import (
 
 
 def net(
-    rows: int,
-    columns: int,
-    spacing: float,
-    node_mass: float,
-    fixed: object = "corners",
+    rows: int, columns: int, spacing: float, node_mass: float, fixed: object = "corners"
 ) -> Structure:
     """Return a flat rectangular net of strings, point masses at its knots.
 
-    Node ``columns · i + j`` is knot j of row i, at (j, i, 0) times ``spacing``.
-    The strings along the rows come first, group ``"row"``, then those along
-    the columns, group ``"column"``.
+    Node ``columns · i + j`` is knot j of row i, at (j, i, 0) times ``spacing``. The strings along
+    the rows come first, group ``"row"``, then those along the columns, group ``"column"``.
 
     Parameters
     ----------
@@ -60,9 +55,8 @@ def net(
 
     Notes
     -----
-    A class-0 structure, for which M_s is the point masses alone (Goyal &
-    Skelton, *Dynamics of Class 1 Tensegrity Systems Including Cable Mass*,
-    conclusions).
+    A class-0 structure, for which M_s is the point masses alone (Goyal & Skelton, *Dynamics of
+    Class 1 Tensegrity Systems Including Cable Mass*, conclusions).
 
     Examples
     --------

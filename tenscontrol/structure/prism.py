@@ -19,10 +19,9 @@ def prism(
 ) -> Structure:
     """Return the tensegrity prism in its equilibrium shape.
 
-    The top polygon is turned against the bottom one by ``π/2 − π/sides``, the
-    only turn at which strings and bars balance. Nodes 0 … q−1 are the top, the
-    next q the bottom. The strings come in groups ``"top"``, ``"bottom"`` and
-    ``"vertical"``, q each in this order.
+    The top polygon is turned against the bottom one by ``π/2 − π/sides``, the only turn at which
+    strings and bars balance. Nodes 0 … q−1 are the top, the next q the bottom. The strings come in
+    groups ``"top"``, ``"bottom"`` and ``"vertical"``, q each in this order.
 
     Parameters
     ----------

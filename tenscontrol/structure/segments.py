@@ -161,10 +161,7 @@ def spread_force_density(structure: Structure, force_density: object) -> FloatAr
     >>> round(float(cut.force_density[0]), 4), cut.residual < 1e-12
     (69.282, True)
     """
-    parent = _whole(structure)
-    gamma = per_member("force_density", force_density, len(parent.strings), "string of the parent")
-    non_negative("force_density", gamma, "a string can only pull")
-    return to_segments(structure, "force_density", gamma)
+    return _spread(structure, "force_density", force_density, "a string can only pull")
 
 
 def spread_rest_length(structure: Structure, rest_length: object) -> FloatArray:
@@ -184,10 +181,12 @@ def spread_rest_length(structure: Structure, rest_length: object) -> FloatArray:
     >>> tc.structure.spread_rest_length(massive, 0.8)[:2]
     array([0.2, 0.2])
     """
-    parent = _whole(structure)
-    length = per_member("rest_length", rest_length, len(parent.strings), "string of the parent")
-    non_negative("rest_length", length, "it is a length")
-    return to_segments(structure, "rest_length", length)
+    return _spread(structure, "rest_length", rest_length, "it is a length")
+
+
+def _spread(structure: Structure, what: str, value: object, why: str) -> FloatArray:
+    values = per_member(what, value, len(_whole(structure).strings), "string of the parent")
+    return to_segments(structure, what, non_negative(what, values, why))
 
 
 def _whole(structure: Structure) -> Structure:

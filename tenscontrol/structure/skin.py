@@ -40,20 +40,18 @@ def skin(
 ) -> Structure:
     """Return the structure with panels covered by an elastic skin, a mesh of strings.
 
-    Each panel gets a node at its centre, the mean of its corners, and strings
-    from it to the corners. This is repeated inside each new triangle, n
-    ``iterations`` in all. Nodes and strings of ``structure`` come first, in
-    their order; the new ones follow panel by panel. The result has
+    Each panel gets a node at its centre, the mean of its corners, and strings from it to the
+    corners. This is repeated inside each new triangle, n ``iterations`` in all. Nodes and strings
+    of ``structure`` come first, in their order; the new ones follow panel by panel. The result has
     ``structure`` as its ``parent``.
 
     Parameters
     ----------
     structure : Structure
     panels : sequence, or one name
-        Each entry is a name or a loop: three or more node indices, around the
-        panel. A string group whose strings form closed loops is a name:
-        ``"top"`` and ``"bottom"`` of a prism. ``"sides"`` are the 2q triangles
-        between neighbouring vertical strings of a prism.
+        Each entry is a name or a loop: three or more node indices, around the panel. A string group
+        whose strings form closed loops is a name: ``"top"`` and ``"bottom"`` of a prism.
+        ``"sides"`` are the 2q triangles between neighbouring vertical strings of a prism.
     iterations : int
         n, at least 0. With 0 the result is ``structure``.
     node_mass : float, optional
@@ -73,12 +71,10 @@ def skin(
     Raises
     ------
     TypeError, ValueError
-        If a panel is no known name (the message lists those there are) or no
-        loop of nodes; if a loop has fewer than three nodes or names one twice,
-        lies further off a plane than 1e-4 of its size, crosses itself, or is
-        so bent inwards that its centre does not see every edge; if two panels
-        have the same nodes; if not exactly one mass is given, or it is not
-        positive.
+        If a panel is no known name (the message lists those there are) or no loop of nodes; if a
+        loop has fewer than three nodes or names one twice, lies further off a plane than 1e-4 of
+        its size, crosses itself, or is so bent inwards that its centre does not see every edge; if
+        two panels have the same nodes; if not exactly one mass is given, or it is not positive.
 
     Notes
     -----
@@ -89,18 +85,15 @@ def skin(
         nodes      1 + v + 3v + … = 1 + v (3ⁿ⁻¹ − 1)/2
         strings    v + 3v + 9v + … = v (3ⁿ − 1)/2
 
-    A skin has strings along its edges: where an edge of a panel is neither a
-    bar nor a string, a string is added, once for the panels that share it. The
-    sides of a prism are bounded by its top, bottom and vertical strings and,
-    since four nodes of a side are in no plane, by a new string along the
-    diagonal that has no bar.
+    A skin has strings along its edges: where an edge of a panel is neither a bar nor a string, a
+    string is added, once for the panels that share it. The sides of a prism are bounded by its top,
+    bottom and vertical strings and, since four nodes of a side are in no plane, by a new string
+    along the diagonal that has no bar.
 
-    The mass of a panel is spread evenly over its area. Each triangle of the
-    final mesh gives its mass in equal parts to those of its corners that are
-    new nodes: what a corner of the panel would carry goes to the new nodes
-    around, since bars and supports can carry no point mass. So the mass of a
-    panel is exact, and its moments of inertia grow towards those of the sheet
-    with n.
+    The mass of a panel is spread evenly over its area. Each triangle of the final mesh gives its
+    mass in equal parts to those of its corners that are new nodes: what a corner of the panel would
+    carry goes to the new nodes around, since bars and supports can carry no point mass. So the mass
+    of a panel is exact, and its moments of inertia grow towards those of the sheet with n.
 
     One force density for all new strings pulls each new node evenly to all
     sides, so it is at rest. A skin stretched by the strain ε in the reference
@@ -189,8 +182,7 @@ def skin_rest_length(
     Raises
     ------
     TypeError, ValueError
-        If the structure was not made by :func:`skin`, or an argument is not
-        finite or out of range.
+        If the structure was not made by :func:`skin`, or an argument is not finite or out of range.
 
     Examples
     --------

@@ -57,9 +57,8 @@ class Structure:
         Mass of each string node, kg, in ascending order of node index.
         Needed when there are string nodes, refused when there are none.
     fixed : sequence of int, optional
-        Nodes that are held in place. They cost no state and no mass. A bar
-        with one fixed end swings about it; one with both ends fixed is part of
-        the support.
+        Nodes that are held in place. They cost no state and no mass. A bar with one fixed end
+        swings about it; one with both ends fixed is part of the support.
     string_groups : sequence of str, length α, optional
         A group name for each string, used in names of signals and to refer to
         strings in words. All are ``"string"`` when not given.
@@ -75,11 +74,10 @@ class Structure:
     TypeError
         If an argument is not an array of numbers, or an index is not a whole number.
     ValueError
-        If a shape does not fit, an index is out of range, a member joins a
-        node to itself or repeats another, two bars share a node, a node has no
-        member, a bar has no length, a mass is missing or not positive, a fixed
-        node is named twice, or ``string_parent`` does not fit ``parent``. The
-        message names the culprit.
+        If a shape does not fit, an index is out of range, a member joins a node to itself or
+        repeats another, two bars share a node, a node has no member, a bar has no length, a mass is
+        missing or not positive, a fixed node is named twice, or ``string_parent`` does not fit
+        ``parent``. The message names the culprit.
 
     Notes
     -----
@@ -298,8 +296,7 @@ class Structure:
         array([0.866, 0.866, 0.866, 0.866, 0.866, 0.866, 1.033, 1.033, 1.033])
         """
         vectors = self.string_vectors(self.nodes if nodes is None else nodes)
-        length: FloatArray = np.linalg.norm(vectors, axis=0)
-        return length
+        return np.asarray(np.linalg.norm(vectors, axis=0))
 
     def strings_in(self, group: str) -> IntArray:
         """Return the indices of the strings of one group, or raise and list the groups.
@@ -324,8 +321,8 @@ class Structure:
             What the message calls them.
         nodes : array_like, shape (3, n)
         """
-        shape = self.nodes.shape
-        return shaped(name, nodes, (3, shape[1]), "one column of x, y, z per node of the structure")
+        meaning = "one column of x, y, z per node of the structure"
+        return shaped(name, nodes, self.nodes.shape, meaning)
 
     # The paper's matrices, built on demand. The dynamics never multiply by them:
     # every product is done member by member.
@@ -370,14 +367,10 @@ class Structure:
 
 def same_members(one: Structure, other: Structure | None) -> bool:
     """Return whether bars, strings and supports are the same; masses and lengths may differ."""
-    return (
-        other is not None
-        and one.nodes.shape == other.nodes.shape
-        and all(
-            np.array_equal(getattr(one, what), getattr(other, what))
-            for what in ("bars", "strings", "fixed")
-        )
-    )
+    if other is None or one.nodes.shape != other.nodes.shape:
+        return False
+    names = ("bars", "strings", "fixed")
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
 
 
 def _members(name: str, pairs: Any, count: int) -> IntArray:

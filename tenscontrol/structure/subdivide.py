@@ -6,13 +6,7 @@ import numpy as np
 
 from tenscontrol.structure.bar_lengths import refuse_strings_without_length
 from tenscontrol.structure.structure import Structure
-from tenscontrol.validation import (
-    FloatArray,
-    IntArray,
-    instance,
-    per_member,
-    positive_number,
-)
+from tenscontrol.validation import FloatArray, IntArray, instance, per_member, positive_number
 
 
 def subdivide(
@@ -23,12 +17,11 @@ def subdivide(
 ) -> Structure:
     """Return the structure with its strings cut into segments, joined by point masses.
 
-    Each string becomes a straight chain of equal segments. The nodes of
-    ``structure`` come first, in their order; the new ones follow string by
-    string, each string from its start to its end. Bars, masses, fixed nodes
-    and groups are kept; a segment is in the group of its string. The result
-    has ``structure`` as its ``parent`` and names the string that each segment
-    is a part of in ``string_parent``.
+    Each string becomes a straight chain of equal segments. The nodes of ``structure`` come first,
+    in their order; the new ones follow string by string, each string from its start to its end.
+    Bars, masses, fixed nodes and groups are kept; a segment is in the group of its string. The
+    result has ``structure`` as its ``parent`` and names the string that each segment is a part of
+    in ``string_parent``.
 
     Parameters
     ----------
@@ -39,8 +32,7 @@ def subdivide(
     node_mass : float, optional
         Mass of each new node, kg.
     string_mass : float or array_like, shape (α,), optional
-        Mass of each whole string, kg, instead of ``node_mass``; 0 for a string
-        that is not cut.
+        Mass of each whole string, kg, instead of ``node_mass``; 0 for a string that is not cut.
 
     Returns
     -------
@@ -50,22 +42,18 @@ def subdivide(
     Raises
     ------
     TypeError, ValueError
-        If ``segments`` is not a whole number of at least 1; if not exactly one
-        of ``node_mass`` and ``string_mass`` is given; if a mass is not
-        positive, or belongs to a string that is not cut and so has no node to
-        carry it; if a string has no length.
+        If ``segments`` is not a whole number of at least 1; if not exactly one of ``node_mass`` and
+        ``string_mass`` is given; if a mass is not positive, or belongs to a string that is not cut
+        and so has no node to carry it; if a string has no length.
 
     Notes
     -----
-    After Goyal & Skelton, *Dynamics of Class 1 Tensegrity Systems Including
-    Cable Mass*, example 1.
+    After Goyal & Skelton, *Dynamics of Class 1 Tensegrity Systems Including Cable Mass*, example 1.
 
-    ``string_mass`` m is shared by the s − 1 new nodes, ``m/(s − 1)`` each: the
-    ends of a string may be bars, which cannot carry a point mass, and none of
-    the mass is to be lost. The frequencies of a cut string then approach those
-    of the uniform string with an error of order 1/s. ``node_mass = m/s``
-    leaves the two outer half segments without mass, and the error is of order
-    1/s².
+    ``string_mass`` m is shared by the s − 1 new nodes, ``m/(s − 1)`` each: the ends of a string may
+    be bars, which cannot carry a point mass, and none of the mass is to be lost. The frequencies of
+    a cut string then approach those of the uniform string with an error of order 1/s. ``node_mass =
+    m/s`` leaves the two outer half segments without mass, and the error is of order 1/s².
 
     A chain has the stiffness, damping and tension of its string when each
     segment has s times the stiffness, s times the damping and s times the

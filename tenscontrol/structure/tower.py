@@ -24,18 +24,15 @@ def prism_tower(
 ) -> Structure:
     """Return a class-1 tower of tensegrity prisms, one on the other, in an equilibrium shape.
 
-    The screw of the bars turns the other way from stage to stage, and no bar
-    touches another: the bottom of each stage hangs below the top of the last,
-    in *saddle* strings that go to and fro between the two polygons. *Diagonal*
-    strings, from top to top and from bottom to bottom, hold the stages
-    together. One stage is the :func:`prism`. A higher tower needs no load to
-    be stiff: it has no mechanism, and states of self-stress that pull on all
-    strings.
+    The screw of the bars turns the other way from stage to stage, and no bar touches another: the
+    bottom of each stage hangs below the top of the last, in *saddle* strings that go to and fro
+    between the two polygons. *Diagonal* strings, from top to top and from bottom to bottom, hold
+    the stages together. One stage is the :func:`prism`. A higher tower needs no load to be stiff:
+    it has no mechanism, and states of self-stress that pull on all strings.
 
-    Nodes, bars and strings come stage by stage. The nodes of a stage are its
-    top polygon, then its bottom polygon, q each; its strings are the groups
-    ``"top"``, ``"bottom"`` and ``"vertical"``, q each, then those to the next
-    stage, ``"saddle"`` and ``"diagonal"``, 2q each.
+    Nodes, bars and strings come stage by stage. The nodes of a stage are its top polygon, then its
+    bottom polygon, q each; its strings are the groups ``"top"``, ``"bottom"`` and ``"vertical"``, q
+    each, then those to the next stage, ``"saddle"`` and ``"diagonal"``, 2q each.
 
     Parameters
     ----------
@@ -62,20 +59,17 @@ def prism_tower(
     Raises
     ------
     TypeError, ValueError
-        If a number is not positive and finite, ``stages`` is below 1,
-        ``sides`` is below 3, ``overlap`` is above 0.4, or ``handedness`` is
-        another word.
+        If a number is not positive and finite, ``stages`` is below 1, ``sides`` is below 3,
+        ``overlap`` is above 0.4, or ``handedness`` is another word.
 
     Notes
     -----
-    K. Snelson's towers, as in Skelton & de Oliveira, *Tensegrity Systems*
-    (2009), with the polygons of every stage kept. Each joint has one state of
-    self-stress with the symmetry of the tower. The saddle strings of a joint
-    with overlap ``o h`` carry ``(1 - o)/o`` times the force density of the
-    diagonal strings. A stage turned beyond the twist of the prism answers
-    their pull by tension in all its strings, and the less, the more it is
-    turned; it is turned by ``2/3 o π/q``, so that its strings pull about as
-    hard as those of the joint.
+    K. Snelson's towers, as in Skelton & de Oliveira, *Tensegrity Systems* (2009), with the polygons
+    of every stage kept. Each joint has one state of self-stress with the symmetry of the tower. The
+    saddle strings of a joint with overlap ``o h`` carry ``(1 - o)/o`` times the force density of
+    the diagonal strings. A stage turned beyond the twist of the prism answers their pull by tension
+    in all its strings, and the less, the more it is turned; it is turned by ``2/3 o π/q``, so that
+    its strings pull about as hard as those of the joint.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 """Integrators of other packages, as peers to measure ours against."""
 
 from tenscontrol.accuracy.peers.ode_solvers import CasADiCVODES, CasADiRK, SciPy
-from tenscontrol.accuracy.peers.peer import Peer, Solution
+from tenscontrol.accuracy.peers.peer import Peer, Solution, steps_between
 from tenscontrol.accuracy.peers.rigid_bodies import MuJoCo
 
-__all__ = ["CasADiCVODES", "CasADiRK", "MuJoCo", "Peer", "SciPy", "Solution"]
+__all__ = ["CasADiCVODES", "CasADiRK", "MuJoCo", "Peer", "SciPy", "Solution", "steps_between"]

@@ -55,7 +55,8 @@ class SciPy(Peer):
         weight = 0
         if self.method in _IMPLICIT:
             jacobian, weight = _jacobian(kinked)
-            dense = _dense(jacobian)
+            inputs = jacobian.sx_in()
+            dense = Evaluator(ca.Function("dense", inputs, [ca.densify(jacobian(*inputs))]))
             options["jac"] = lambda time, x: dense(x, held)[0].copy()
 
         def slope(time: float, x: FloatArray) -> FloatArray:
@@ -195,8 +196,3 @@ def _jacobian(kinked: ca.Function) -> tuple[ca.Function, int]:
     jacobian = ca.Function("jacobian", inputs, [ca.jacobian(kinked(*inputs), inputs[0])])
     written = ca.Function("written", inputs, [kinked(*inputs)])  # in whatever form it comes
     return jacobian, max(1, round(int(jacobian.n_instructions()) / int(written.n_instructions())))
-
-
-def _dense(jacobian: ca.Function) -> Evaluator:
-    inputs = jacobian.sx_in()
-    return Evaluator(ca.Function("dense", inputs, [ca.densify(jacobian(*inputs))]))

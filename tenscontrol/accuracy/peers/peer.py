@@ -81,8 +81,5 @@ class Peer(ABC):
 
 
 def steps_between(spacing: float, step: float) -> int:
-    """Return how many steps, shortened to fit, there are from one output to the next.
-
-    The allowance is that of the integrators for round-off.
-    """
+    """Return how many steps, shortened to fit, there are between outputs; round-off allowed for."""
     return max(1, ceil(spacing / step - 1e-9))

@@ -109,16 +109,12 @@ def _kept_warnings(mujoco: Any, warnings: list[str]) -> Iterator[None]:
 
 
 class RigidScene:
-    """The bodies, tendons and loads of a case.
+    """The bodies, tendons and loads of a case; ``xml`` is MuJoCo's description.
 
-    Every body's frame is that of space in the start, so that a quaternion turns a bar from where it
-    starts. A thin bar has no inertia about its axis and nothing that turns it about it; it is given
-    that across the axis, about which the motion of its nodes does not know, so that inertia is a
-    number and spin costs no term.
-
-    ``xml`` is MuJoCo's description. At the start its coordinates have the velocities
-    ``start_velocity``, shape (nv,); constant loads are ``body_force`` at the centres of mass of
-    the moving bodies, N, shape (bodies, 3), and ``control`` on m single nodes, N, shape (3 m,).
+    Every body's frame is that of space in the start. A thin bar has no inertia about its axis; it
+    is given that across the axis, so that inertia is a number and spin costs no term. Constant
+    loads are ``body_force`` at the centres of mass, N, shape (bodies, 3), and ``control`` on m
+    single nodes, (3 m,).
     """
 
     def __init__(self, case: Case) -> None:
@@ -208,10 +204,7 @@ class RigidScene:
     # ---- the motion, node by node ----
 
     def nodes(self, positions: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return nodes and velocities, shape (3, n, T) each, from MuJoCo's coordinates.
-
-        Those have shapes (T, nq) and (T, nv).
-        """
+        """Return nodes and velocities, (3, n, T), from coordinates, (T, nq) and (T, nv)."""
         structure, count = self._case.structure, len(positions)
         free, swinging = len(self._free), len(self._swinging)
         q = _split(positions, [(free, 7), (swinging, 4), (len(self._points), 3)])

@@ -12,7 +12,7 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case, fastest_rate
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, largest_distance
-from tenscontrol.accuracy.peers.peer import Peer, steps_between
+from tenscontrol.accuracy.peers import Peer, steps_between
 from tenscontrol.dynamics import evaluate_columns, pack_state, unpack_states
 from tenscontrol.integrate import METHODS, IntegrationError, Method, Work
 from tenscontrol.validation import FloatArray, choice, positive_number
@@ -38,10 +38,7 @@ def method_named(name: object) -> Method:
 
 
 def default_settings(method: Method, case: Case) -> tuple[float, ...]:
-    """Return steps that fit the case, s, or tolerances, from coarse to fine.
-
-    The coarsest step is the inverse of the fastest rate.
-    """
+    """Return steps that fit the case, s, coarse to fine; or tolerances."""
     if method.setting == "tolerance":
         return _TOLERANCES
     rate = fastest_rate(case)
@@ -59,10 +56,7 @@ def checked_settings(name: str, settings: object, unit: str) -> tuple[float, ...
 
 
 def as_taken(method: Method, settings: Iterable[float], spacing: float) -> tuple[float, ...]:
-    """Return steps as they are taken, shortened to fit between outputs, each once.
-
-    ``spacing`` is the time from one output to the next, s. Tolerances are left as they are.
-    """
+    """Return steps, shortened to fit into the spacing of outputs, s, each once; or tolerances."""
     if method.setting == "tolerance":
         return tuple(settings)
     taken = [spacing / steps_between(spacing, step) for step in settings]
@@ -74,11 +68,10 @@ def as_taken(method: Method, settings: Iterable[float], spacing: float) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class Invariants:
-    """What a motion conserves or should conserve, at T times.
+    """What a motion should conserve, at T times.
 
-    Energies, J, shape (T,); the potential energy is that of a simulation: see :class:`Trajectory`.
-    Momenta, kg m/s, and kg m²/s about the origin, shape (3, T). ``stretch``, shape (T,), is the
-    largest difference of a bar from its length, m.
+    Energies, J, (T,); momenta, kg m/s and, about the origin, kg m²/s, (3, T); ``stretch``, (T,),
+    the largest difference of a bar from its length, m.
     """
 
     kinetic: FloatArray
@@ -121,12 +114,10 @@ def conserves_momentum(case: Case) -> bool:
 def deviations(
     case: Case, found: Invariants, reference: Invariants, start: Invariants
 ) -> dict[str, Any]:
-    """Return how far a motion is from what it should conserve.
+    """Return how far a motion is from what it should conserve, as fields of :class:`Measurement`.
 
-    They are the fields of :class:`Measurement`. ``found`` and ``reference`` are of the same times,
-    ``start`` is of the start alone. What the motion does not conserve, under damping, loads or
-    supports, is compared with the reference. It exchanges the larger of its largest kinetic energy
-    and its largest change of potential energy.
+    What it does not conserve, under damping, loads or supports, is compared with the reference,
+    which is of the same times; ``start`` is of the start alone.
     """
     energy = start.energy if conserves_energy(case) else reference.energy
     change = np.abs(reference.potential - start.potential)
@@ -208,10 +199,7 @@ class Measurement:
 
 
 class Bench:
-    """A case with its reference, on which runs are measured.
-
-    ``repeats`` as in :func:`work_precision`. Our own methods are compiled with ``machine_code``.
-    """
+    """Measures runs of a case against its reference; ``repeats`` as in :func:`work_precision`."""
 
     def __init__(
         self, case: Case, reference: ConvergedMotion, repeats: int, machine_code: bool = False
