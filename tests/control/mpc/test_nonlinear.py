@@ -142,9 +142,9 @@ def test_real_time_iterations_cost_within_a_percent_of_ipopt(seed):
     plant = at_rest()
     nmpc = NMPC(plant, horizon=20, sample_time=SAMPLE, max_force_density=33.0)  # bounds matter
     z = disturbed(0.05, seed)
-    costs = [
-        closed_loop_cost(nmpc, each, nmpc.sampled, z, 25)[0] for each in (nmpc, IpoptNMPC(nmpc))
-    ]
+    # At 1e-5 costs are those of 1e-8 to five digits, after a third of the iterations.
+    oracle = IpoptNMPC(nmpc, tolerance=1e-5)
+    costs = [closed_loop_cost(nmpc, each, nmpc.sampled, z, 25)[0] for each in (nmpc, oracle)]
     assert costs[0] == pytest.approx(costs[1], rel=0.01)
     assert (nmpc.statistics.programs == 1).all()
 
