@@ -42,7 +42,7 @@ def plant_with_mass(segments, share):
 def step_for(model):
     """Return a step that resolves the fastest string."""
     fastest = np.abs(np.linalg.eigvals(tc.linearize(model, at_rest(model), "rest_length").A)).max()
-    return min(1e-3, 0.5 / fastest)
+    return min(1e-3, 1.0 / fastest)
 
 
 def at_rest(model):

@@ -1,5 +1,7 @@
 """NMPC by real-time iterations: its model, its programs, and the optimum as IPOPT finds it."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ SAMPLE = 0.02
 STILL = np.zeros((3, 6))
 
 
+@cache
 def at_rest(held="force_density", stiffness=100.0):
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(stiffness))
