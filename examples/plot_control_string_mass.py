@@ -40,7 +40,7 @@ def plant_with_mass(segments, share):
 
 
 def step_for(model):
-    """Return a step that resolves the fastest string."""
+    """Return a step within which the fastest string turns by one radian at most."""
     fastest = np.abs(np.linalg.eigvals(tc.linearize(model, at_rest(model), "rest_length").A)).max()
     return min(1e-3, 1.0 / fastest)
 
