@@ -32,7 +32,7 @@ _BORDER = 1e-11
 _TOGETHER = 1e-11
 
 # Where within a step the strings are looked at.
-_FRACTIONS = np.linspace(0.0, 1.0, 9)[1:]
+_FRACTIONS = np.linspace(0.0, 1.0, 9)
 
 # The components after each, and after those, in a cross product.
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
@@ -88,10 +88,20 @@ class RigidBars:
         self.half = 0.5 * np.linalg.norm(ends, axis=0)[:, None]
         count = structure.nodes.shape[1]
         self.load = np.zeros((count, 3)) if external_force is None else np.transpose(external_force)
-        self.incidence = _incidence(structure.strings, count)
         self.inertia = self.mass * (2 * self.half) ** 2 / 12
-        bars, points = 3 * len(self.mass), 3 * len(self.points)
-        ends = np.cumsum([bars, bars, points, bars, bars, points]).tolist()
+        bars, points = len(self.mass), len(self.points)
+        self.bodies, self._turning = 2 * bars + points, slice(bars, 2 * bars)
+        # Node positions are linear in r, e and p; so are string vectors.
+        place = np.zeros((count, self.bodies))
+        every = np.arange(bars)
+        place[self.start, every] = place[self.end, every] = 1.0
+        place[self.start, bars + every] = -self.half[:, 0]
+        place[self.end, bars + every] = self.half[:, 0]
+        place[self.points, 2 * bars + np.arange(points)] = 1.0
+        self.stretch = _incidence(structure.strings, count) @ place
+        self.body_load = place.T @ self.load
+        self.resistance = np.concatenate([self.mass, self.inertia, self.point_mass])
+        ends = np.cumsum([bars, bars, points, bars, bars, points]) * 3
         self._parts = [slice(*cut) for cut in zip([0, *ends[:-1]], ends, strict=True)]
 
     # ---- between nodes and bodies ----
@@ -122,23 +132,29 @@ class RigidBars:
 
     # ---- forces and motion ----
 
-    def lengths(self, state):
-        """Return string lengths and their rates."""
-        N, V = self._placed(*self._split(state))
-        return _stretch(self.incidence @ N, self.incidence @ V)
+    def lengths(self, states):
+        """Return string lengths and their rates, of one state or of many, one a row."""
+        shaped = states.reshape(*states.shape[:-1], 2, self.bodies, 3)
+        positions, motion = shaped[..., 0, :, :], self._rates(shaped)
+        return _stretch(self.stretch @ positions, self.stretch @ motion)
+
+    def _rates(self, shaped):
+        """Return the rates of r, e and p: the directions turn with w."""
+        motion = shaped[..., 1, :, :].copy()
+        turning = self._turning
+        motion[..., turning, :] = _cross(motion[..., turning, :], shaped[..., 0, turning, :])
+        return motion
 
     def slope(self, state, pulls):
         """Return the time derivative of the state."""
-        r, e, p, rd, w, pd = self._split(state)
-        N, V = self._placed(r, e, p, rd, w, pd)
-        S = self.incidence @ N
-        gamma = self.law(*_stretch(S, self.incidence @ V), pulls)
-        F = self.load - self.incidence.T @ (gamma[:, None] * S)
-        first, second = F[self.start], F[self.end]
-        torque = self.half * _cross(e, second - first)
-        parts = [rd, _cross(w, e), pd, (first + second) / self.mass, torque / self.inertia]
-        parts.append(F[self.points] / self.point_mass)
-        return np.concatenate([part.ravel() for part in parts])
+        shaped = state.reshape(2, self.bodies, 3)
+        positions, motion = shaped[0], self._rates(shaped)
+        S = self.stretch @ positions
+        gamma = self.law(*_stretch(S, self.stretch @ motion), pulls)
+        # Forces on the bodies; at the directions half a bar times the difference of its ends.
+        F = self.body_load - self.stretch.T @ (gamma[:, None] * S)
+        F[self._turning] = _cross(positions[self._turning], F[self._turning])
+        return np.concatenate([motion, F / self.resistance]).ravel()
 
     def node_acceleration(self, nodes, velocities):
         """Return the acceleration of every node, shape (3, n)."""
@@ -152,9 +168,9 @@ class RigidBars:
         acceleration[self.points] = pdd
         return acceleration.T
 
-    def border(self, state):
+    def border(self, states):
         """Return how far each string is from slack, m; positive where it pulls."""
-        return self.law.border(*self.lengths(state))
+        return self.law.border(*self.lengths(states))
 
     def pulls(self, state):
         """Return which strings pull."""
@@ -238,23 +254,23 @@ class RigidBars:
 
 def _cross(a, b):
     """Cross products of rows: np.cross at a tenth of its cost."""
-    next_a, next_b = a.take(_NEXT, 1), b.take(_NEXT, 1)
-    return next_a * b.take(_AFTER, 1) - a.take(_AFTER, 1) * next_b
+    next_a, next_b = a.take(_NEXT, -1), b.take(_NEXT, -1)
+    return next_a * b.take(_AFTER, -1) - a.take(_AFTER, -1) * next_b
 
 
 def _stretch(S, Sd):
-    length = np.sqrt(np.add.reduce(S * S, 1))
-    return length, np.add.reduce(S * Sd, 1) / length
+    length = np.sqrt(np.add.reduce(S * S, -1))
+    return length, np.add.reduce(S * Sd, -1) / length
 
 
 def _first_crossing(room, between, start, end):
     """Return when the least room first falls below zero within a step, or None."""
-    last = start
-    for time in start + (end - start) * _FRACTIONS:
-        if room(between(time)).min() < 0:
-            return brentq(lambda t: room(between(t)).min(), last, time, xtol=1e-15, rtol=1e-15)
-        last = time
-    return None
+    times = start + (end - start) * _FRACTIONS
+    met = np.flatnonzero(room(between(times[1:]).T).min(axis=1) < 0)
+    if not len(met):
+        return None
+    last, time = times[met[0] : met[0] + 2]
+    return brentq(lambda t: room(between(t)).min(), last, time, xtol=1e-15, rtol=1e-15)
 
 
 def node_acceleration(structure, nodes, velocities, force_density, external_force=0.0):

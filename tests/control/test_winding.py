@@ -1,5 +1,7 @@
 """Winches that wind through a sample: what is simulated, and what MPC predicts."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ SAMPLE = 0.02
 STILL = np.zeros((3, 6))
 
 
+@cache
 def plant_of(stiffness=1e3):
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(stiffness, damping=0.02 * stiffness**0.5))

@@ -10,7 +10,9 @@ from tests.control.mpc.test_linear import kkt_residual
 class IpoptNMPC(Controller):
     """Multiple shooting with the prediction model, weights and bounds of an ``NMPC``.
 
-    Started from its last solution, moved on by a sample. Where winches wind, the input before
+    Started from its last solution, moved on by a sample, and from its multipliers; but for the
+    first sample the barrier starts small, since the bounds that matter hardly change from one
+    sample to the next. Where winches wind, the input before
     matters to the motion, and is weighed at the end. Second derivatives are exact, or those of
     BFGS: the former take long to write where steps are implicit.
     """
@@ -43,10 +45,15 @@ class IpoptNMPC(Controller):
             "p": ca.vertcat(start, standing, ca.vec(r), ca.vec(held)),
         }
         quiet = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes"}
-        self._solver = ca.nlpsol("nmpc", "ipopt", problem, {
+        options = {
             **quiet, "ipopt.tol": tolerance, "ipopt.warm_start_init_point": "yes",
             "ipopt.hessian_approximation": hessian, "ipopt.max_iter": 3000,
-        })  # fmt: skip
+        }  # fmt: skip
+        pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac",
+                  "mult_bound_push")  # fmt: skip
+        warm = {f"ipopt.warm_start_{name}": 1e-8 for name in pushes} | {"ipopt.mu_init": 1e-6}
+        self._cold = ca.nlpsol("nmpc", "ipopt", problem, options)
+        self._warm = ca.nlpsol("nmpc", "ipopt", problem, options | warm)
         low, high = (np.tile(bound / self._level, N) for bound in self.bounds)
         free = np.full(s * N, np.inf)
         self._bounds = {"lbx": np.r_[-free, low], "ubx": np.r_[free, high], "lbg": 0, "ubg": 0}
@@ -54,7 +61,7 @@ class IpoptNMPC(Controller):
         self.reset()
 
     def reset(self):
-        self._x = None
+        self._x, self._multipliers = None, {}
 
     def _decide(self, time, state):
         reference, held = self._nmpc.targets(time)
@@ -63,8 +70,10 @@ class IpoptNMPC(Controller):
             self._x = np.r_[first, (held / self._level).ravel()]
         standing = held[0] if self._previous_input is None else self._previous_input
         parameters = np.r_[state, standing, reference.ravel(), held.ravel()]
-        answer = self._solver(x0=self._x, p=parameters, **self._bounds)
-        assert self._solver.stats()["success"], self._solver.stats()["return_status"]
+        solver = self._warm if self._multipliers else self._cold
+        answer = solver(x0=self._x, p=parameters, **self._multipliers, **self._bounds)
+        assert solver.stats()["success"], solver.stats()["return_status"]
+        self._multipliers = {"lam_x0": answer["lam_x"], "lam_g0": answer["lam_g"]}
         x = np.array(answer["x"]).ravel()
         self.cost = float(answer["f"])
         Z, U = (part.reshape(self._N, -1) for part in np.split(x, [self._split]))

@@ -1,6 +1,7 @@
 """Bars kept apart by MPC and NMPC."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from tenscontrol.structure import bar_distances
 SAMPLE = 0.02
 
 
+@cache
 def plant(held="force_density"):
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(200.0, damping=0.3))

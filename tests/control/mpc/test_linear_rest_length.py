@@ -1,5 +1,7 @@
 """MPC and LQR that command rest lengths, from soft to stiff strings."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ def strings(stiffness, damped=False):
     return tc.LinearStrings(stiffness, damping=0.02 * np.sqrt(stiffness) if damped else 0.0)
 
 
+@cache
 def at_target(stiffness, damped=False):
     model = tc.Model(TARGET, strings=strings(stiffness, damped))
     rest = tc.prestress(TARGET, demo.TOP_FORCE_DENSITY)

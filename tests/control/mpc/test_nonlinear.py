@@ -1,5 +1,7 @@
 """NMPC by real-time iterations: its model, its programs, and the optimum as IPOPT finds it."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ SAMPLE = 0.02
 STILL = np.zeros((3, 6))
 
 
+@cache
 def at_rest(held="force_density", stiffness=100.0):
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(stiffness))
@@ -142,9 +145,9 @@ def test_real_time_iterations_cost_within_a_percent_of_ipopt(seed):
     plant = at_rest()
     nmpc = NMPC(plant, horizon=20, sample_time=SAMPLE, max_force_density=33.0)  # bounds matter
     z = disturbed(0.05, seed)
-    costs = [
-        closed_loop_cost(nmpc, each, nmpc.sampled, z, 25)[0] for each in (nmpc, IpoptNMPC(nmpc))
-    ]
+    # At 1e-5 costs are those of 1e-8 to five digits, after a third of the iterations.
+    oracle = IpoptNMPC(nmpc, tolerance=1e-5)
+    costs = [closed_loop_cost(nmpc, each, nmpc.sampled, z, 25)[0] for each in (nmpc, oracle)]
     assert costs[0] == pytest.approx(costs[1], rel=0.01)
     assert (nmpc.statistics.programs == 1).all()
 

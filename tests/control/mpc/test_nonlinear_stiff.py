@@ -1,5 +1,7 @@
 """NMPC of stiff strings and of winches that wind: its programs, and closed loops."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ STILL = np.zeros((3, 6))
 EXACT = {"tolerance": 1e-6, "max_iterations": 50_000, "iterations": 6}
 
 
+@cache
 def plant_of(stiffness, height=1.0):
     prism = demo.prism_of_height(tc.prism(), height)
     law = tc.LinearStrings(stiffness, damping=0.02 * stiffness**0.5)

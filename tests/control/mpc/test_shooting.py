@@ -1,5 +1,7 @@
 """One implicit step a sample: its order, its stiff limit, and its derivatives."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -19,6 +21,7 @@ from tenscontrol.plant import (
 SAMPLE = 0.02
 
 
+@cache
 def plant_of(stiffness, damping=0.02):
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(stiffness, damping=damping * stiffness**0.5))

@@ -4,6 +4,8 @@ import pytest
 
 from tests.benchmarks.morph import LARGEST_TENSION, LEAST, morph
 
+pytestmark = pytest.mark.benchmark
+
 
 @pytest.mark.parametrize(("stiffness", "pieces", "nonlinear"), [(1e3, 5, False), (1e3, 5, True)])
 def test_a_prism_goes_there_and_back_within_all_limits(stiffness, pieces, nonlinear):
