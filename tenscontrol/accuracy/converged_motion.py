@@ -174,11 +174,8 @@ class PiecewiseSolver:
                 if not near and stepper.t < times[done]:
                     continue
                 between = stepper.dense_output()
-                if near:
-                    looks = between(at + (stepper.t - at) * _LOOKS)
-                    gaps = self._gaps_within(looks, self._held_within)[0]
-                    if (sign[:, None] * gaps + _BORDER).min() < 0:
-                        switch = self._first_crossing(between, at, float(stepper.t), sign)
+                if near and self._crosses(between(at + (stepper.t - at) * _LOOKS), sign):
+                    switch = self._first_crossing(between, at, float(stepper.t), sign)
                 reached = float(stepper.t) if switch is None else switch
                 while done < len(times) and times[done] <= reached:
                     yield np.asarray(between(times[done]))
@@ -227,6 +224,11 @@ class PiecewiseSolver:
         gap1, rate1 = self._gap(x1, self._case.value)
         way = 2 * step * np.maximum(np.abs(rate0), np.abs(rate1))
         return bool((sign * (gap0 + gap1) <= way + _BORDER).any())
+
+    def _crosses(self, states: FloatArray, sign: FloatArray) -> bool:
+        """Return whether a string is over the border in one of the states."""
+        gaps = self._gaps_within(states, self._held_within)[0]
+        return bool((sign[:, None] * gaps + _BORDER).min() < 0)
 
     def _first_crossing(self, between: Any, start: float, end: float, sign: FloatArray) -> float:
         """Return when the first string passes the border; one does at one of the looks."""

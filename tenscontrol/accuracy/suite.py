@@ -177,11 +177,6 @@ class Verdict:
         """Whether errors grew beyond what was asked without a word, after the time compared."""
         return self.verdict == "in part" and self.error_to_end > self.asked and not self.reason
 
-    @property
-    def is_silent(self) -> bool:
-        """Whether the run was wrong without a word."""
-        return self.verdict == "SILENT"
-
 
 def judge(extreme: Extreme, known: Truth, method: str) -> Verdict:
     """Run one of :func:`methods` on a case whose truth is known, and return what came of it."""
@@ -269,7 +264,7 @@ class SuiteResult:
     @property
     def silent(self) -> tuple[Verdict, ...]:
         """Runs that were wrong without a word."""
-        return tuple(row for row in self.rows if row.is_silent)
+        return tuple(row for row in self.rows if row.verdict == "SILENT")
 
     @property
     def counts(self) -> dict[str, int]:

@@ -129,11 +129,8 @@ def trajectory(
         by_group = _by_group(run.structure, run.force_density)
         content["force_density"] = (by_group, "γ, N/m", run.rest_length is None)
     if run.rest_length is not None and len(run.structure.strings):
-        content["rest_length"] = (
-            _by_group(run.structure, _rest_lengths(run)),
-            "rest length, m",
-            True,
-        )
+        wound = _by_group(run.structure, _rest_lengths(run))
+        content["rest_length"] = (wound, "rest length, m", True)
     places = panel_axes(axes, list(content))
     panels = {}
     for ax, (name, (rows, label, held)) in zip(places, content.items(), strict=True):

@@ -59,11 +59,10 @@ class Distribution(ABC):
         dict of str to str, float, int, list or None
         """
         found = {field.name: getattr(self, field.name) for field in fields(self)}
-        plain = {
-            name: value.tolist() if isinstance(value, np.ndarray) else value
-            for name, value in found.items()
+        arrays = {
+            name: each.tolist() for name, each in found.items() if isinstance(each, np.ndarray)
         }
-        return {"kind": type(self).__name__, **plain}
+        return {"kind": type(self).__name__} | found | arrays
 
 
 @final

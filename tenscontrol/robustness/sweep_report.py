@@ -123,11 +123,9 @@ class SweepReport:
     @property
     def parameters(self) -> dict[str, FloatArray]:
         """What was drawn, by name: one row a run, shape (m,) or (m, size)."""
-        names = self._records[0].parameters if self._records else {}
-        return {
-            name: frozen(np.array([record.parameters[name] for record in self._records]))
-            for name in names
-        }
+        rows = [record.parameters for record in self._records]
+        names = rows[0] if rows else {}
+        return {name: frozen(np.array([row[name] for row in rows])) for name in names}
 
     @property
     def success(self) -> np.ndarray:

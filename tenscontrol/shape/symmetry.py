@@ -99,8 +99,8 @@ class RotationalSymmetry:
         angle = 2 * np.pi * self.turns / self.order
         x, y, z = self.axis
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        turn: FloatArray = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-        return turn
+        turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+        return np.asarray(turn)
 
     def permutation(self, count: int) -> IntArray:
         """Return which node each node is taken to, shape (n,).
@@ -146,14 +146,11 @@ def reduction(
     to, turn = symmetry.permutation(count), symmetry.rotation()
     strings = _orbits("string", structure.strings, to, None)
     bars = _orbits("bar", structure.bars, to, structure.bar_length)
-    held = np.zeros(count, bool)
-    held[structure.fixed] = True
     moved = turn @ (structure.nodes - symmetry.centre[:, None]) + symmetry.centre[:, None]
     size = np.ptp(structure.nodes, axis=1).max()
-    for node in np.flatnonzero(held).tolist():
-        if not held[to[node]] or np.abs(moved[:, node] - structure.nodes[:, to[node]]).max() > (
-            _TOLERANCE * size
-        ):
+    for node in structure.fixed.tolist():
+        off = np.abs(moved[:, node] - structure.nodes[:, to[node]]).max()
+        if to[node] not in structure.fixed or off > _TOLERANCE * size:
             raise ValueError(f"symmetry does not take the fixed node {node} to a fixed node")
     if np.abs(turn @ load - load[:, to]).max() > _TOLERANCE * np.abs(load).max(initial=1e-300):
         raise ValueError("symmetry does not map the loads and weights onto themselves")

@@ -1,7 +1,9 @@
 """What a tensegrity structure is: nodes, bars, strings, masses."""
 
-from tenscontrol.structure.bar_distances import BarDistances, bar_distances, crossing
-from tenscontrol.structure.bar_lengths import (
+from tenscontrol.structure.bar_geometry import (
+    BarDistances,
+    bar_distances,
+    crossing,
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
     restore_bar_lengths,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tenscontrol.structure.bar_lengths import refuse_strings_without_length
+from tenscontrol.structure.bar_geometry import refuse_strings_without_length
 from tenscontrol.structure.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray, instance, per_member, positive_number
 

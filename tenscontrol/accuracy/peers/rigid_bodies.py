@@ -266,8 +266,7 @@ def _body(
 
 def _angular_velocity(arm: FloatArray, rate: FloatArray) -> FloatArray:
     """Return the angular velocity without spin about the arm, one a row."""
-    spin: FloatArray = np.cross(arm, rate) / (arm * arm).sum(axis=1, keepdims=True)
-    return spin
+    return np.asarray(np.cross(arm, rate) / (arm * arm).sum(axis=1, keepdims=True))
 
 
 def _split(columns: FloatArray, blocks: list[tuple[int, int]]) -> list[FloatArray]:
@@ -281,5 +280,4 @@ def _turned(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
     """Turn vectors by unit quaternions, w first: r + 2 w (u × r) + 2 u × (u × r)."""
     w, u = quaternions[..., :1], quaternions[..., 1:]
     once = 2 * np.cross(u, vectors)
-    turned: FloatArray = vectors + w * once + np.cross(u, once)
-    return turned
+    return np.asarray(vectors + w * once + np.cross(u, once))
