@@ -7,8 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ColumnEvaluator, Equation
-from tenscontrol.dynamics.kernel import Symbolic, dots, scale_columns
+from tenscontrol.dynamics import ColumnEvaluator, Equation, kernel
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
 
@@ -27,11 +26,11 @@ def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
     nodes, velocities = (ca.reshape(part, 3, count) for part in (x[: 3 * count], x[3 * count :]))
     points, B = bodies.split(nodes, bodies.hinges)
     point_rates, Bd = bodies.split(velocities)
-    square = dots(B, B)
+    square = kernel.dots(B, B)
     scale = bodies.length / ca.sqrt(square)
-    across = Bd - scale_columns(B, dots(B, Bd) / square)
-    moved = bodies.join(points, scale_columns(B, scale), bodies.hinges)
-    rates = bodies.join(point_rates, scale_columns(across, 1 / scale))
+    across = Bd - kernel.scale_columns(B, kernel.dots(B, Bd) / square)
+    moved = bodies.join(points, kernel.scale_columns(B, scale), bodies.hinges)
+    rates = bodies.join(point_rates, kernel.scale_columns(across, 1 / scale))
     return ca.Function("project", [x], [ca.vertcat(ca.vec(moved), ca.vec(rates))])
 
 
@@ -96,20 +95,24 @@ class Bodies:
         self.point_mass = _row(np.concatenate([mass, structure.string_node_mass]))
         self.vector_mass = _row(np.concatenate([mass / 6, hinged_mass / 3]))
 
-    def split(self, nodes: Symbolic, hinges: Symbolic = 0) -> tuple[Symbolic, Symbolic]:
+    def split(
+        self, nodes: kernel.Symbolic, hinges: kernel.Symbolic = 0
+    ) -> tuple[kernel.Symbolic, kernel.Symbolic]:
         """Return points and vectors, shape (3, ·) each, of positions or velocities."""
         start, end = nodes[:, self._start], nodes[:, self._end]
         points = ca.horzcat((start + end) / 2, nodes[:, self._string_nodes])
         return points, ca.horzcat(end - start, nodes[:, self._tip] - hinges)
 
-    def join(self, points: Symbolic, vectors: Symbolic, hinges: Symbolic = 0) -> Symbolic:
+    def join(
+        self, points: kernel.Symbolic, vectors: kernel.Symbolic, hinges: kernel.Symbolic = 0
+    ) -> kernel.Symbolic:
         """Return free nodes, shape (3, n), of points and vectors: :meth:`split` undone."""
         bars = len(self._start)
         centre, half = points[:, :bars], vectors[:, :bars] / 2
         blocks = centre - half, centre + half, vectors[:, bars:] + hinges, points[:, bars:]
         return ca.horzcat(*blocks)[:, self._order]
 
-    def resultants(self, forces: Symbolic) -> tuple[Symbolic, Symbolic]:
+    def resultants(self, forces: kernel.Symbolic) -> tuple[kernel.Symbolic, kernel.Symbolic]:
         """Return what forces on the free nodes, N, shape (3, n), do to points and vectors.
 
         The sum of the forces on a bar, or the force on a string node; and the force on the end
@@ -119,7 +122,7 @@ class Bodies:
         points = ca.horzcat(start + end, forces[:, self._string_nodes])
         return points, ca.horzcat(end - start, forces[:, self._tip])
 
-    def accelerations(self, forces: Symbolic) -> tuple[Symbolic, Symbolic]:
+    def accelerations(self, forces: kernel.Symbolic) -> tuple[kernel.Symbolic, kernel.Symbolic]:
         """Return how forces on the free nodes accelerate points and vectors, bar forces left out.
 
         ``r̈ = (f_start + f_end)/m`` (eq. 4), ``b̈ = 6/m (f_end − f_start)``
@@ -127,8 +130,8 @@ class Bodies:
         """
         points, vectors = self.resultants(forces)
         return (
-            scale_columns(points, 1 / self.point_mass),
-            scale_columns(vectors, 1 / self.vector_mass),
+            kernel.scale_columns(points, 1 / self.point_mass),
+            kernel.scale_columns(vectors, 1 / self.vector_mass),
         )
 
 

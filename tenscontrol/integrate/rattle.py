@@ -21,8 +21,7 @@ from typing import Any, NamedTuple, final
 
 import casadi as ca
 
-from tenscontrol.dynamics import Equation
-from tenscontrol.dynamics.kernel import Symbolic, dots, scale_columns
+from tenscontrol.dynamics import Equation, kernel
 from tenscontrol.integrate.fixed_step import FixedStep
 from tenscontrol.integrate.projection import Bodies
 
@@ -212,10 +211,10 @@ class Rattle6(_Rattle):
 class _State(NamedTuple):
     """Points and vectors of :class:`Bodies`, and their rates."""
 
-    points: Symbolic
-    vectors: Symbolic
-    point_rates: Symbolic
-    vector_rates: Symbolic
+    points: kernel.Symbolic
+    vectors: kernel.Symbolic
+    point_rates: kernel.Symbolic
+    vector_rates: kernel.Symbolic
 
 
 @dataclass(frozen=True)
@@ -224,15 +223,15 @@ class _Motion:
 
     bodies: Bodies
     force: ca.Function
-    u: Symbolic
-    taut: Symbolic
+    u: kernel.Symbolic
+    taut: kernel.Symbolic
     damped: bool
 
     @cached_property
     def _square(self) -> ca.DM:
         return self.bodies.length**2
 
-    def start(self, x: Symbolic) -> _State:
+    def start(self, x: kernel.Symbolic) -> _State:
         """Return the state of x, its bar rates without what would stretch the bars."""
         half = x.shape[0] // 2
         nodes, velocities = (ca.reshape(part, 3, half // 3) for part in (x[:half], x[half:]))
@@ -240,28 +239,28 @@ class _Motion:
         point_rates, vector_rates = self.bodies.split(velocities)
         return _State(points, vectors, point_rates, self._across(vectors, vector_rates))
 
-    def end(self, state: _State) -> Symbolic:
+    def end(self, state: _State) -> kernel.Symbolic:
         """Return x."""
         return ca.vertcat(*self._nodes(state))
 
-    def flight(self, state: _State, time: Symbolic) -> _State:
+    def flight(self, state: _State, time: kernel.Symbolic) -> _State:
         """Return the state after a time without forces."""
         B, Bd = state.vectors, state.vector_rates
         # (φ/t)², φ the angle turned by; the rates are across the bars.
-        speed = dots(Bd, Bd) / self._square
+        speed = kernel.dots(Bd, Bd) / self._square
         turn = speed * time**2
         g = ca.if_else(turn <= _LARGEST_TURN, time * _sine_ratio(turn), ca.DM.nan())
         # ‖(1 + μ) b + g ḃ‖² = l², of the two roots μ the one near zero, without cancellation.
-        excess = dots(B, B) / self._square - 1 + speed * g**2
+        excess = kernel.dots(B, B) / self._square - 1 + speed * g**2
         shrink = 1 - excess / (1 + ca.sqrt(1 - excess))
         return _State(
             state.points + time * state.point_rates,
-            scale_columns(B, shrink) + scale_columns(Bd, g),
+            kernel.scale_columns(B, shrink) + kernel.scale_columns(Bd, g),
             state.point_rates,
-            scale_columns(Bd, shrink) - scale_columns(B, speed * g),
+            kernel.scale_columns(Bd, shrink) - kernel.scale_columns(B, speed * g),
         )
 
-    def kick(self, state: _State, time: Symbolic) -> _State:
+    def kick(self, state: _State, time: kernel.Symbolic) -> _State:
         """Return the state after forces alone have acted for a time.
 
         Forces that depend on velocities change on the way: they are those of
@@ -272,7 +271,7 @@ class _Motion:
             return self._kick(state, half_way, time)
         return self._kick(state, state, time)
 
-    def _kick(self, state: _State, at: _State, time: Symbolic) -> _State:
+    def _kick(self, state: _State, at: _State, time: kernel.Symbolic) -> _State:
         """Return the state after a kick with the forces at another state."""
         forces = self.force(*self._nodes(at), self.u, self.taut)
         points, vectors = self.bodies.accelerations(ca.reshape(forces, 3, forces.shape[0] // 3))
@@ -284,18 +283,18 @@ class _Motion:
             self._across(state.vectors, rates),
         )
 
-    def _across(self, vectors: Symbolic, rates: Symbolic) -> Symbolic:
+    def _across(self, vectors: kernel.Symbolic, rates: kernel.Symbolic) -> kernel.Symbolic:
         """Return the rates without their parts along the vectors."""
-        return rates - scale_columns(vectors, dots(vectors, rates) / self._square)
+        return rates - kernel.scale_columns(vectors, kernel.dots(vectors, rates) / self._square)
 
-    def _nodes(self, state: _State) -> tuple[Symbolic, Symbolic]:
+    def _nodes(self, state: _State) -> tuple[kernel.Symbolic, kernel.Symbolic]:
         nodes = self.bodies.join(state.points, state.vectors, self.bodies.hinges)
         return ca.vec(nodes), ca.vec(self.bodies.join(state.point_rates, state.vector_rates))
 
 
-def _sine_ratio(square: Symbolic) -> Symbolic:
+def _sine_ratio(square: kernel.Symbolic) -> kernel.Symbolic:
     """Return sin(φ)/φ of φ² ≤ 1, by its series: no square root, and no quotient at zero."""
-    value: Symbolic = 0
+    value: kernel.Symbolic = 0
     for k in reversed(range(_SINE_TERMS)):
         value = value * square + (-1) ** k / factorial(2 * k + 1)
     return value
