@@ -16,18 +16,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Those of the process if not given.
-
-    Returns
-    -------
-    int
-        Exit status: 0, or 2 with a message on stderr.
-    """
+    """Run the command line and return the exit status: 0, or 2 with a message on stderr."""
     options = _parser().parse_args(arguments)
     commands = {"demo": _demo, "simulate": _simulate, "modes": _modes, "accuracy": _accuracy}
     try:

@@ -224,18 +224,7 @@ class FeedbackLinearization(Controller):
         )
 
     def follow(self, reference: object) -> None:
-        """Follow another reference from now on.
-
-        Parameters
-        ----------
-        reference : Reference or array_like, shape (3, n), or None
-            As in the constructor.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If it does not fit the structure.
-        """
+        """Follow another reference from now on; see :meth:`MPC.follow`."""
         given = checked_reference(self.plant, reference)
         shapes = np.moveaxis(given.nodes, 2, 0)
         values = [self._tracked(self._at_rest(each))[0].copy() for each in shapes]

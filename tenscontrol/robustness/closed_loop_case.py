@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, final
+from typing import Any, final
 
 import numpy as np
 
@@ -27,9 +27,6 @@ from tenscontrol.validation import (
     truth,
     wrong_kind,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 _PARAMETERS = ("bar_mass", "string_node_mass", "stiffness", "damping", "start", "noise", "delay")
 
@@ -155,38 +152,17 @@ class ClosedLoopCase:
     duration: float
     step: float
     tolerance: float
-    nodes: FloatArray | None = None
-    target: FloatArray | None = None
-    gravity: FloatArray | None = None
-    rest_length: FloatArray | None = None
+    # Given as anything array-like, held as arrays.
+    nodes: Any = None
+    target: Any = None
+    gravity: Any = None
+    rest_length: Any = None
     input: str | None = None
     winches: Winches | None = None
     sample_time: float | None = None
     estimator: KalmanFilter | None = None
     sensors: Sensors | None = None
     faults: Sequence[Fault] = ()
-
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            structure: Structure,
-            strings: StringLaw | None,
-            controller: Controller,
-            duration: float,
-            step: float,
-            tolerance: float,
-            nodes: ArrayLike | None = None,
-            target: ArrayLike | None = None,
-            gravity: ArrayLike | None = None,
-            rest_length: ArrayLike | None = None,
-            input: str | None = None,
-            winches: Winches | None = None,
-            sample_time: float | None = None,
-            estimator: KalmanFilter | None = None,
-            sensors: Sensors | None = None,
-            faults: Sequence[Fault] = (),
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         instance("structure", self.structure, Structure, "for example prism()")
@@ -270,7 +246,8 @@ class ClosedLoopCase:
 
     def _start(self, parameters: Mapping[str, object]) -> FloatArray | None:
         if "start" not in parameters:
-            return self.nodes
+            nodes: FloatArray | None = self.nodes
+            return nodes
         plant = self.controller.plant
         if plant.nodes.shape != self.structure.nodes.shape:
             raise SweepError(

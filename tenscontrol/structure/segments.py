@@ -29,29 +29,12 @@ _POWER = {
 
 
 def to_segments(structure: Structure, what: str, values: FloatArray) -> FloatArray:
-    """Return the values of segments from those of the whole strings.
+    """Return values of the segments, shape (…, α′), from those of whole strings, shape (…, α).
 
-    Parameters
-    ----------
-    structure : Structure
-        With s segments a string if made by :func:`subdivide`; of any other
-        structure each string is its own segment.
-    what : str
-        ``"force_density"``, ``"stiffness"`` or ``"damping"``, of which a segment
-        has s times that of its string; ``"rest_length"`` or ``"length"``, of
-        which it has 1/s; ``"tension"`` or ``"axial_rigidity"``, which are the same.
-    values : ndarray, shape (…, α)
-        One for each whole string along the last axis, in any unit.
-
-    Returns
-    -------
-    ndarray, shape (…, α′)
-        One for each string of ``structure`` along the last axis.
-
-    Raises
-    ------
-    ValueError
-        If ``what`` is another word or the last axis does not fit.
+    ``what`` is ``"force_density"``, ``"stiffness"`` or ``"damping"``, of which a segment has s
+    times that of its string; ``"rest_length"`` or ``"length"``, of which it has 1/s; ``"tension"``
+    or ``"axial_rigidity"``, which are the same. ValueError if it is another word, or the last axis
+    of the values does not fit. A string that is not cut is its own segment.
 
     Examples
     --------
@@ -71,29 +54,11 @@ def to_segments(structure: Structure, what: str, values: FloatArray) -> FloatArr
 
 
 def to_strings(structure: Structure, what: str, values: FloatArray) -> FloatArray:
-    """Return the values of whole strings from those of their segments.
+    """Return values of whole strings, shape (…, α), from those of segments, shape (…, α′).
 
-    The inverse of :func:`to_segments`. Where the segments of a string differ,
-    lengths and rest lengths are added, stiffness, damping and axial rigidity
-    are those of segments in series, force density and tension the mean.
-
-    Parameters
-    ----------
-    structure : Structure
-    what : str
-        As for :func:`to_segments`.
-    values : ndarray, shape (…, α′)
-        One for each string of ``structure`` along the last axis, in any unit.
-
-    Returns
-    -------
-    ndarray, shape (…, α)
-        One for each whole string along the last axis.
-
-    Raises
-    ------
-    ValueError
-        If ``what`` is another word or the last axis does not fit.
+    The inverse of :func:`to_segments`. Where the segments of a string differ, lengths are added,
+    stiffness, damping and axial rigidity are those of segments in series, force density and
+    tension the mean.
 
     Examples
     --------

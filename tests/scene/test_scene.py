@@ -837,7 +837,7 @@ BROKEN = {
     ),
     "feedback linearization frequency missing": (
         PRISM + SHAPE.replace("frequency = 2.0\n", ""),
-        r":11: \[controller\] with kind = 'feedback_linearization' lacks the key frequency: .* in Hz",
+        r":11: \[controller\] with kind = 'feedback_linearization' lacks the key frequency: .*Hz",
     ),
     "feedback linearization too fast": (
         PRISM + SHAPE.replace("2.0", "20.0"),
