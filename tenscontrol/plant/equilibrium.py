@@ -15,7 +15,6 @@ from tenscontrol.structure import (
     refuse_moved_supports,
     refuse_strings_without_length,
     restore_bar_lengths,
-    with_supports,
 )
 from tenscontrol.validation import (
     FloatArray,
@@ -144,7 +143,8 @@ def _minimize(
     stored = model.potential_energy if kind == "force_density" else model.elastic_energy
     energy = stored(x, held) - ca.sum1(ca.sum2(N * ca.DM(load[:, free])))
     moving = np.concatenate([structure.free_bars, structure.swinging_bars])
-    B = kernel.differences(with_supports(structure, ca.vec(N)), structure.bars[moving])
+    nodes = kernel.all_nodes(structure, N, structure.nodes)
+    B = kernel.differences(nodes, structure.bars[moving])
     stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[moving] ** 2)) / 2
     problem = {"x": ca.vec(N), "f": energy, "g": stretch}
     quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10}}

@@ -11,7 +11,7 @@ import numpy as np
 from tenscontrol.dynamics import Model, kernel
 from tenscontrol.shape.symmetry import RotationalSymmetry, reduction
 from tenscontrol.statics import Prestress, equilibrium_matrix, null_space
-from tenscontrol.structure import free_coordinates, with_supports
+from tenscontrol.structure import free_coordinates
 from tenscontrol.validation import FloatArray
 
 # Newton steps onto the equations; each doubles the digits, unless they are singular.
@@ -68,7 +68,7 @@ class ShapeProblem:
         lam = ca.SX.sym("l", self._bars.shape[1])
         w = ca.SX.sym("w", self.neutral.shape[1])
         places = ca.mtimes(_sparse(red.basis), self.size * y) + ca.DM(red.offset)
-        at = with_supports(structure, places)
+        at = kernel.all_nodes(structure, ca.reshape(places, 3, -1), structure.nodes)
         self.unknowns = ca.vertcat(y, g, lam, w)
         self.positions, self.tensions, self.nodes = y, g, at
         self.gamma = level * ca.mtimes(_sparse(red.strings), g)
@@ -212,7 +212,8 @@ class ShapeProblem:
         q = ca.SX.sym("q", len(structure.free_rows))
         lam = ca.SX.sym("lambda", len(structure.bars))
         rest_length = ca.SX.sym("rest_length", len(structure.strings))
-        B = kernel.differences(with_supports(structure, q), structure.bars)
+        nodes = kernel.all_nodes(structure, ca.reshape(q, 3, -1), structure.nodes)
+        B = kernel.differences(nodes, structure.bars)
         squares = kernel.dots(B, B).T / 2
         state = ca.vertcat(q, ca.SX.zeros(q.numel()))
         stored = self.model.elastic_energy(state, rest_length)

@@ -29,7 +29,6 @@ from tenscontrol.structure.supports import (
     refuse_moved_supports,
     rigid_basis,
     rigid_motions,
-    with_supports,
 )
 from tenscontrol.structure.tower import prism_tower
 
@@ -62,5 +61,4 @@ __all__ = [
     "subdivide",
     "to_segments",
     "to_strings",
-    "with_supports",
 ]

@@ -6,8 +6,6 @@ Coordinates are counted as in ``vec(N)``: x, y, z of node 0, then of node 1, and
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from tenscontrol.structure.structure import Structure
@@ -23,17 +21,6 @@ _TOLERANCE = 1e-8
 def free_coordinates(structure: Structure, nodes: FloatArray) -> FloatArray:
     """Return the free coordinates, shape (f,), of positions, velocities or forces, shape (3, n)."""
     return np.asarray(nodes.ravel(order="F")[structure.free_rows])
-
-
-def with_supports(structure: Structure, free: Any) -> Any:
-    """Return node positions, shape (3, n), with the supports in place.
-
-    ``free`` are the free coordinates, a CasADi vector of shape (f, 1); the result is of its type.
-    """
-    nodes = type(free)(3, structure.nodes.shape[1])
-    nodes[structure.fixed_rows.tolist()] = structure.nodes.ravel(order="F")[structure.fixed_rows]
-    nodes[structure.free_rows.tolist()] = free
-    return nodes
 
 
 def is_movable(structure: Structure, pairs: IntArray) -> np.ndarray:
