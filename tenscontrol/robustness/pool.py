@@ -199,7 +199,7 @@ def run_one(case: bytes, parameters: Mapping[str, Distribution], seed: int, run:
         outcome = function(given, _generator(seed, run, _CASE))
     except (SweepError, MemoryError):
         raise  # the sweep is wrong, or the machine too small: the next runs would be no better
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001  # the only place: a run that fails is data
         # Whatever a case raises is what the sweep was run to find: it is kept as data, with its
         # kind and text, and counts as no success. What is no Exception, like Ctrl-C, goes on.
         kind = type(error).__name__
