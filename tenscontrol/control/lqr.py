@@ -129,7 +129,7 @@ def lqr(
 
     Notes
     -----
-    The Riccati equation is solved by python-control. Its answer is checked, since it
+    The Riccati equation is solved by SciPy. Its answer is checked, since it
     can be wrong without an error if an undamped mode is not controllable.
 
     Examples

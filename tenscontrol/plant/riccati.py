@@ -134,12 +134,17 @@ def _solve(
     A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, discrete: bool, messages: _Messages
 ) -> tuple[FloatArray, FloatArray, np.ndarray]:
     """Return gain, solution and poles, unchecked."""
-    import control
+    from scipy.linalg import solve_continuous_are, solve_discrete_are
 
     try:
-        K, P, poles = (control.dlqr if discrete else control.lqr)(A, B, Q, R)
+        if discrete:
+            P = solve_discrete_are(A, B, Q, R)
+            K = np.linalg.solve(B.T @ P @ B + R, B.T @ P @ A)
+        else:
+            P = solve_continuous_are(A, B, Q, R)
+            K = np.linalg.solve(R, B.T @ P)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ValueError(
             f"{messages.equation} has no stabilizing solution: {error}. {messages.no_solution}"
         ) from error
-    return K, P, poles
+    return K, P, np.linalg.eigvals(A - B @ K)

@@ -7,6 +7,7 @@ import pytest
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 
 import tenscontrol as tc
+from tenscontrol.plant import riccati
 
 
 @pytest.fixture(scope="module")
@@ -147,10 +148,8 @@ def test_forms_with_unreachable_states_are_refused_with_a_count(model, rest, kin
 
 
 def solver(change):
-    """Return python-control's lqr with its answer changed."""
-    import control
-
-    original = control.lqr
+    """Return the solver of the Riccati equation with its answer changed."""
+    original = riccati._solve
 
     def changed(*arguments):
         return change(*original(*arguments))
@@ -161,7 +160,7 @@ def solver(change):
 def test_a_wrong_riccati_solution_is_not_passed_on(model, rest, monkeypatch):
     plant = tc.linearize(model, rest)
     wrong = solver(lambda K, P, poles: (K, 1.01 * P, poles))
-    monkeypatch.setattr("control.lqr", wrong)
+    monkeypatch.setattr(riccati, "_solve", wrong)
     with pytest.raises(ValueError, match=r"left with a residual of .* not to be trusted"):
         tc.lqr(plant, 1.0, 1e-3)
 
@@ -170,7 +169,7 @@ def test_a_wrong_riccati_solution_is_not_passed_on(model, rest, monkeypatch):
 def test_poles_that_do_not_decay_are_not_passed_on(model, rest, monkeypatch, pole):
     plant = tc.linearize(model, rest)
     unstable = solver(lambda K, P, poles: (K, P, np.r_[pole, poles[1:]]))
-    monkeypatch.setattr("control.lqr", unstable)
+    monkeypatch.setattr(riccati, "_solve", unstable)
     with pytest.raises(ValueError, match="closed loop is not stable"):
         tc.lqr(plant, 1.0, 1e-3)
 
