@@ -38,8 +38,8 @@ def _brief(value: object) -> str:
 def float_array(name: str, value: object) -> FloatArray:
     """Return ``value`` as a finite float array, or say which entry is not a finite number."""
     array = _real_array(name, value)
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
+    if not np.isfinite(array).all():
+        bad = np.argwhere(~np.isfinite(array))
         where = "" if array.ndim == 0 else f"[{', '.join(str(i) for i in bad[0])}]"
         raise ValueError(
             f"{name}{where} is {array[tuple(bad[0])]}, expected a finite number; "
@@ -135,16 +135,16 @@ def direction(name: str, value: object) -> FloatArray:
 
 def positive(name: str, array: FloatArray, what: str) -> FloatArray:
     """Refuse an array with an entry that is not greater than zero."""
-    bad = np.flatnonzero(array <= 0)
-    if len(bad):
+    if (array <= 0).any():
+        bad = np.flatnonzero(array <= 0)
         raise ValueError(f"{name}[{bad[0]}] is {array[bad[0]]:g}, expected a positive {what}")
     return array
 
 
 def non_negative(name: str, array: FloatArray, why: str) -> FloatArray:
     """Refuse an array with an entry below zero."""
-    bad = np.flatnonzero(array < 0)
-    if len(bad):
+    if (array < 0).any():
+        bad = np.flatnonzero(array < 0)
         raise ValueError(f"{name}[{bad[0]}] is {array[bad[0]]:g}, expected at least 0: {why}")
     return array
 

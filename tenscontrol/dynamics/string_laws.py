@@ -255,10 +255,9 @@ class StringLaw(ABC):
         length, gamma = self._together(length=length, force_density=force_density)
         positive("length", np.atleast_1d(length), "length in m")
         non_negative("force_density", np.atleast_1d(gamma), "a string can only pull")
-        limit = np.broadcast_to(self.largest_force_density, np.shape(gamma))
-        over = np.flatnonzero(np.atleast_1d(gamma >= limit))
-        if len(over):
-            i = over[0]
+        if (gamma >= self.largest_force_density).any():
+            limit = np.broadcast_to(self.largest_force_density, np.shape(gamma))
+            i = np.flatnonzero(np.atleast_1d(gamma >= limit))[0]
             raise ValueError(
                 f"force_density[{i}] is {np.atleast_1d(gamma)[i]:g} N/m, expected less than the "
                 f"stiffness {np.atleast_1d(limit)[i]:g} N/m: the rest length would not be "
@@ -272,8 +271,11 @@ class StringLaw(ABC):
         arrays = {name: float_array(name, value) for name, value in values.items()}
         own = {name: np.asarray(getattr(self, name)) for name in self._names()}
         member_parameters({**arrays, **own})
-        shape = np.broadcast_shapes(*(array.shape for array in [*arrays.values(), *own.values()]))
-        return [np.broadcast_to(array, shape) for array in arrays.values()]
+        shape = np.broadcast(*arrays.values(), *own.values()).shape
+        return [
+            array if array.shape == shape else np.broadcast_to(array, shape)
+            for array in arrays.values()
+        ]
 
     @cached_property
     def _force_density_function(self) -> ca.Function:
