@@ -113,13 +113,14 @@ def short_of_iterations(tmp_path_factory):
     mpc = tc.MPC(
         plant, horizon=4, sample_time=scenes.SAMPLE, max_force_density=34.0, max_iterations=10
     )
-    return mpc, tc.generate_c(mpc, tmp_path_factory.mktemp("short") / "code")
+    made = tc.generate_c(mpc, tmp_path_factory.mktemp("short") / "code")
+    return mpc, made, made.compile()
 
 
 def test_out_of_iterations_is_the_same_fallback(short_of_iterations):
     """Plans are continued until they end, then the equilibrium is held."""
-    mpc, made = short_of_iterations
-    pair = scenes.Pair(mpc, made.compile())
+    mpc, _, compiled = short_of_iterations
+    pair = scenes.Pair(mpc, compiled)
     rng = np.random.default_rng(1)
     for k in range(scenes.SAMPLES):
         push = 2.0 if k % 50 < 10 else 0.003
@@ -151,8 +152,9 @@ def test_reset_is_a_fresh_start(moved):
 
 
 def test_two_of_one_code_have_a_memory_each(short_of_iterations):
-    _, made = short_of_iterations
-    one, other = made.compile(), made.compile()
+    _, made, one = short_of_iterations
+    other = made.compile()
+    one.reset()
     nodes = scenes.plant("force_density").to_nodes(np.r_[0.02, np.zeros(8)])
     before = one.command(0.0, nodes, STILL).value
     spoilt = np.full((3, 6), np.inf)
