@@ -194,18 +194,8 @@ class Coordinates:
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
-        weights, total = self._weights
-        return np.asarray(nodes @ weights / total)[:, None]
-
-    @cached_property
-    def _weights(self) -> tuple[FloatArray, float]:
         weights = self._mass.sum(axis=1)
-        return weights, weights.sum()
-
-    @cached_property
-    def _weighed(self) -> FloatArray:
-        """The reference about its centre of mass, times the masses."""
-        return (self.nodes - self._centre(self.nodes)) @ self._mass
+        return np.asarray(nodes @ weights / weights.sum())[:, None]
 
     def _alignment(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the turn and the centre of mass that lay the shape over the reference.
@@ -215,7 +205,7 @@ class Coordinates:
         part along a rigid motion.
         """
         centre = self._centre(nodes)
-        spread = self._weighed @ (nodes - centre).T
+        spread = (self.nodes - self._centre(self.nodes)) @ self._mass @ (nodes - centre).T
         U, _, Vt = np.linalg.svd(spread)
         U[:, 2] *= np.linalg.det(U @ Vt)
         return U @ Vt, centre

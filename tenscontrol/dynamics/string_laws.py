@@ -272,10 +272,7 @@ class StringLaw(ABC):
         own = {name: np.asarray(getattr(self, name)) for name in self._names()}
         member_parameters({**arrays, **own})
         shape = np.broadcast(*arrays.values(), *own.values()).shape
-        return [
-            array if array.shape == shape else np.broadcast_to(array, shape)
-            for array in arrays.values()
-        ]
+        return [np.broadcast_to(array, shape) for array in arrays.values()]
 
     @cached_property
     def _force_density_function(self) -> ca.Function:

@@ -54,9 +54,8 @@ def regulator_riccati(
 ) -> tuple[FloatArray, np.ndarray, FloatArray, float]:
     """Return gain K, closed-loop poles, cost P and Riccati residual of a regulator, checked.
 
-    Q and R are ``state_weight`` and ``input_weight``. Solved with states in units of ``unit``,
-    shape (s,), and inputs in units of ``level``, which are of the same energy: a stiff plant
-    cannot be solved otherwise. A ValueError says why there is no good solution.
+    Solved with states in units of ``unit``, shape (s,), and inputs in units of ``level``: a stiff
+    plant cannot be solved otherwise. A ValueError says why there is no good solution.
     """
     scaled = (
         A * unit / unit[:, None],
@@ -77,8 +76,7 @@ def filter_riccati(
 
     Φ is the ``transition`` of a sample, and ``drive`` Ψ, shape (s, m): what independent noises of
     variance 1 add to the state over a sample. ``noise``, shape (p,), are standard deviations of
-    the readings. Solved as the dual problem, with A = Φᵀ, B = Cᵀ and Q = Ψ Ψᵀ, and whitened
-    readings. A ValueError says why there is no good solution.
+    the readings. Solved as the dual problem. A ValueError says why there is no good solution.
     """
     whitened = C / noise[:, None]
     unit = 1 / float(np.linalg.norm(whitened, 2))
@@ -134,17 +132,14 @@ def _solve(
     A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, discrete: bool, messages: _Messages
 ) -> tuple[FloatArray, FloatArray, np.ndarray]:
     """Return gain, solution and poles, unchecked."""
-    from scipy.linalg import solve_continuous_are, solve_discrete_are
+    from scipy import linalg
 
     try:
-        if discrete:
-            P = solve_discrete_are(A, B, Q, R)
-            K = np.linalg.solve(B.T @ P @ B + R, B.T @ P @ A)
-        else:
-            P = solve_continuous_are(A, B, Q, R)
-            K = np.linalg.solve(R, B.T @ P)
+        P = (linalg.solve_discrete_are if discrete else linalg.solve_continuous_are)(A, B, Q, R)
+        sides = (B.T @ P @ B + R, B.T @ P @ A) if discrete else (R, B.T @ P)
+        K = np.linalg.solve(*sides)
+        return K, P, np.linalg.eigvals(A - B @ K)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ValueError(
             f"{messages.equation} has no stabilizing solution: {error}. {messages.no_solution}"
         ) from error
-    return K, P, np.linalg.eigvals(A - B @ K)
