@@ -11,6 +11,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.control.status import Fallback, Status
+from tenscontrol.dynamics import Exclusive, exclusive
 from tenscontrol.plant import LinearPlant, regulator_riccati, state_units
 from tenscontrol.validation import (
     FloatArray,
@@ -41,6 +42,11 @@ _SHORTEST = 0.01
 
 # Relative size of what counts as round-off in a weight matrix.
 _TOLERANCE = 1e-12
+
+# Methods of controllers that use what they remember of the samples before.
+_WITH_MEMORY = {
+    "applied", "command", "error", "fall_back", "follow", "prepare", "reset", "take_over", "targets"
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +164,8 @@ class Controller(ABC):
         high: FloatArray,
         change: FloatArray | None = None,
     ) -> None:
+        #: The thread that uses the controller: another one is refused meanwhile.
+        self.in_use = Exclusive(f"this {type(self).__name__}")
         self._plant = plant
         self._sample_time = sample_time
         self._low, self._high = frozen(low), frozen(high)
@@ -199,6 +207,13 @@ class Controller(ABC):
         """Which measurements are used."""
         return self._measurement_check
 
+    def __init_subclass__(cls, **keywords: object) -> None:
+        """Let one thread at a time call what uses the memory of a controller."""
+        super().__init_subclass__(**keywords)
+        for name in _WITH_MEMORY & vars(cls).keys():
+            setattr(cls, name, exclusive(vars(cls)[name]))
+
+    @exclusive
     def command(self, time: float, nodes: object, velocities: object) -> Command:
         """Return the command for the sample that starts now.
 
@@ -238,6 +253,7 @@ class Controller(ABC):
             return self.fall_back(Status.INPUT_NOT_FINITE)
         return self._issue(desired)
 
+    @exclusive
     def fall_back(self, status: Status) -> Command:
         """Return the fallback for a sample without a usable measurement or decision.
 
@@ -269,6 +285,7 @@ class Controller(ABC):
             self._fallback_count[desired.fallback] += 1
         return replace(desired, value=self._previous_input)
 
+    @exclusive
     def applied(self, value: object) -> None:
         """Set the previous input, where it may differ from the last command.
 
@@ -311,11 +328,13 @@ class Controller(ABC):
         """Return the nearest input within the bounds of this sample."""
         return np.clip(desired, *self._sample_bounds)
 
+    @exclusive
     def reset(self) -> None:
         """Forget everything that was measured, planned or applied."""
         self._previous_input = None
         self._status_count, self._fallback_count = Counter(), Counter()
 
+    @exclusive
     def take_over(self, command: FloatArray) -> None:
         """Take over from another controller: plans from this one's own commands are dropped.
 

@@ -17,6 +17,7 @@ from tenscontrol.control import Controller
 from tenscontrol.control.mpc import OSQPSolver
 from tenscontrol.deploy.controllers import LawCode
 from tenscontrol.deploy.measurement_code import measurement
+from tenscontrol.dynamics import builds
 from tenscontrol.validation import FloatArray
 
 # Numbers a line.
@@ -38,6 +39,7 @@ under the licence in OSQP_LICENSE.txt, which has to go with it.
 """
 
 
+@builds
 def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str]:
     """Return the texts of all files, by file name; names in C begin with ``name``.
 

@@ -11,6 +11,7 @@ from tenscontrol.control import LQR, MPC, NMPC, Controller
 from tenscontrol.deploy.code_text import code_files
 from tenscontrol.deploy.compiled_controller import CompiledController
 from tenscontrol.deploy.controllers import LawCode, lqr_code, mpc_code, nmpc_code
+from tenscontrol.dynamics import builds
 from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray, frozen
 
@@ -175,6 +176,7 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     )
 
 
+@builds
 def _law_code(controller: object) -> LawCode:
     if isinstance(controller, MPC):
         return mpc_code(controller)

@@ -13,8 +13,10 @@ from tenscontrol.dynamics.machine_code import (
 )
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
+from tenscontrol.dynamics.threads import BUILDING, Exclusive, builds, built, exclusive, solving
 
 __all__ = [
+    "BUILDING",
     "KINDS",
     "ColumnEvaluator",
     "Compiled",
@@ -24,16 +26,21 @@ __all__ = [
     "ElasticStrings",
     "Equation",
     "Evaluator",
+    "Exclusive",
     "LinearStrings",
     "Model",
     "Prepared",
     "StringLaw",
+    "builds",
+    "built",
     "compiled",
     "compiled_library",
     "compiler",
     "coordinates",
     "evaluate_columns",
+    "exclusive",
     "pack_state",
     "smooth_equation",
+    "solving",
     "unpack_states",
 ]

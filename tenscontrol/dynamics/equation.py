@@ -10,6 +10,7 @@ import casadi as ca
 
 from tenscontrol.dynamics.evaluator import Prepared
 from tenscontrol.dynamics.string_laws import StringLaw
+from tenscontrol.dynamics.threads import builds
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray
 
@@ -103,6 +104,7 @@ class Equation:
         return ca.Function("kinked", [x, u], [self.slope(x, u, self.gap(x, u)[0] > 0)])
 
 
+@builds
 def smooth_equation(slope: ca.Function) -> Equation:
     """Return the equation of a smooth ``(x, u) -> xdot``, dense columns, without a structure."""
     x, u = (ca.SX.sym(name, slope.size1_in(i)) for i, name in enumerate("xu"))

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from threading import Lock, get_ident
 from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 
+from tenscontrol.dynamics.threads import BUILDING
 from tenscontrol.validation import FloatArray
 
 _Value = TypeVar("_Value")
-
-# CasADi's symbols are counted without a lock of their own: one thread builds at a time.
-_BUILDING = threading.RLock()
 
 # Distinct inputs, methods and settings of one model in a program; the oldest is dropped.
 _MOST = 32
@@ -26,22 +24,36 @@ class Prepared:
 
     def __init__(self) -> None:
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
+        self._lock = Lock()
 
     def get(self, key: Hashable, build: Callable[[], _Value]) -> _Value:
         """Return what was built for a key; the first time, build it: anything but None.
 
-        The key holds all that the value depends on, beside the owner of this object.
+        The key holds all that the value depends on, beside the owner of this object. Threads share
+        the value, so it has no memory: functions, not evaluators.
         """
-        with _BUILDING:
-            value: _Value | None = self._kept.get(key)
-            if value is None:
-                value = build()
-                self._kept[key] = value
-                while len(self._kept) > _MOST:
-                    self._kept.popitem(last=False)
-            else:
+        value: _Value | None = self._find(key)
+        if value is None:
+            with BUILDING:
+                value = self._find(key)
+                if value is None:
+                    value = self._keep(key, build())
+        return value
+
+    def _find(self, key: Hashable) -> Any:
+        with self._lock:
+            value = self._kept.get(key)
+            if value is not None:
                 self._kept.move_to_end(key)
             return value
+
+    def _keep(self, key: Hashable, value: _Value) -> _Value:
+        with self._lock:
+            # While a compiler ran, another thread may have been first.
+            value = self._kept.setdefault(key, value)
+            dropped = [self._kept.popitem(last=False) for _ in range(len(self._kept) - _MOST)]
+        del dropped
+        return value
 
     def __reduce__(self) -> tuple[type[Prepared], tuple[()]]:
         """Pickle and copy as an empty store."""
@@ -57,7 +69,8 @@ class Evaluator:
     """A CasADi function behind its buffer: about fifty times cheaper to call than the function.
 
     Outputs are views of memory that the next call overwrites; copy what must last. Inputs are
-    trusted: callers check them. All inputs and outputs of the function must be dense.
+    trusted: callers check them. All inputs and outputs of the function must be dense. Each thread
+    needs an evaluator of its own; a call during another thread's raises RuntimeError.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -65,7 +78,7 @@ class Evaluator:
         self._buffer, self._run = function.buffer()
         self._inputs: list[FloatArray] = []
         self._outputs: list[FloatArray] = []
-        self.calls = 0
+        self.calls, self._user = 0, 0
         for i in range(function.n_in()):
             self._inputs.append(_dense(function.sparsity_in(i)))
             self._buffer.set_arg(i, _memory(self._inputs[i]))
@@ -79,10 +92,20 @@ class Evaluator:
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Evaluate and return one array per output: a vector, or a matrix in Fortran order."""
-        for target, argument in zip(self._inputs, arguments, strict=True):
-            np.copyto(target, argument)
-        self._run()
-        self.calls += 1
+        me = get_ident()
+        if self._user not in (0, me):
+            raise RuntimeError(
+                f"the evaluator of {self._function.name()!r} is used by another thread at this "
+                "moment: it has a memory. Give each thread its own, Evaluator(function)"
+            )
+        try:
+            self._user = me
+            for target, argument in zip(self._inputs, arguments, strict=True):
+                np.copyto(target, argument)
+            self._run()
+            self.calls += 1
+        finally:
+            self._user = 0
         return self._outputs
 
 

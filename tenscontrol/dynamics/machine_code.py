@@ -25,6 +25,7 @@ from time import perf_counter
 
 import casadi as ca
 
+from tenscontrol.dynamics.threads import builds, paused
 from tenscontrol.validation import instance, positive_number
 
 #: Environment variable that names the compiler, before ``CC``; ``none`` switches compiling off.
@@ -315,6 +316,7 @@ class Compiled:
     compiler: Compiler
 
 
+@builds
 def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
     """Return a function in machine code, or None on a machine without a C compiler.
 
@@ -407,6 +409,7 @@ def compiled_library(source: str) -> Path:
     return library
 
 
+@paused()
 def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, Cache]:
     """Return the library made of C code, whether it was there already, and where."""
     machine = (sys.platform, platform.machine(), *platform.libc_ver())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -14,6 +13,7 @@ from tenscontrol.dynamics.evaluator import Prepared
 from tenscontrol.dynamics.forms import loops_functions, mapped_functions
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.string_laws import StringLaw
+from tenscontrol.dynamics.threads import built
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped, truth
 
@@ -134,20 +134,20 @@ class Model:
 
     # ---- functions of positions, velocities and γ ----
 
-    @cached_property
+    @built
     def acceleration(self) -> ca.Function:
         """``(N, Nd, gamma[, W]) -> Ndd``: node accelerations, shape (3, n), m/s²."""
         s = self._symbols()
         return self._function("acceleration", s, "N Nd gamma W", Ndd=self._ndd(s, s["gamma"]))
 
-    @cached_property
+    @built
     def bar_force_density(self) -> ca.Function:
         """``(N, Nd, gamma[, W]) -> lambda``: λ of each bar, shape (β,), N/m, compression > 0."""
         s = self._symbols()
         outputs = {"lambda": ca.densify(self._lambda(s).T)}
         return self._function("bar_force_density", s, "N Nd gamma W", **outputs)
 
-    @cached_property
+    @built
     def stiffness_matrix(self) -> ca.Function:
         """``(N, Nd, gamma[, W]) -> K_s``: eq. (9), sparse, shape (n, n), N/m.
 
@@ -182,13 +182,13 @@ class Model:
 
     # ---- functions of the state ----
 
-    @cached_property
+    @built
     def dynamics(self) -> ca.Function:
         """``(x, gamma[, W]) -> xdot``: the state equation with γ as the input."""
         s = self._symbols()
         return self._function("dynamics", s, "x gamma W", xdot=self._xdot(s, s["gamma"]))
 
-    @cached_property
+    @built
     def rest_length_dynamics(self) -> ca.Function:
         """``(x, rest_length[, W]) -> xdot``: the state equation with the rest length as the input.
 
@@ -293,14 +293,14 @@ class Model:
             ca.Function("force", [q, v, u, taut], [forces]),
         )
 
-    @cached_property
+    @built
     def string_force_density(self) -> ca.Function:
         """``(x, rest_length) -> gamma``: γ of each string by the string law, N/m."""
         s = self._symbols()
         gamma = self._law_force_density(s)
         return self._function("string_force_density", s, "x rest_length", gamma=gamma)
 
-    @cached_property
+    @built
     def kinetic_energy(self) -> ca.Function:
         """``(x) -> energy``: ½ tr(Ṅ M_s Ṅᵀ), J."""
         s = self._symbols()
@@ -308,7 +308,7 @@ class Model:
         energy = ca.sum2(kernel.dots(s["velocities"], momenta)) / 2
         return self._function("kinetic_energy", s, "x", energy=energy)
 
-    @cached_property
+    @built
     def potential_energy(self) -> ca.Function:
         """``(x, gamma) -> energy``: ½ Σ γ l², J: what strings store whose γ is held."""
         s = self._symbols()
@@ -316,7 +316,7 @@ class Model:
         energy = ca.densify(ca.mtimes(kernel.dots(S, S), s["gamma"]) / 2)
         return self._function("potential_energy", s, "x gamma", energy=energy)
 
-    @cached_property
+    @built
     def elastic_energy(self) -> ca.Function:
         """``(x, rest_length) -> energy``: what strings store whose rest length is held, J."""
         s = self._symbols()
@@ -326,7 +326,7 @@ class Model:
         energy = ca.densify(ca.sum1(stored))
         return self._function("elastic_energy", s, "x rest_length", energy=energy)
 
-    @cached_property
+    @built
     def momentum(self) -> ca.Function:
         """``(x) -> (linear, angular)``: kg m/s, and kg m²/s about the origin, shape (3,) each."""
         s = self._symbols()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, final
 
 import casadi as ca
 import numpy as np
 
+from tenscontrol.dynamics.threads import built
 from tenscontrol.validation import (
     FloatArray,
     float_array,
@@ -274,14 +274,14 @@ class StringLaw(ABC):
         shape = np.broadcast(*arrays.values(), *own.values()).shape
         return [np.broadcast_to(array, shape) for array in arrays.values()]
 
-    @cached_property
+    @built
     def _force_density_function(self) -> ca.Function:
         size = self._parameter_count
         length, rest, rate = (ca.SX.sym(name, size) for name in ("length", "rest", "rate"))
         gamma = self.symbolic_force_density(length, rest, rate)
         return ca.Function("force_density", [length, rest, rate], [gamma])
 
-    @cached_property
+    @built
     def _rest_length_function(self) -> ca.Function:
         size = self._parameter_count
         length, gamma = ca.SX.sym("length", size), ca.SX.sym("gamma", size)

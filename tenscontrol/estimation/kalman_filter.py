@@ -9,7 +9,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Evaluator
+from tenscontrol.dynamics import Evaluator, Exclusive, exclusive
 from tenscontrol.estimation.correction import Correction
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.plant import LinearPlant, Sampled
@@ -211,6 +211,8 @@ class KalmanFilter:
         poles: np.ndarray,
         riccati_residual: float,
     ) -> None:
+        #: The thread that uses the filter: another one is refused meanwhile.
+        self.in_use = Exclusive("this KalmanFilter")
         self._design = design
         self._size = len(design.start)
         self.C, self.gain, self.covariance, self.poles = C, gain, covariance, poles
@@ -255,6 +257,7 @@ class KalmanFilter:
         """Use of the readings since the last reset."""
         return self._tally.statistics()
 
+    @exclusive
     def reset(self, state: object = None, covariance: object = None, held: object = None) -> None:
         """Restart without memory.
 
@@ -287,6 +290,7 @@ class KalmanFilter:
         self._mostly_refused = 0
         self._tally = Tally(len(self.sensors.readings))
 
+    @exclusive
     def update(self, measurement: object) -> Estimate:
         """Return the estimate for now, corrected by readings.
 
@@ -325,6 +329,7 @@ class KalmanFilter:
             z, P = self._z, self._P
         return self._estimate(z, P)
 
+    @exclusive
     def predict(self, held: object) -> None:
         """Predict the state at the next sample.
 

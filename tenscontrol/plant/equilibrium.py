@@ -7,7 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Model, kernel
+from tenscontrol.dynamics import Model, builds, kernel, solving
 from tenscontrol.plant.linear_plant import INPUTS
 from tenscontrol.statics import Prestress, prestress
 from tenscontrol.structure import (
@@ -132,6 +132,7 @@ def held_value(model: Model, rest_length: object, force_density: object) -> Floa
     return non_negative("force_density", gamma, "a string can only pull")
 
 
+@builds
 def _minimize(
     model: Model, kind: str, held: FloatArray, load: FloatArray, start: FloatArray
 ) -> FloatArray:
@@ -172,7 +173,8 @@ def _minimize(
 
 def _optimized(solver: ca.Function, place: FloatArray) -> FloatArray:
     """Return positions and multipliers from the optimizer, or say what it ended with."""
-    answer = solver(x0=place, lbg=0.0, ubg=0.0)
+    with solving():
+        answer = solver(x0=place, lbg=0.0, ubg=0.0)
     status = solver.stats()
     if not status["success"]:
         raise ValueError(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Evaluator
+from tenscontrol.dynamics import Evaluator, builds
 from tenscontrol.shape.nonlinear_program import EXACT, ShapeProblem
 from tenscontrol.validation import FloatArray
 
@@ -39,6 +39,7 @@ class Continuation:
     are solved by Newton steps with an active set, from a prediction along the tangent.
     """
 
+    @builds
     def __init__(
         self,
         problem: ShapeProblem,

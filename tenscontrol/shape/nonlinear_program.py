@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Model, kernel
+from tenscontrol.dynamics import Model, builds, built, kernel, solving
 from tenscontrol.shape.symmetry import RotationalSymmetry, reduction
 from tenscontrol.statics import Prestress, equilibrium_matrix, null_space
 from tenscontrol.structure import free_coordinates
@@ -46,6 +45,7 @@ class ShapeProblem:
     force densities, N/m. With a ``symmetry``, only shapes that have it are solutions.
     """
 
+    @builds
     def __init__(
         self,
         model: Model,
@@ -165,9 +165,11 @@ class ShapeProblem:
         }
         problem = {"x": v, "f": objective + tie, "g": rows}
         solver = ca.nlpsol("shape", "ipopt", problem, options)
-        answer = solver(x0=guess, lbx=least, ubx=most, lbg=low, ubg=high)
+        with solving():
+            answer = solver(x0=guess, lbx=least, ubx=most, lbg=low, ubg=high)
         return np.array(answer["x"].full()).ravel(), bool(solver.stats()["success"])
 
+    @builds
     def polish(self, values: FloatArray, rows: Any = None) -> tuple[FloatArray, FloatArray]:
         """Return the nearest unknowns at which equations and ``rows`` vanish, and what is left."""
         every = self.equations if rows is None else ca.vertcat(self.equations, rows)
@@ -205,7 +207,7 @@ class ShapeProblem:
         Z = linalg.null_space(held, rcond=1e-9) if held.size else np.eye(len(place))
         return float(np.linalg.eigvalsh(Z.T @ K @ Z)[0]) if Z.shape[1] else float("inf")
 
-    @cached_property
+    @built
     def _stiffness(self) -> ca.Function:
         """Stiffness with rest lengths held, and rows of the bars, by the free coordinates."""
         structure = self.model.structure

@@ -8,7 +8,7 @@ from math import ceil
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics import builds, kernel
 from tenscontrol.shape.continuation import Continuation, Waypoint
 from tenscontrol.shape.nonlinear_program import ShapeProblem
 from tenscontrol.statics import Prestress, prestress
@@ -158,6 +158,7 @@ def _integral(x: FloatArray) -> FloatArray:
 class PathMotion:
     """Positions, forces and rest lengths of waypoints, and their rates."""
 
+    @builds
     def __init__(self, problem: ShapeProblem) -> None:
         self._problem = problem
         model = problem.model

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Model, kernel
+from tenscontrol.dynamics import Model, builds, kernel
 from tenscontrol.shape.demands import Demand
 from tenscontrol.shape.force_bounds import ForceLimits, choose_force_density
 from tenscontrol.shape.nonlinear_program import EXACT, ShapeProblem
@@ -144,6 +144,7 @@ def _signed_distances(structure: Structure, nodes: FloatArray, N: Any) -> Any:
     return ca.vertcat(*rows) if rows else ca.SX(0, 1)
 
 
+@builds
 def solve_shape(
     model: Model,
     demands: tuple[Demand, ...],

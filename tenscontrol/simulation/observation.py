@@ -72,8 +72,6 @@ class Observation:
         start: FloatArray | None,
         substeps: int,
     ) -> None:
-        how = "make one by kalman(plant, sensors, sample_time=...)"
-        instance("estimator", estimator, KalmanFilter, how)
         sensors = estimator.sensors if sensors is None else sensors
         instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
         _refuse_misfits(estimator, sensors, input, controller, sample, substeps)

@@ -182,6 +182,9 @@ def simulate(
         instance("limits", limits, HealthLimits, "make them by HealthLimits(bar_length_error=...)")
     if controller is not None:
         instance("controller", controller, Controller, "make one by lqr(...) or MPC(...)")
+    if estimator is not None:
+        how = "make one by kalman(plant, sensors, sample_time=...)"
+        instance("estimator", estimator, KalmanFilter, how)
     if estimator is None and (sensors is not None or seed is not None):
         raise ValueError("sensors and seed go with an estimator; kalman(...) makes one")
     if not len(model.structure.free):
@@ -214,9 +217,11 @@ def simulate(
                 run = loop.trajectory()
             else:
                 estimation = None if estimator is None else (estimator, sensors, seed)
-                run = run_closed_loop(
-                    loop, state, duration, controller, rest_length, winches, sample_time, estimation
-                )
+                with controller.in_use, nullcontext() if estimator is None else estimator.in_use:
+                    run = run_closed_loop(
+                        loop, state, duration, controller, rest_length, winches, sample_time,
+                        estimation,
+                    )  # fmt: skip
     except SimulationError as error:
         if not error.interrupted:
             raise

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, final
 
 import casadi as ca
@@ -12,7 +11,7 @@ import numpy as np
 
 from tenscontrol.control.disturbance import solve_stacked
 from tenscontrol.control.mpc.problem import Pair, Triple
-from tenscontrol.dynamics import Evaluator, compiled
+from tenscontrol.dynamics import Evaluator, built, compiled
 from tenscontrol.plant import (
     LinearPlant,
     acceleration_response,
@@ -237,7 +236,7 @@ class RadauIIA(Discretization):
         self._slopes: FloatArray = np.zeros((0, 3 * self._r, 0))
         self._by_load: FloatArray = np.zeros((0, self._r, 0))
 
-    @cached_property
+    @built
     def sampled(self) -> ca.Function:
         """See :attr:`Discretization.sampled`: CasADi's Newton method, no number where it fails."""
         key = "Radau IIA sampled", self._sample_time, self._substeps
