@@ -223,3 +223,8 @@ def instance(name: str, value: object, kind: type, how: str) -> None:
     """Refuse a value of the wrong class and say where the right one comes from."""
     if not isinstance(value, kind):
         raise wrong_kind(name, value, f"{kind.__name__}: {how}")
+
+
+def number(name: str, value: object, unit: str) -> float:
+    """Return one finite real number."""
+    return float(shaped(name, value, (), f"one number, {unit}"))

@@ -18,8 +18,10 @@ from tenscontrol.validation import (
     frozen,
     instance,
     measured,
+    number,
     per_member,
     positive,
+    positive_number,
     shaped,
     truth,
 )
@@ -77,7 +79,7 @@ class MeasurementCheck:
     def __init__(self, plant: LinearPlant, sample_time: float | None) -> None:
         structure = plant.model.structure
         size = float(np.ptp(plant.nodes, axis=1).max())
-        rate = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0))
+        rate = plant.spectral_radius
         if sample_time is not None:
             rate = max(rate, 1 / sample_time)
         # Largest difference of velocities of two nodes along an axis, m/s. A plant without
@@ -135,6 +137,11 @@ class Controller(ABC):
     change : ndarray, shape (α,), optional
         Largest change from the previous input; no limit if not given.
 
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit, or no finite command is within the bounds.
+
     Examples
     --------
     >>> import numpy as np, tenscontrol as tc
@@ -158,10 +165,24 @@ class Controller(ABC):
         high: FloatArray,
         change: FloatArray | None = None,
     ) -> None:
+        instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        if sample_time is not None:
+            sample_time = positive_number("sample_time", sample_time, "s")
         self._plant = plant
         self._sample_time = sample_time
-        self._low, self._high = frozen(low), frozen(high)
-        self._change = None if change is None else frozen(change)
+        shape = plant.equilibrium_input.shape
+        self._low = frozen(shaped("low", low, shape, "one per string"))
+        self._high = frozen(measured("high", high, shape, "one per string"))
+        wrong = np.flatnonzero(~(self._low <= self._high))
+        if len(wrong):
+            i = wrong[0]
+            raise ValueError(
+                f"high[{i}] is {self._high[i]:g}, expected at least low[{i}] = {self._low[i]:g}"
+            )
+        self._change = None
+        if change is not None:
+            change = shaped("change", change, shape, "one per string")
+            self._change = frozen(positive("change", change, "change of the input"))
         self._measurement_check = MeasurementCheck(plant, sample_time)
         self._called = 0.0  # start of the last command, by perf_counter
         # Input over the last sample: as applied() says, else the last command; None before.
@@ -227,13 +248,15 @@ class Controller(ABC):
             not a finite number.
         """
         self._called = perf_counter()
-        time = float(float_array("time", time))
+        time = number("time", time, "s")
         shape = self._plant.coordinates.nodes.shape
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
         state, fault = self._measure(N, V)
         if fault is not None:
             return self.fall_back(fault)
-        desired = self._decide(time, state)
+        # The previous input may be of any size: what overflows shows in the status.
+        with np.errstate(over="ignore", invalid="ignore"):
+            desired = self._decide(time, state)
         if not np.isfinite(desired.value).all():
             return self.fall_back(Status.INPUT_NOT_FINITE)
         return self._issue(desired)
@@ -249,7 +272,13 @@ class Controller(ABC):
         Returns
         -------
         Command
+
+        Raises
+        ------
+        TypeError
+            If it is no :class:`Status`.
         """
+        instance("status", status, Status, "for example Status.MEASUREMENT_NOT_FINITE")
         return self._issue(self._fall_back(status))
 
     def _measure(
@@ -287,7 +316,10 @@ class Controller(ABC):
         TypeError, ValueError
             If it is not finite or has the wrong shape.
         """
-        self._previous_input = frozen(shaped("value", value, self._low.shape, "one per string"))
+        self._previous_input = self._checked_input("value", value)
+
+    def _checked_input(self, name: str, value: object) -> FloatArray:
+        return frozen(shaped(name, value, self._low.shape, "one per string"))
 
     @property
     def _previous_within_bounds(self) -> FloatArray:
@@ -316,15 +348,20 @@ class Controller(ABC):
         self._previous_input = None
         self._status_count, self._fallback_count = Counter(), Counter()
 
-    def take_over(self, command: FloatArray) -> None:
+    def take_over(self, command: object) -> None:
         """Take over from another controller: plans from this one's own commands are dropped.
 
         Parameters
         ----------
-        command : ndarray, shape (α,)
+        command : array_like, shape (α,)
             The previous input.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is not finite or has the wrong shape.
         """
-        self._previous_input = frozen(command)
+        self._previous_input = self._checked_input("command", command)
 
     @abstractmethod
     def _decide(self, time: float, state: FloatArray) -> Command:
@@ -477,7 +514,7 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     r = plant.degrees_of_freedom
-    highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
+    highest = plant.spectral_radius or 1.0
     largest = float(np.linalg.norm(plant.B, 2))
     Q = np.diag(np.r_[np.full(r, highest**2), np.ones(r)])
     if truth("by_mode", by_mode, "whether each displacement costs its own energy"):

@@ -381,9 +381,10 @@ class KalmanFilter:
         if self._motion is None:
             moved, rest = design.sampled, self.plant.equilibrium_input
             transition = moved.transition
-            z = transition @ z + moved.by_input @ (held - rest) + moved.drift
-            if moved.ramp:
-                z = z + moved.by_previous @ (start - rest)
+            with np.errstate(over="ignore", invalid="ignore"):  # an input may be of any size
+                z = transition @ z + moved.by_input @ (held - rest) + moved.drift
+                if moved.ramp:
+                    z = z + moved.by_previous @ (start - rest)
         else:
             transition = np.eye(len(z))
             for left in range(design.substeps - 1, -1, -1):

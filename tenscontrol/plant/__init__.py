@@ -39,6 +39,7 @@ from tenscontrol.plant.reference import (
     ReferencePreview,
     SmoothReference,
     checked_reference,
+    reduced_shape,
 )
 from tenscontrol.plant.riccati import (
     check_riccati,
@@ -88,6 +89,7 @@ __all__ = [
     "reached_dimension",
     "reduced_acceleration",
     "reduced_motion",
+    "reduced_shape",
     "refuse_empty",
     "refuse_unreachable",
     "regulator_riccati",

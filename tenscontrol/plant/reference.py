@@ -12,6 +12,7 @@ import numpy as np
 from tenscontrol.dynamics import evaluate_columns
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, kept
 from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
+from tenscontrol.structure import bar_distances
 from tenscontrol.validation import (
     FloatArray,
     float_array,
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
 # Force densities of a reference shape may leave those of the operating point only as far as the
 # balance of forces gains from it, by this fraction of the largest singular value.
 _RIDGE = 1e-3
+
+# A bar of a reference may be off by this part of its length, and a fixed node by this part of the
+# size: the coordinates do not see it. Bars nearer than this part of the size touch.
+_OFF, _TOUCHING = 0.01, 1e-6
 
 # A string can be wound up to this fraction of what its law allows.
 _STRONGEST = 0.99
@@ -225,11 +230,8 @@ class ReferencePreview:
     """
 
     def __init__(self, plant: LinearPlant, reference: object, sampled: Sampled) -> None:
-        reference = checked_reference(plant, reference)
-        still = np.zeros_like(plant.nodes)
+        reference, q = checked_reference(plant, reference)
         r = plant.degrees_of_freedom
-        shapes = [reference.nodes[:, :, k] for k in range(len(reference.time))]
-        q = np.array([plant.measure(N, still)[:r] for N in shapes])
         self._plant, self._sampled = plant, sampled
         self.span = float(reference.time[0]), float(reference.time[-1])
         self._time, self._coordinates = reference.time, q
@@ -334,11 +336,15 @@ class ReferencePreview:
         )
 
 
-def checked_reference(plant: LinearPlant, reference: object) -> Reference:
-    """Return a reference for a plant, or raise naming it; the operating point for None."""
+def checked_reference(plant: LinearPlant, reference: object) -> tuple[Reference, FloatArray]:
+    """Return a reference for a plant and q of its shapes, shape (K, r), or raise naming it.
+
+    None stands for the operating point.
+    """
     shape = plant.nodes.shape
     if reference is None:
-        reference = plant.nodes
+        q = plant.measure(plant.nodes, np.zeros(shape))[: plant.degrees_of_freedom]
+        return Reference([0.0], plant.nodes[:, :, None]), q[None]
     if not isinstance(reference, Reference):
         nodes = float_array("reference", reference)
         if nodes.shape != shape:
@@ -358,7 +364,66 @@ def checked_reference(plant: LinearPlant, reference: object) -> Reference:
             f"reference.force_density has shape {gamma.shape}, expected "
             f"({count}, {len(reference.time)}): one row per string"
         )
-    return reference
+    return reference, _reached(plant, reference)
+
+
+def _reached(plant: LinearPlant, reference: Reference) -> FloatArray:
+    """Return q of each shape, shape (K, r), or raise where the plant cannot come to it."""
+    structure, nodes = plant.model.structure, reference.nodes
+    names = [f"reference at {time:g} s" for time in reference.time]
+    starts, ends = structure.bars.T
+    length = np.linalg.norm(nodes[:, ends] - nodes[:, starts], axis=0)
+    off = np.abs(length / structure.bar_length[:, None] - 1)
+    if (off > _OFF).any():
+        bar, k = np.unravel_index(off.argmax(), off.shape)
+        raise ValueError(
+            f"in {names[k]}, bar {bar} has length {length[bar, k]:.6g} m, expected "
+            f"{structure.bar_length[bar]:.6g} m within {100 * _OFF:g} %: bars are rigid. "
+            "restore_bar_lengths(structure, nodes) mends a shape that is near"
+        )
+    size = float(np.ptp(plant.nodes, axis=1).max())
+    moved = np.linalg.norm((nodes - plant.nodes[:, :, None])[:, structure.fixed], axis=0)
+    if (moved > _OFF * size).any():
+        node, k = np.unravel_index(moved.argmax(), moved.shape)
+        raise ValueError(
+            f"in {names[k]}, the fixed node {structure.fixed[node]} is {moved[node, k]:.3g} m from "
+            f"its place, expected at most {_OFF * size:.3g} m"
+        )
+    shapes = np.moveaxis(nodes, 2, 0)
+    q = np.array([reduced_shape(plant, *each) for each in zip(names, shapes, strict=True)])
+    # A mirror image keeps all lengths, but bars would have to pass through one another on the way.
+    apart = [bar_distances(structure, N) for N in shapes]
+    near = int(np.linalg.norm(q, axis=1).argmin())
+    steps = [(bar_distances(structure, plant.nodes), apart[near], near)]
+    steps += [(*pair, k + 1) for k, pair in enumerate(pairwise(apart))]
+    for before, after, k in steps:
+        passed = before.side * after.side < 0
+        passed &= np.minimum(before.distance, after.distance) > _TOUCHING * size
+        if passed.any():
+            i, j = before.pairs[passed.argmax()]
+            raise ValueError(
+                f"in {names[k]}, bars {i} and {j} pass one another on the other side than before: "
+                "they would have to go through each other, as from a shape to its mirror image. "
+                "Give shapes in between if there is another way"
+            )
+    return q
+
+
+def reduced_shape(plant: LinearPlant, name: str, nodes: FloatArray) -> FloatArray:
+    """Return q of a shape, shape (r,), or raise where the coordinates of the plant end before."""
+    q = plant.measure(nodes, np.zeros_like(nodes))[: plant.degrees_of_freedom]
+    try:
+        found = plant.to_nodes(q)
+    except ValueError as error:
+        raise ValueError(f"{name} is out of reach of the operating point: {error}") from error
+    length = plant.model.structure.string_length
+    off = float(np.abs(length(found) - length(nodes)).max(initial=0.0))
+    if off > 2 * _OFF * float(np.ptp(plant.nodes, axis=1).max()):
+        raise ValueError(
+            f"{name} is a shape that these coordinates give with strings {off:.3g} m off: it is "
+            "out of reach of the operating point; linearize about a shape nearer to it"
+        )
+    return q
 
 
 def _refined(time: FloatArray, sample_time: float) -> FloatArray:

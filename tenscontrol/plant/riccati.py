@@ -61,8 +61,8 @@ def regulator_riccati(
     scaled = (
         A * unit / unit[:, None],
         level * B / unit[:, None],
-        unit[:, None] * state_weight * unit,
-        level**2 * input_weight,
+        _symmetric(unit[:, None] * state_weight * unit),
+        _symmetric(level**2 * input_weight),
     )
     K, P, poles = _solve(*scaled, discrete, _REGULATOR)
     residual = riccati_residual(*scaled, P, discrete=discrete)
@@ -84,13 +84,18 @@ def filter_riccati(
     unit = 1 / float(np.linalg.norm(whitened, 2))
     output, driven = unit * whitened, drive / unit
     eye = np.eye(len(C))
-    dual = transition.T, output.T, driven @ driven.T, eye
+    dual = transition.T, output.T, _symmetric(driven @ driven.T), eye
     _, P, _ = _solve(*dual, True, _FILTER)
     residual = riccati_residual(*dual, P, discrete=True)
     gain = np.linalg.solve(output @ P @ output.T + eye, output @ P).T
     poles = np.linalg.eigvals(transition @ (np.eye(len(P)) - gain @ output))
     check_riccati(residual, poles, True, _FILTER)
     return frozen(unit * gain / noise), frozen(unit**2 * P), frozen(poles), residual
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    """Return a matrix that is symmetric but for round-off, which solvers refuse, without that."""
+    return 0.5 * (matrix + matrix.T)
 
 
 def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:

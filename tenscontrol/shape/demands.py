@@ -17,6 +17,7 @@ from tenscontrol.validation import (
     float_array,
     frozen,
     indices,
+    number,
     refuse_fractions,
     shaped,
 )
@@ -49,12 +50,10 @@ class Demand(ABC):
             put(self, name, node_list(name, getattr(self, name)))
         for name, value in self._checked().items():
             put(self, name, value)
-        tolerance = float_array("tolerance", self.tolerance)
-        if tolerance.ndim or tolerance < 0:
-            raise ValueError(
-                f"tolerance is {self.tolerance!r}, expected one number in {self.unit}, at least 0"
-            )
-        put(self, "tolerance", float(tolerance))
+        tolerance = number("tolerance", self.tolerance, self.unit)
+        if tolerance < 0:
+            raise ValueError(f"tolerance is {tolerance:g} {self.unit}, expected at least 0")
+        put(self, "tolerance", tolerance)
 
     @abstractmethod
     def _checked(self) -> dict[str, object]:
@@ -279,7 +278,7 @@ class Height(Demand):
 
     def _checked(self) -> dict[str, object]:
         return {
-            "height": _one_number("height", self.height, "m"),
+            "height": number("height", self.height, "m"),
             "axis": frozen(direction("axis", self.axis)),
         }
 
@@ -346,7 +345,7 @@ class Twist(Demand):
                 f"top has {len(self.top)} nodes and bottom {len(self.bottom)}, "
                 "expected as many of each, two at least: they are compared in pairs"
             )
-        return {"angle": _one_number("angle", self.angle, "rad")}
+        return {"angle": number("angle", self.angle, "rad")}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -388,13 +387,6 @@ def _axis_rows(directions: str) -> list[int]:
     if not fits or len(set(str(directions))) < len(str(directions)):
         raise ValueError(f"directions is {directions!r}, expected letters out of 'xyz', each once")
     return ["xyz".index(axis) for axis in directions]
-
-
-def _one_number(name: str, value: object, unit: str) -> float:
-    number = float_array(name, value)
-    if number.ndim:
-        raise ValueError(f"{name} has shape {number.shape}, expected one number in {unit}")
-    return float(number)
 
 
 def _centre(N: Any, nodes: IntArray) -> Any:

@@ -399,7 +399,7 @@ class MPC(PredictiveController):
         self._used = 0
         self._guess: Pair | None = None
 
-    def take_over(self, command: FloatArray) -> None:
+    def take_over(self, command: object) -> None:
         """See :meth:`Controller.take_over`."""
         super().take_over(command)
         self._forget_plan()
