@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -228,3 +229,11 @@ def instance(name: str, value: object, kind: type, how: str) -> None:
 def number(name: str, value: object, unit: str) -> float:
     """Return one finite real number."""
     return float(shaped(name, value, (), f"one number, {unit}"))
+
+
+def items(name: str, value: object, of: str) -> tuple[Any, ...]:
+    """Return the items of a sequence; a string is none."""
+    with suppress(TypeError):
+        if not isinstance(value, str | bytes | Mapping):
+            return tuple(value)  # type: ignore[arg-type]  # refused below
+    raise TypeError(f"{name} is {_brief(value)}, expected a sequence of {of}")

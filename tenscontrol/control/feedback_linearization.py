@@ -34,6 +34,9 @@ from tenscontrol.validation import (
 # this share of the size of the structure.
 _REACHED = 1e-4
 
+# A response to γ below this part of what the combinations could have is round-off.
+_ROUND_OFF = 1e-12
+
 # A γ so close to a bound, in units of the largest at the operating point, is at it.
 _CLOSE = 1e-7
 
@@ -185,7 +188,9 @@ class FeedbackLinearization(Controller):
         self._level = float(plant.force_density.max()) or float(self._high.max())
         response = self._tracked(plant.measure(plant.nodes, np.zeros_like(plant.nodes)))[3]
         self._unit = self._level * float(np.linalg.norm(response, 2))
-        if not self._unit > 0:
+        moved = plant.basis @ plant.B[plant.degrees_of_freedom :]
+        most = float(np.linalg.norm(matrix, 2) * np.linalg.norm(moved, 2))
+        if not np.linalg.norm(response, 2) > _ROUND_OFF * most:
             raise ValueError(
                 "tracked combinations are moved by no string at the operating point; expected "
                 "coordinates of free nodes, relative to each other where no node is fixed"
@@ -247,6 +252,8 @@ class FeedbackLinearization(Controller):
             If an argument does not fit or is not finite.
         """
         y, rate, _, _ = self._tracked(self.plant.measure(nodes, velocities))
+        if not np.isfinite(y).all():
+            raise ValueError("nodes turn a bar by a right angle or more from the operating point")
         wanted, wanted_rate, _ = self._reference.at(number("time", time, "s"))
         return y - wanted, rate - wanted_rate
 

@@ -277,7 +277,10 @@ class KalmanFilter:
         z, P = self._design.start, self._design.start_covariance
         if state is not None:
             z = shaped("state", state, (self._size,), "displacements, rates and load")
-            self.plant.to_nodes(z[: self.plant.degrees_of_freedom])  # refuses what is out of reach
+            try:
+                self.plant.to_nodes(z[: self.plant.degrees_of_freedom])
+            except ValueError as error:
+                raise ValueError(f"state is of no shape of the structure: {error}") from error
         if covariance is not None:
             P = _checked_covariance(covariance, self._size)
         self._z, self._P = z, P

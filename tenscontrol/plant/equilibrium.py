@@ -202,6 +202,8 @@ def _polished(newton: ca.Function, point: FloatArray, count: int, size: float) -
                 rows[:count] = columns[count:] = np.abs(jacobian[:count, :count]).max() or 1.0
             # Least squares: motions as one body that nothing holds leave a null space.
             system = jacobian / rows[:, None] * columns
+            if not (np.isfinite(system).all() and np.isfinite(residual).all()):
+                raise ValueError("no equilibrium found: forces are beyond all numbers")
             change = columns * np.linalg.lstsq(system, -residual.ravel() / rows, rcond=1e-12)[0]
             point = point + change
             if np.abs(change).max() < 1e-14 * np.abs(point).max():

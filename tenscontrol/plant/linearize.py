@@ -103,7 +103,9 @@ class OperatingPoint:
             )
         load = self.external_force
         if load is not None:
-            load = frozen(shaped("external_force", load, nodes.shape, "one force per node"))
+            load = frozen(
+                shaped("external_force", load, nodes.shape, "one force for each of nodes")
+            )
         object.__setattr__(self, "nodes", frozen(nodes))
         object.__setattr__(self, "force_density", frozen(gamma))
         object.__setattr__(self, "external_force", load)

@@ -172,11 +172,16 @@ class Reference:
                     f"other.{what} has the shape {theirs} at each time, expected {ours}, as here"
                 )
         begin = self.time[-1] + pause - other.time[0]
+        time = np.concatenate([self.time, begin + other.time])
+        if (np.diff(time) <= 0).any():
+            raise ValueError(
+                f"pause is {pause:g} s, after which the times of other are not told apart"
+            )
         gamma = None
         if self.force_density is not None and other.force_density is not None:
             gamma = np.hstack([self.force_density, other.force_density])
         return Reference(
-            np.concatenate([self.time, begin + other.time]),
+            time,
             np.concatenate([self.nodes, other.nodes], axis=-1),
             gamma,
         )

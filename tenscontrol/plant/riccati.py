@@ -27,15 +27,15 @@ class _Messages:
 _REGULATOR = _Messages(
     equation="the Riccati equation",
     loop="the closed loop",
-    no_solution="An undamped mode without weight in Q is one reason; weights that differ by many "
-    "powers of ten are another",
+    no_solution="An undamped mode without weight in Q is one reason; Q and R that differ by many "
+    "powers of ten are another, or a sample_time of many periods",
     large_residual="Bring the weights Q and R closer together",
     unstable="Give every mode some weight in Q",
 )
 _FILTER = _Messages(
     equation="the Riccati equation of the filter",
     loop="the filter",
-    no_solution="A sample time at which two vibrations look alike is one reason; process_noise "
+    no_solution="A sample_time at which two vibrations look alike is one reason; process_noise "
     "that is tiny against the noise of the sensors is another",
     large_residual="Bring process_noise and the noise of the sensors closer together",
     unstable="Bring process_noise and the noise of the sensors closer together",
