@@ -341,7 +341,9 @@ class ReferencePreview:
         )
 
 
-def checked_reference(plant: LinearPlant, reference: object) -> tuple[Reference, FloatArray]:
+def checked_reference(
+    plant: LinearPlant, reference: object, name: str = "reference"
+) -> tuple[Reference, FloatArray]:
     """Return a reference for a plant and q of its shapes, shape (K, r), or raise naming it.
 
     None stands for the operating point.
@@ -351,10 +353,10 @@ def checked_reference(plant: LinearPlant, reference: object) -> tuple[Reference,
         q = plant.measure(plant.nodes, np.zeros(shape))[: plant.degrees_of_freedom]
         return Reference([0.0], plant.nodes[:, :, None]), q[None]
     if not isinstance(reference, Reference):
-        nodes = float_array("reference", reference)
+        nodes = float_array(name, reference)
         if nodes.shape != shape:
             raise ValueError(
-                f"reference has shape {nodes.shape}, expected {shape}: one column per node; "
+                f"{name} has shape {nodes.shape}, expected {shape}: one column per node; "
                 "shapes over time go in a Reference(time, nodes)"
             )
         reference = Reference([0.0], nodes[:, :, None])
@@ -369,13 +371,13 @@ def checked_reference(plant: LinearPlant, reference: object) -> tuple[Reference,
             f"reference.force_density has shape {gamma.shape}, expected "
             f"({count}, {len(reference.time)}): one row per string"
         )
-    return reference, _reached(plant, reference)
+    return reference, _reached(plant, reference, name)
 
 
-def _reached(plant: LinearPlant, reference: Reference) -> FloatArray:
+def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
     """Return q of each shape, shape (K, r), or raise where the plant cannot come to it."""
     structure, nodes = plant.model.structure, reference.nodes
-    names = [f"reference at {time:g} s" for time in reference.time]
+    names = [f"{name} at {time:g} s" for time in reference.time]
     starts, ends = structure.bars.T
     length = np.linalg.norm(nodes[:, ends] - nodes[:, starts], axis=0)
     off = np.abs(length / structure.bar_length[:, None] - 1)
