@@ -9,8 +9,9 @@ import numpy as np
 
 from tenscontrol.dynamics import Model, kernel
 from tenscontrol.plant.linear_plant import INPUTS
-from tenscontrol.statics import Prestress, balanced
+from tenscontrol.statics import Prestress, balanced, member_forces
 from tenscontrol.structure import (
+    free_coordinates,
     refuse_load_without_support,
     refuse_moved_supports,
     refuse_strings_without_length,
@@ -127,7 +128,8 @@ def equilibrium(
         if (held * settled.string_length()).max(initial=0.0) <= _EXACT * strained:
             held = np.zeros_like(held)  # as slack as round-off lets them be
     what = f"no equilibrium found with this {kind}"
-    return balanced(settled, held, load, strained, what, "Start from other nodes")
+    forces = member_forces(settled, free_coordinates(settled, load))
+    return balanced(settled, forces, held, load, what, "Start from other nodes", strained)
 
 
 def held_value(model: Model, rest_length: object, force_density: object) -> FloatArray:

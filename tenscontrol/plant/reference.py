@@ -12,7 +12,11 @@ import numpy as np
 from tenscontrol.dynamics import evaluate_columns
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, kept
 from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
-from tenscontrol.structure import bar_distances
+from tenscontrol.structure import (
+    bar_distances,
+    refuse_moved_supports,
+    refuse_wrong_bar_lengths,
+)
 from tenscontrol.validation import (
     FloatArray,
     float_array,
@@ -376,43 +380,28 @@ def checked_reference(
 
 def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
     """Return q of each shape, shape (K, r), or raise where the plant cannot come to it."""
-    structure, nodes = plant.model.structure, reference.nodes
+    structure, shapes = plant.model.structure, np.moveaxis(reference.nodes, 2, 0)
     names = [f"{name} at {time:g} s" for time in reference.time]
-    starts, ends = structure.bars.T
-    length = np.linalg.norm(nodes[:, ends] - nodes[:, starts], axis=0)
-    off = np.abs(length / structure.bar_length[:, None] - 1)
-    if (off > _OFF).any():
-        bar, k = np.unravel_index(off.argmax(), off.shape)
-        raise ValueError(
-            f"in {names[k]}, bar {bar} has length {length[bar, k]:.6g} m, expected "
-            f"{structure.bar_length[bar]:.6g} m within {100 * _OFF:g} %: bars are rigid. "
-            "restore_bar_lengths(structure, nodes) mends a shape that is near"
-        )
-    size = float(np.ptp(plant.nodes, axis=1).max())
-    moved = np.linalg.norm((nodes - plant.nodes[:, :, None])[:, structure.fixed], axis=0)
-    if (moved > _OFF * size).any():
-        node, k = np.unravel_index(moved.argmax(), moved.shape)
-        raise ValueError(
-            f"in {names[k]}, the fixed node {structure.fixed[node]} is {moved[node, k]:.3g} m from "
-            f"its place, expected at most {_OFF * size:.3g} m"
-        )
-    shapes = np.moveaxis(nodes, 2, 0)
+    for each, N in zip(names, shapes, strict=True):
+        refuse_wrong_bar_lengths(each, structure, N, _OFF)
+        refuse_moved_supports(each, structure, N, _OFF)
     q = np.array([reduced_shape(plant, *each) for each in zip(names, shapes, strict=True)])
-    # A mirror image keeps all lengths, but bars would have to pass through one another on the way.
-    apart = [bar_distances(structure, N) for N in shapes]
+    # A mirror image keeps all lengths, but bars would have to pass through one another on the way:
+    # from the operating point to the nearest shape, and from each shape to the next.
+    apart = [bar_distances(structure, N) for N in (plant.nodes, *shapes)]
+    touching = _TOUCHING * float(np.ptp(plant.nodes, axis=1).max())
+    sides = np.array([each.side * (each.distance > touching) for each in apart])
     near = int(np.linalg.norm(q, axis=1).argmin())
-    steps = [(bar_distances(structure, plant.nodes), apart[near], near)]
-    steps += [(*pair, k + 1) for k, pair in enumerate(pairwise(apart))]
-    for before, after, k in steps:
-        passed = before.side * after.side < 0
-        passed &= np.minimum(before.distance, after.distance) > _TOUCHING * size
-        if passed.any():
-            i, j = before.pairs[passed.argmax()]
-            raise ValueError(
-                f"in {names[k]}, bars {i} and {j} pass one another on the other side than before: "
-                "they would have to go through each other, as from a shape to its mirror image. "
-                "Give shapes in between if there is another way"
-            )
+    before, after = sides[:-1], np.vstack([sides[near + 1], sides[2:]])
+    passed = np.argwhere(before * after < 0)
+    if len(passed):
+        step, pair = passed[0]
+        i, j = apart[0].pairs[pair]
+        raise ValueError(
+            f"in {names[step or near]}, bars {i} and {j} pass one another on the other side than "
+            "before: they would have to go through each other, as from a shape to its mirror "
+            "image. Give shapes in between if there is another way"
+        )
     return q
 
 

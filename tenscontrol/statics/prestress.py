@@ -167,22 +167,21 @@ def prestress(
         gamma = shaped("force_density", given, (alpha,), "one per string")
         non_negative("force_density", gamma, "a string can only pull")
         hint = "prestress(structure, force_density=<one number>) finds force densities that balance"
-        return balanced(structure, gamma, load, 0.0, "force_density does not balance", hint)
+        return balanced(structure, forces, gamma, load, "force_density does not balance", hint)
     _refuse_unbalanced(structure, E, densities, w, "no force_density balances", "Change the shape")
     return _at_rest(structure, forces, np.zeros(alpha), densities, load)
 
 
 def balanced(
-    structure: Structure, gamma: FloatArray, load: FloatArray, least: float, what: str, hint: str
-) -> Prestress:
+    structure: Structure, forces: MemberForces, gamma: FloatArray, load: FloatArray,
+    what: str, hint: str, least: float = 0.0,
+) -> Prestress:  # fmt: skip
     """Return γ of every string with the bars that balance it best, or raise saying what and hint.
 
     What is left on a node is judged against the largest force, N, or ``least`` if that is more.
     """
-    w = free_coordinates(structure, load)
-    forces = member_forces(structure, w)
-    pulls = forces.live[: len(gamma)]
-    E, count = forces.matrix, int(pulls.sum())
+    pulls, E, w = forces.live[: len(gamma)], forces.matrix, free_coordinates(structure, load)
+    count = int(pulls.sum())
     bars = np.linalg.lstsq(E[:, count:], w - E[:, :count] @ gamma[pulls], rcond=None)[0]
     densities = np.concatenate([gamma[pulls], bars])
     _refuse_unbalanced(structure, E, densities, w, what, hint, least)
@@ -190,16 +189,12 @@ def balanced(
 
 
 def _at_rest(
-    structure: Structure,
-    forces: MemberForces,
-    gamma: FloatArray,
-    densities: FloatArray,
+    structure: Structure, forces: MemberForces, gamma: FloatArray, densities: FloatArray,
     load: FloatArray,
-) -> Prestress:
+) -> Prestress:  # fmt: skip
     """Return the record of force densities of movable members; γ holds those of the others."""
     E, w, alpha = forces.matrix, free_coordinates(structure, load), len(gamma)
-    every = np.zeros(len(forces.live))
-    every[:alpha] = gamma
+    every = np.concatenate([gamma, np.zeros(len(structure.bars))])
     every[forces.live] = densities
     return Prestress(
         structure=structure,
@@ -302,18 +297,12 @@ def _infeasible(states: FloatArray, sizes: FloatArray, loaded: bool) -> str:
 
 
 def _refuse_unbalanced(
-    structure: Structure,
-    E: FloatArray,
-    densities: FloatArray,
-    w: FloatArray,
-    what: str,
-    hint: str,
-    least: float = 0.0,
-) -> None:
+    structure: Structure, E: FloatArray, densities: FloatArray, w: FloatArray,
+    what: str, hint: str, least: float = 0.0,
+) -> None:  # fmt: skip
     unbalanced = (E @ densities - w).reshape(-1, 3)
     size = np.linalg.norm(unbalanced, axis=1)
-    largest = (float(np.abs(part).max(initial=0.0)) for part in (E * densities, w))
-    scale = max(least, *largest)
+    scale = max([least, *(float(np.abs(x).max(initial=0.0)) for x in (E * densities, w))])
     if size.max() > _RESIDUAL_TOLERANCE * scale:
         worst = int(size.argmax())
         raise ValueError(
