@@ -391,10 +391,7 @@ class Controller(ABC):
 def input_bounds(
     plant: LinearPlant, max_force_density: object, winches: Winches | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return least and largest command, shape (α,) each, of γ, N/m, or of rest lengths, m.
-
-    Raises TypeError or ValueError if a limit does not fit, or excludes the operating point.
-    """
+    """Return least and largest command, shape (α,) each, or raise naming what does not fit."""
     count = plant.B.shape[1]
     if plant.input == "rest_length":
         if max_force_density is not None:
@@ -432,10 +429,7 @@ def input_bounds(
 def largest_change(
     plant: LinearPlant, max_change: object, winches: Winches | None, sample_time: float | None
 ) -> FloatArray | None:
-    """Return the largest change of a command from sample to sample, shape (α,), None for any.
-
-    Raises TypeError or ValueError if a limit does not fit, or there is one but no sample time.
-    """
+    """Return the largest change of a command in a sample, shape (α,), or None for any."""
     count = plant.B.shape[1]
     change = None
     if max_change is not None:
@@ -454,11 +448,7 @@ def largest_change(
 
 
 def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatArray:
-    """Return a symmetric weight matrix, shape (size, size), of a number, a diagonal or a matrix.
-
-    Raises TypeError or ValueError if it does not fit, is not symmetric, or has a negative (where
-    ``definite``, also a zero) eigenvalue.
-    """
+    """Return a symmetric weight, shape (size, size), of a number, a diagonal or a matrix."""
     array = float_array(name, value)
     if array.shape not in ((), (size,), (size, size)):
         raise ValueError(
@@ -527,10 +517,7 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
 def regulator(
     plant: LinearPlant, A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, discrete: bool
 ) -> tuple[FloatArray, tuple[FloatArray, np.ndarray, FloatArray, float]]:
-    """Return the weight of the state and the solution of the Riccati equation.
-
-    A and B may be those of ``[z; v_previous]``; the previous input has no weight then.
-    """
+    """Return the weight of ``z`` or ``[z; v_previous]``, and the Riccati solution."""
     units, level = state_units(plant)
     added = len(A) - len(Q)
     weight, units = np.pad(Q, (0, added)), np.concatenate([units, np.full(added, level)])

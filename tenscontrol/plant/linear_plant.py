@@ -245,10 +245,7 @@ class Sampled:
     def free_response(
         self, state: FloatArray, previous: FloatArray, origin: FloatArray
     ) -> FloatArray:
-        """Return the next state, shape (s,), at zero input and without drift.
-
-        ``previous``, shape (α,), is v_previous; ``origin``, shape (α,), is what v is measured from.
-        """
+        """Return the next state at zero input without drift; ``origin`` is where v is zero."""
         return np.asarray(
             self.transition @ state + self.by_previous @ previous - self.by_input @ origin
         )

@@ -348,10 +348,7 @@ class ReferencePreview:
 def checked_reference(
     plant: LinearPlant, reference: object, name: str = "reference"
 ) -> tuple[Reference, FloatArray]:
-    """Return a reference for a plant and q of its shapes, shape (K, r), or raise naming it.
-
-    None stands for the operating point.
-    """
+    """Return a reference, the operating point for None, and q of its shapes, (K, r), or raise."""
     shape = plant.nodes.shape
     if reference is None:
         q = plant.measure(plant.nodes, np.zeros(shape))[: plant.degrees_of_freedom]

@@ -159,10 +159,7 @@ class ShapePath:
 def plants_along(
     model: Model, nodes: FloatArray, force_density: FloatArray, count: int, input: str
 ) -> tuple[LinearPlant, ...]:
-    """Return linear plants at some of T equilibria, evenly by the distance that nodes travel.
-
-    Nodes have the shape (3, n, T), γ has (α, T). See :meth:`ShapePath.plants`.
-    """
+    """Return plants at some of T equilibria, (3, n, T) and (α, T); see ShapePath.plants."""
     count = whole_number("count", count, least=1)
     travel = np.linalg.norm(np.diff(nodes, axis=2), axis=(0, 1))
     gone = np.concatenate([[0.0], np.cumsum(travel)])

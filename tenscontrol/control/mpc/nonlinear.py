@@ -334,10 +334,7 @@ class NMPC(PredictiveController):
         return Command(self._plan.inputs[0])
 
     def _corrected(self, observer: LoadObserver, state: FloatArray) -> FloatArray:
-        """Compare with the sample before, and return accelerations by the load.
-
-        What the input did since then is found now, from what the actuators really held.
-        """
+        """Return accelerations by the load, from what the actuators held since the last sample."""
         if self._seen is not None and self._previous_input is not None:
             predict, load = self._law.model.discretization.predict, observer.acceleration
             observer.correct(state, *predict(*self._seen, self._previous_input, load))

@@ -259,11 +259,7 @@ class Design:
 
     @property
     def plant_problem(self) -> MPCProblem:
-        """The problem with the state of the plant alone, as the nonlinear program has it.
-
-        Where inputs are ramps, the previous input is no part of the state then, but what weighs or
-        feeds back ``[z; v_before]`` stays.
-        """
+        """The problem with z alone as its state; what weighs ``[z; v_before]`` stays."""
         s, problem = len(self.sampled.transition), self.problem
         return replace(
             problem,
@@ -382,10 +378,7 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PredictiveLaw:
-    """What a predictive controller computes with, except what it remembers.
-
-    The load model is None where no load is estimated; the path is what is followed.
-    """
+    """What a predictive controller computes with, except what it remembers."""
 
     settings: MPCSettings
     load: LoadModel | None
