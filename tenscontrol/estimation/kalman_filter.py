@@ -141,12 +141,7 @@ class Tally:
             self._fresh = True
 
     def add(
-        self,
-        lost: np.ndarray,
-        usable: np.ndarray,
-        passed: np.ndarray,
-        nis: float,
-        entries: int,
+        self, lost: np.ndarray, usable: np.ndarray, passed: np.ndarray, nis: float, entries: int
     ) -> None:
         """Count a sample by which readings were lost, usable and used."""
         self._counts += np.array([passed, lost, ~usable & ~lost, usable & ~passed])

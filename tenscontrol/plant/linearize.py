@@ -341,11 +341,7 @@ def _reduced(
 
 
 def _derivatives(
-    model: Model,
-    held: str,
-    nodes: FloatArray,
-    value: FloatArray | None,
-    load: FloatArray,
+    model: Model, held: str, nodes: FloatArray, value: FloatArray | None, load: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return ẋ, ∂ẋ/∂x and ∂ẋ/∂u by algorithmic differentiation of the model."""
     function = model.prepared.get(("derivatives", held), lambda: _derivative_function(model, held))

@@ -82,10 +82,7 @@ class Reference:
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
         def __init__(
-            self,
-            time: ArrayLike,
-            nodes: ArrayLike,
-            force_density: ArrayLike | None = None,
+            self, time: ArrayLike, nodes: ArrayLike, force_density: ArrayLike | None = None
         ) -> None: ...
 
     def __post_init__(self) -> None:

@@ -167,10 +167,7 @@ class Sparse(Form):
         return np.asarray(np.searchsorted(keys, column * rows + row))
 
     def linearize(
-        self,
-        motion: StageJacobians,
-        rows: StageJacobians | None = None,
-        about: Pair | None = None,
+        self, motion: StageJacobians, rows: StageJacobians | None = None, about: Pair | None = None
     ) -> None:
         """Put the values of stage Jacobians into A: of the motion, and of rows if they are limited.
 
