@@ -17,12 +17,7 @@ from tenscontrol.plant.linear_plant import (
     acceleration_response,
     sampled,
 )
-from tenscontrol.plant.linearize import (
-    OperatingPoint,
-    command_parents,
-    in_coordinates,
-    linearize,
-)
+from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coordinates, linearize
 from tenscontrol.plant.modes import Modes, modes
 from tenscontrol.plant.reduced_dynamics import (
     acceleration_slopes,

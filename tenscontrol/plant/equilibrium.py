@@ -17,14 +17,7 @@ from tenscontrol.structure import (
     refuse_strings_without_length,
     restore_bar_lengths,
 )
-from tenscontrol.validation import (
-    FloatArray,
-    instance,
-    non_negative,
-    per_member,
-    positive,
-    shaped,
-)
+from tenscontrol.validation import FloatArray, instance, non_negative, per_member, positive, shaped
 
 # Newton steps that polish the answer of the optimizer; each doubles the digits.
 _POLISH = 10

@@ -12,11 +12,7 @@ import numpy as np
 from tenscontrol.dynamics import evaluate_columns
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, kept
 from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
-from tenscontrol.structure import (
-    bar_distances,
-    refuse_moved_supports,
-    refuse_wrong_bar_lengths,
-)
+from tenscontrol.structure import bar_distances, refuse_moved_supports, refuse_wrong_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
     float_array,
@@ -181,11 +177,7 @@ class Reference:
         gamma = None
         if self.force_density is not None and other.force_density is not None:
             gamma = np.hstack([self.force_density, other.force_density])
-        return Reference(
-            time,
-            np.concatenate([self.nodes, other.nodes], axis=-1),
-            gamma,
-        )
+        return Reference(time, np.concatenate([self.nodes, other.nodes], axis=-1), gamma)
 
 
 class SmoothReference:
