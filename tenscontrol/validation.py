@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -223,3 +224,16 @@ def instance(name: str, value: object, kind: type, how: str) -> None:
     """Refuse a value of the wrong class and say where the right one comes from."""
     if not isinstance(value, kind):
         raise wrong_kind(name, value, f"{kind.__name__}: {how}")
+
+
+def number(name: str, value: object, unit: str) -> float:
+    """Return one finite real number."""
+    return float(shaped(name, value, (), f"one number, {unit}"))
+
+
+def items(name: str, value: object, of: str) -> tuple[Any, ...]:
+    """Return the items of a sequence; a string is none."""
+    with suppress(TypeError):
+        if not isinstance(value, str | bytes | Mapping):
+            return tuple(value)  # type: ignore[arg-type]  # refused below
+    raise TypeError(f"{name} is {_brief(value)}, expected a sequence of {of}")

@@ -19,8 +19,10 @@ from tenscontrol.validation import (
     frozen,
     instance,
     measured,
+    number,
     per_member,
     positive,
+    positive_number,
     shaped,
     truth,
 )
@@ -83,7 +85,7 @@ class MeasurementCheck:
     def __init__(self, plant: LinearPlant, sample_time: float | None) -> None:
         structure = plant.model.structure
         size = float(np.ptp(plant.nodes, axis=1).max())
-        rate = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0))
+        rate = plant.spectral_radius
         if sample_time is not None:
             rate = max(rate, 1 / sample_time)
         # Largest difference of velocities of two nodes along an axis, m/s. A plant without
@@ -141,6 +143,11 @@ class Controller(ABC):
     change : ndarray, shape (α,), optional
         Largest change from the previous input; no limit if not given.
 
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit, or no finite command is within the bounds.
+
     Examples
     --------
     >>> import numpy as np, tenscontrol as tc
@@ -166,10 +173,24 @@ class Controller(ABC):
     ) -> None:
         #: The thread that uses the controller: another one is refused meanwhile.
         self.in_use = Exclusive(f"this {type(self).__name__}")
+        instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        if sample_time is not None:
+            sample_time = positive_number("sample_time", sample_time, "s")
         self._plant = plant
         self._sample_time = sample_time
-        self._low, self._high = frozen(low), frozen(high)
-        self._change = None if change is None else frozen(change)
+        shape = plant.equilibrium_input.shape
+        self._low = frozen(shaped("low", low, shape, "one per string"))
+        self._high = frozen(measured("high", high, shape, "one per string"))
+        wrong = np.flatnonzero(~(self._low <= self._high))
+        if len(wrong):
+            i = wrong[0]
+            raise ValueError(
+                f"high[{i}] is {self._high[i]:g}, expected at least low[{i}] = {self._low[i]:g}"
+            )
+        self._change = None
+        if change is not None:
+            change = shaped("change", change, shape, "one per string")
+            self._change = frozen(positive("change", change, "change of the input"))
         self._measurement_check = MeasurementCheck(plant, sample_time)
         self._called = 0.0  # start of the last command, by perf_counter
         # Input over the last sample: as applied() says, else the last command; None before.
@@ -242,13 +263,15 @@ class Controller(ABC):
             not a finite number.
         """
         self._called = perf_counter()
-        time = float(float_array("time", time))
+        time = number("time", time, "s")
         shape = self._plant.coordinates.nodes.shape
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
         state, fault = self._measure(N, V)
         if fault is not None:
             return self.fall_back(fault)
-        desired = self._decide(time, state)
+        # The previous input may be of any size: what overflows shows in the status.
+        with np.errstate(over="ignore", invalid="ignore"):
+            desired = self._decide(time, state)
         if not np.isfinite(desired.value).all():
             return self.fall_back(Status.INPUT_NOT_FINITE)
         return self._issue(desired)
@@ -265,7 +288,13 @@ class Controller(ABC):
         Returns
         -------
         Command
+
+        Raises
+        ------
+        TypeError
+            If it is no :class:`Status`.
         """
+        instance("status", status, Status, "for example Status.MEASUREMENT_NOT_FINITE")
         return self._issue(self._fall_back(status))
 
     def _measure(
@@ -304,7 +333,10 @@ class Controller(ABC):
         TypeError, ValueError
             If it is not finite or has the wrong shape.
         """
-        self._previous_input = frozen(shaped("value", value, self._low.shape, "one per string"))
+        self._previous_input = self._checked_input("value", value)
+
+    def _checked_input(self, name: str, value: object) -> FloatArray:
+        return frozen(shaped(name, value, self._low.shape, "one per string"))
 
     @property
     def _previous_within_bounds(self) -> FloatArray:
@@ -335,15 +367,20 @@ class Controller(ABC):
         self._status_count, self._fallback_count = Counter(), Counter()
 
     @exclusive
-    def take_over(self, command: FloatArray) -> None:
+    def take_over(self, command: object) -> None:
         """Take over from another controller: plans from this one's own commands are dropped.
 
         Parameters
         ----------
-        command : ndarray, shape (α,)
+        command : array_like, shape (α,)
             The previous input.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is not finite or has the wrong shape.
         """
-        self._previous_input = frozen(command)
+        self._previous_input = self._checked_input("command", command)
 
     @abstractmethod
     def _decide(self, time: float, state: FloatArray) -> Command:
@@ -373,10 +410,7 @@ class Controller(ABC):
 def input_bounds(
     plant: LinearPlant, max_force_density: object, winches: Winches | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return least and largest command, shape (α,) each, of γ, N/m, or of rest lengths, m.
-
-    Raises TypeError or ValueError if a limit does not fit, or excludes the operating point.
-    """
+    """Return least and largest command, shape (α,) each, or raise naming what does not fit."""
     count = plant.B.shape[1]
     if plant.input == "rest_length":
         if max_force_density is not None:
@@ -414,10 +448,7 @@ def input_bounds(
 def largest_change(
     plant: LinearPlant, max_change: object, winches: Winches | None, sample_time: float | None
 ) -> FloatArray | None:
-    """Return the largest change of a command from sample to sample, shape (α,), None for any.
-
-    Raises TypeError or ValueError if a limit does not fit, or there is one but no sample time.
-    """
+    """Return the largest change of a command in a sample, shape (α,), or None for any."""
     count = plant.B.shape[1]
     change = None
     if max_change is not None:
@@ -436,11 +467,7 @@ def largest_change(
 
 
 def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatArray:
-    """Return a symmetric weight matrix, shape (size, size), of a number, a diagonal or a matrix.
-
-    Raises TypeError or ValueError if it does not fit, is not symmetric, or has a negative (where
-    ``definite``, also a zero) eigenvalue.
-    """
+    """Return a symmetric weight, shape (size, size), of a number, a diagonal or a matrix."""
     array = float_array(name, value)
     if array.shape not in ((), (size,), (size, size)):
         raise ValueError(
@@ -496,7 +523,7 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     r = plant.degrees_of_freedom
-    highest = float(np.abs(np.linalg.eigvals(plant.A)).max(initial=0.0)) or 1.0
+    highest = plant.spectral_radius or 1.0
     largest = float(np.linalg.norm(plant.B, 2))
     Q = np.diag(np.r_[np.full(r, highest**2), np.ones(r)])
     if truth("by_mode", by_mode, "whether each displacement costs its own energy"):
@@ -509,10 +536,7 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
 def regulator(
     plant: LinearPlant, A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, discrete: bool
 ) -> tuple[FloatArray, tuple[FloatArray, np.ndarray, FloatArray, float]]:
-    """Return the weight of the state and the solution of the Riccati equation.
-
-    A and B may be those of ``[z; v_previous]``; the previous input has no weight then.
-    """
+    """Return the weight of ``z`` or ``[z; v_previous]``, and the Riccati solution."""
     units, level = state_units(plant)
     added = len(A) - len(Q)
     weight, units = np.pad(Q, (0, added)), np.concatenate([units, np.full(added, level)])

@@ -28,19 +28,13 @@ class LoadModel:
     unit: float  # unit of v
 
     def rest(self, accelerations: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return changes of q and v, shapes (K, r) and (K, α), at which the plant rests.
-
-        All accelerations that have to be balanced are given, shape (K, r).
-        """
+        """Return changes of q, (K, r), and of v, (K, α), that balance accelerations, (K, r)."""
         return accelerations @ self.shift.T, accelerations @ self.effort.T
 
     def rest_of(
         self, accelerations: FloatArray, stiffness: FloatArray, by_input: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the same as :meth:`rest`, for K plants with derivatives of q̈ of their own.
-
-        These are by q and by v, shapes (K, r, r) and (K, r, α).
-        """
+        """Return the same by derivatives of q̈ of each plant, by q (K, r, r) and by v (K, r, α)."""
         (K, r), whole = accelerations.shape, len(self.weight)
         by_unit = by_input * self.unit / self.reach
         balance = np.concatenate([stiffness / self.reach, by_unit], axis=2)
@@ -56,11 +50,7 @@ class LoadModel:
 def load_model(
     plant: LinearPlant, response: FloatArray, gain: float, tracked: FloatArray
 ) -> LoadModel:
-    """Return what a load does, and where to rest under it.
-
-    Response and gain are Ψ and g; tracked combinations of q, shape (p, r), are to be brought to
-    the reference.
-    """
+    """Return what a load does, and where to rest under it; ``tracked`` is of q, shape (p, r)."""
     r, count = plant.degrees_of_freedom, plant.B.shape[1]
     # min ‖H q‖² + thrift (‖q‖² + ‖v‖²), in units of each, where A₂₁ q + B₂ v + a = 0.
     stiffness, by_input = plant.A[r:, :r], plant.B[r:]
@@ -139,10 +129,7 @@ def load_observer(
 
 
 def solve_stacked(systems: FloatArray, sides: FloatArray) -> FloatArray:
-    """Return the solutions of K systems of linear equations; none is a number where one has none.
-
-    Systems have shape (K, m, m), sides and solutions (K, m, columns).
-    """
+    """Solve K systems, (K, m, m), for sides (K, m, ·); NaN where one has no solution."""
     try:
         return np.asarray(np.linalg.solve(systems, sides), dtype=float)
     except np.linalg.LinAlgError:

@@ -23,9 +23,9 @@ from tenscontrol.plant import (
 from tenscontrol.validation import (
     FloatArray,
     choice,
-    float_array,
     frozen,
     instance,
+    number,
     positive_number,
     whole_number,
 )
@@ -33,6 +33,9 @@ from tenscontrol.validation import (
 # An acceleration off by δ leaves an error of δ/b. The law counts as reached where that is below
 # this share of the size of the structure.
 _REACHED = 1e-4
+
+# A response to γ below this part of what the combinations could have is round-off.
+_ROUND_OFF = 1e-12
 
 # A γ so close to a bound, in units of the largest at the operating point, is at it.
 _CLOSE = 1e-7
@@ -183,9 +186,11 @@ class FeedbackLinearization(Controller):
         matrix = _combinations(plant, tracked)
         self._motion = Evaluator(tracked_motion(plant, matrix))
         self._level = float(plant.force_density.max()) or float(self._high.max())
-        response = self._tracked(self._at_rest(plant.nodes))[3]
+        response = self._tracked(plant.measure(plant.nodes, np.zeros_like(plant.nodes)))[3]
         self._unit = self._level * float(np.linalg.norm(response, 2))
-        if not self._unit > 0:
+        moved = plant.basis @ plant.B[plant.degrees_of_freedom :]
+        most = float(np.linalg.norm(matrix, 2) * np.linalg.norm(moved, 2))
+        if not np.linalg.norm(response, 2) > _ROUND_OFF * most:
             raise ValueError(
                 "tracked combinations are moved by no string at the operating point; expected "
                 "coordinates of free nodes, relative to each other where no node is fixed"
@@ -225,9 +230,8 @@ class FeedbackLinearization(Controller):
 
     def follow(self, reference: object) -> None:
         """Follow another reference from now on; see :meth:`MPC.follow`."""
-        given = checked_reference(self.plant, reference)
-        shapes = np.moveaxis(given.nodes, 2, 0)
-        values = [self._tracked(self._at_rest(each))[0].copy() for each in shapes]
+        given, q = checked_reference(self.plant, reference)
+        values = [self._tracked(np.r_[each, np.zeros_like(each)])[0].copy() for each in q]
         self._reference = SmoothReference(given.time, np.array(values))
 
     def error(
@@ -248,7 +252,9 @@ class FeedbackLinearization(Controller):
             If an argument does not fit or is not finite.
         """
         y, rate, _, _ = self._tracked(self.plant.measure(nodes, velocities))
-        wanted, wanted_rate, _ = self._reference.at(float(float_array("time", time)))
+        if not np.isfinite(y).all():
+            raise ValueError("nodes turn a bar by a right angle or more from the operating point")
+        wanted, wanted_rate, _ = self._reference.at(number("time", time, "s"))
         return y - wanted, rate - wanted_rate
 
     def reset(self) -> None:
@@ -261,10 +267,6 @@ class FeedbackLinearization(Controller):
         """Return y, ẏ, ÿ without γ, and its derivative by γ, shape (p, α), until the next call."""
         y, rate, free, J = self._motion(state)
         return y, rate, free, J.reshape(len(free), -1)  # a single string gives a vector
-
-    def _at_rest(self, nodes: FloatArray) -> FloatArray:
-        """Return z of a shape without motion."""
-        return self.plant.measure(nodes, np.zeros_like(nodes))
 
     def _decide(self, time: float, state: FloatArray) -> Command:
         y, rate, free, J = self._tracked(state)

@@ -98,7 +98,7 @@ class GainSchedule(Controller):
         super().applied(value)
         self._controllers[self._active].applied(value)
 
-    def take_over(self, command: FloatArray) -> None:
+    def take_over(self, command: object) -> None:
         """See :meth:`Controller.take_over`."""
         super().take_over(command)
         self._controllers[self._active].take_over(command)

@@ -114,10 +114,7 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
 
 
 def _with_held_lengths(plant: LinearPlant) -> tuple[LinearPlant, StringMap]:
-    """Return the plant with rest lengths as its input, all strings taut, and its string map.
-
-    The map is of the model's strings, by their own rest lengths.
-    """
+    """Return the plant with rest lengths as its input, and the map of its model's strings."""
     of_model = plant
     if plant.commanded is not plant.model.structure:
         gamma = to_model_strings(plant, "force_density", plant.force_density)

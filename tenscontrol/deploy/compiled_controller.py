@@ -106,7 +106,7 @@ class CompiledController(Controller):
         previous = np.ascontiguousarray(self._previous_input)
         self._set_applied(previous.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
 
-    def take_over(self, command: FloatArray) -> None:
+    def take_over(self, command: object) -> None:
         """See :meth:`Controller.take_over`; an estimated load is forgotten too."""
         self.reset()
         self.applied(command)

@@ -60,10 +60,7 @@ class Gate:
         )
 
     def passes(self, innovation: FloatArray, S: FloatArray) -> np.ndarray:
-        """Return which readings are near enough, shape (readings,); never one that is not finite.
-
-        S, shape (m, m), is the covariance of the innovation, shape (m,).
-        """
+        """Return which readings are near enough by S, (m, m), the innovation's covariance."""
         every = np.ones(self._count, dtype=bool)
         # What is not finite, or too large to square, does not pass.
         with np.errstate(invalid="ignore", over="ignore"):
@@ -165,11 +162,7 @@ class Correction:
         P: FloatArray,
         held: FloatArray,
     ) -> tuple[Fit | None, FloatArray, FloatArray]:
-        """Return the state by some entries of y, their innovation, and the inverse of its S.
-
-        The most likely state, by repeated linearization of h; None if it is of no shape of the
-        structure.
-        """
+        """Return the most likely state by some entries of y (None: no shape), ν and S⁻¹."""
         z = prior
         size = np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))  # 0 where the state is known
         R = np.diag(self._noise[rows])

@@ -21,6 +21,7 @@ from tenscontrol.plant import (
     LinearPlant,
     acceleration_response,
     filter_riccati,
+    reduced_shape,
     sampled,
     sampled_dynamics,
 )
@@ -36,9 +37,6 @@ from tenscontrol.validation import (
 )
 
 PREDICTIONS = ("linear", "nonlinear")
-
-# Part of the size by which string lengths at the start may be off in the coordinates.
-_START_TOLERANCE = 1e-3
 
 # Standard deviation of the load at the start, as a part of the pull of a string.
 _LOAD_START = 0.3
@@ -237,15 +235,8 @@ def _start_state(plant: LinearPlant, nodes: object) -> FloatArray:
     structure = plant.model.structure
     shape = structure.checked_nodes("start", nodes)
     refuse_wrong_bar_lengths("start", structure, shape)
-    z = plant.measure(shape, np.zeros_like(shape))
-    found = plant.to_nodes(z[: plant.degrees_of_freedom])
-    off = np.abs(structure.string_length(found) - structure.string_length(shape)).max()
-    if off > _START_TOLERANCE * float(np.ptp(plant.nodes, axis=1).max()):
-        raise ValueError(
-            f"start is a shape that these coordinates give with strings {off:.3g} m off: it is out "
-            "of reach of the operating point; linearize about a shape nearer to it"
-        )
-    return z
+    q = reduced_shape(plant, "start", shape)
+    return np.concatenate([q, np.zeros_like(q)])
 
 
 def _start(plant: LinearPlant, spread: float, pull: float) -> FloatArray:

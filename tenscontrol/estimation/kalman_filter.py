@@ -141,12 +141,7 @@ class Tally:
             self._fresh = True
 
     def add(
-        self,
-        lost: np.ndarray,
-        usable: np.ndarray,
-        passed: np.ndarray,
-        nis: float,
-        entries: int,
+        self, lost: np.ndarray, usable: np.ndarray, passed: np.ndarray, nis: float, entries: int
     ) -> None:
         """Count a sample by which readings were lost, usable and used."""
         self._counts += np.array([passed, lost, ~usable & ~lost, usable & ~passed])
@@ -280,7 +275,10 @@ class KalmanFilter:
         z, P = self._design.start, self._design.start_covariance
         if state is not None:
             z = shaped("state", state, (self._size,), "displacements, rates and load")
-            self.plant.to_nodes(z[: self.plant.degrees_of_freedom])  # refuses what is out of reach
+            try:
+                self.plant.to_nodes(z[: self.plant.degrees_of_freedom])
+            except ValueError as error:
+                raise ValueError(f"state is of no shape of the structure: {error}") from error
         if covariance is not None:
             P = _checked_covariance(covariance, self._size)
         self._z, self._P = z, P
@@ -386,9 +384,10 @@ class KalmanFilter:
         if self._motion is None:
             moved, rest = design.sampled, self.plant.equilibrium_input
             transition = moved.transition
-            z = transition @ z + moved.by_input @ (held - rest) + moved.drift
-            if moved.ramp:
-                z = z + moved.by_previous @ (start - rest)
+            with np.errstate(over="ignore", invalid="ignore"):  # an input may be of any size
+                z = transition @ z + moved.by_input @ (held - rest) + moved.drift
+                if moved.ramp:
+                    z = z + moved.by_previous @ (start - rest)
         else:
             transition = np.eye(len(z))
             for left in range(design.substeps - 1, -1, -1):

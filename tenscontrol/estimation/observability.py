@@ -33,10 +33,7 @@ _SLOW = 1e-6
 
 
 def output_function(plant: LinearPlant, sensors: Sensors, more: int = 0) -> ca.Function:
-    """Return ``(z, u) -> (y, ∂y/∂z)``, dense; exact, with bars of constant length.
-
-    z may have more entries after the state of the plant, which do not change the readings.
-    """
+    """Return ``(z, u) -> (y, ∂y/∂z)``, dense, exact; ``more`` entries of z change nothing."""
     key = "output_function", more, sensors.measured
     return plant.prepared.get(key, lambda: _output_function(plant, sensors, more))
 

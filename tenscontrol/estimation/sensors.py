@@ -15,8 +15,10 @@ from tenscontrol.validation import (
     choice,
     float_array,
     frozen,
+    indices,
     instance,
     measured,
+    number,
     per_member,
     positive,
     shaped,
@@ -252,9 +254,10 @@ class Sensors:
         Raises
         ------
         TypeError, ValueError
-            If ``generator`` is none, or ``exact`` has another shape.
+            If ``generator`` is none, or ``exact`` has another shape or an infinite entry.
         """
         exact = measured("exact", exact, self.noise.shape, "one entry per number read")
+        float_array("exact", np.nan_to_num(exact, posinf=np.inf, neginf=-np.inf))
         instance("generator", generator, np.random.Generator, "np.random.default_rng(seed)")
         count = len(self.readings)
         noise = generator.normal(size=len(self.noise))
@@ -274,18 +277,17 @@ def _chosen(name: str, chosen: Any, count: int) -> IntArray:
     """Return indices of what is measured, without repeats."""
     if chosen is None:
         return np.arange(count)
-    if isinstance(chosen, str) or np.ndim(chosen) != 1 or len(chosen) == 0:
-        raise ValueError(f"{name} is {chosen!r}, expected a sequence of indices from 0")
-    which = np.array([whole_number(f"{name}[{i}]", int_, 0) for i, int_ in enumerate(chosen)])
-    if which.max() >= count:
-        raise ValueError(f"{name} names {which.max()}, expected 0 to {count - 1}")
+    array = float_array(name, chosen)
+    if array.ndim != 1 or len(array) == 0:
+        raise ValueError(f"{name} has shape {array.shape}, expected (k,): indices from 0")
+    which = indices(name, array, count, f"there are {count}")
     if len(set(which.tolist())) < len(which):
         raise ValueError(f"{name} is {which.tolist()}, expected each index once")
     return which
 
 
 def _rate(name: str, value: object) -> float:
-    rate = float_array(name, value)
-    if rate.ndim or not 0 <= rate < 1:
-        raise ValueError(f"{name} is {value!r}, expected a probability of at least 0 and below 1")
-    return float(rate)
+    rate = number(name, value, "no unit")
+    if not 0 <= rate < 1:
+        raise ValueError(f"{name} is {rate:g}, expected a probability of at least 0 and below 1")
+    return rate

@@ -17,12 +17,7 @@ from tenscontrol.plant.linear_plant import (
     acceleration_response,
     sampled,
 )
-from tenscontrol.plant.linearize import (
-    OperatingPoint,
-    command_parents,
-    in_coordinates,
-    linearize,
-)
+from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coordinates, linearize
 from tenscontrol.plant.modes import Modes, modes
 from tenscontrol.plant.reduced_dynamics import (
     acceleration_slopes,
@@ -39,6 +34,7 @@ from tenscontrol.plant.reference import (
     ReferencePreview,
     SmoothReference,
     checked_reference,
+    reduced_shape,
 )
 from tenscontrol.plant.riccati import (
     check_riccati,
@@ -88,6 +84,7 @@ __all__ = [
     "reached_dimension",
     "reduced_acceleration",
     "reduced_motion",
+    "reduced_shape",
     "refuse_empty",
     "refuse_unreachable",
     "regulator_riccati",

@@ -99,11 +99,7 @@ def controllability(plant: LinearPlant) -> Controllability:
 
 
 def lost_poles(plant: LinearPlant) -> np.ndarray:
-    """Return the poles in the closed right half plane that no input reaches.
-
-    Tested on a plant scaled to frequencies and inputs of order one, so that
-    the answer does not depend on units.
-    """
+    """Return the poles, Re s ≥ 0, that no input reaches; whatever the units of the plant."""
     poles = distinct_poles(plant.A)
     A, B, highest = _scaled(plant)
     if B.shape[1]:
@@ -189,10 +185,7 @@ def _scaled(plant: LinearPlant) -> tuple[FloatArray, FloatArray, float]:
 
 
 def reached_dimension(A: FloatArray, block: FloatArray) -> int:
-    """Return the dimension of the Krylov space of A, of size one, and a block, shape (s, k).
-
-    By block Arnoldi with full orthogonalization.
-    """
+    """Return the dimension of the Krylov space of A and a block, (s, k), by block Arnoldi."""
     basis = np.zeros((len(A), 0))
     while block.shape[1] and basis.shape[1] < len(A):
         size = float(np.linalg.norm(block, 2))

@@ -9,27 +9,25 @@ import numpy as np
 
 from tenscontrol.dynamics import Model, builds, kernel, solving
 from tenscontrol.plant.linear_plant import INPUTS
-from tenscontrol.statics import Prestress, prestress
+from tenscontrol.statics import Prestress, balanced, member_forces
 from tenscontrol.structure import (
+    free_coordinates,
     refuse_load_without_support,
     refuse_moved_supports,
     refuse_strings_without_length,
     restore_bar_lengths,
 )
-from tenscontrol.validation import (
-    FloatArray,
-    instance,
-    non_negative,
-    per_member,
-    positive,
-    shaped,
-)
+from tenscontrol.validation import FloatArray, instance, non_negative, per_member, positive, shaped
 
 # Newton steps that polish the answer of the optimizer; each doubles the digits.
 _POLISH = 10
 
 # Unstable equilibria to leave before giving up.
 _ESCAPES = 5
+
+# Forces are judged against those of the stiffest string at this strain: where all strings are
+# slack there are no others. Lengths, and forces where all are slack, are exact to this.
+_STRAIN, _EXACT = 1e-3, 1e-12
 
 # Curvature of the energy below this fraction of the stiffest string's is none.
 _FLAT = 1e-9
@@ -114,12 +112,17 @@ def equilibrium(
     if kind == "rest_length":
         refuse_strings_without_length("nodes", structure, start)
     refuse_load_without_support(structure, load)
-    found_nodes = _minimize(model, kind, held, load, start)
+    found_nodes, stiffness = _minimize(model, kind, held, load, start)
     settled = replace(structure, nodes=restore_bar_lengths(structure, found_nodes))
+    strained = _STRAIN * stiffness * float(np.ptp(start, axis=1).max())
     if kind == "rest_length":
         assert model.strings is not None  # the energy needed it
         held = model.strings.force_density(settled.string_length(), held)
-    return prestress(settled, held, external_force=load)
+        if (held * settled.string_length()).max(initial=0.0) <= _EXACT * strained:
+            held = np.zeros_like(held)  # as slack as round-off lets them be
+    what = f"no equilibrium found with this {kind}"
+    forces = member_forces(settled, free_coordinates(settled, load))
+    return balanced(settled, forces, held, load, what, "Start from other nodes", strained)
 
 
 def held_value(model: Model, rest_length: object, force_density: object) -> FloatArray:
@@ -135,8 +138,8 @@ def held_value(model: Model, rest_length: object, force_density: object) -> Floa
 @builds
 def _minimize(
     model: Model, kind: str, held: FloatArray, load: FloatArray, start: FloatArray
-) -> FloatArray:
-    """Return the nodes of least energy among the shapes with these bar lengths."""
+) -> tuple[FloatArray, float]:
+    """Return the nodes of least energy with these bar lengths, and the largest stiffness, N/m."""
     structure = model.structure
     free = structure.free
     N = ca.SX.sym("N", 3, len(free))
@@ -157,12 +160,13 @@ def _minimize(
     place = start[:, free].ravel(order="F")
     size = float(np.ptp(structure.nodes, axis=1).max())
     for _ in range(_ESCAPES):
-        point = _polished(newton, _optimized(solver, place))
+        point = _polished(newton, _optimized(solver, place), N.numel(), size)
         place, downhill = point[: N.numel()], _downhill(newton, point, N.numel())
         if downhill is None:
             nodes = structure.nodes.copy()
             nodes[:, free] = place.reshape(3, -1, order="F")
-            return nodes
+            stiffness = np.array(newton(point)[1].full())[: N.numel(), : N.numel()]
+            return nodes, float(np.abs(stiffness).max(initial=0.0))
         # An unstable equilibrium, such as a pendulum upside down: pushed off, it falls.
         place = place + 0.01 * size * downhill
     raise ValueError(
@@ -185,14 +189,24 @@ def _optimized(solver: ca.Function, place: FloatArray) -> FloatArray:
     return np.concatenate([np.array(answer[part]).ravel() for part in ("x", "lam_g")])
 
 
-def _polished(newton: ca.Function, point: FloatArray) -> FloatArray:
+def _polished(newton: ca.Function, point: FloatArray, count: int, size: float) -> FloatArray:
     """Return the point after Newton steps on the conditions of optimality."""
-    for _ in range(_POLISH):
-        residual, jacobian = (np.array(part.full()) for part in newton(point))
-        # Least squares: motions as one body that nothing holds leave a null space.
-        change = np.linalg.lstsq(jacobian, -residual.ravel(), rcond=1e-12)[0]
-        point = point + change
-        if np.abs(change).max() < 1e-14 * np.abs(point).max():
+    for scaled in (False, True):
+        for _ in range(_POLISH):
+            residual, jacobian = (np.array(part.full()) for part in newton(point))
+            rows, columns = np.ones((2, len(point)))
+            if scaled:
+                rows[:count] = columns[count:] = np.abs(jacobian[:count, :count]).max() or 1.0
+            # Least squares: motions as one body that nothing holds leave a null space.
+            system = jacobian / rows[:, None] * columns
+            if not (np.isfinite(system).all() and np.isfinite(residual).all()):
+                raise ValueError("no equilibrium found: forces are beyond all numbers")
+            change = columns * np.linalg.lstsq(system, -residual.ravel() / rows, rcond=1e-12)[0]
+            point = point + change
+            if np.abs(change).max() < 1e-14 * np.abs(point).max():
+                break
+        # Beside very stiff strings the lengths of bars are lost, unless forces are in their unit.
+        if np.abs(np.array(newton(point)[0].full())[count:]).max(initial=0.0) < _EXACT * size**2:
             break
     return point
 

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 _Arguments = ParamSpec("_Arguments")
 _Value = TypeVar("_Value")
 
+# More radians of the fastest pole in a sample leave less than eight digits of its phase.
+_MOST_RADIANS = 1e8
+
 INPUTS = ("force_density", "rest_length")
 
 
@@ -135,10 +138,9 @@ class LinearPlant:
         Raises
         ------
         TypeError, ValueError
-            If the step is not a positive finite number.
+            If the sample time is not a positive finite number, or so long that digits are lost.
         """
-        sample_time = positive_number("sample_time", sample_time, "s")
-        return zero_order_hold(self.A, self.B, self.drift, sample_time)
+        return zero_order_hold(self, self.B, positive_number("sample_time", sample_time, "s"))
 
     @property
     def state_names(self) -> list[str]:
@@ -243,10 +245,7 @@ class Sampled:
     def free_response(
         self, state: FloatArray, previous: FloatArray, origin: FloatArray
     ) -> FloatArray:
-        """Return the next state, shape (s,), at zero input and without drift.
-
-        ``previous``, shape (α,), is v_previous; ``origin``, shape (α,), is what v is measured from.
-        """
+        """Return the next state at zero input without drift; ``origin`` is where v is zero."""
         return np.asarray(
             self.transition @ state + self.by_previous @ previous - self.by_input @ origin
         )
@@ -285,19 +284,27 @@ def acceleration_response(plant: LinearPlant, sample_time: float) -> FloatArray:
     """Return the response of the state to unit accelerations held over a sample, shape (s, r)."""
     r = plant.degrees_of_freedom
     unit = np.vstack([np.zeros((r, r)), np.eye(r)])
-    return frozen(zero_order_hold(plant.A, unit, plant.drift, sample_time)[1])
+    return frozen(zero_order_hold(plant, unit, sample_time)[1])
 
 
 def zero_order_hold(
-    A: FloatArray, B: FloatArray, drift: FloatArray, sample_time: float
+    plant: LinearPlant, B: FloatArray, sample_time: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return Φ, Γ and d of ``z⁺ = Φ z + Γ v + d``, exact for v held over a sample."""
     from scipy.linalg import expm
 
     states, inputs = B.shape
     exponent = np.zeros((states + inputs + 1, states + inputs + 1))
-    exponent[:states, :states] = A
+    exponent[:states, :states] = plant.A
     exponent[:states, states:-1] = B
-    exponent[:states, -1] = drift
-    grown = expm(sample_time * exponent)[:states]
+    exponent[:states, -1] = plant.drift
+    turned, grown = sample_time * plant.spectral_radius, np.full((states, len(exponent)), np.nan)
+    if turned <= _MOST_RADIANS:
+        with np.errstate(over="ignore", invalid="ignore"):
+            grown = expm(sample_time * exponent)[:states]
+    if not np.isfinite(grown).all():
+        raise ValueError(
+            f"sample_time is {sample_time:g} s, in which the plant turns by up to {turned:.3g} rad "
+            f"or moves beyond all numbers; expected at most {_MOST_RADIANS:g} rad: digits are lost"
+        )
     return grown[:, :states], grown[:, states:-1], grown[:, -1]

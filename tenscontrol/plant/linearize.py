@@ -103,7 +103,9 @@ class OperatingPoint:
             )
         load = self.external_force
         if load is not None:
-            load = frozen(shaped("external_force", load, nodes.shape, "one force per node"))
+            load = frozen(
+                shaped("external_force", load, nodes.shape, "one force for each of nodes")
+            )
         object.__setattr__(self, "nodes", frozen(nodes))
         object.__setattr__(self, "force_density", frozen(gamma))
         object.__setattr__(self, "external_force", load)
@@ -339,11 +341,7 @@ def _reduced(
 
 
 def _derivatives(
-    model: Model,
-    held: str,
-    nodes: FloatArray,
-    value: FloatArray | None,
-    load: FloatArray,
+    model: Model, held: str, nodes: FloatArray, value: FloatArray | None, load: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return ẋ, ∂ẋ/∂x and ∂ẋ/∂u by algorithmic differentiation of the model."""
     function = model.prepared.get(("derivatives", held), lambda: _derivative_function(model, held))

@@ -68,6 +68,8 @@ def checked_tracked(plant: LinearPlant, tracked: object) -> FloatArray:
             f"tracked has shape {matrix.shape}, expected (p, {plant.nodes.size}): "
             "one column per coordinate of a node"
         )
+    if not matrix.any(axis=1).all():
+        raise ValueError("tracked has a row of zeros, which tracks nothing")
     return matrix
 
 

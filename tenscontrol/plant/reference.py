@@ -12,6 +12,7 @@ import numpy as np
 from tenscontrol.dynamics import evaluate_columns
 from tenscontrol.plant.linear_plant import LinearPlant, Sampled, acceleration_response, kept
 from tenscontrol.plant.string_outputs import to_commanded_strings, to_model_strings
+from tenscontrol.structure import bar_distances, refuse_moved_supports, refuse_wrong_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
     float_array,
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
 # Force densities of a reference shape may leave those of the operating point only as far as the
 # balance of forces gains from it, by this fraction of the largest singular value.
 _RIDGE = 1e-3
+
+# A bar of a reference may be off by this part of its length, and a fixed node by this part of the
+# size: the coordinates do not see it. Bars nearer than this part of the size touch.
+_OFF, _TOUCHING = 0.01, 1e-6
 
 # A string can be wound up to this fraction of what its law allows.
 _STRONGEST = 0.99
@@ -73,10 +78,7 @@ class Reference:
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
         def __init__(
-            self,
-            time: ArrayLike,
-            nodes: ArrayLike,
-            force_density: ArrayLike | None = None,
+            self, time: ArrayLike, nodes: ArrayLike, force_density: ArrayLike | None = None
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -167,14 +169,15 @@ class Reference:
                     f"other.{what} has the shape {theirs} at each time, expected {ours}, as here"
                 )
         begin = self.time[-1] + pause - other.time[0]
+        time = np.concatenate([self.time, begin + other.time])
+        if (np.diff(time) <= 0).any():
+            raise ValueError(
+                f"pause is {pause:g} s, after which the times of other are not told apart"
+            )
         gamma = None
         if self.force_density is not None and other.force_density is not None:
             gamma = np.hstack([self.force_density, other.force_density])
-        return Reference(
-            np.concatenate([self.time, begin + other.time]),
-            np.concatenate([self.nodes, other.nodes], axis=-1),
-            gamma,
-        )
+        return Reference(time, np.concatenate([self.nodes, other.nodes], axis=-1), gamma)
 
 
 class SmoothReference:
@@ -225,11 +228,8 @@ class ReferencePreview:
     """
 
     def __init__(self, plant: LinearPlant, reference: object, sampled: Sampled) -> None:
-        reference = checked_reference(plant, reference)
-        still = np.zeros_like(plant.nodes)
+        reference, q = checked_reference(plant, reference)
         r = plant.degrees_of_freedom
-        shapes = [reference.nodes[:, :, k] for k in range(len(reference.time))]
-        q = np.array([plant.measure(N, still)[:r] for N in shapes])
         self._plant, self._sampled = plant, sampled
         self.span = float(reference.time[0]), float(reference.time[-1])
         self._time, self._coordinates = reference.time, q
@@ -334,16 +334,19 @@ class ReferencePreview:
         )
 
 
-def checked_reference(plant: LinearPlant, reference: object) -> Reference:
-    """Return a reference for a plant, or raise naming it; the operating point for None."""
+def checked_reference(
+    plant: LinearPlant, reference: object, name: str = "reference"
+) -> tuple[Reference, FloatArray]:
+    """Return a reference, the operating point for None, and q of its shapes, (K, r), or raise."""
     shape = plant.nodes.shape
     if reference is None:
-        reference = plant.nodes
+        q = plant.measure(plant.nodes, np.zeros(shape))[: plant.degrees_of_freedom]
+        return Reference([0.0], plant.nodes[:, :, None]), q[None]
     if not isinstance(reference, Reference):
-        nodes = float_array("reference", reference)
+        nodes = float_array(name, reference)
         if nodes.shape != shape:
             raise ValueError(
-                f"reference has shape {nodes.shape}, expected {shape}: one column per node; "
+                f"{name} has shape {nodes.shape}, expected {shape}: one column per node; "
                 "shapes over time go in a Reference(time, nodes)"
             )
         reference = Reference([0.0], nodes[:, :, None])
@@ -358,7 +361,51 @@ def checked_reference(plant: LinearPlant, reference: object) -> Reference:
             f"reference.force_density has shape {gamma.shape}, expected "
             f"({count}, {len(reference.time)}): one row per string"
         )
-    return reference
+    return reference, _reached(plant, reference, name)
+
+
+def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
+    """Return q of each shape, shape (K, r), or raise where the plant cannot come to it."""
+    structure, shapes = plant.model.structure, np.moveaxis(reference.nodes, 2, 0)
+    names = [f"{name} at {time:g} s" for time in reference.time]
+    for each, N in zip(names, shapes, strict=True):
+        refuse_wrong_bar_lengths(each, structure, N, _OFF)
+        refuse_moved_supports(each, structure, N, _OFF)
+    q = np.array([reduced_shape(plant, *each) for each in zip(names, shapes, strict=True)])
+    # A mirror image keeps all lengths, but bars would have to pass through one another on the way:
+    # from the operating point to the nearest shape, and from each shape to the next.
+    apart = [bar_distances(structure, N) for N in (plant.nodes, *shapes)]
+    touching = _TOUCHING * float(np.ptp(plant.nodes, axis=1).max())
+    sides = np.array([each.side * (each.distance > touching) for each in apart])
+    near = int(np.linalg.norm(q, axis=1).argmin())
+    before, after = sides[:-1], np.vstack([sides[near + 1], sides[2:]])
+    passed = np.argwhere(before * after < 0)
+    if len(passed):
+        step, pair = passed[0]
+        i, j = apart[0].pairs[pair]
+        raise ValueError(
+            f"in {names[step or near]}, bars {i} and {j} pass one another on the other side than "
+            "before: they would have to go through each other, as from a shape to its mirror "
+            "image. Give shapes in between if there is another way"
+        )
+    return q
+
+
+def reduced_shape(plant: LinearPlant, name: str, nodes: FloatArray) -> FloatArray:
+    """Return q of a shape, shape (r,), or raise where the coordinates of the plant end before."""
+    q = plant.measure(nodes, np.zeros_like(nodes))[: plant.degrees_of_freedom]
+    try:
+        found = plant.to_nodes(q)
+    except ValueError as error:
+        raise ValueError(f"{name} is out of reach of the operating point: {error}") from error
+    length = plant.model.structure.string_length
+    off = float(np.abs(length(found) - length(nodes)).max(initial=0.0))
+    if off > 2 * _OFF * float(np.ptp(plant.nodes, axis=1).max()):
+        raise ValueError(
+            f"{name} is a shape that these coordinates give with strings {off:.3g} m off: it is "
+            "out of reach of the operating point; linearize about a shape nearer to it"
+        )
+    return q
 
 
 def _refined(time: FloatArray, sample_time: float) -> FloatArray:

@@ -27,15 +27,15 @@ class _Messages:
 _REGULATOR = _Messages(
     equation="the Riccati equation",
     loop="the closed loop",
-    no_solution="An undamped mode without weight in Q is one reason; weights that differ by many "
-    "powers of ten are another",
+    no_solution="An undamped mode without weight in Q is one reason; Q and R that differ by many "
+    "powers of ten are another, or a sample_time of many periods",
     large_residual="Bring the weights Q and R closer together",
     unstable="Give every mode some weight in Q",
 )
 _FILTER = _Messages(
     equation="the Riccati equation of the filter",
     loop="the filter",
-    no_solution="A sample time at which two vibrations look alike is one reason; process_noise "
+    no_solution="A sample_time at which two vibrations look alike is one reason; process_noise "
     "that is tiny against the noise of the sensors is another",
     large_residual="Bring process_noise and the noise of the sensors closer together",
     unstable="Bring process_noise and the noise of the sensors closer together",
@@ -60,8 +60,8 @@ def regulator_riccati(
     scaled = (
         A * unit / unit[:, None],
         level * B / unit[:, None],
-        unit[:, None] * state_weight * unit,
-        level**2 * input_weight,
+        _symmetric(unit[:, None] * state_weight * unit),
+        _symmetric(level**2 * input_weight),
     )
     K, P, poles = _solve(*scaled, discrete, _REGULATOR)
     residual = riccati_residual(*scaled, P, discrete=discrete)
@@ -82,13 +82,18 @@ def filter_riccati(
     unit = 1 / float(np.linalg.norm(whitened, 2))
     output, driven = unit * whitened, drive / unit
     eye = np.eye(len(C))
-    dual = transition.T, output.T, driven @ driven.T, eye
+    dual = transition.T, output.T, _symmetric(driven @ driven.T), eye
     _, P, _ = _solve(*dual, True, _FILTER)
     residual = riccati_residual(*dual, P, discrete=True)
     gain = np.linalg.solve(output @ P @ output.T + eye, output @ P).T
     poles = np.linalg.eigvals(transition @ (np.eye(len(P)) - gain @ output))
     check_riccati(residual, poles, True, _FILTER)
     return frozen(unit * gain / noise), frozen(unit**2 * P), frozen(poles), residual
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    """Return a matrix that is symmetric but for round-off, which solvers refuse, without that."""
+    return 0.5 * (matrix + matrix.T)
 
 
 def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:

@@ -12,17 +12,18 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller, Status
 from tenscontrol.dynamics import Model, StringLaw
 from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
-from tenscontrol.plant import LinearPlant
+from tenscontrol.plant import LinearPlant, checked_reference
 from tenscontrol.robustness.distributions import one_number
 from tenscontrol.robustness.sweep_report import SweepError
 from tenscontrol.simulation import Fault, Faults, HealthLimits, Trajectory, simulate
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, refuse_moved_supports, refuse_wrong_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
     float_array,
     frozen,
     instance,
     per_member,
+    positive,
     positive_number,
     truth,
     wrong_kind,
@@ -176,12 +177,18 @@ class ClosedLoopCase:
             put(self, "sample_time", positive_number("sample_time", self.sample_time, "s"))
         if self.nodes is not None:
             put(self, "nodes", frozen(self.structure.checked_nodes("nodes", self.nodes)))
+            refuse_wrong_bar_lengths("nodes", self.structure, self.nodes)
+            refuse_moved_supports("nodes", self.structure, self.nodes)
+        plant = self.controller.plant
         if self.target is not None:
-            designed = self.controller.plant.model.structure
-            put(self, "target", frozen(designed.checked_nodes("target", self.target)))
-        for name in ("gravity", "rest_length"):
-            if getattr(self, name) is not None:
-                put(self, name, frozen(float_array(name, getattr(self, name))))
+            shape = checked_reference(plant, self.target, "target")[0].nodes[:, :, 0]
+            put(self, "target", frozen(shape))
+        if self.gravity is not None:
+            put(self, "gravity", frozen(float_array("gravity", self.gravity)))
+        if self.rest_length is not None:
+            count = plant.B.shape[1]
+            lengths = per_member("rest_length", self.rest_length, count, "string of the controller")
+            put(self, "rest_length", frozen(positive("rest_length", lengths, "length in m")))
         if self.estimator is not None:
             instance("estimator", self.estimator, KalmanFilter, "make one by kalman(...)")
         if self.sensors is not None:
@@ -190,7 +197,7 @@ class ClosedLoopCase:
                 raise ValueError("sensors go with an estimator; kalman(...) makes one")
         held = "force_density" if self.strings is None else "rest_length"
         size = float(np.ptp(self.structure.nodes, axis=1).max())
-        winches = len(self.controller.plant.commanded.strings)
+        winches = len(plant.commanded.strings)
         faults = Faults(self.faults, size, self.input or held)
         faults.refuse_unknown(len(self.structure.strings), winches)
         put(self, "faults", tuple(self.faults))

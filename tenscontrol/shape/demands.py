@@ -17,6 +17,8 @@ from tenscontrol.validation import (
     float_array,
     frozen,
     indices,
+    instance,
+    number,
     refuse_fractions,
     shaped,
 )
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike
+
+# Indices beyond are of no structure, and not all whole.
+MOST_NODES = 10**9
 
 
 class Demand(ABC):
@@ -49,12 +54,10 @@ class Demand(ABC):
             put(self, name, node_list(name, getattr(self, name)))
         for name, value in self._checked().items():
             put(self, name, value)
-        tolerance = float_array("tolerance", self.tolerance)
-        if tolerance.ndim or tolerance < 0:
-            raise ValueError(
-                f"tolerance is {self.tolerance!r}, expected one number in {self.unit}, at least 0"
-            )
-        put(self, "tolerance", float(tolerance))
+        tolerance = number("tolerance", self.tolerance, self.unit)
+        if tolerance < 0:
+            raise ValueError(f"tolerance is {tolerance:g} {self.unit}, expected at least 0")
+        put(self, "tolerance", tolerance)
 
     @abstractmethod
     def _checked(self) -> dict[str, object]:
@@ -89,6 +92,7 @@ class Demand(ABC):
             What the message calls the demand.
         structure : Structure
         """
+        instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
         count = structure.nodes.shape[1]
         for field in self._node_lists:
             indices(f"{name}.{field}", getattr(self, field), count, f"there are {count} nodes")
@@ -143,7 +147,7 @@ class NodesAt(Demand):
 
     def _checked(self) -> dict[str, object]:
         shape = (len(_axis_rows(self.directions)), len(self.nodes))
-        meaning = "a row per direction, a column per node"
+        meaning = "a row for each of directions, a column for each of nodes"
         return {"positions": frozen(shaped("positions", self.positions, shape, meaning))}
 
     @property
@@ -209,10 +213,10 @@ class PointAt(Demand):
 
     def _checked(self) -> dict[str, object]:
         shape = (len(_axis_rows(self.directions)),)
-        place = shaped("position", self.position, shape, "one number per direction")
+        place = shaped("position", self.position, shape, "one for each of directions")
         given: Any = self.weights
         weights = np.ones(len(self.nodes)) if given is None else given
-        weights = shaped("weights", weights, (len(self.nodes),), "one per node")
+        weights = shaped("weights", weights, (len(self.nodes),), "one for each of nodes")
         if abs(weights.sum()) <= 1e-12 * np.abs(weights).sum():
             raise ValueError(f"weights add up to {weights.sum():g}, expected another sum than 0")
         return {"position": frozen(place), "weights": frozen(weights / weights.sum())}
@@ -279,7 +283,7 @@ class Height(Demand):
 
     def _checked(self) -> dict[str, object]:
         return {
-            "height": _one_number("height", self.height, "m"),
+            "height": number("height", self.height, "m"),
             "axis": frozen(direction("axis", self.axis)),
         }
 
@@ -346,7 +350,7 @@ class Twist(Demand):
                 f"top has {len(self.top)} nodes and bottom {len(self.bottom)}, "
                 "expected as many of each, two at least: they are compared in pairs"
             )
-        return {"angle": _one_number("angle", self.angle, "rad")}
+        return {"angle": number("angle", self.angle, "rad")}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -374,8 +378,10 @@ def node_list(name: str, nodes: object) -> IntArray:
         raise ValueError(f"{name} has shape {array.shape}, expected (k,): indices of nodes")
     refuse_fractions(name, array)
     for i, node in enumerate(array.tolist()):
-        if node < 0:
-            raise ValueError(f"{name}[{i}] is {node:g}, expected 0 or more: nodes count from 0")
+        if not 0 <= node <= MOST_NODES:
+            raise ValueError(
+                f"{name}[{i}] is {node:g}, expected 0 to {MOST_NODES}: nodes count from 0"
+            )
     known, counts = np.unique(array, return_counts=True)
     if (counts > 1).any():
         raise ValueError(f"{name} has node {known[counts.argmax()]:g} twice")
@@ -388,13 +394,6 @@ def _axis_rows(directions: str) -> list[int]:
     if not fits or len(set(str(directions))) < len(str(directions)):
         raise ValueError(f"directions is {directions!r}, expected letters out of 'xyz', each once")
     return ["xyz".index(axis) for axis in directions]
-
-
-def _one_number(name: str, value: object, unit: str) -> float:
-    number = float_array(name, value)
-    if number.ndim:
-        raise ValueError(f"{name} has shape {number.shape}, expected one number in {unit}")
-    return float(number)
 
 
 def _centre(N: Any, nodes: IntArray) -> Any:

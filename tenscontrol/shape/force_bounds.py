@@ -13,6 +13,7 @@ from tenscontrol.structure import Structure, free_coordinates, is_movable
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
+    choice,
     instance,
     non_negative,
     one_or_per_string,
@@ -110,7 +111,9 @@ def checked_limits(
     clearance = 0.0
     if min_clearance is not None:
         clearance = positive_number("min_clearance", min_clearance, "m")
-    group = structure.string_groups[0] if reference is None else reference
+    group = structure.string_groups[0]
+    if reference is not None:
+        group = choice("reference", reference, dict.fromkeys(structure.string_groups))
     strings = structure.strings_in(group)
     # A string between two fixed nodes is part of the support.
     strings = strings[is_movable(structure, structure.strings[strings])]

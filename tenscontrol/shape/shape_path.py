@@ -105,14 +105,14 @@ class ShapePath:
         from scipy.interpolate import CubicHermiteSpline
 
         at = float_array("times", times)
-        if at.ndim != 1:
-            raise ValueError(f"times has shape {at.shape}, expected (K,)")
+        if at.ndim != 1 or not len(at):
+            raise ValueError(f"times has shape {at.shape}, expected (K,) with K at least 1")
         spline = CubicHermiteSpline(self.time, self.nodes, self.velocities, axis=2)
         shapes = spline(np.clip(at, self.time[0], self.time[-1]))
         structure = self.model.structure
         kept = [restore_bar_lengths(structure, shapes[:, :, k]) for k in range(len(at))]
         gamma = np.array([np.interp(at, self.time, row) for row in self.force_density])
-        return Reference(at, np.stack(kept, axis=-1) if kept else shapes, gamma)
+        return Reference(at, np.stack(kept, axis=-1), gamma)
 
     def plants(self, count: int, input: str) -> tuple[LinearPlant, ...]:
         """Return linear plants along the way, evenly by the distance that nodes travel.
@@ -159,10 +159,7 @@ class ShapePath:
 def plants_along(
     model: Model, nodes: FloatArray, force_density: FloatArray, count: int, input: str
 ) -> tuple[LinearPlant, ...]:
-    """Return linear plants at some of T equilibria, evenly by the distance that nodes travel.
-
-    Nodes have the shape (3, n, T), γ has (α, T). See :meth:`ShapePath.plants`.
-    """
+    """Return plants at some of T equilibria, (3, n, T) and (α, T); see ShapePath.plants."""
     count = whole_number("count", count, least=1)
     travel = np.linalg.norm(np.diff(nodes, axis=2), axis=(0, 1))
     gone = np.concatenate([[0.0], np.cumsum(travel)])

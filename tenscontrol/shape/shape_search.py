@@ -129,10 +129,7 @@ class _DemandRows:
 
 
 def _signed_distances(structure: Structure, nodes: FloatArray, N: Any) -> Any:
-    """Return the distances, m, of bars that pass one another in a shape, in terms of N.
-
-    Positive on the side where they are: smooth. Pairs that are nearest at an end are left out.
-    """
+    """Return distances of bars that pass one another in a shape, m, smooth in N."""
     found = bar_distances(structure, nodes)
     rows = []
     for (i, j), side in zip(found.pairs.tolist(), found.side.tolist(), strict=True):

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from tenscontrol.shape.demands import node_list
+from tenscontrol.shape.demands import MOST_NODES, node_list
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray, direction, frozen, shaped, whole_number
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    direction,
+    frozen,
+    items,
+    shaped,
+    whole_number,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -69,9 +76,7 @@ class RotationalSymmetry:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        given: Any = self.cycles
-        if isinstance(given, str) or not isinstance(given, Iterable):
-            raise TypeError(f"cycles is {given!r}, expected a sequence of node sequences")
+        given = items("cycles", self.cycles, "sequences of nodes")
         cycles = tuple(node_list(f"cycles[{i}]", each) for i, each in enumerate(given))
         if len(cycles) == 0:
             raise ValueError("cycles is empty, expected at least one sequence of nodes")
@@ -108,9 +113,15 @@ class RotationalSymmetry:
         Parameters
         ----------
         count : int
-            Number n of nodes.
+            Number n of nodes, all of those on cycles among them.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is no whole number, or the cycles name other nodes.
         """
-        to = np.arange(count)
+        largest = max(int(cycle.max()) for cycle in self.cycles)
+        to = np.arange(whole_number("count", count, largest + 1, MOST_NODES))
         for cycle in self.cycles:
             to[cycle] = np.roll(cycle, -1)
         return to

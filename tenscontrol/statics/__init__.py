@@ -2,12 +2,13 @@
 
 from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, member_forces, null_space
 from tenscontrol.statics.least_distance import least_distance
-from tenscontrol.statics.prestress import Prestress, prestress, prism_force_density
+from tenscontrol.statics.prestress import Prestress, balanced, prestress, prism_force_density
 from tenscontrol.statics.stability import Stability, stress_matrix
 
 __all__ = [
     "Prestress",
     "Stability",
+    "balanced",
     "equilibrium_matrix",
     "least_distance",
     "member_forces",

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tenscontrol.statics.equilibrium_matrix import member_forces
+from tenscontrol.statics.equilibrium_matrix import MemberForces, member_forces
 from tenscontrol.statics.least_distance import nearest_in_cone
 from tenscontrol.statics.stability import Stability, stability
 from tenscontrol.structure import Structure, free_coordinates, rigid_basis
@@ -166,24 +166,43 @@ def prestress(
             raise ValueError("reference goes with a single force_density, not with an array")
         gamma = shaped("force_density", given, (alpha,), "one per string")
         non_negative("force_density", gamma, "a string can only pull")
-        pull = gamma[live_strings]
-        bars = np.linalg.lstsq(E[:, count:], w - E[:, :count] @ pull, rcond=None)[0]
-        densities = np.concatenate([pull, bars])
-    _refuse_unbalanced(
-        structure, E, densities, w, "force_density does not balance",
-        "prestress(structure, force_density=<one number>) finds force densities that balance",
-    )  # fmt: skip
-    every = np.zeros(len(live))
-    if given.ndim:
-        every[:alpha] = given
-    every[live] = densities
+        hint = "prestress(structure, force_density=<one number>) finds force densities that balance"
+        return balanced(structure, forces, gamma, load, "force_density does not balance", hint)
+    _refuse_unbalanced(structure, E, densities, w, "no force_density balances", "Change the shape")
+    return _at_rest(structure, forces, np.zeros(alpha), densities, load)
+
+
+def balanced(
+    structure: Structure, forces: MemberForces, gamma: FloatArray, load: FloatArray,
+    what: str, hint: str, least: float = 0.0,
+) -> Prestress:  # fmt: skip
+    """Return γ of every string with the bars that balance it best, or raise saying what and hint.
+
+    What is left on a node is judged against the largest force, N, or ``least`` if that is more.
+    """
+    pulls, E, w = forces.live[: len(gamma)], forces.matrix, free_coordinates(structure, load)
+    count = int(pulls.sum())
+    bars = np.linalg.lstsq(E[:, count:], w - E[:, :count] @ gamma[pulls], rcond=None)[0]
+    densities = np.concatenate([gamma[pulls], bars])
+    _refuse_unbalanced(structure, E, densities, w, what, hint, least)
+    return _at_rest(structure, forces, gamma, densities, load)
+
+
+def _at_rest(
+    structure: Structure, forces: MemberForces, gamma: FloatArray, densities: FloatArray,
+    load: FloatArray,
+) -> Prestress:  # fmt: skip
+    """Return the record of force densities of movable members; γ holds those of the others."""
+    E, w, alpha = forces.matrix, free_coordinates(structure, load), len(gamma)
+    every = np.concatenate([gamma, np.zeros(len(structure.bars))])
+    every[forces.live] = densities
     return Prestress(
         structure=structure,
         force_density=frozen(every[:alpha]),
         bar_force_density=frozen(every[alpha:]),
         external_force=frozen(load),
         residual=float(np.abs(E @ densities - w).max(initial=0.0)),
-        self_stress_states=states.shape[1],
+        self_stress_states=forces.states.shape[1],
         mechanisms=len(w) - rigid_basis(structure).shape[1] - forces.rank,
     )
 
@@ -278,11 +297,12 @@ def _infeasible(states: FloatArray, sizes: FloatArray, loaded: bool) -> str:
 
 
 def _refuse_unbalanced(
-    structure: Structure, E: FloatArray, densities: FloatArray, w: FloatArray, what: str, hint: str
-) -> None:
+    structure: Structure, E: FloatArray, densities: FloatArray, w: FloatArray,
+    what: str, hint: str, least: float = 0.0,
+) -> None:  # fmt: skip
     unbalanced = (E @ densities - w).reshape(-1, 3)
     size = np.linalg.norm(unbalanced, axis=1)
-    scale = max(float(np.abs(E * densities).max(initial=0.0)), float(np.abs(w).max(initial=0.0)))
+    scale = max([least, *(float(np.abs(x).max(initial=0.0)) for x in (E * densities, w))])
     if size.max() > _RESIDUAL_TOLERANCE * scale:
         worst = int(size.argmax())
         raise ValueError(

@@ -57,11 +57,13 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     return moved
 
 
-def refuse_wrong_bar_lengths(name: str, structure: Structure, nodes: FloatArray) -> None:
+def refuse_wrong_bar_lengths(
+    name: str, structure: Structure, nodes: FloatArray, tolerance: float = _TOLERANCE
+) -> None:
     """Raise if a bar of this shape has not its length, naming the worst one."""
     length = np.linalg.norm(structure.bar_vectors(nodes), axis=0)
     off = np.abs(length / structure.bar_length - 1)
-    if off.size and off.max() > _TOLERANCE:
+    if off.size and off.max() > tolerance:
         worst = int(off.argmax())
         raise ValueError(
             f"in {name}, bar {worst} has length {length[worst]:.9g} m, expected "

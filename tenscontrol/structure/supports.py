@@ -63,11 +63,13 @@ def rigid_basis(structure: Structure) -> FloatArray:
     return np.asarray(U[:, sizes > _RANK_TOLERANCE * largest])
 
 
-def refuse_moved_supports(name: str, structure: Structure, nodes: FloatArray) -> None:
+def refuse_moved_supports(
+    name: str, structure: Structure, nodes: FloatArray, tolerance: float = _TOLERANCE
+) -> None:
     """Raise if a fixed node is not where the structure has it."""
     off = np.linalg.norm(nodes - structure.nodes, axis=0)[structure.fixed]
     size = float(np.ptp(structure.nodes, axis=1).max())
-    if off.size and off.max() > _TOLERANCE * size:
+    if off.size and off.max() > tolerance * size:
         node = int(structure.fixed[off.argmax()])
         raise ValueError(
             f"in {name}, the fixed node {node} is {off.max():.3g} m from its place "

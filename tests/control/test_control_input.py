@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.control import MPCSettings, OutputLimit
 from tests.refused import (
     NAN,
     STILL,
@@ -21,10 +22,17 @@ from tests.refused import (
     winch_regulator,
 )
 
+SAMPLES = {"horizon": 2, "sample_time": 0.02}
+
 
 def mpc_on(reference):
     """An MPC on a reference."""
     return tc.MPC(plant(), horizon=2, sample_time=0.02, max_force_density=50.0, reference=reference)
+
+
+def elastic_plant():
+    """Force densities of strings with a law."""
+    return tc.linearize(elastic(), rest())
 
 
 def still_shape():
@@ -192,7 +200,48 @@ CONTROL = [
     refused("shape control tracked", lambda: linearizing(tracked=np.eye(6)), ValueError,
             r"tracked has shape \(6, 6\), expected \(p, 18\)"),
     refused("shape control of nothing", lambda: linearizing(tracked=np.zeros((2, 18))), ValueError,
+            r"tracked has a row of zeros"),
+    refused("shape control of a drift",
+            lambda: linearizing(tracked=np.tile([1.0, 0.0, 0.0], 6)[None]), ValueError,
             r"tracked combinations are moved by no string"),
+    refused("MPC load tracked nowhere",
+            lambda: mpc(load_gain=0.5, tracked=np.zeros((1, 18))), ValueError,
+            r"tracked has a row of zeros"),
+    refused("MPC outputs none", lambda: mpc(outputs=None), TypeError,
+            r"outputs is None, expected a sequence of OutputLimit"),
+    refused("MPC outputs a mapping", lambda: mpc(outputs={}), TypeError, r"outputs is \{\}"),
+    refused("MPC outputs a limit",
+            lambda: mpc(outputs=tc.clearance(plant(), 0.1)), TypeError, r"outputs is Output"),
+    refused("MPC sample without end", lambda: mpc(sample_time=1e15), ValueError,
+            r"sample_time is 1e\+15 s, in which the plant turns by up to"),
+    refused("MPC penalty of truth", lambda: mpc(string_penalty=True), TypeError,
+            r"string_penalty is True"),
+    refused("MPC penalty complex", lambda: mpc(string_penalty=1j), TypeError,
+            r"string_penalty is 1j"),
+    refused("MPC penalty beyond", lambda: mpc(string_penalty=10**400), ValueError,
+            r"string_penalty is"),
+    refused("settings with nan", lambda: MPCSettings(**SAMPLES, Q=NAN), ValueError, r"Q is nan"),
+    refused("settings with a reference of nan",
+            lambda: MPCSettings(**SAMPLES, reference=[NAN]), ValueError, r"reference\[0\] is nan"),
+    refused("held_loop without end",
+            lambda: tc.control.held_loop(elastic_plant(), np.zeros((9, 18)), sample_time=1e15),
+            ValueError, r"sample_time is 1e\+15 s"),
+    refused("OutputLimit low empty", lambda: OutputLimit(np.ones((1, 18)), low=[]), ValueError,
+            r"low has shape \(0,\), expected \(\) or \(1,\)"),
+    refused("OutputLimit low a table", lambda: OutputLimit(np.ones((1, 18)), low=np.ones((3, 1))),
+            ValueError, r"low has shape \(3, 1\)"),
+    refused("OutputLimit penalty complex",
+            lambda: OutputLimit(np.ones((1, 18)), low=0.0, penalty=1j), TypeError,
+            r"penalty is 1j, expected a positive number"),
+    refused("OutputLimit penalty true",
+            lambda: OutputLimit(np.ones((1, 18)), low=0.0, penalty=True), TypeError,
+            r"penalty is True"),
+    refused("OutputLimit penalty list",
+            lambda: OutputLimit(np.ones((1, 18)), low=0.0, penalty=[1.0, 2.0]), TypeError,
+            r"penalty is \[1\.0, 2\.0\]"),
+    refused("error of a shape without bars",
+            lambda: linearizing().error(0.0, nodes() + 7 * np.eye(3, 6), STILL), ValueError,
+            r"nodes turn a bar"),
     refused("shape control change", lambda: linearizing(max_change=0.0), ValueError,
             r"max_change\[0\] is 0, expected a positive"),
     refused("shape control regularization", lambda: linearizing(regularization=0.0), ValueError,

@@ -5,6 +5,7 @@ import pytest
 from scipy.optimize import brentq
 
 import tenscontrol as tc
+from tests.plant.equilibria import random_rest
 
 GRAVITY = 9.81
 
@@ -157,3 +158,17 @@ def test_heavy_strings_under_gravity_are_commanded_as_wholes():
     np.testing.assert_allclose(whole.rest_length, wound, rtol=1e-8)
     with pytest.raises(ValueError, match="linearize with input='rest_length'"):
         tc.plant.command_parents(tc.linearize(heavy, rest, input="force_density"))
+
+
+# All strings slack; soft beside stiff ones, where forces or lengths of bars were lost.
+@pytest.mark.parametrize("seed", [3, 12, 16, 17, 25, 66, 90])
+def test_random_structures_come_to_rest(seed):
+    case = random_rest(seed)
+    model, wound = case["model"], case["rest_length"]
+    rest = tc.equilibrium(**case)
+    length = rest.structure.string_length()
+    stiffest = model.strings.stiffness.max()
+    np.testing.assert_allclose(rest.structure.bar_length, model.structure.bar_length, rtol=1e-12)
+    pull = model.strings.force_density(length, wound)
+    np.testing.assert_allclose(rest.force_density, pull, rtol=0, atol=1e-11 * stiffest)
+    assert rest.residual <= 1e-9 * max(abs(rest.force_density * length).max(), 1e-3 * stiffest)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import tenscontrol as tc
 from tenscontrol.plant import check_riccati, filter_riccati, regulator_riccati, riccati_residual
 
 TRANSITION = np.array([[1.0, 0.1], [-0.2, 0.95]])
@@ -51,3 +52,10 @@ def test_a_bad_solution_is_refused(residual, pole, discrete, expected):
 def test_what_no_reading_tells_of_is_named_a_problem_of_the_filter():
     with pytest.raises(ValueError, match=r"of the filter .* process_noise"):
         filter_riccati(np.diag([1.0, 0.5]), np.eye(2), np.array([[0.0, 1.0]]), NOISE)
+
+
+def test_weights_of_any_size_are_symmetric_to_the_solver():
+    plant = tc.linearize(tc.Model(tc.prism()), tc.prestress(tc.prism(), force_density=17.3205))
+    half = np.random.default_rng(0).normal(size=(18, 18))
+    law = tc.lqr(plant, Q=1e12 * half.T @ half, R=1e6, sample_time=0.02)
+    assert abs(law.poles).max() < 1

@@ -167,7 +167,12 @@ TARGETS = [
         ValueError,
         "without load γ = 0 balances",
     ),
-    refused("group", lambda: target(reference="side"), ValueError, "no string group 'side'"),
+    refused(
+        "group",
+        lambda: target(reference="side"),
+        ValueError,
+        "reference is 'side', expected one of",
+    ),
     refused(
         "group alone",
         lambda: target(force_density=None, reference="top"),

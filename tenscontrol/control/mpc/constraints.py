@@ -15,6 +15,7 @@ from tenscontrol.validation import (
     float_array,
     frozen,
     instance,
+    per_member,
     positive_number,
 )
 
@@ -86,12 +87,13 @@ class OutputLimit:
             given = getattr(self, name)
             bound = np.full(len(matrix), none)
             if given is not None:
-                bound[:] = float_array(name, given)
+                bound = per_member(name, given, len(matrix), "row of matrix")
             object.__setattr__(self, name, frozen(bound))
         if np.any(self.low > self.high):  # type: ignore[operator]
             raise ValueError(f"low {self.low} m exceeds high {self.high} m")
-        if self.penalty is not None and not (np.isfinite(self.penalty) and self.penalty > 0):
-            raise ValueError(f"penalty is {self.penalty}, expected a positive number, cost per m")
+        if self.penalty is not None:
+            penalty = positive_number("penalty", self.penalty, "costs per m")
+            object.__setattr__(self, "penalty", penalty)
 
 
 def clearance(plant: LinearPlant, clearance: float, penalty: float | None = None) -> OutputLimit:

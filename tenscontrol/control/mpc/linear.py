@@ -82,10 +82,7 @@ class MPCLaw(PredictiveLaw):
         return make_solver(self.settings, self.form)
 
     def stage_data(self, time: float, load: FloatArray | None) -> StageData:
-        """Return what is known of the horizon before anything is measured at its start, at a time.
-
-        The load is accelerations, shape (r,); None where none is estimated.
-        """
+        """Return what is known of the horizon before its start is measured; load: q̈ or None."""
         problem, ramp = self.design.problem, self.design.sampled.ramp
         preview = self.path.over_horizon(time, problem.length)
         origin, drift, reference = preview.input[:-1], preview.drift, preview.reference
@@ -399,7 +396,7 @@ class MPC(PredictiveController):
         self._used = 0
         self._guess: Pair | None = None
 
-    def take_over(self, command: FloatArray) -> None:
+    def take_over(self, command: object) -> None:
         """See :meth:`Controller.take_over`."""
         super().take_over(command)
         self._forget_plan()

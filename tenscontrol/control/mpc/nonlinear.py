@@ -24,7 +24,7 @@ from tenscontrol.control.mpc.settings import (
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
-from tenscontrol.validation import FloatArray, frozen, instance, truth, whole_number
+from tenscontrol.validation import FloatArray, frozen, instance, number, truth, whole_number
 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
 CONVERGED = 1e-5
@@ -260,7 +260,15 @@ class NMPC(PredictiveController):
         ----------
         time : float
             Of the sample that starts now, s.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it is not one finite number.
         """
+        return self._targets(number("time", time, "s"))
+
+    def _targets(self, time: float) -> Pair:
         reference, inputs = self._law.targets(time)
         if self._observer is None:
             return reference, inputs
@@ -275,7 +283,7 @@ class NMPC(PredictiveController):
         self._records: list[tuple[float, ...]] = []
         self._preparing = 0.0
 
-    def take_over(self, command: FloatArray) -> None:
+    def take_over(self, command: object) -> None:
         """See :meth:`Controller.take_over`."""
         super().take_over(command)
         self._plan.clear()
@@ -297,7 +305,7 @@ class NMPC(PredictiveController):
         law = self._law
         deadline = self._called + self._longest_time
         load = None if self._observer is None else self._corrected(self._observer, state)
-        data = law.stage_data(*self.targets(time))
+        data = law.stage_data(*self._targets(time))
         if self._previous_input is None:
             self._previous_input = frozen(law.first_input(time, data.input_reference))
         previous_input, within_bounds = self._previous_input, self._previous_within_bounds
@@ -326,10 +334,7 @@ class NMPC(PredictiveController):
         return Command(self._plan.inputs[0])
 
     def _corrected(self, observer: LoadObserver, state: FloatArray) -> FloatArray:
-        """Compare with the sample before, and return accelerations by the load.
-
-        What the input did since then is found now, from what the actuators really held.
-        """
+        """Return accelerations by the load, from what the actuators held since the last sample."""
         if self._seen is not None and self._previous_input is not None:
             predict, load = self._law.model.discretization.predict, observer.acceleration
             observer.correct(state, *predict(*self._seen, self._previous_input, load))

@@ -84,11 +84,7 @@ def string_block(
     level: float,
     penalty: float,
 ) -> RowBlock:
-    """Return limits on ``"force_density"`` or ``"tension"`` at the start of each sample.
-
-    The level is the unit of the rows, and the penalty the cost of a violation by one level,
-    infinite for a hard limit.
-    """
+    """Return limits on γ or tension at starts of samples, in units of ``level``, the price too."""
     name = "gamma" if quantity == "force_density" else quantity
     by_state, count = getattr(strings, f"{name}_by_state"), len(low)
     return RowBlock(
@@ -106,11 +102,7 @@ def string_block(
 
 
 class Constraints:
-    """All rows of a problem, with bounds that move along a path.
-
-    Rows of strings see the state either before or after a sample. The states of the plant, of
-    which there are s, come first.
-    """
+    """All rows of a problem; their bounds move along a path. States of the plant come first."""
 
     def __init__(self, blocks: list[RowBlock], states: int) -> None:
         self.blocks, self._states = tuple(blocks), states

@@ -149,10 +149,7 @@ class TrajectoryModel:
     def linearize(
         self, states: FloatArray, inputs: FloatArray, stages: FloatArray
     ) -> tuple[StageJacobians, StageJacobians | None]:
-        """Return the motion and the limited rows to first order; None where no row is limited.
-
-        States are z_0 … z_N, inputs u_{−1} … u_{N−1}, and stages those of :class:`Discretization`.
-        """
+        """Return the motion along a plan, and the limited rows or None, to first order."""
         here, later = np.ascontiguousarray(states[:-1]), np.ascontiguousarray(states[1:])
         motion = self.discretization.linearize(here, inputs, stages)
         if self.limited is None:
@@ -243,10 +240,7 @@ class RealTimeIterate:
         self._shifted, self.linearized = True, False
 
     def prepare(self) -> None:
-        """Move the plan on by a sample, where that is due, and linearize along it.
-
-        Where the dynamics have no value, ``linearized`` stays False.
-        """
+        """Move the plan on where due, and linearize along it where the dynamics have values."""
         self.shift()
         self._linearize(self._planned())
 

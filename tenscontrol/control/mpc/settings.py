@@ -30,6 +30,7 @@ from tenscontrol.control.mpc.problem import (
 )
 from tenscontrol.plant import (
     LinearPlant,
+    Reference,
     ReferencePreview,
     Sampled,
     acceleration_response,
@@ -42,8 +43,10 @@ from tenscontrol.plant import (
 )
 from tenscontrol.validation import (
     FloatArray,
+    float_array,
     frozen,
     instance,
+    items,
     non_negative,
     per_member,
     positive,
@@ -59,6 +62,11 @@ _PENALTY = 1e2
 
 # Longer horizons only fill memory: the terminal cost stands for what comes after.
 _LONGEST = 10_000
+
+# Numbers and arrays that are checked against a plant later.
+_NUMBERS = (
+    "max_force_density", "Q", "R", "max_change", "min_force_density", "max_tension", "tracked"
+)  # fmt: skip
 
 _SOLVERS: dict[str, type[QPSolver]] = {"osqp": OSQPSolver}
 
@@ -177,7 +185,8 @@ class MPCSettings:
     def __post_init__(self) -> None:
         if self.winches is not None:
             instance("winches", self.winches, Winches, "make them by Winches(rate=...)")
-        for i, limit in enumerate(self.outputs):
+        outputs = items("outputs", self.outputs, "OutputLimit")
+        for i, limit in enumerate(outputs):
             made_by = "make one by OutputLimit(matrix, low, high)"
             instance(f"outputs[{i}]", limit, OutputLimit, made_by)
         checked: dict[str, object] = {
@@ -186,7 +195,7 @@ class MPCSettings:
             "tolerance": positive_number("tolerance", self.tolerance, "units of an input"),
             "max_iterations": whole_number("max_iterations", self.max_iterations, least=1),
             "horizon": whole_number("horizon", self.horizon, 1, _LONGEST),
-            "outputs": tuple(self.outputs),
+            "outputs": outputs,
         }
         if self.time_limit is not None:
             checked["time_limit"] = positive_number("time_limit", self.time_limit, "s")
@@ -196,6 +205,11 @@ class MPCSettings:
         elif positive_number("load_gain", self.load_gain, "no unit") > 1:
             raise ValueError(f"load_gain is {self.load_gain:g}, expected above 0 and at most 1")
         self._check_solver()
+        for name in _NUMBERS:
+            if getattr(self, name) is not None:
+                float_array(name, getattr(self, name))
+        if not (self.reference is None or isinstance(self.reference, Reference)):
+            float_array("reference", self.reference)
         for field in fields(self):
             value = checked.get(field.name, getattr(self, field.name))
             if isinstance(value, np.ndarray):
@@ -228,11 +242,9 @@ def make_solver(settings: MPCSettings, form: Form, equations: bool = False) -> Q
 def _checked_penalty(value: object) -> float:
     if value is None:
         return _PENALTY
-    if not isinstance(value, int | float) or isinstance(value, bool) or not value > 0:
-        raise ValueError(
-            f"string_penalty is {value!r}, expected a positive number; inf for hard limits"
-        )
-    return float(value)
+    if isinstance(value, float) and value == np.inf:
+        return np.inf
+    return positive_number("string_penalty", value, "costs of an input, or inf for hard limits")
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,11 +259,7 @@ class Design:
 
     @property
     def plant_problem(self) -> MPCProblem:
-        """The problem with the state of the plant alone, as the nonlinear program has it.
-
-        Where inputs are ramps, the previous input is no part of the state then, but what weighs or
-        feeds back ``[z; v_before]`` stays.
-        """
+        """The problem with z alone as its state; what weighs ``[z; v_before]`` stays."""
         s, problem = len(self.sampled.transition), self.problem
         return replace(
             problem,
@@ -370,10 +378,7 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PredictiveLaw:
-    """What a predictive controller computes with, except what it remembers.
-
-    The load model is None where no load is estimated; the path is what is followed.
-    """
+    """What a predictive controller computes with, except what it remembers."""
 
     settings: MPCSettings
     load: LoadModel | None

@@ -56,10 +56,7 @@ class StageJacobians:
 
 
 def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobians:
-    """Return N functions to first order, at arguments of shape (N, columns) each.
-
-    The evaluator is of ``(x, y, …) -> (value, ∂value/∂x, ∂value/∂y, …)``, mapped N times.
-    """
+    """Return N values of ``(x, y, …) -> (value, slopes …)`` to first order, rows of arguments."""
     N = len(arguments[0])
     # One sample is a vector to an evaluator, several are columns.
     values, *slopes = evaluator(*(x.T if N > 1 else x[0] for x in arguments))
@@ -101,21 +98,13 @@ class Discretization(ABC):
 
     @abstractmethod
     def advance(self, state: FloatArray, previous: FloatArray, held: FloatArray) -> Pair:
-        """Return the state a sample later, shape (s,), and the stages, shape (stages, r).
-
-        Not a number where the dynamics have no value, or an implicit step is not solved. Inputs
-        are those of the sample before, and of this one, shape (α,) each.
-        """
+        """Return the state a sample later, and the stages; NaN where a step has no solution."""
 
     @abstractmethod
     def predict(
         self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray
     ) -> tuple[FloatArray, FloatArray | None]:
-        """Return the state a sample later under a load, and its derivative by it, shape (s, r).
-
-        The load is constant accelerations, shape (r,). The derivative is None where that of the
-        operating point is taken.
-        """
+        """Return z⁺ under a load, shape (r,), and ∂z⁺/∂load; None where the plant's is taken."""
 
     @abstractmethod
     def linearize(
@@ -132,19 +121,12 @@ class Discretization(ABC):
 
     @abstractmethod
     def corrected(self, stages: FloatArray, changes: Pair, load: FloatArray | None) -> FloatArray:
-        """Return the stages that were linearized last, corrected to first order.
-
-        Changes since are of states, shape (N, s), and inputs, shape (N + 1, α); the load is
-        constant accelerations, shape (r,).
-        """
+        """Return the stages linearized last, corrected to first order for changes and a load."""
 
 
 @final
 class RK4(Discretization):
-    """By RK4 in steps that resolve the fastest vibration; inputs jump at the starts of samples.
-
-    ``linearized`` is ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
-    """
+    """RK4 in steps that resolve the fastest vibration; inputs jump at the starts of samples."""
 
     ramp = False
 
@@ -351,10 +333,7 @@ class RadauIIA(Discretization):
     def _equations(
         self, evaluator: Evaluator, states: FloatArray, inputs: FloatArray, stages: FloatArray
     ) -> tuple[FloatArray, ...]:
-        """Return ∂G/∂K, G and the derivatives of a, where G = K − a is zero at solved stages.
-
-        Shapes (N, 3r, 3r), (N, 3, r) and (N, 3, r, columns).
-        """
+        """Return ∂G/∂K, (N, 3r, 3r), G and the slopes of a, where G = K − a is 0 when solved."""
         N, r = len(states), self._r
         q, v = states[:, None, :r], states[:, None, r:]
         speeds = v + self._to_speed @ stages

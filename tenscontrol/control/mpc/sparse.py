@@ -167,10 +167,7 @@ class Sparse(Form):
         return np.asarray(np.searchsorted(keys, column * rows + row))
 
     def linearize(
-        self,
-        motion: StageJacobians,
-        rows: StageJacobians | None = None,
-        about: Pair | None = None,
+        self, motion: StageJacobians, rows: StageJacobians | None = None, about: Pair | None = None
     ) -> None:
         """Put the values of stage Jacobians into A: of the motion, and of rows if they are limited.
 
@@ -263,10 +260,7 @@ class Sparse(Form):
         return states + self._about[0], planned + self._about[1]
 
     def at_plan(self, guess: Pair) -> Pair:
-        """Return a guess of primal and dual solution whose states and inputs are those of a plan.
-
-        It stays as it is where unknowns are not measured from a plan.
-        """
+        """Return a guess at a plan that unknowns are measured from, as it is without one."""
         if self._about is None:
             return guess
         x = guess[0].copy()

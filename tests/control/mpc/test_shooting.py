@@ -72,7 +72,7 @@ def test_a_step_is_the_motion_of_the_model():
 def test_stiff_strings_follow_their_winches_as_at_rest(stiffness):
     """Wound along equilibria, the prism goes through them, a thousandth of the way off."""
     prism, plant = tc.prism(), plant_of(stiffness)
-    reference = checked_reference(plant, demo.ramp(prism, 1.0, 0.97, 3.0))
+    reference, _ = checked_reference(plant, demo.ramp(prism, 1.0, 0.97, 3.0))
     path = ReferencePreview(plant, reference, sampled(plant, SAMPLE, 1))
     wound = path.at(SAMPLE * np.arange(151.0))
     motion, z = RadauIIA(plant, SAMPLE, 1, 500, False), np.zeros(18)
