@@ -131,6 +131,7 @@ class Winches:
         rest_length : ndarray, shape (α,)
             m.
         """
+        rest_length = float_array("rest_length", rest_length)
         low = 0.0 if self.shortest is None else self.shortest
         high = np.inf if self.longest is None else self.longest
         out = np.flatnonzero((rest_length < low) | (rest_length > high))

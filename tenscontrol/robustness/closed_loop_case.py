@@ -333,6 +333,11 @@ def farthest_node(plant: LinearPlant, nodes: FloatArray, target: FloatArray) -> 
     >>> farthest_node(plant, raised[:, :, None], prism.nodes) < 1e-12
     True
     """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, at)")
+    target = plant.model.structure.checked_nodes("target", target)
+    nodes = float_array("nodes", nodes)
+    if nodes.ndim != 3 or nodes.shape[:2] != target.shape:
+        raise ValueError(f"nodes has shape {nodes.shape}, expected {(*target.shape, 'T')}")
     r, at_rest = plant.degrees_of_freedom, np.zeros_like(plant.nodes)
     # Both are measured in the coordinates, which leave out what they do not know.
     wanted, *found = (

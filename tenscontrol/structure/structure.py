@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -12,11 +11,13 @@ import numpy as np
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
+    choice,
     float_array,
     frozen,
     identifier,
     indices,
     instance,
+    items,
     per_member,
     positive,
     shaped,
@@ -155,7 +156,8 @@ class Structure:
     def _checked_string_node_mass(self) -> FloatArray:
         count = len(self.string_nodes)
         if count == 0:
-            if self.string_node_mass is not None and np.size(self.string_node_mass) > 0:
+            given = self.string_node_mass
+            if given is not None and float_array("string_node_mass", given).size > 0:
                 raise ValueError(
                     "string_node_mass is given, but every node is on a bar or fixed; leave it out"
                 )
@@ -172,11 +174,7 @@ class Structure:
         given: Any = self.string_groups
         if given is None:
             return ("string",) * len(self.strings)
-        if isinstance(given, str) or not isinstance(given, Iterable):
-            raise TypeError(
-                f"string_groups is {given!r}, expected a sequence with one name per string"
-            )
-        groups = tuple(given)
+        groups = items("string_groups", given, "names, one per string")
         if len(groups) != len(self.strings):
             raise ValueError(
                 f"string_groups has {len(groups)} names, "
@@ -306,11 +304,8 @@ class Structure:
         group : str
             A name from ``string_groups``.
         """
-        found = np.array([i for i, name in enumerate(self.string_groups) if name == group])
-        if len(found) == 0:
-            known = ", ".join(repr(name) for name in dict.fromkeys(self.string_groups)) or "none"
-            raise ValueError(f"there is no string group {group!r}; the groups are: {known}")
-        return found
+        choice("group", group, dict.fromkeys(self.string_groups))
+        return np.array([i for i, name in enumerate(self.string_groups) if name == group])
 
     def checked_nodes(self, name: str, nodes: object) -> FloatArray:
         """Return positions or velocities as an array, shape (3, n), or raise naming the argument.
@@ -322,7 +317,7 @@ class Structure:
         nodes : array_like, shape (3, n)
         """
         meaning = "one column of x, y, z per node of the structure"
-        return shaped(name, nodes, self.nodes.shape, meaning)
+        return _refuse_large(name, shaped(name, nodes, self.nodes.shape, meaning))
 
     # The paper's matrices, built on demand. The dynamics never multiply by them:
     # every product is done member by member.
@@ -453,12 +448,7 @@ def _refuse_untouched_nodes(bars: IntArray, strings: IntArray, count: int) -> No
 
 def _refuse_bad_sizes(nodes: FloatArray, bars: IntArray) -> None:
     """Raise if coordinates would overflow, or a bar has no length."""
-    largest = float(np.abs(nodes).max())
-    if largest > _LARGEST:
-        raise ValueError(
-            f"nodes has entries up to {largest:g} m, expected at most {_LARGEST:g} m: "
-            "squares of lengths would overflow"
-        )
+    _refuse_large("nodes", nodes)
     size = float(np.ptp(nodes, axis=1).max())
     length = np.linalg.norm(nodes[:, bars[:, 1]] - nodes[:, bars[:, 0]], axis=0)
     short = np.flatnonzero(length <= _ZERO_LENGTH * size)
@@ -467,6 +457,16 @@ def _refuse_bad_sizes(nodes: FloatArray, bars: IntArray) -> None:
         raise ValueError(
             f"bars[{short[0]}] has no length: nodes {start} and {end} are at the same place"
         )
+
+
+def _refuse_large(name: str, array: FloatArray) -> FloatArray:
+    largest = float(np.abs(array).max())
+    if largest > _LARGEST:
+        raise ValueError(
+            f"{name} has entries up to {largest:g}, expected at most {_LARGEST:g}: "
+            "squares of lengths would overflow"
+        )
+    return array
 
 
 def _signed_incidence(pairs: IntArray, columns: int) -> csr_array:
