@@ -131,7 +131,7 @@ class Winches:
         rest_length : ndarray, shape (α,)
             m.
         """
-        rest_length = float_array("rest_length", rest_length)
+        rest_length = np.atleast_1d(float_array("rest_length", rest_length))
         low = 0.0 if self.shortest is None else self.shortest
         high = np.inf if self.longest is None else self.longest
         out = np.flatnonzero((rest_length < low) | (rest_length > high))

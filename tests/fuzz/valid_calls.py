@@ -175,6 +175,10 @@ WITHIN = {
     "control.QPSolver.solve",
     "control.QPSolver.reset",
     "integrate.Integrator.advance",
+    "integrate.RK4.step_function",
+    "integrate.Rattle.step_function",
+    "integrate.Rattle4.step_function",
+    "integrate.Rattle6.step_function",
     "robustness.Distribution.draw",
     "robustness.Distribution.settings",
 }
@@ -605,13 +609,6 @@ for kind, method in MAKE.items():
         f"integrate.{kind}.advance",
         lambda: {"state": case().state, "held": case().value, "duration": 0.002, "outputs": 2},
         lambda method=method: integrator(method),
-        share=0.3,
-    )
-for kind in ("RK4", "Rattle", "Rattle4", "Rattle6"):
-    call(
-        f"integrate.{kind}.step_function",
-        lambda: {"equation": equation()},
-        lambda kind=kind: integrator(MAKE[kind]),
         share=0.3,
     )
 call("integrate.EnergyMomentum, step", lambda: {"equation": equation(), "step": 1e-3}, share=0.2)
