@@ -131,6 +131,10 @@ class Integrator(ABC):
     Parameters
     ----------
     equation : Equation
+    project : bool
+        Whether to make the bar lengths exact after each step, in a method from which they drift.
+    machine_code : bool
+        Whether to compile the steps, in a method that can be compiled.
     """
 
     #: Name as users give it to ``simulate(method=...)``.

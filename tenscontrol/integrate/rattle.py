@@ -175,6 +175,7 @@ class _Rattle(FixedStep):
 
     @property
     def evaluations_per_step(self) -> int:  # type: ignore[override]  # depends on the equation
+        """Evaluations of the forces in one step."""
         return rattle_evaluations(self._equation, self.order)
 
     def step_function(self, equation: Equation) -> ca.Function:

@@ -19,6 +19,7 @@ from tenscontrol.simulation import Fault, Faults, HealthLimits, Trajectory, simu
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
+    choice,
     float_array,
     frozen,
     instance,
@@ -188,6 +189,8 @@ class ClosedLoopCase:
             instance("sensors", self.sensors, Sensors, "make them by Sensors(structure=..., ...)")
             if self.estimator is None:
                 raise ValueError("sensors go with an estimator; kalman(...) makes one")
+        if self.input is not None:
+            choice("input", self.input, ("rest_length", "force_density"))
         held = "force_density" if self.strings is None else "rest_length"
         size = float(np.ptp(self.structure.nodes, axis=1).max())
         winches = len(self.controller.plant.commanded.strings)

@@ -64,6 +64,7 @@ MAY_BE_INFINITE = {
     "ConvergenceOrder.deviation",
     "ConvergenceOrder.order",
     "Fault.end",
+    "Ratios.least",
     "Ratios.ratio",
     "Ratios.time",
     "Controller.bounds",
@@ -112,9 +113,9 @@ def _spoilings(name, seed):
     for argument in dict.fromkeys([*given, *_signature(name)]):
         value = given.get(argument, _signature(name).get(argument))
         for spoiler in spoilers.WHOLE:
-            if (name, argument, spoiler) in LEFT_OUT or (
-                argument == "duration" and spoiler in LONG
-            ):
+            long = argument == "duration" and spoiler in LONG
+            told = argument == "report" and "class" in spoiler  # a function of the user's own
+            if (name, argument, spoiler) in LEFT_OUT or long or told:
                 continue
             if spoilers.is_replaced(value, None, spoiler):
                 found.append((argument, True, spoiler))
