@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Numbers larger than this in size, or positive ones below SMALLEST, are no quantity of a structure;
-# products of a few within these limits neither overflow nor vanish.
-LARGEST, SMALLEST = 1e100, 1e-100
+# Squares and fourth powers must stay within double precision.
+LARGEST = 1e70
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -39,7 +38,10 @@ _KIND = {"b": "bool", "c": "complex", "U": "text (str)", "S": "bytes", "M": "dat
 
 def _brief(value: object) -> str:
     """Return a value as text that fits in a message."""
-    text = " ".join(repr(value).split())
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # Python writes no whole number of more than 4300 digits
+        return "beyond 1e4000"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -149,10 +151,10 @@ def direction(name: str, value: object) -> FloatArray:
 
 def positive(name: str, array: FloatArray, what: str) -> FloatArray:
     """Refuse an array with an entry that is not greater than zero."""
-    bad = np.flatnonzero(array < SMALLEST)
+    bad = np.flatnonzero(array < 1 / LARGEST)
     if len(bad):
         found = array.flat[bad[0]]
-        least = f" of at least {SMALLEST:g}" if found > 0 else ""
+        least = f" of at least {1 / LARGEST:g}" if found > 0 else ""
         raise ValueError(f"{name}[{bad[0]}] is {found:g}, expected a positive {what}{least}")
     return array
 
@@ -179,9 +181,10 @@ def positive_number(name: str, value: object, unit: str) -> float:
     if not np.isfinite(number) or number <= 0:
         found = _brief(value)
         raise ValueError(f"{name} is {found}, expected a positive finite number in {unit}")
-    if not SMALLEST <= number <= LARGEST:
+    if not 1 / LARGEST <= number <= LARGEST:
         raise ValueError(
-            f"{name} is {number:g}, expected a number from {SMALLEST:g} to {LARGEST:g} in {unit}"
+            f"{name} is {number:g}, expected between {1 / LARGEST:g} and {LARGEST:g} in {unit}: "
+            "products and squares must stay within double precision"
         )
     return number
 

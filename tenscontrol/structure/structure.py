@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from scipy.sparse import csr_array
 
-# Squares and fourth powers of lengths must stay within double precision.
-_LARGEST = 1e70
-
 # A bar shorter than this fraction of the structure's size has no direction in double precision.
 _ZERO_LENGTH = 1e-12
 
@@ -138,7 +135,7 @@ class Structure:
         _refuse_repeats(bars, strings)
         _refuse_shared_bar_nodes(bars)
         _refuse_untouched_nodes(bars, strings, count)
-        _refuse_bad_sizes(nodes, bars)
+        _refuse_bars_without_length(nodes, bars)
         put = object.__setattr__  # the dataclass is frozen for everyone else
         put(self, "nodes", frozen(nodes))
         put(self, "bars", frozen(bars))
@@ -317,7 +314,7 @@ class Structure:
         nodes : array_like, shape (3, n)
         """
         meaning = "one column of x, y, z per node of the structure"
-        return _refuse_large(name, shaped(name, nodes, self.nodes.shape, meaning))
+        return shaped(name, nodes, self.nodes.shape, meaning)
 
     # The paper's matrices, built on demand. The dynamics never multiply by them:
     # every product is done member by member.
@@ -446,9 +443,7 @@ def _refuse_untouched_nodes(bars: IntArray, strings: IntArray, count: int) -> No
         )
 
 
-def _refuse_bad_sizes(nodes: FloatArray, bars: IntArray) -> None:
-    """Raise if coordinates would overflow, or a bar has no length."""
-    _refuse_large("nodes", nodes)
+def _refuse_bars_without_length(nodes: FloatArray, bars: IntArray) -> None:
     size = float(np.ptp(nodes, axis=1).max())
     length = np.linalg.norm(nodes[:, bars[:, 1]] - nodes[:, bars[:, 0]], axis=0)
     short = np.flatnonzero(length <= _ZERO_LENGTH * size)
@@ -457,16 +452,6 @@ def _refuse_bad_sizes(nodes: FloatArray, bars: IntArray) -> None:
         raise ValueError(
             f"bars[{short[0]}] has no length: nodes {start} and {end} are at the same place"
         )
-
-
-def _refuse_large(name: str, array: FloatArray) -> FloatArray:
-    largest = float(np.abs(array).max())
-    if largest > _LARGEST:
-        raise ValueError(
-            f"{name} has entries up to {largest:g}, expected at most {_LARGEST:g}: "
-            "squares of lengths would overflow"
-        )
-    return array
 
 
 def _signed_incidence(pairs: IntArray, columns: int) -> csr_array:

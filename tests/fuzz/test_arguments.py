@@ -34,3 +34,12 @@ def test_outcomes_are_told_apart(monkeypatch):
     assert told(lambda plant: {"a": [np.full(2, np.inf)]}) == "not finite"
     assert told(lambda plant: plant.A) == "traceback from within"
     assert told(lambda plant: tc.prism(sides=0)) == "error without the name"
+
+
+def test_no_argument_reaches_what_does_not_check_it():
+    finds = arguments.run(400, seed=0, least_share=1.0)
+    assert len(finds) >= 400
+    wrong = [find[:3] for find in finds if find[1] in arguments.OUTCOMES[3:]]
+    assert wrong == []
+    errors = [outcome for _, outcome, *_ in finds if outcome in arguments.OUTCOMES[1:3]]
+    assert errors.count("clear error") >= 0.99 * len(errors)

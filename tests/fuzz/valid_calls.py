@@ -20,6 +20,7 @@ from tests.public import members, public
 from tests.refused import (
     STILL,
     elastic,
+    equation,
     estimator,
     gamma,
     held_plant,
@@ -357,11 +358,6 @@ def parts():
 @cache
 def supported():
     return tc.net(3, 3, spacing=0.5, node_mass=0.1)
-
-
-@cache
-def equation():
-    return elastic().equation("rest_length")
 
 
 @cache
