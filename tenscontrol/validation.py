@@ -258,7 +258,7 @@ def function(name: str, value: object, meaning: str) -> None:
 def text(name: str, value: object, meaning: str) -> str:
     """Return a string."""
     if not isinstance(value, str):
-        raise wrong_kind(name, value, f"text: {meaning}")
+        raise TypeError(f"{name} is {_brief(value)}, expected text: {meaning}")
     return value
 
 

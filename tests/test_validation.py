@@ -56,7 +56,7 @@ CASES = [
             TypeError, r"machine_code is 'no'"),
     refused("method without name",
             lambda: tc.integrate.Method(1, ("step",), "mine", tc.integrate.RK4), TypeError,
-            r"name is a int, expected text"),
+            r"name is 1, expected text"),
     refused("method without settings",
             lambda: tc.integrate.Method("mine", (), "mine", tc.integrate.RK4), TypeError,
             r"settings is a tuple, expected a tuple of 'step' and 'tolerance'"),

@@ -96,8 +96,10 @@ def steps_between(spacing: float, step: float) -> int:
 
 def peer_settings(settings: object) -> tuple[float, ...]:
     """Return the settings of a peer, or refuse what is no sequence of positive numbers."""
-    given = items("settings", settings, "steps, s, or tolerances")
-    return tuple(positive_number(f"settings[{i}]", each, "s or 1") for i, each in enumerate(given))
+    found = float_array("settings", items("settings", settings, "steps, s, or tolerances"))
+    if found.ndim != 1:
+        raise ValueError(f"settings has shape {found.shape}, expected (k,)")
+    return tuple(positive("settings", found, "step, s, or tolerance").tolist())
 
 
 def checked_run(case: Case, setting: float, times: object) -> tuple[float, FloatArray]:
