@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+# Squares and fourth powers must stay within double precision.
+LARGEST = 1e70
+
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
     """Return a read-only copy of an array, so that a value handed out cannot change."""
@@ -27,24 +30,33 @@ def freeze_arrays(record: object) -> None:
             object.__setattr__(record, name, frozen(value))
 
 
+# To Python and NumPy they are whole numbers.
+_NO_NUMBERS = (bool, np.timedelta64)
+
 _KIND = {"b": "bool", "c": "complex", "U": "text (str)", "S": "bytes", "M": "datetime"}
 
 
 def _brief(value: object) -> str:
     """Return a value as text that fits in a message."""
-    text = " ".join(repr(value).split())
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # Python writes no whole number of more than 4300 digits
+        return "beyond 1e4000"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def float_array(name: str, value: object) -> FloatArray:
-    """Return ``value`` as a finite float array, or say which entry is not a finite number."""
+    """Return ``value`` as a finite float array, or say which entry is none or is too large."""
     array = _real_array(name, value)
-    if not np.isfinite(array).all():
-        bad = np.argwhere(~np.isfinite(array))
+    if not (np.abs(array) <= LARGEST).all():
+        bad = np.argwhere(~(np.abs(array) <= LARGEST))
         where = "" if array.ndim == 0 else f"[{', '.join(str(i) for i in bad[0])}]"
+        found = array[tuple(bad[0])]
+        if np.isfinite(found):
+            raise ValueError(f"{name}{where} is {found:g}, expected at most {LARGEST:g} in size")
         raise ValueError(
-            f"{name}{where} is {array[tuple(bad[0])]}, expected a finite number; "
-            f"{len(bad)} of {array.size} entries are not finite"
+            f"{name}{where} is {found}, expected a finite number; "
+            f"{array.size - int(np.isfinite(array).sum())} of {array.size} entries are not finite"
         )
     return array
 
@@ -74,7 +86,8 @@ def _real_array(name: str, value: object) -> FloatArray:
         raise TypeError(
             f"{name} must be an array of real numbers; found {_brief(value)} of type {kind}"
         )
-    return given.astype(float)
+    with np.errstate(over="ignore"):  # of a longer kind of float: infinite
+        return given.astype(float)
 
 
 def shaped(name: str, value: object, shape: tuple[int, ...], meaning: str) -> FloatArray:
@@ -129,16 +142,20 @@ def indices(name: str, value: FloatArray, count: int, of: str, noun: str = "") -
 def direction(name: str, value: object) -> FloatArray:
     """Return a direction in space as a vector of length 1, shape (3,)."""
     vector = shaped(name, value, (3,), "a direction")
-    if not vector.any():
+    size = np.abs(vector).max()
+    if size == 0:
         raise ValueError(f"{name} is 0, expected a direction")
+    vector = vector / size  # squares of tiny entries would vanish
     return np.asarray(vector / np.linalg.norm(vector))
 
 
 def positive(name: str, array: FloatArray, what: str) -> FloatArray:
     """Refuse an array with an entry that is not greater than zero."""
-    if (array <= 0).any():
-        bad = np.flatnonzero(array <= 0)
-        raise ValueError(f"{name}[{bad[0]}] is {array[bad[0]]:g}, expected a positive {what}")
+    if (array < 1 / LARGEST).any():
+        bad = np.flatnonzero(array < 1 / LARGEST)
+        found = array.flat[bad[0]]
+        least = f" of at least {1 / LARGEST:g}" if found > 0 else ""
+        raise ValueError(f"{name}[{bad[0]}] is {found:g}, expected a positive {what}{least}")
     return array
 
 
@@ -146,7 +163,7 @@ def non_negative(name: str, array: FloatArray, why: str) -> FloatArray:
     """Refuse an array with an entry below zero."""
     if (array < 0).any():
         bad = np.flatnonzero(array < 0)
-        raise ValueError(f"{name}[{bad[0]}] is {array[bad[0]]:g}, expected at least 0: {why}")
+        raise ValueError(f"{name}[{bad[0]}] is {array.flat[bad[0]]:g}, expected at least 0: {why}")
     return array
 
 
@@ -154,7 +171,8 @@ def positive_number(name: str, value: object, unit: str) -> float:
     """Return a positive finite number."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+    kinds = int | float | np.integer | np.floating
+    if isinstance(value, _NO_NUMBERS) or not isinstance(value, kinds):
         raise TypeError(f"{name} is {_brief(value)}, expected a positive number in {unit}")
     try:
         number = float(value)
@@ -163,12 +181,17 @@ def positive_number(name: str, value: object, unit: str) -> float:
     if not np.isfinite(number) or number <= 0:
         found = _brief(value)
         raise ValueError(f"{name} is {found}, expected a positive finite number in {unit}")
+    if not 1 / LARGEST <= number <= LARGEST:
+        raise ValueError(
+            f"{name} is {number:g}, expected between {1 / LARGEST:g} and {LARGEST:g} in {unit}: "
+            "products and squares must stay within double precision"
+        )
     return number
 
 
 def whole_number(name: str, value: object, least: int, most: int | None = None) -> int:
     """Return an integer that is at least ``least``, and at most ``most`` if that is given."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+    if isinstance(value, _NO_NUMBERS) or not isinstance(value, int | np.integer):
         raise TypeError(f"{name} is {value!r}, expected a whole number of at least {least}")
     if value < least:
         raise ValueError(f"{name} is {value}, expected a whole number of at least {least}")
@@ -181,15 +204,15 @@ def choice(name: str, value: object, options: Iterable[str]) -> str:
     """Return a string that is one of the options."""
     allowed = tuple(options)
     if not isinstance(value, str) or value not in allowed:
-        quoted = ", ".join(repr(option) for option in allowed)
-        raise ValueError(f"{name} is {value!r}, expected one of {quoted}")
+        quoted = ", ".join(repr(option) for option in allowed) or "none"
+        raise ValueError(f"{name} is {_brief(value)}, expected one of {quoted}")
     return value
 
 
 def identifier(name: str, value: object) -> str:
     """Return a string that can be the name of a group."""
     if not isinstance(value, str) or not value.isidentifier():
-        raise ValueError(f"{name} is {value!r}, expected a name of letters, digits and _")
+        raise ValueError(f"{name} is {_brief(value)}, expected a name of letters, digits and _")
     return value
 
 
@@ -229,6 +252,19 @@ def instance(name: str, value: object, kind: type, how: str) -> None:
 def number(name: str, value: object, unit: str) -> float:
     """Return one finite real number."""
     return float(shaped(name, value, (), f"one number, {unit}"))
+
+
+def function(name: str, value: object, meaning: str) -> None:
+    """Refuse what cannot be called."""
+    if not callable(value):
+        raise wrong_kind(name, value, f"a function: {meaning}")
+
+
+def text(name: str, value: object, meaning: str) -> str:
+    """Return a string."""
+    if not isinstance(value, str):
+        raise TypeError(f"{name} is {_brief(value)}, expected text: {meaning}")
+    return value
 
 
 def items(name: str, value: object, of: str) -> tuple[Any, ...]:

@@ -82,6 +82,12 @@ def elastic():
 
 
 @cache
+def equation():
+    """Of the prism with rest lengths held."""
+    return elastic().equation("rest_length")
+
+
+@cache
 def loaded():
     """With a load input."""
     return tc.Model(prism(), external_force=True)

@@ -13,7 +13,7 @@ from tenscontrol.plant import held_value
 from tenscontrol.scene import Scene
 from tenscontrol.simulation import checked_load, initial_state
 from tenscontrol.structure import Structure, restore_bar_lengths
-from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number
+from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number, text
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +77,8 @@ class Case:
             )
         if self.value is None:
             raise TypeError("value is None, expected rest lengths, m, or force densities, N/m")
+        text("name", self.name, "for titles")
+        text("note", self.note, "what a reader of the result must know")
         given = (self.value, None) if self.input == "rest_length" else (None, self.value)
         checked_load(self.model, self.external_force)
         initial_state(self.model, self.nodes, self.velocities, self.input)

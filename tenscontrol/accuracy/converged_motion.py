@@ -17,7 +17,7 @@ from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.dynamics import Evaluator, unpack_states
 from tenscontrol.integrate import DOP853
 from tenscontrol.scene import Scene
-from tenscontrol.validation import FloatArray, frozen, whole_number
+from tenscontrol.validation import FloatArray, frozen, function, whole_number
 
 _TOLERANCE = 1e-13
 
@@ -111,6 +111,8 @@ def converged_motion(
     """
     case = as_case(scene)
     count = whole_number("outputs", outputs, least=1)
+    if report is not None:
+        function("report", report, "it is told the time reached, s")
     times = case.duration * np.arange(1, count + 1) / count
     solver = PiecewiseSolver(case)
     found = []

@@ -19,7 +19,7 @@ from tenscontrol.accuracy.measured_run import (
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, shown
-from tenscontrol.validation import FloatArray, frozen, whole_number
+from tenscontrol.validation import FloatArray, frozen, instance, whole_number
 
 # Errors above this part of the size are not small yet; below so many times what the reference is
 # off by, and so many units of round-off a step, they are not the method's any more.
@@ -144,6 +144,7 @@ def convergence_order(
     chosen = method_named(method)
     count = whole_number("outputs", outputs, least=1)
     if reference is not None:
+        instance("reference", reference, ConvergedMotion, "make one by converged_motion(case)")
         count = len(reference.time)
     unit = "s" if chosen.setting == "step" else "1"
     settings = default_settings(chosen, case)

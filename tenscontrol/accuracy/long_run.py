@@ -18,7 +18,7 @@ from tenscontrol.integrate import IntegrationError, Work
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, shown
-from tenscontrol.validation import FloatArray, frozen, positive_number, truth, whole_number
+from tenscontrol.validation import FloatArray, choice, frozen, positive_number, truth, whole_number
 
 # States that are integrated, judged and dropped at once.
 _PART = 50
@@ -104,11 +104,8 @@ class LongRun:
         ValueError
             If the motion does not conserve it.
         """
-        for drift in self.drifts:
-            if drift.name == name:
-                return drift
-        known = ", ".join(drift.name for drift in self.drifts)
-        raise ValueError(f"name is {name!r}, expected what the motion conserves: {known}")
+        drifts = {drift.name: drift for drift in self.drifts}
+        return drifts[choice("name", name, drifts)]
 
     def table(self) -> str:
         """Return the drifts as text."""

@@ -15,7 +15,7 @@ from tenscontrol.accuracy.converged_motion import ConvergedMotion, largest_dista
 from tenscontrol.accuracy.peers import Peer, steps_between
 from tenscontrol.dynamics import evaluate_columns, pack_state, unpack_states
 from tenscontrol.integrate import METHODS, IntegrationError, Method, Work
-from tenscontrol.validation import FloatArray, choice, positive_number
+from tenscontrol.validation import FloatArray, choice, items, positive_number
 
 # Steps by the fastest rate of the case, and tolerances, from coarse to fine.
 _STEPS = tuple(2.0**-k for k in range(8))
@@ -32,9 +32,9 @@ Result = TypeVar("Result")
 # ---- methods and their settings ----
 
 
-def method_named(name: object) -> Method:
+def method_named(name: object, argument: str = "method") -> Method:
     """Return the method of this name, or raise ValueError."""
-    return METHODS[choice("method", name, METHODS)]
+    return METHODS[choice(argument, name, METHODS)]
 
 
 def default_settings(method: Method, case: Case) -> tuple[float, ...]:
@@ -47,9 +47,8 @@ def default_settings(method: Method, case: Case) -> tuple[float, ...]:
 
 def checked_settings(name: str, settings: object, unit: str) -> tuple[float, ...]:
     """Return the settings of an argument from coarse to fine, each once and positive."""
-    if not isinstance(settings, Iterable) or isinstance(settings, str | bytes):
-        raise TypeError(f"{name} is {settings!r}, expected a sequence of numbers in {unit}")
-    found = [positive_number(f"{name}[{i}]", value, unit) for i, value in enumerate(settings)]
+    given = items(name, settings, f"numbers in {unit}")
+    found = [positive_number(f"{name}[{i}]", value, unit) for i, value in enumerate(given)]
     if not found:
         raise ValueError(f"{name} is empty, expected at least one number in {unit}")
     return tuple(sorted(set(found), reverse=True))

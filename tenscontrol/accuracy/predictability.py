@@ -10,7 +10,7 @@ import numpy as np
 from tenscontrol.accuracy.case import Case, as_case, state_change
 from tenscontrol.integrate import DOP853
 from tenscontrol.scene import Scene
-from tenscontrol.validation import FloatArray, frozen, positive_number, whole_number
+from tenscontrol.validation import FloatArray, frozen, function, positive_number, whole_number
 
 # Size of the perturbation, m: far above round-off, far below what the motion is sensitive to.
 _PERTURBATION = 1e-10
@@ -133,6 +133,8 @@ def predictability(
     case = as_case(scene)
     error = positive_number("error", error, "m")
     count = whole_number("outputs", outputs, least=2)
+    if report is not None:
+        function("report", report, "it is told the time reached, s")
     times = case.duration * np.arange(1, count + 1) / count
     random = np.random.default_rng(whole_number("seed", seed, least=0))
     offsets = [_offset(case, random) for _ in range(whole_number("samples", samples, least=1))]

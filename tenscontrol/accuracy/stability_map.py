@@ -18,7 +18,7 @@ from tenscontrol.progress import progress_bar
 from tenscontrol.statics import prestress
 from tenscontrol.structure import prism, restore_bar_lengths, spread_force_density, subdivide
 from tenscontrol.tables import aligned
-from tenscontrol.validation import FloatArray, frozen, instance, whole_number
+from tenscontrol.validation import FloatArray, frozen, function, instance, whole_number
 
 # A motion with more than so many times its kinetic energy is not stable.
 _GROWN = 100.0
@@ -147,6 +147,7 @@ def stability_map(
     ratios = checked_settings("mass_ratio", mass_ratio, "1")[::-1]
     count = whole_number("steps", steps, least=20)
     make = prism_near_rest if case is None else case
+    function("case", make, "(stiffness, mass_ratio) -> Case")
     limit = theoretical_limit(method)
     shape = (len(stiff), len(ratios))
     step, rate = np.zeros(shape), np.zeros(shape)

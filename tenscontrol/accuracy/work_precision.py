@@ -31,6 +31,7 @@ from tenscontrol.validation import (
     choice,
     frozen,
     instance,
+    items,
     positive_number,
     truth,
     whole_number,
@@ -158,6 +159,7 @@ class WorkPrecision:
         ----------
         row : Measurement
         """
+        instance("row", row, Measurement, "one of the rows")
         return row.error > _RESOLVED * self.reference.error
 
     def time_at(self, method: str, error: float) -> float:
@@ -217,13 +219,19 @@ class WorkPrecision:
         against : sequence of str, optional
             Peers, or methods of our own; all peers if not given.
         """
-        names = self.peers if against is None else tuple(against)
+        names = self.peers if against is None else items("against", against, "names of methods")
+        for i, each in enumerate(names):
+            choice(f"against[{i}]", each, (*self.methods, *self.peers))
+        errors = [
+            positive_number(f"errors[{i}]", each, "m")
+            for i, each in enumerate(items("errors", errors, "numbers in m"))
+        ]
         best = [self.fastest(error) for error in errors]
         others = np.array([[self.time_at(name, error) for name in names] for error in errors])
         others = others.reshape(len(best), len(names))
         time = np.array([each for _, each in best])
         return Ratios(
-            errors=tuple(float(error) for error in errors),
+            errors=tuple(errors),
             best=tuple(name for name, _ in best),
             time=frozen(time),
             against=names,
@@ -372,12 +380,11 @@ def work_precision(
     repeats = whole_number("repeats", repeats, least=1)
     outputs = whole_number("outputs", outputs, least=1)
     truth("machine_code", machine_code, "whether to compile our own methods")
-    names = tuple(METHODS) if methods is None else methods
-    if isinstance(names, str):
-        raise TypeError(f"methods is {names!r}, expected a sequence of names: [{names!r}]")
+    names = tuple(METHODS) if methods is None else items("methods", methods, "names of methods")
+    chosen = [method_named(name, f"methods[{i}]") for i, name in enumerate(names)]
     if len(set(names)) != len(names):
         raise ValueError(f"methods is {list(names)}, expected each method once")
-    chosen = [method_named(name) for name in names]
+    peers = items("peers", peers, "peers")
     for i, peer in enumerate(peers):
         instance(f"peers[{i}]", peer, Peer, "make one by subclassing Peer")
     given = _checked_settings(settings, chosen, peers)
@@ -412,12 +419,12 @@ def _checked_settings(
 ) -> dict[str, tuple[float, ...]]:
     units = {method.name: "s" if method.setting == "step" else "1" for method in methods}
     units |= {peer.name: "s or 1" for peer in peers}
-    found = {}
-    for name, values in (settings or {}).items():
-        if name not in units:
-            raise ValueError(
-                f"settings has the key {name!r}, expected one of what is run: {', '.join(units)}"
-            )
+    found: dict[str, tuple[float, ...]] = {}
+    if settings is None:
+        return found
+    instance("settings", settings, Mapping, "settings by the name of a method or peer")
+    for name, values in settings.items():
+        choice("a key of settings", name, units)
         found[name] = checked_settings(f"settings[{name!r}]", values, units[name])
     return found
 

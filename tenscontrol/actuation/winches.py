@@ -133,6 +133,10 @@ class Winches:
         """
         low = 0.0 if self.shortest is None else self.shortest
         high = np.inf if self.longest is None else self.longest
+        rest_length = float_array("rest_length", rest_length)
+        shape = np.broadcast_shapes(np.shape(low), np.shape(high))
+        if rest_length.ndim != 1 or shape not in ((), rest_length.shape):
+            raise ValueError(f"rest_length has shape {rest_length.shape}, expected one per string")
         out = np.flatnonzero((rest_length < low) | (rest_length > high))
         if len(out):
             i = out[0]

@@ -88,7 +88,7 @@ class Model:
         shape = structure.nodes.shape
         constant = np.zeros(shape)
         takes_load = False
-        if external_force is None or np.ndim(external_force) == 0:  # type: ignore[arg-type]
+        if external_force is None or isinstance(external_force, bool | np.bool_):
             meaning = "whether the functions take a load W; or a built-in load, shape (3, n)"
             takes_load = external_force is not None and truth(
                 "external_force", external_force, meaning
@@ -252,7 +252,8 @@ class Model:
         law = self._needed_strings() if input == "rest_length" else None
         load = self._constant_force
         if external_force is not None:
-            load = load + external_force
+            meaning = "one force per node, N"
+            load = load + shaped("external_force", external_force, load.shape, meaning)
         if form == "auto":
             form = _suitable_form(self._structure)
 

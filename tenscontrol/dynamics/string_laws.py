@@ -18,6 +18,7 @@ from tenscontrol.validation import (
     non_negative,
     per_member,
     positive,
+    whole_number,
 )
 
 if TYPE_CHECKING:
@@ -158,6 +159,7 @@ class StringLaw(ABC):
         ValueError
             If a parameter is given for another number of strings.
         """
+        count = whole_number("count", count, least=0)
         return type(self)(
             **{
                 name: per_member(name, getattr(self, name), count, "string")

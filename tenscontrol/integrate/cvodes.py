@@ -83,7 +83,7 @@ class CVODES(Integrator):
     name = "cvodes"
 
     def __init__(self, equation: Equation, tolerance: float, project: bool = True) -> None:
-        super().__init__(equation)
+        super().__init__(equation, project)
         self._projected = Projector(equation, project)
         self.tolerance = checked_tolerance(tolerance)
         self._scale: FloatArray | None = None  # set by the first motion
@@ -118,6 +118,7 @@ class CVODES(Integrator):
         report: Report | None = None,
     ) -> Span:
         """See :meth:`Integrator.advance`."""
+        state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
         equation = self._equation
         if self._scale is None:
             frequency = largest_frequency(equation, state, held)

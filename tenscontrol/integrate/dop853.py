@@ -79,7 +79,7 @@ class DOP853(Integrator):
     def __init__(
         self, equation: Equation, tolerance: float, project: bool = True, machine_code: bool = False
     ) -> None:
-        super().__init__(equation)
+        super().__init__(equation, project, machine_code)
         self.tolerance = checked_tolerance(tolerance)
         self._projected = Projector(equation, project)
         self._frequency = 0.0  # largest, rad/s
@@ -111,6 +111,7 @@ class DOP853(Integrator):
         report: Report | None = None,
     ) -> Span:
         """See :meth:`Integrator.advance`."""
+        state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
         n, switches = self._equation.states, self._equation.switches
         before = self._held
         # The frequency is found again only where an input has changed by more than a fifth.

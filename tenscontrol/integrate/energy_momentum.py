@@ -153,6 +153,7 @@ class EnergyMomentum(Integrator):
         report: Report | None = None,
     ) -> Span:
         """See :meth:`Integrator.advance`."""
+        state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
         interval = duration / outputs
         largest = duration if self.step is None else self.step
         tolerance = 0.0 if self.tolerance is None else self.tolerance

@@ -55,7 +55,7 @@ class FixedStep(Integrator):
     def __init__(
         self, equation: Equation, step: float, project: bool = False, machine_code: bool = False
     ) -> None:
-        super().__init__(equation)
+        super().__init__(equation, project, machine_code)
         self.step = positive_number("step", step, "s")
         by = compiler() if machine_code else None
         steps = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
@@ -93,6 +93,7 @@ class FixedStep(Integrator):
         report: Report | None = None,
     ) -> Span:
         """See :meth:`Integrator.advance`."""
+        state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
         # The small allowance lets 0.02/0.001 be 20 steps, whatever round-off says.
         inner = max(1, ceil(duration / outputs / self.step - 1e-9))
         total = outputs * inner

@@ -11,9 +11,21 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Equation, Evaluator, compiled
-from tenscontrol.validation import FloatArray, positive_number
+from tenscontrol.validation import (
+    FloatArray,
+    function,
+    instance,
+    measured,
+    positive_number,
+    shaped,
+    truth,
+    whole_number,
+)
 
 _Built = TypeVar("_Built")
+
+# States that fit in memory, as a count of numbers.
+_MOST_NUMBERS = 5e8
 
 # Told the time reached within the span, s.
 Report = Callable[[float], None]
@@ -119,6 +131,10 @@ class Integrator(ABC):
     Parameters
     ----------
     equation : Equation
+    project : bool
+        Whether to make the bar lengths exact after each step, in a method from which they drift.
+    machine_code : bool
+        Whether to compile the steps, in a method that can be compiled.
     """
 
     #: Name as users give it to ``simulate(method=...)``.
@@ -128,8 +144,27 @@ class Integrator(ABC):
     #: ``"machine code for the forces"``.
     back_end = "virtual machine"
 
-    def __init__(self, equation: Equation) -> None:
+    def __init__(
+        self, equation: Equation, project: bool = False, machine_code: bool = False
+    ) -> None:
+        instance("equation", equation, Equation, "make one by model.equation(input)")
+        truth("project", project, "whether to make bar lengths exact after each step")
+        truth("machine_code", machine_code, "whether to compile the steps")
         self._equation = equation
+
+    def _checked(
+        self, state: FloatArray, held: FloatArray, duration: float, outputs: int, report: object
+    ) -> tuple[FloatArray, FloatArray, float, int]:
+        """Return what :meth:`advance` is given, or refuse what the equation does not take."""
+        size = self._equation.states
+        if report is not None:
+            function("report", report, "it is told the time reached, s")
+        return (
+            measured("state", state, (size,), "positions, then velocities"),  # may have run away
+            shaped("held", held, (self._equation.inputs,), "one number per input"),
+            positive_number("duration", duration, "s"),
+            whole_number("outputs", outputs, 1, int(_MOST_NUMBERS / max(size, 1))),
+        )
 
     def _kept(self, build: Callable[[], _Built], *settings: Hashable) -> _Built:
         """Return what is built once for the equation, this class and these settings."""
@@ -161,6 +196,8 @@ class Integrator(ABC):
 
         Raises
         ------
+        TypeError, ValueError
+            If an argument does not fit the equation.
         IntegrationError
             If the state grows beyond all bounds, the step size vanishes, or the user interrupts.
         """

@@ -13,7 +13,7 @@ from tenscontrol.integrate.energy_momentum import EnergyMomentum
 from tenscontrol.integrate.integrator import Integrator, largest_frequency
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6
 from tenscontrol.integrate.rk4 import RK4
-from tenscontrol.validation import FloatArray, choice
+from tenscontrol.validation import FloatArray, choice, function, text, truth, wrong_kind
 
 # The largest step of an explicit method is about this over the largest frequency.
 _STABLE = 3.0
@@ -58,6 +58,17 @@ class Method:
     compiles: bool = True
     differentiates: bool = False
 
+    def __post_init__(self) -> None:
+        text("name", self.name, "what the method is called")
+        text("about", self.about, "what the method is good for")
+        if not isinstance(self.settings, tuple) or not self.settings:
+            raise wrong_kind("settings", self.settings, "a tuple of 'step' and 'tolerance'")
+        for i, setting in enumerate(self.settings):
+            choice(f"settings[{i}]", setting, ("step", "tolerance"))
+        function("make", self.make, "(equation, step=... or tolerance=...) -> Integrator")
+        for name in ("drifts", "projects", "compiles", "differentiates"):
+            truth(name, getattr(self, name), "what the method does")
+
     @property
     def setting(self) -> str:
         """What its accuracy is usually set by: ``"step"`` or ``"tolerance"``."""
@@ -91,14 +102,13 @@ class Method:
         ValueError
             If the method takes no such setting, or keeps bar lengths by itself and is told not to.
         """
-        setting = self.setting if setting is None else setting
-        if setting not in self.settings:
-            raise ValueError(
-                f"method {self.name!r} is set by {' or '.join(self.settings)}, found {setting}"
-            )
+        setting = self.setting if setting is None else choice("setting", setting, self.settings)
         options: dict[str, float | bool] = {setting: value}
+        truth("machine_code", machine_code, "whether to compile the steps")
         if self.compiles:
             options["machine_code"] = machine_code
+        if project is not None:
+            truth("project", project, "whether to make bar lengths exact after each step")
         if self.drifts:
             options["project"] = self.projects if project is None else project
         elif project is False:

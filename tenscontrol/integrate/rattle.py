@@ -170,9 +170,13 @@ class _Rattle(FixedStep):
     def __init__(
         self, equation: Equation, step: float, project: bool = False, machine_code: bool = False
     ) -> None:
-        self.evaluations_per_step = rattle_evaluations(equation, self.order)
         self._machine_code = machine_code
         super().__init__(equation, step, project, machine_code)
+
+    @property
+    def evaluations_per_step(self) -> int:  # type: ignore[override]  # depends on the equation
+        """Evaluations of the forces in one step."""
+        return rattle_evaluations(self._equation, self.order)
 
     def step_function(self, equation: Equation) -> ca.Function:
         """See :meth:`FixedStep.step_function`."""

@@ -18,7 +18,7 @@ from tenscontrol.plot.style import (
     marker_style,
     reference_style,
 )
-from tenscontrol.validation import FloatArray, float_array, wrong_kind
+from tenscontrol.validation import FloatArray, float_array, text, wrong_kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +93,7 @@ def history(
         for name, values in _checked_mapping("series", series).items()
     }
     levels = checked_references(references, len(times))
-    if not isinstance(ylabel, str):
-        raise TypeError(f"ylabel is {ylabel!r}, expected text with a unit, like 'height, m'")
+    text("ylabel", ylabel, "the quantity with its unit, like 'height, m'")
     return draw_curves(flat_axes(ax), times, rows, ylabel, references=levels)
 
 

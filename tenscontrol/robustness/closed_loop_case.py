@@ -19,6 +19,7 @@ from tenscontrol.simulation import Fault, Faults, HealthLimits, Trajectory, simu
 from tenscontrol.structure import Structure, refuse_moved_supports, refuse_wrong_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
+    choice,
     float_array,
     frozen,
     instance,
@@ -195,6 +196,8 @@ class ClosedLoopCase:
             instance("sensors", self.sensors, Sensors, "make them by Sensors(structure=..., ...)")
             if self.estimator is None:
                 raise ValueError("sensors go with an estimator; kalman(...) makes one")
+        if self.input is not None:
+            choice("input", self.input, ("rest_length", "force_density"))
         held = "force_density" if self.strings is None else "rest_length"
         size = float(np.ptp(self.structure.nodes, axis=1).max())
         winches = len(plant.commanded.strings)
@@ -340,6 +343,11 @@ def farthest_node(plant: LinearPlant, nodes: FloatArray, target: FloatArray) -> 
     >>> farthest_node(plant, raised[:, :, None], prism.nodes) < 1e-12
     True
     """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, at)")
+    target = plant.model.structure.checked_nodes("target", target)
+    nodes = float_array("nodes", nodes)
+    if nodes.ndim != 3 or nodes.shape[:2] != target.shape:
+        raise ValueError(f"nodes has shape {nodes.shape}, expected {(*target.shape, 'T')}")
     r, at_rest = plant.degrees_of_freedom, np.zeros_like(plant.nodes)
     # Both are measured in the coordinates, which leave out what they do not know.
     wanted, *found = (

@@ -97,8 +97,6 @@ class Uniform(Distribution):
         low, high = one_number("low", self.low), one_number("high", self.high)
         if not low < high:
             raise ValueError(f"low is {low:g} and high is {high:g}, expected low below high")
-        if not np.isfinite(high - low):
-            raise ValueError(f"low is {low:g} and high is {high:g}: too far apart for a float")
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
 

@@ -13,7 +13,7 @@ import numpy as np
 from tenscontrol.robustness import store
 from tenscontrol.robustness.store import Record
 from tenscontrol.tables import aligned
-from tenscontrol.validation import FloatArray, IntArray, frozen, positive_number
+from tenscontrol.validation import FloatArray, IntArray, choice, frozen, positive_number
 
 _QUANTILES = (0.05, 0.5, 0.95)
 
@@ -230,7 +230,7 @@ class SweepReport:
         """
         from scipy.stats import rankdata
 
-        values = self.figure(figure)
+        values = self.figure(choice("figure", figure, self.figures))
         if len(values) < 3 or np.ptp(values) == 0:
             raise ValueError(
                 f"figure {figure!r} has {len(np.unique(values))} values in {len(values)} completed "
@@ -262,10 +262,7 @@ class SweepReport:
             If there is no such figure.
         """
         figures = self.figures
-        if name not in figures:
-            known = ", ".join(repr(each) for each in figures) or "none"
-            raise ValueError(f"there is no figure {name!r}; the figures are: {known}")
-        return figures[name]
+        return figures[choice("name", name, figures)]
 
     def table(self) -> str:
         """Return the spread of each figure over the completed runs, as text."""

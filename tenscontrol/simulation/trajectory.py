@@ -12,7 +12,7 @@ from tenscontrol.integrate import Choice, Work
 from tenscontrol.simulation.faults import Fault
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, choice, positive_number
+from tenscontrol.validation import FloatArray, choice, instance, positive_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +165,7 @@ class HealthLimits:
         -------
         list of str
         """
+        instance("health", health, Health, "health of a trajectory")
         found = []
         for field in fields(self):
             limit = getattr(self, field.name)

@@ -14,6 +14,7 @@ from tenscontrol.structure import Structure, free_coordinates, rigid_basis
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
+    choice,
     float_array,
     frozen,
     instance,
@@ -156,7 +157,8 @@ def prestress(
             structure, E, particular, w, "no member forces balance external_force",
             "In this shape the load meets a mechanism; equilibrium(model, ...) lets the shape give",
         )  # fmt: skip
-        group = structure.string_groups[0] if reference is None else reference
+        groups = dict.fromkeys(structure.string_groups)
+        group = next(iter(groups)) if reference is None else choice("reference", reference, groups)
         strings = np.flatnonzero(np.isin(np.flatnonzero(live_strings), structure.strings_in(group)))
         densities = _nearest_to_uniform(particular, states, strings, level, count)
         if densities is None:
@@ -252,7 +254,8 @@ def prism_force_density(
     a = b if top_radius is None else positive_number("top_radius", top_radius, "m")
     vertical = 2 * np.sin(np.pi / q) * top * a / b
     bottom = top * (a / b) ** 2
-    return np.repeat([top, bottom, vertical], q), np.full(q, vertical)
+    found = float_array("force_density at these radii", [top, bottom, vertical])
+    return np.repeat(found, q), np.full(q, vertical)
 
 
 def _nearest_to_uniform(

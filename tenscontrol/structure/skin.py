@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from tenscontrol.validation import (
     float_array,
     identifier,
     instance,
+    items,
     per_member,
     positive,
     positive_number,
@@ -257,12 +258,10 @@ def _loops(structure: Structure, panels: object) -> dict[str, Loop]:
     """Return the node loops of all panels, checked, by what messages call them."""
     if isinstance(panels, str):
         panels = (panels,)
-    if not isinstance(panels, Iterable):
-        raise TypeError(f"panels is {panels!r}, expected a sequence of panel names and node loops")
     named = _named_panels(structure)
     found: dict[str, Loop] = {}
     owner: dict[frozenset[int], str] = {}
-    entries = list(panels)
+    entries = items("panels", panels, "panel names and node loops")
     if not entries:
         raise ValueError("panels is empty, expected at least one panel name or node loop")
     for i, entry in enumerate(entries):

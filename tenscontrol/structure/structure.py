@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -12,11 +11,13 @@ import numpy as np
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
+    choice,
     float_array,
     frozen,
     identifier,
     indices,
     instance,
+    items,
     per_member,
     positive,
     shaped,
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
     from scipy.sparse import csr_array
-
-# Squares and fourth powers of lengths must stay within double precision.
-_LARGEST = 1e70
 
 # A bar shorter than this fraction of the structure's size has no direction in double precision.
 _ZERO_LENGTH = 1e-12
@@ -137,7 +135,7 @@ class Structure:
         _refuse_repeats(bars, strings)
         _refuse_shared_bar_nodes(bars)
         _refuse_untouched_nodes(bars, strings, count)
-        _refuse_bad_sizes(nodes, bars)
+        _refuse_bars_without_length(nodes, bars)
         put = object.__setattr__  # the dataclass is frozen for everyone else
         put(self, "nodes", frozen(nodes))
         put(self, "bars", frozen(bars))
@@ -155,7 +153,8 @@ class Structure:
     def _checked_string_node_mass(self) -> FloatArray:
         count = len(self.string_nodes)
         if count == 0:
-            if self.string_node_mass is not None and np.size(self.string_node_mass) > 0:
+            given = self.string_node_mass
+            if given is not None and float_array("string_node_mass", given).size > 0:
                 raise ValueError(
                     "string_node_mass is given, but every node is on a bar or fixed; leave it out"
                 )
@@ -172,11 +171,7 @@ class Structure:
         given: Any = self.string_groups
         if given is None:
             return ("string",) * len(self.strings)
-        if isinstance(given, str) or not isinstance(given, Iterable):
-            raise TypeError(
-                f"string_groups is {given!r}, expected a sequence with one name per string"
-            )
-        groups = tuple(given)
+        groups = items("string_groups", given, "names, one per string")
         if len(groups) != len(self.strings):
             raise ValueError(
                 f"string_groups has {len(groups)} names, "
@@ -306,11 +301,8 @@ class Structure:
         group : str
             A name from ``string_groups``.
         """
-        found = np.array([i for i, name in enumerate(self.string_groups) if name == group])
-        if len(found) == 0:
-            known = ", ".join(repr(name) for name in dict.fromkeys(self.string_groups)) or "none"
-            raise ValueError(f"there is no string group {group!r}; the groups are: {known}")
-        return found
+        choice("group", group, dict.fromkeys(self.string_groups))
+        return np.array([i for i, name in enumerate(self.string_groups) if name == group])
 
     def checked_nodes(self, name: str, nodes: object) -> FloatArray:
         """Return positions or velocities as an array, shape (3, n), or raise naming the argument.
@@ -451,14 +443,7 @@ def _refuse_untouched_nodes(bars: IntArray, strings: IntArray, count: int) -> No
         )
 
 
-def _refuse_bad_sizes(nodes: FloatArray, bars: IntArray) -> None:
-    """Raise if coordinates would overflow, or a bar has no length."""
-    largest = float(np.abs(nodes).max())
-    if largest > _LARGEST:
-        raise ValueError(
-            f"nodes has entries up to {largest:g} m, expected at most {_LARGEST:g} m: "
-            "squares of lengths would overflow"
-        )
+def _refuse_bars_without_length(nodes: FloatArray, bars: IntArray) -> None:
     size = float(np.ptp(nodes, axis=1).max())
     length = np.linalg.norm(nodes[:, bars[:, 1]] - nodes[:, bars[:, 0]], axis=0)
     short = np.flatnonzero(length <= _ZERO_LENGTH * size)

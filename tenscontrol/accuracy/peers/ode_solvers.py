@@ -10,7 +10,13 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
-from tenscontrol.accuracy.peers.peer import Peer, Solution, steps_between
+from tenscontrol.accuracy.peers.peer import (
+    Peer,
+    Solution,
+    checked_run,
+    peer_settings,
+    steps_between,
+)
 from tenscontrol.dynamics import Evaluator, unpack_states
 from tenscontrol.validation import FloatArray, choice
 
@@ -43,10 +49,11 @@ class SciPy(Peer):
     def __init__(self, method: str, settings: Sequence[float] = _TOLERANCES) -> None:
         self.method = choice("method", method, _METHODS)
         self.name = f"scipy {method.lower()}"
-        self.settings = tuple(settings)
+        self.settings = peer_settings(settings)
 
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
+        setting, times = checked_run(case, setting, times)
         from scipy.integrate import solve_ivp
 
         kinked, held, state = case.equation().kinked_slope, case.value, case.state
@@ -100,10 +107,11 @@ class CasADiCVODES(Peer):
     name = "casadi cvodes"
 
     def __init__(self, settings: Sequence[float] = _TOLERANCES) -> None:
-        self.settings = tuple(settings)
+        self.settings = peer_settings(settings)
 
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
+        setting, times = checked_run(case, setting, times)
         kinked = case.equation().kinked_slope
         _, weight = _jacobian(kinked)
         solver = _solver(
@@ -142,10 +150,11 @@ class CasADiRK(Peer):
     name = "casadi rk"
 
     def __init__(self, settings: Sequence[float] = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5)) -> None:
-        self.settings = tuple(settings)
+        self.settings = peer_settings(settings)
 
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
+        setting, times = checked_run(case, setting, times)
         spacing = float(times[-1]) / len(times)
         inner = steps_between(spacing, setting)
         # One grid interval repeated: on a grid of decimals CasADi may round to a step more.

@@ -7,8 +7,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil
 
+import numpy as np
+
 from tenscontrol.accuracy.case import Case
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import (
+    FloatArray,
+    float_array,
+    instance,
+    items,
+    positive,
+    positive_number,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,3 +92,20 @@ class Peer(ABC):
 def steps_between(spacing: float, step: float) -> int:
     """Return how many steps, shortened to fit, there are between outputs; round-off allowed for."""
     return max(1, ceil(spacing / step - 1e-9))
+
+
+def peer_settings(settings: object) -> tuple[float, ...]:
+    """Return the settings of a peer, or refuse what is no sequence of positive numbers."""
+    found = float_array("settings", items("settings", settings, "steps, s, or tolerances"))
+    if found.ndim != 1:
+        raise ValueError(f"settings has shape {found.shape}, expected (k,)")
+    return tuple(positive("settings", found, "step, s, or tolerance").tolist())
+
+
+def checked_run(case: Case, setting: float, times: object) -> tuple[float, FloatArray]:
+    """Return setting and output times of a run, or refuse what does not fit."""
+    instance("case", case, Case, "make one by Case(model, duration, ...)")
+    found = positive("times", float_array("times", times), "time in s")
+    if found.ndim != 1 or found.size == 0 or (np.diff(found) <= 0).any():
+        raise ValueError("times does not rise, expected shape (T,): equally spaced output times")
+    return positive_number("setting", setting, "s or 1"), found

@@ -10,7 +10,13 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
-from tenscontrol.accuracy.peers.peer import Peer, Solution, steps_between
+from tenscontrol.accuracy.peers.peer import (
+    Peer,
+    Solution,
+    checked_run,
+    peer_settings,
+    steps_between,
+)
 from tenscontrol.dynamics import ElasticStrings, LinearStrings
 from tenscontrol.validation import FloatArray, choice
 
@@ -52,7 +58,7 @@ class MuJoCo(Peer):
     ) -> None:
         self.method = choice("method", method, _METHODS)
         self.name = f"mujoco {method}"
-        self.settings = tuple(settings)
+        self.settings = peer_settings(settings)
 
     def refuse(self, case: Case) -> str | None:
         """See :meth:`Peer.refuse`."""
@@ -65,6 +71,7 @@ class MuJoCo(Peer):
 
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
+        setting, times = checked_run(case, setting, times)
         import mujoco
 
         each, name = _METHODS[self.method]

@@ -1,0 +1,1391 @@
+"""A valid call of each public function, class and method: what the fuzzer spoils.
+
+``CALLS`` has them by name. A name with a comma is a second way to call what stands before it. The
+structures are small, so that a call is cheap; a call that is not has a smaller ``share``.
+"""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+import tenscontrol as tc
+from tenscontrol.integrate import METHODS
+from tests.control.test_control_input import linearizing, mpc, nmpc, short_path
+from tests.public import members, public
+from tests.refused import (
+    STILL,
+    elastic,
+    equation,
+    estimator,
+    gamma,
+    held_plant,
+    lengths,
+    loaded,
+    model,
+    nodes,
+    plant,
+    prism,
+    regulator,
+    rest,
+    rest_length,
+    winch_regulator,
+)
+from tests.robustness.cases import Inline, noisy
+
+SCENE = Path(__file__).parents[2] / "examples" / "scenes" / "prism_free.toml"
+TOP, BOTTOM = [0, 1, 2], [3, 4, 5]
+
+
+@dataclass(frozen=True)
+class Call:
+    """What is called, the arguments that it takes, and what must hold after it.
+
+    ``share`` is how many calls it gets of those that a cheap one gets. ``after`` returns a value
+    that must be finite whatever was asked before.
+    """
+
+    name: str
+    target: Callable[[], Callable]
+    arguments: Callable[[], dict]
+    share: float = 1.0
+    after: Callable | None = None
+
+
+CALLS: dict[str, Call] = {}
+
+
+def call(name, arguments=dict, on=None, share=1.0, after=None):
+    """Enter a call: of a function or class by its name, or of a method of what ``on`` returns."""
+    plain = name.split(",")[0]
+
+    def target():
+        return public()[plain] if on is None else getattr(on(), plain.rsplit(".", 1)[1])
+
+    assert name not in CALLS
+    CALLS[name] = Call(name, target, arguments, share, after)
+
+
+# ---- results that are not made by calling their class ----
+
+# Made and returned by functions, or raised: their constructor is no interface. Their methods are.
+RESULTS = {
+    "accuracy.ConvergedMotion",
+    "accuracy.ConvergenceOrder",
+    "accuracy.Drift",
+    "accuracy.LongRun",
+    "accuracy.Measurement",
+    "accuracy.Predictability",
+    "accuracy.Ratios",
+    "accuracy.Solution",
+    "accuracy.StabilityMap",
+    "accuracy.WorkPrecision",
+    "actuation.RestLengths",
+    "actuation.WinchMove",
+    "control.Command",
+    "control.FeedbackLinearizationStatistics",
+    "control.HeldLoop",
+    "control.LQR",
+    "control.MPCStatistics",
+    "control.NMPCStatistics",
+    "control.QPSolution",
+    "deploy.CompiledController",
+    "deploy.GeneratedController",
+    "dynamics.Compiled",
+    "dynamics.Coordinates",
+    "dynamics.Equation",
+    "estimation.Estimate",
+    "estimation.FilterStatistics",
+    "estimation.KalmanFilter",
+    "integrate.Choice",
+    "integrate.IntegrationError",
+    "integrate.Span",
+    "integrate.Work",
+    "plant.Controllability",
+    "plant.LinearPlant",
+    "plant.Modes",
+    "plot.Curves",
+    "plot.Drawing",
+    "plot.ModeShape",
+    "plot.PoleMap",
+    "plot.SweepDrawing",
+    "robustness.SweepError",
+    "robustness.SweepFailure",
+    "robustness.SweepReport",
+    "scene.Scene",
+    "scene.SceneError",
+    "shape.DemandCheck",
+    "shape.PathError",
+    "shape.ShapeError",
+    "shape.ShapePath",
+    "shape.ShapeTarget",
+    "simulation.AccuracyWarning",
+    "simulation.ControlRecord",
+    "simulation.EstimateRecord",
+    "simulation.Health",
+    "simulation.SimulationError",
+    "simulation.Trajectory",
+    "statics.Prestress",
+    "statics.Stability",
+}
+
+# Bases of a user's own classes and enumerations: nobody makes one of them.
+ABSTRACT = {
+    "accuracy.Peer",
+    "control.Fallback",
+    "control.QPSolver",
+    "control.Status",
+    "dynamics.StringLaw",
+    "integrate.Integrator",
+    "robustness.Distribution",
+    "shape.Demand",
+    "simulation.Fault",
+}
+
+# Methods of symbols, of a base class, or of a solver that is handed what was checked before.
+WITHIN = {
+    "ElasticStrings.tension",
+    "ElasticStrings.taut_rest_length",
+    "ElasticStrings.stored_energy",
+    "LinearStrings.tension",
+    "LinearStrings.taut_rest_length",
+    "LinearStrings.stored_energy",
+    "dynamics.StringLaw.tension",
+    "dynamics.StringLaw.taut_rest_length",
+    "dynamics.StringLaw.stored_energy",
+    "dynamics.StringLaw.symbolic_force_density",
+    "dynamics.StringLaw.taut_force_density",
+    "dynamics.StringLaw.gap",
+    "dynamics.StringLaw.as_expressions",
+    "dynamics.StringLaw.with_parameters",
+    "dynamics.Equation.symbols",
+    "Height.miss",
+    "NodesAt.miss",
+    "PointAt.miss",
+    "Twist.miss",
+    "shape.Demand.miss",
+    "accuracy.Peer.refuse",
+    "accuracy.Peer.prepare",
+    "accuracy.peers.MuJoCo.refuse",
+    "accuracy.peers.MuJoCo.prepare",
+    "control.QPSolver.update",
+    "control.QPSolver.solve",
+    "control.QPSolver.reset",
+    "integrate.Integrator.advance",
+    "integrate.RK4.step_function",
+    "integrate.Rattle.step_function",
+    "integrate.Rattle4.step_function",
+    "integrate.Rattle6.step_function",
+    "robustness.Distribution.draw",
+    "robustness.Distribution.settings",
+}
+
+
+# ---- what calls share ----
+
+
+class Constant(tc.control.Controller):
+    """A controller of a user's own."""
+
+    def _decide(self, time, state):
+        return tc.control.Command(np.full(9, 40.0))
+
+
+@cache
+def folder():
+    """A folder for files, which goes with the process."""
+    holder = tempfile.TemporaryDirectory(prefix="fuzz-")
+    return Path(holder.name), holder
+
+
+def scratch(name):
+    return folder()[0] / name
+
+
+@cache
+def frozen_mpc():
+    return mpc(horizon=3)
+
+
+@cache
+def frozen_nmpc():
+    return nmpc(horizon=2)
+
+
+@cache
+def frozen_linearizing():
+    return linearizing()
+
+
+@cache
+def schedule():
+    return tc.GainSchedule([regulator(), regulator()])
+
+
+def fresh(make):
+    """A controller or filter as it was made."""
+
+    def reset():
+        value = make()
+        value.reset()
+        return value
+
+    return reset
+
+
+def command_after(controller):
+    """A command for the structure at rest, which must be finite and within bounds."""
+    value = controller.command(0.0, nodes(), STILL).value
+    low, high = controller.bounds
+    if not np.all((value >= low - 1e-9) & (value <= high + 1e-9)):
+        return np.nan
+    return value
+
+
+def estimate_after(kalman):
+    """An estimate from readings at rest."""
+    return kalman.update(kalman.sensors.measure(nodes()))
+
+
+@cache
+def run():
+    return tc.simulate(elastic(), 0.02, rest_length=rest_length(), step=1e-3)
+
+
+@cache
+def closed_run():
+    return tc.simulate(
+        elastic(),
+        0.005,
+        controller=winch_regulator(),
+        estimator=estimator(),
+        rest_length=rest_length(),
+        step=1e-3,
+    )
+
+
+@cache
+def case():
+    return tc.Case(elastic(), 0.02, input="rest_length", value=0.98 * rest_length())
+
+
+@cache
+def converged():
+    return tc.accuracy.converged_motion(case(), outputs=5)
+
+
+@cache
+def compared():
+    return tc.work_precision(
+        case(), ["rk4"], {"rk4": [0.01, 0.005]}, reference=converged(), repeats=1, outputs=5
+    )
+
+
+@cache
+def report():
+    return tc.sweep(noisy, drawn(), 6, seed=1, executor=Inline())
+
+
+def drawn():
+    return {"mass": tc.Uniform(0.8, 1.2, size=3), "delay": tc.Normal(0.0, 0.1)}
+
+
+@cache
+def order():
+    return tc.convergence_order(case(), "rk4", [0.01, 0.005], converged(), outputs=2)
+
+
+@cache
+def stable():
+    return tc.stability_map("rk4", [1e3], [0.1], steps=20)
+
+
+@cache
+def drift():
+    return tc.long_run(case(), "rk4", 1e-3, steps=30, outputs=30)
+
+
+@cache
+def predicted():
+    return tc.predictability(case(), outputs=10)
+
+
+@cache
+def target():
+    height = tc.Height(0.95, top=TOP, bottom=BOTTOM)
+    return tc.shape_target(elastic(), height, force_density=17.3205)
+
+
+@cache
+def scene():
+    return tc.load_scene(SCENE)
+
+
+@cache
+def resting_scene():
+    return tc.load_scene(SCENE.with_name("prism_morph.toml"))
+
+
+@cache
+def generated():
+    return tc.generate_c(regulator(), scratch("generated"))
+
+
+@cache
+def held_gamma():
+    return tc.linearize(elastic(), rest())
+
+
+@cache
+def compiled():
+    return generated().compile()
+
+
+@cache
+def skinned():
+    return tc.skin(prism(), ["top"], iterations=1, node_mass=0.01)
+
+
+@cache
+def parts():
+    return tc.subdivide(prism(), 2, node_mass=0.01)
+
+
+@cache
+def supported():
+    return tc.net(3, 3, spacing=0.5, node_mass=0.1)
+
+
+@cache
+def symmetry():
+    return tc.RotationalSymmetry([TOP, BOTTOM])
+
+
+@cache
+def drawing():
+    return tc.plot.structure(prism())
+
+
+def reference():
+    return tc.Reference([0.0, 1.0], np.repeat(nodes()[:, :, None], 2, axis=2))
+
+
+def height():
+    return tc.Height(0.95, top=TOP, bottom=BOTTOM)
+
+
+# ---- structures and statics ----
+
+call(
+    "prism",
+    lambda: {
+        "sides": 3,
+        "radius": 0.5,
+        "height": 1.0,
+        "top_radius": 0.4,
+        "bar_mass": 1.0,
+        "handedness": "left",
+        "diagonals": False,
+    },
+)
+call(
+    "prism_tower",
+    lambda: {
+        "stages": 2,
+        "sides": 3,
+        "radius": 0.5,
+        "height": 1.0,
+        "bar_mass": 1.0,
+        "overlap": 0.25,
+        "handedness": "left",
+    },
+)
+call("net", lambda: {"rows": 3, "columns": 3, "spacing": 0.5, "node_mass": 0.1, "fixed": [0, 8]})
+call(
+    "skin",
+    lambda: {
+        "structure": prism(),
+        "panels": ["top"],
+        "iterations": 1,
+        "node_mass": 0.01,
+        "group": "skin",
+    },
+)
+call(
+    "skin, areal",
+    lambda: {"structure": prism(), "panels": ["top"], "iterations": 1, "areal_density": 0.1},
+)
+call("skin, panels", lambda: {"structure": prism(), "panels": [TOP], "panel_mass": [0.1]})
+call("subdivide", lambda: {"structure": prism(), "segments": np.full(9, 2), "node_mass": 0.01})
+call(
+    "subdivide, mass",
+    lambda: {"structure": prism(), "segments": 2, "string_mass": np.full(9, 0.01)},
+)
+call(
+    "Structure",
+    lambda: {
+        "nodes": nodes(),
+        "bars": prism().bars,
+        "strings": prism().strings,
+        "bar_mass": np.ones(3),
+        "string_groups": prism().string_groups,
+    },
+)
+call(
+    "Structure, supported",
+    lambda: {
+        "nodes": supported().nodes,
+        "bars": [],
+        "strings": supported().strings,
+        "bar_mass": [],
+        "string_node_mass": np.full(5, 0.1),
+        "fixed": [0, 2, 6, 8],
+    },
+)
+call("Structure.bar_vectors", lambda: {"nodes": nodes()}, prism)
+call("Structure.string_vectors", lambda: {"nodes": nodes()}, prism)
+call("Structure.string_length", lambda: {"nodes": nodes()}, prism)
+call("Structure.strings_in", lambda: {"group": "top"}, prism)
+call("Structure.checked_nodes", lambda: {"name": "nodes", "nodes": nodes()}, prism)
+call("structure.prism_radius", lambda: {"bar_length": 1.4, "height": 1.0, "sides": 3})
+call("structure.restore_bar_lengths", lambda: {"structure": prism(), "nodes": 1.001 * nodes()})
+call("structure.segment_counts", lambda: {"structure": parts()})
+call(
+    "structure.skin_rest_length",
+    lambda: {
+        "structure": skinned(),
+        "rest_length": np.ones(len(skinned().parent.strings)),
+        "prestretch": 0.1,
+    },
+)
+call("structure.spread_force_density", lambda: {"structure": parts(), "force_density": gamma()})
+call("structure.spread_rest_length", lambda: {"structure": parts(), "rest_length": rest_length()})
+call(
+    "prestress",
+    lambda: {
+        "structure": prism(),
+        "force_density": 17.3205,
+        "reference": "top",
+        "external_force": STILL,
+    },
+)
+call("prestress, array", lambda: {"structure": prism(), "force_density": gamma()})
+call("statics.equilibrium_matrix", lambda: {"structure": prism(), "nodes": nodes()})
+call(
+    "statics.prism_force_density",
+    lambda: {"sides": 3, "force_density": 10.0, "radius": 0.5, "top_radius": 0.4},
+)
+call(
+    "statics.stress_matrix",
+    lambda: {
+        "structure": prism(),
+        "force_density": gamma(),
+        "bar_force_density": rest().bar_force_density,
+    },
+)
+
+# ---- dynamics and actuation ----
+
+call("LinearStrings", lambda: {"stiffness": np.full(9, 100.0), "damping": np.full(9, 0.1)})
+call("ElasticStrings", lambda: {"axial_rigidity": np.full(9, 100.0), "damping": 0.1})
+for law in (lambda: tc.LinearStrings(100.0, 0.1), lambda: tc.ElasticStrings(np.full(9, 100.0))):
+    kind = type(law()).__name__
+    call(
+        f"dynamics.StringLaw.force_density, {kind}",
+        lambda: {"length": np.ones(9), "rest_length": np.full(9, 0.9), "rate": np.zeros(9)},
+        law,
+    )
+    call(
+        f"dynamics.StringLaw.rest_length, {kind}",
+        lambda: {"length": np.ones(9), "force_density": np.full(9, 9.0)},
+        law,
+    )
+    call(f"dynamics.StringLaw.for_count, {kind}", lambda: {"count": 9}, law)
+call(
+    "Model",
+    lambda: {
+        "structure": prism(),
+        "strings": tc.LinearStrings(100.0),
+        "external_force": False,
+        "gravity": [0.0, 0.0, 0.0],
+    },
+)
+call(
+    "Model, loaded",
+    lambda: {
+        "structure": supported(),
+        "strings": tc.ElasticStrings(np.full(12, 9.0)),
+        "external_force": np.zeros((3, 9)),
+        "gravity": 9.81,
+    },
+)
+call("Model.mass_matrix", on=elastic)
+call("Model.state_equation", lambda: {"input": "rest_length"}, elastic)
+call(
+    "Model.equation",
+    lambda: {"input": "force_density", "external_force": STILL, "form": "flat"},
+    loaded,
+)
+call("dynamics.coordinates", lambda: {"model": model(), "nodes": nodes(), "kind": "internal"})
+call(
+    "dynamics.Coordinates.project",
+    lambda: {"displacements": np.full(18, 0.01)},
+    lambda: plant().coordinates,
+)
+for kind in ("internal", "nodes", "minimal"):
+    call(
+        f"dynamics.Coordinates.measure, {kind}",
+        lambda: {"nodes": nodes(), "velocities": STILL},
+        lambda kind=kind: plant(kind).coordinates,
+    )
+    call(
+        f"dynamics.Coordinates.to_nodes, {kind}",
+        lambda kind=kind: {"q": np.full(plant(kind).degrees_of_freedom, 0.01)},
+        lambda kind=kind: plant(kind).coordinates,
+    )
+    call(
+        f"dynamics.Coordinates.to_velocities, {kind}",
+        lambda kind=kind: {
+            "q": np.full(plant(kind).degrees_of_freedom, 0.01),
+            "rates": np.full(plant(kind).degrees_of_freedom, 0.01),
+        },
+        lambda kind=kind: plant(kind).coordinates,
+    )
+call("dynamics.compiled", lambda: {"function": equation().slope, "timeout": 60.0}, share=0.1)
+call(
+    "to_force_density", lambda: {"model": elastic(), "nodes": nodes(), "rest_length": rest_length()}
+)
+call("to_rest_length", lambda: {"model": elastic(), "nodes": nodes(), "force_density": gamma()})
+call(
+    "Winches",
+    lambda: {
+        "rate": np.full(9, 0.5),
+        "shortest": np.full(9, 0.1),
+        "longest": 2.0,
+        "ramp": True,
+        "substeps": 5,
+    },
+)
+call(
+    "Winches.move",
+    lambda: {"current": rest_length(), "wanted": 1.1 * rest_length(), "sample_time": 0.01},
+    lambda: tc.Winches(rate=0.5, shortest=0.1, longest=np.full(9, 2.0)),
+)
+call(
+    "Winches.refuse_out_of_range",
+    lambda: {"name": "rest_length", "rest_length": rest_length()},
+    lambda: tc.Winches(shortest=0.1, longest=np.full(9, 2.0)),
+)
+
+# ---- integrators ----
+
+MAKE = {name.upper(): name for name in ("rk4", "dop853", "cvodes")}
+MAKE |= {"Rattle": "rattle", "Rattle4": "rattle4", "Rattle6": "rattle6"}
+MAKE |= {"EnergyMomentum": "energy_momentum"}
+
+
+@cache
+def integrator(name):
+    return METHODS[name].integrator(
+        equation(), {"step": 1e-3, "tolerance": 1e-6}[METHODS[name].setting]
+    )
+
+
+for kind, method in MAKE.items():
+    setting = METHODS[method].setting
+    given = {setting: {"step": 1e-3, "tolerance": 1e-6}[setting]}
+    if METHODS[method].projects or METHODS[method].drifts:
+        given["project"] = True
+    call(f"integrate.{kind}", lambda given=given: dict(equation=equation(), **given), share=0.2)
+    call(
+        f"integrate.{kind}.advance",
+        lambda: {"state": case().state, "held": case().value, "duration": 0.002, "outputs": 2},
+        lambda method=method: integrator(method),
+        share=0.3,
+    )
+call("integrate.EnergyMomentum, step", lambda: {"equation": equation(), "step": 1e-3}, share=0.2)
+call(
+    "integrate.Method",
+    lambda: {
+        "name": "rk4",
+        "settings": ("step",),
+        "about": "order 4",
+        "make": tc.integrate.RK4,
+        "drifts": True,
+        "projects": False,
+        "compiles": True,
+        "differentiates": False,
+    },
+)
+call(
+    "integrate.Method.integrator",
+    lambda: {
+        "equation": equation(),
+        "value": 1e-3,
+        "setting": "step",
+        "project": False,
+        "machine_code": False,
+    },
+    lambda: METHODS["rk4"],
+    share=0.3,
+)
+
+# ---- plant ----
+
+call(
+    "linearize",
+    lambda: {
+        "model": elastic(),
+        "at": rest(),
+        "input": "rest_length",
+        "coordinates": "internal",
+        "require_equilibrium": True,
+    },
+    share=0.3,
+)
+call(
+    "OperatingPoint", lambda: {"nodes": nodes(), "force_density": gamma(), "external_force": STILL}
+)
+call(
+    "linearize, point",
+    lambda: {"model": loaded(), "at": tc.OperatingPoint(nodes(), gamma(), STILL)},
+    share=0.3,
+)
+call("modes", lambda: {"plant": plant()})
+call("controllability", lambda: {"plant": plant()})
+call("energy_weights", lambda: {"plant": plant(), "by_mode": True})
+call(
+    "equilibrium",
+    lambda: {"model": elastic(), "rest_length": 0.98 * rest_length(), "nodes": nodes()},
+    share=0.2,
+)
+call(
+    "equilibrium, forces",
+    lambda: {"model": loaded(), "force_density": gamma(), "external_force": STILL},
+    share=0.2,
+)
+call("plant.command_parents", lambda: {"plant": parts_plant()}, share=0.3)
+call("plant.in_coordinates", lambda: {"plant": plant(), "kind": "minimal"})
+
+
+@cache
+def parts_plant():
+    split = tc.Model(parts(), strings=tc.LinearStrings(100.0))
+    at = tc.prestress(parts(), tc.structure.spread_force_density(parts(), gamma()))
+    return tc.linearize(split, at, input="rest_length")
+
+
+call("plant.Controllability.table", on=lambda: tc.controllability(plant()))
+call("plant.Modes.table", on=lambda: tc.modes(plant()))
+call("plant.LinearPlant.measure", lambda: {"nodes": nodes(), "velocities": STILL}, plant)
+call("plant.LinearPlant.to_nodes", lambda: {"q": np.zeros(9)}, plant)
+call("plant.LinearPlant.to_velocities", lambda: {"q": np.zeros(9), "rates": np.zeros(9)}, plant)
+call("plant.LinearPlant.discretize", lambda: {"sample_time": 0.01}, plant)
+call("plant.LinearPlant.to_statespace", on=plant)
+call(
+    "Reference",
+    lambda: {
+        "time": [0.0, 1.0],
+        "nodes": np.repeat(nodes()[:, :, None], 2, axis=2),
+        "force_density": np.repeat(gamma()[:, None], 2, axis=1),
+    },
+)
+call("Reference.reversed", on=reference)
+call("Reference.then", lambda: {"other": reference(), "pause": 0.5}, reference)
+
+# ---- control ----
+
+call(
+    "lqr",
+    lambda: {
+        "plant": plant(),
+        "Q": np.ones(18),
+        "R": np.eye(9),
+        "sample_time": 0.01,
+        "max_force_density": np.full(9, 50.0),
+        "max_change": 1.0,
+    },
+    share=0.5,
+)
+call(
+    "lqr, winches",
+    lambda: {
+        "plant": held_plant(),
+        "sample_time": 0.01,
+        "winches": tc.Winches(rate=0.5, shortest=0.1),
+    },
+    share=0.5,
+)
+call(
+    "control.held_loop",
+    lambda: {"plant": held_gamma(), "gain": regulator().gain, "sample_time": 0.001},
+)
+call(
+    "control.Controller",
+    lambda: {
+        "plant": plant(),
+        "sample_time": 0.01,
+        "low": np.zeros(9),
+        "high": np.full(9, 50.0),
+        "change": np.full(9, 2.0),
+    },
+    lambda: SimpleNamespace(Controller=Constant),
+)
+SETTINGS = {
+    "horizon": 2,
+    "sample_time": 0.02,
+    "max_force_density": np.full(9, 50.0),
+    "Q": np.ones(18),
+    "R": 1.0,
+    "max_change": 5.0,
+    "min_force_density": 1.0,
+    "max_tension": 60.0,
+    "string_penalty": 100.0,
+    "load_gain": 0.1,
+    "tolerance": 1e-4,
+    "max_iterations": 4000,
+    "time_limit": 1.0,
+    "solver": "osqp",
+}
+call(
+    "control.MPCSettings",
+    lambda: (
+        SETTINGS
+        | {
+            "outputs": [output_limit()],
+            "reference": nodes(),
+            "tracked": np.eye(18)[:3],
+            "winches": None,
+        }
+    ),
+)
+call("MPC", lambda: dict(plant=plant(), form="condensed", **SETTINGS), share=0.4)
+call(
+    "MPC, winches",
+    lambda: {
+        "plant": held_plant(),
+        "horizon": 2,
+        "sample_time": 0.02,
+        "winches": tc.Winches(rate=0.5, shortest=0.1),
+        "outputs": [output_limit()],
+        "reference": nodes(),
+        "tracked": np.eye(18)[:2],
+        "load_gain": 0.5,
+    },
+    share=0.3,
+)
+call("NMPC", lambda: dict(plant=plant(), iterations=1, machine_code=False, **SETTINGS), share=0.1)
+call(
+    "FeedbackLinearization",
+    lambda: {
+        "plant": plant(),
+        "reference": reference(),
+        "sample_time": 0.02,
+        "max_force_density": np.full(9, 50.0),
+        "frequency": 1.0,
+        "damping": 1.0,
+        "tracked": np.eye(18)[:3],
+        "max_change": 5.0,
+        "regularization": 1e-4,
+        "tolerance": 1e-7,
+        "max_iterations": 4000,
+    },
+    share=0.2,
+)
+call("GainSchedule", lambda: {"controllers": [regulator(), regulator()]})
+call(
+    "OutputLimit",
+    lambda: {
+        "matrix": np.eye(18)[:2],
+        "low": np.full(2, -2.0),
+        "high": np.full(2, 2.0),
+        "penalty": 10.0,
+    },
+)
+call("clearance", lambda: {"plant": plant(), "clearance": 0.05, "penalty": 10.0})
+
+
+@cache
+def output_limit():
+    return tc.OutputLimit(np.eye(18)[:1], low=[-2.0], high=[2.0])
+
+
+CONTROLLERS = {
+    "control.Controller": regulator,
+    "MPC": frozen_mpc,
+    "NMPC": frozen_nmpc,
+    "FeedbackLinearization": frozen_linearizing,
+    "GainSchedule": schedule,
+    "deploy.CompiledController": compiled,
+}
+for kind, make in CONTROLLERS.items():
+    on = fresh(make)
+    share = 0.05 if "deploy" in kind else 0.5
+    after = lambda make=make: command_after(make())  # noqa: E731
+    call(
+        f"control.Controller.command, {kind}",
+        lambda: {"time": 0.02, "nodes": nodes(), "velocities": STILL},
+        on,
+        share,
+        after,
+    )
+    own = kind if kind in ("GainSchedule", "deploy.CompiledController") else "control.Controller"
+    call(f"{own}.applied, {kind}", lambda: {"value": gamma()}, on, share, after)
+    own = "control.Controller" if kind == "FeedbackLinearization" else kind
+    call(f"{own}.take_over, {kind}", lambda: {"command": gamma()}, on, share, after)
+    call(f"{kind}.reset", on=on, share=0.1, after=after)
+    if f"{kind}.follow" in members():
+        call(f"{kind}.follow", lambda: {"reference": reference()}, on, share, after)
+call(
+    "control.Controller.fall_back",
+    lambda: {"status": tc.control.Status.INPUT_NOT_FINITE},
+    fresh(regulator),
+    after=lambda: command_after(regulator()),
+)
+call(
+    "FeedbackLinearization.error",
+    lambda: {"time": 0.0, "nodes": nodes(), "velocities": STILL},
+    fresh(frozen_linearizing),
+)
+call(
+    "NMPC.targets",
+    lambda: {"time": 0.0},
+    fresh(frozen_nmpc),
+    0.5,
+    lambda: command_after(frozen_nmpc()),
+)
+call("NMPC.prepare", on=fresh(frozen_nmpc), share=0.1, after=lambda: command_after(frozen_nmpc()))
+
+# ---- estimation ----
+
+call(
+    "Sensors",
+    lambda: {
+        "structure": prism(),
+        "node_position": 0.01,
+        "string_length": np.full(2, 0.01),
+        "bar_direction": 0.01,
+        "string_tension": [0.1],
+        "nodes": [1, 4],
+        "strings": [0, 3],
+        "bars": [2],
+        "tension_strings": [3],
+        "delay": 1,
+        "drop_rate": 0.1,
+        "outlier_rate": 0.1,
+    },
+)
+call("Sensors.count_of", lambda: {"chooser": "nodes"}, lengths)
+call("Sensors.measure", lambda: {"nodes": nodes(), "tension": None}, lengths)
+call(
+    "Sensors.measure, tension",
+    lambda: {"nodes": nodes(), "tension": np.ones(9)},
+    lambda: tc.Sensors(structure=prism(), string_tension=0.1),
+)
+call(
+    "Sensors.disturb", lambda: {"exact": np.ones(9), "generator": np.random.default_rng(0)}, lengths
+)
+call(
+    "kalman",
+    lambda: {
+        "plant": held_plant(),
+        "sensors": lengths(),
+        "sample_time": 0.01,
+        "process_noise": 0.02,
+        "load": False,
+        "load_noise": 0.05,
+        "prediction": "linear",
+        "gate": 1e-4,
+        "patience": 5,
+        "start": 0.0 * nodes() + nodes(),
+        "start_spread": 0.03,
+    },
+    share=0.3,
+)
+call(
+    "kalman, winches",
+    lambda: {
+        "plant": held_plant(),
+        "sensors": lengths(),
+        "sample_time": 0.01,
+        "prediction": "nonlinear",
+        "winches": tc.Winches(substeps=2),
+    },
+    share=0.1,
+)
+call(
+    "estimation.KalmanFilter.update",
+    lambda: {"measurement": lengths().measure(nodes())},
+    fresh(estimator),
+    0.5,
+    lambda: estimate_after(estimator()),
+)
+call(
+    "estimation.KalmanFilter.predict",
+    lambda: {"held": rest_length()},
+    fresh(estimator),
+    0.5,
+    lambda: estimate_after(estimator()),
+)
+call(
+    "estimation.KalmanFilter.reset",
+    lambda: {"state": np.full(18, 1e-3), "covariance": np.eye(18), "held": rest_length()},
+    estimator,
+    0.5,
+    lambda: estimate_after(estimator()),
+)
+
+# ---- shapes ----
+
+call(
+    "Height",
+    lambda: {
+        "height": 0.9,
+        "top": TOP,
+        "bottom": BOTTOM,
+        "axis": [0.0, 0.0, 1.0],
+        "tolerance": 0.01,
+    },
+)
+call("Twist", lambda: {"angle": 0.1, "top": TOP, "bottom": BOTTOM, "tolerance": 0.01})
+call(
+    "NodesAt",
+    lambda: {"nodes": TOP, "positions": nodes()[:, :3], "directions": "xyz", "tolerance": 0.01},
+)
+call(
+    "PointAt",
+    lambda: {
+        "nodes": [0, 1],
+        "position": np.zeros(3),
+        "weights": [0.5, 0.5],
+        "directions": "xyz",
+        "tolerance": 0.01,
+    },
+)
+call(
+    "RotationalSymmetry",
+    lambda: {"cycles": [TOP, BOTTOM], "axis": [0.0, 0.0, 1.0], "centre": np.zeros(3), "turns": 1},
+)
+call("RotationalSymmetry.rotation", on=symmetry)
+call("RotationalSymmetry.permutation", lambda: {"count": 6}, symmetry)
+call("shape.Demand.refuse_other_nodes", lambda: {"name": "demands", "structure": prism()}, height)
+call(
+    "shape_target",
+    lambda: {
+        "model": elastic(),
+        "demands": [height()],
+        "force_density": 17.3205,
+        "reference": "top",
+        "prestress": "centred",
+        "min_force_density": 1.0,
+        "max_force_density": 60.0,
+        "min_clearance": 0.01,
+        "symmetry": symmetry(),
+        "start": nodes(),
+        "require_stable": True,
+    },
+    share=0.1,
+)
+call(
+    "shape_path",
+    lambda: {
+        "model": elastic(),
+        "start": rest(),
+        "goal": target(),
+        "duration": 1.0,
+        "step": 0.5,
+        "ramp": 0.25,
+        "winches": tc.Winches(shortest=0.1, longest=2.0),
+        "min_force_density": 1.0,
+        "max_force_density": 60.0,
+        "require_stable": True,
+    },
+    share=0.1,
+)
+call("shape.ShapePath.reference", lambda: {"times": [0.0, 0.25, 0.5]}, short_path)
+call("shape.ShapePath.plants", lambda: {"count": 2, "input": "rest_length"}, short_path, 0.1)
+
+# ---- simulation ----
+
+call(
+    "simulate",
+    lambda: {
+        "model": elastic(),
+        "duration": 0.01,
+        "nodes": nodes(),
+        "velocities": STILL,
+        "rest_length": rest_length(),
+        "method": "rk4",
+        "step": 1e-3,
+        "output_step": 0.002,
+        "project": True,
+        "machine_code": False,
+        "limits": tc.HealthLimits(),
+        "progress": False,
+    },
+    share=0.4,
+)
+call(
+    "simulate, adaptive",
+    lambda: {
+        "model": loaded(),
+        "duration": 0.01,
+        "force_density": gamma(),
+        "external_force": STILL,
+        "tolerance": 1e-6,
+    },
+    share=0.3,
+)
+call(
+    "simulate, closed loop",
+    lambda: {
+        "model": elastic(),
+        "duration": 0.004,
+        "controller": winch_regulator(),
+        "input": "rest_length",
+        "rest_length": rest_length(),
+        "winches": tc.Winches(rate=0.5),
+        "step": 1e-3,
+        "estimator": estimator(),
+        "sensors": lengths(),
+        "seed": 1,
+        "faults": [tc.CutString(3, 0.002)],
+    },
+    share=0.3,
+)
+call("CutString", lambda: {"string": 3, "time": 1.0})
+call("StuckWinch", lambda: {"string": 5, "time": 0.8, "until": 1.5})
+call("LostMeasurement", lambda: {"time": 0.5, "until": 0.7})
+call(
+    "HealthLimits",
+    lambda: {
+        "energy_error": 0.05,
+        "momentum_change": 1.0,
+        "angular_momentum_change": 1.0,
+        "bar_length_error": 1e-3,
+        "position_error": 0.1,
+        "steps": 1e6,
+        "evaluations": 1e6,
+        "switches": 100,
+        "action": "warn",
+    },
+)
+call("HealthLimits.passed", lambda: {"health": run().health}, tc.HealthLimits)
+call("simulation.Trajectory.summary", on=run)
+call("scene.Scene.simulate", lambda: {"progress": False}, scene, 0.05)
+call(
+    "scene.Scene.linearize",
+    lambda: {"input": "rest_length", "coordinates": "internal"},
+    resting_scene,
+    0.2,
+)
+call("load_scene", lambda: {"file": str(SCENE)}, share=0.3)
+call("scene.save_trajectory", lambda: {"run": run(), "file": scratch("run.npz")}, share=0.3)
+
+# ---- accuracy ----
+
+call(
+    "Case",
+    lambda: {
+        "model": loaded(),
+        "duration": 0.02,
+        "nodes": nodes(),
+        "velocities": STILL,
+        "external_force": STILL,
+        "name": "a",
+        "note": "b",
+        "input": "force_density",
+        "value": gamma(),
+    },
+)
+call("Case.equation", on=case)
+call(
+    "accuracy.converged_motion",
+    lambda: {"scene": case(), "outputs": 5, "report": lambda part: None},
+    share=0.05,
+)
+call("accuracy.ConvergedMotion.summary", on=converged)
+call(
+    "convergence_order",
+    lambda: {
+        "scene": case(),
+        "method": "rk4",
+        "steps": [0.01, 0.005],
+        "reference": converged(),
+        "outputs": 2,
+        "progress": False,
+    },
+    share=0.1,
+)
+call("accuracy.ConvergenceOrder.table", on=order)
+call(
+    "long_run",
+    lambda: {
+        "scene": case(),
+        "method": "rk4",
+        "setting": 1e-3,
+        "steps": 30,
+        "outputs": 30,
+        "machine_code": False,
+        "progress": False,
+    },
+    share=0.1,
+)
+call("accuracy.LongRun.of", lambda: {"name": drift().drifts[0].name}, drift)
+call("accuracy.LongRun.table", on=drift)
+call(
+    "predictability",
+    lambda: {
+        "scene": case(),
+        "error": 1e-9,
+        "samples": 2,
+        "seed": 0,
+        "outputs": 10,
+        "report": lambda part: None,
+    },
+    share=0.05,
+)
+call("accuracy.Predictability.summary", on=predicted)
+call(
+    "stability_map",
+    lambda: {
+        "method": "rk4",
+        "stiffness": [1e3],
+        "mass_ratio": [0.1],
+        "steps": 20,
+        "progress": False,
+    },
+    share=0.1,
+)
+call(
+    "stability_map, case",
+    lambda: {
+        "method": "rk4",
+        "stiffness": [1e3],
+        "mass_ratio": [0.1],
+        "case": lambda stiffness, ratio: case(),
+        "steps": 20,
+    },
+    share=0.1,
+)
+call("accuracy.StabilityMap.table", on=stable)
+call(
+    "work_precision",
+    lambda: {
+        "scene": case(),
+        "methods": ["rk4"],
+        "settings": {"rk4": [0.01]},
+        "peers": [],
+        "reference": converged(),
+        "repeats": 1,
+        "outputs": 5,
+        "finest": 1e-6,
+        "machine_code": False,
+        "progress": False,
+    },
+    share=0.05,
+)
+call("accuracy.WorkPrecision.of", lambda: {"method": "rk4"}, compared)
+call("accuracy.WorkPrecision.is_resolved", lambda: {"row": compared().rows[0]}, compared)
+call("accuracy.WorkPrecision.time_at", lambda: {"method": "rk4", "error": 0.1}, compared)
+call("accuracy.WorkPrecision.fastest", lambda: {"error": 0.1}, compared)
+call("accuracy.WorkPrecision.ratios", lambda: {"errors": [0.1, 0.01], "against": ["rk4"]}, compared)
+call("accuracy.WorkPrecision.summary", on=compared)
+call("accuracy.WorkPrecision.table", on=compared)
+call("accuracy.WorkPrecision.to_markdown", on=compared)
+call("accuracy.WorkPrecision.to_csv", lambda: {"path": scratch("rows.csv")}, compared)
+call("accuracy.Ratios.table", on=lambda: compared().ratios([0.1], ["rk4"]))
+TIMES = np.array([0.01, 0.02])
+PEERS = {
+    "SciPy": (lambda: {"method": "DOP853"}, (1e-3, 1e-5)),
+    "CasADiCVODES": (dict, (1e-3, 1e-5)),
+    "CasADiRK": (dict, (1e-2, 1e-3)),
+    "MuJoCo": (lambda: {"method": "rk4"}, (1e-2, 1e-3)),
+}
+for kind, (options, settings) in PEERS.items():
+    call(
+        f"accuracy.peers.{kind}",
+        lambda options=options, settings=settings: dict(**options(), settings=settings),
+    )
+    if kind != "MuJoCo":
+        call(
+            f"accuracy.peers.{kind}.prepare",
+            lambda settings=settings: {"case": case(), "setting": settings[0], "times": TIMES},
+            lambda kind=kind, options=options: getattr(tc.accuracy.peers, kind)(**options()),
+            0.2,
+        )
+
+# ---- robustness ----
+
+call("Uniform", lambda: {"low": 0.0, "high": 1.0, "size": 3})
+call("Normal", lambda: {"mean": 0.0, "deviation": 1.0, "size": 3})
+call("OneOf", lambda: {"values": [1.0, 2.0], "size": 3})
+call("robustness.Outcome", lambda: {"success": True, "figures": {"error": 0.1, "force": 2.0}})
+call(
+    "ClosedLoopCase",
+    lambda: {
+        "structure": prism(),
+        "strings": elastic().strings,
+        "controller": winch_regulator(),
+        "duration": 0.1,
+        "step": 1e-3,
+        "tolerance": 0.01,
+        "nodes": nodes(),
+        "target": nodes(),
+        "gravity": None,
+        "rest_length": rest_length(),
+        "input": "rest_length",
+        "winches": tc.Winches(rate=0.5),
+        "faults": [tc.CutString(3, 0.05)],
+    },
+    share=0.5,
+)
+call(
+    "robustness.farthest_node",
+    lambda: {
+        "plant": plant(),
+        "nodes": np.repeat(nodes()[:, :, None], 2, axis=2),
+        "target": nodes(),
+    },
+)
+call(
+    "sweep",
+    lambda: {
+        "case": noisy,
+        "parameters": drawn(),
+        "count": 3,
+        "seed": 1,
+        "executor": Inline(),
+        "in_flight": 1,
+        "file": None,
+        "progress": False,
+    },
+    share=0.3,
+)
+call(
+    "robustness.SweepReport.load",
+    lambda: {"file": str(swept_file())},
+    lambda: tc.robustness.SweepReport,
+)
+call("robustness.SweepReport.confidence_interval", lambda: {"level": 0.95}, report)
+call("robustness.SweepReport.rank_correlation", lambda: {"figure": "value"}, report)
+call("robustness.SweepReport.figure", lambda: {"name": "value"}, report)
+call("robustness.SweepReport.table", on=report)
+call("robustness.SweepReport.summary", on=report)
+
+
+@cache
+def swept_file():
+    path = scratch("swept.jsonl")
+    tc.sweep(noisy, drawn(), 4, seed=1, executor=Inline(), file=path)
+    return path
+
+
+# ---- files and figures ----
+
+call(
+    "generate_c",
+    lambda: {"controller": regulator(), "folder": scratch("c"), "name": "regulator"},
+    share=0.3,
+)
+call("deploy.GeneratedController.compile", lambda: {"timeout": 60.0}, generated, 0.02)
+call(
+    "plot.structure",
+    lambda: {
+        "structure": prism(),
+        "nodes": nodes(),
+        "ax": space(),
+        "force_density": gamma(),
+        "labels": True,
+        "member_labels": False,
+        "faint": False,
+        "legend": True,
+    },
+    share=0.2,
+)
+call("plot.Drawing.update", lambda: {"nodes": nodes(), "force_density": None}, drawing)
+call(
+    "plot.animate",
+    lambda: {
+        "run": run(),
+        "path": scratch("run.gif"),
+        "fps": 20.0,
+        "duration": 0.1,
+        "target": nodes(),
+        "view": (20.0, -60.0),
+        "dpi": 20,
+    },
+    share=0.03,
+)
+call("plot.convergence_order", lambda: {"result": order(), "ax": flat()}, share=0.2)
+call("plot.estimate", lambda: {"run": closed_run(), "strings": [0, 1], "axes": None}, share=0.1)
+call("plot.health", lambda: {"run": run(), "axes": None}, share=0.1)
+call(
+    "plot.history",
+    lambda: {
+        "time": np.arange(3.0),
+        "series": {"a": np.arange(3.0), "b": np.ones(3)},
+        "ylabel": "m",
+        "ax": flat(),
+        "references": {"r": np.zeros(3)},
+    },
+    share=0.2,
+)
+call("plot.long_run", lambda: {"result": drift(), "ax": flat()}, share=0.2)
+call(
+    "plot.mode_shapes",
+    lambda: {
+        "plant": plant(),
+        "modes": tc.modes(plant()),
+        "which": [0],
+        "scale": 0.2,
+        "axes": [space()],
+    },
+    share=0.1,
+)
+call("plot.poles", lambda: {"poles": np.array([-1.0, -1 + 1j, -1 - 1j]), "ax": flat()}, share=0.2)
+call(
+    "plot.save_figure", lambda: {"figure": flat().figure, "path": scratch("figure.png")}, share=0.1
+)
+call("plot.stability_map", lambda: {"result": stable(), "ax": flat()}, share=0.2)
+call(
+    "plot.sweep",
+    lambda: {
+        "report": report(),
+        "figure": "value",
+        "over": ("delay", "mass[0]"),
+        "limit": 1.0,
+        "unit": "m",
+        "logarithmic": False,
+        "axes": None,
+    },
+    share=0.1,
+)
+call(
+    "plot.trajectory",
+    lambda: {
+        "run": run(),
+        "nodes": [0, 1],
+        "directions": "xz",
+        "references": {"goal": 1.0},
+        "axes": None,
+    },
+    share=0.1,
+)
+call("plot.work_precision", lambda: {"result": compared(), "ax": flat()}, share=0.2)
+
+
+def flat():
+    import matplotlib.pyplot as plt
+
+    return plt.subplots()[1]
+
+
+def space():
+    import matplotlib.pyplot as plt
+
+    return plt.figure().add_subplot(projection="3d")
