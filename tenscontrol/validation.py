@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -223,3 +225,19 @@ def instance(name: str, value: object, kind: type, how: str) -> None:
     """Refuse a value of the wrong class and say where the right one comes from."""
     if not isinstance(value, kind):
         raise wrong_kind(name, value, f"{kind.__name__}: {how}")
+
+
+def file_path(name: str, value: object, endings: Iterable[str] = ()) -> Path:
+    """Return a path, or say why no file can have it or that it has none of the endings."""
+    if not isinstance(value, str | os.PathLike):
+        raise TypeError(f"{name} is {_brief(value)}, expected a path: text or pathlib.Path")
+    try:
+        encoded = os.fsencode(value)
+    except UnicodeEncodeError:
+        encoded = b""
+    if not encoded or b"\0" in encoded:
+        raise ValueError(f"{name} is {_brief(value)}, expected a name that a file can have")
+    path, allowed = Path(os.fsdecode(encoded)), tuple(endings)
+    if allowed and path.suffix.lower() not in allowed:
+        raise ValueError(f"{name} is {str(path)!r}, expected a name ending in {', '.join(allowed)}")
+    return path

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
@@ -138,22 +140,44 @@ def _casadi(functions: list[ca.Function], name: str) -> dict[str, str]:
     code = ca.CodeGenerator(f"{name}_casadi", {"with_header": True})
     for function in functions:
         code.add(function)
-    with TemporaryDirectory(prefix="tenscontrol-") as folder:
+
+    def write(folder: str) -> None:
+        os.mkdir(folder)
         code.generate(folder + os.sep)
-        return {path.name: path.read_text("utf-8") for path in Path(folder).iterdir()}
+
+    return _written(write)
 
 
 def _solver(program: OSQPSolver, name: str, others: set[str]) -> dict[str, str]:
     """Return the files of OSQP, all side by side."""
-    with TemporaryDirectory(prefix="tenscontrol-") as folder:
-        inside = Path(folder) / "osqp"
-        program.write_c(str(inside), f"{name}_qp_")
-        found = [path for path in inside.rglob("*.[ch]") if path.name != "emosqp.c"]
-        texts = {path.name: path.read_text("utf-8") for path in found}
+    texts = _written(lambda folder: program.write_c(folder, f"{name}_qp_"))
+    del texts["emosqp.c"]
     clash = sorted(others & set(texts))
     if clash:
         raise ValueError(f"name is {name!r}, but OSQP has a file {clash[0]!r}; give another")
     return texts | {"OSQP_LICENSE.txt": _licence()}
+
+
+def _written(write: Callable[[str], object]) -> dict[str, str]:
+    """Return the C texts, by file name, that a library writes into a new folder and below.
+
+    CasADi and OSQP do not say that a disk is full: what they write themselves, into the folder,
+    then does not end as it should. What is below is copied, and that says so.
+    """
+    with TemporaryDirectory(prefix="tenscontrol-") as above:
+        folder, texts = Path(above) / "code", {}
+        with suppress(OSError, AssertionError):  # the latter by OSQP
+            write(str(folder))
+            texts = {path.name: path.read_text("utf-8") for path in folder.rglob("*.[ch]")}
+        ends = re.compile(r"^(#endif.*|};|})\n+\Z", re.MULTILINE)
+        made = [texts.get(path.name, "") for path in folder.glob("*.[ch]")] or [""]
+        if not all(text.count("{") == text.count("}") and ends.search(text) for text in made):
+            raise OSError(
+                errno.ENOSPC,
+                "cannot write C code to the temporary folder; free some space there, or set TMPDIR",
+                str(folder),
+            )
+    return texts
 
 
 def _licence() -> str:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
 from math import ceil
+from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,7 +22,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from tenscontrol.validation import whole_number
+from tenscontrol.files import write_file
+from tenscontrol.validation import file_path, instance, whole_number
 
 # Okabe & Ito (2008), without the yellow, which is lost on white paper.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
@@ -205,18 +208,25 @@ def _checked(name: str, ax: object) -> Axes:
     return ax
 
 
-def save_figure(figure: Figure, path: Path) -> Path:
+def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
     """Write a figure to a file, close it, and return where it is.
 
     Parameters
     ----------
     figure : matplotlib.figure.Figure
-    path : Path
-        The ending says the format.
+    path : str or path
+        The ending says the format: ``.png``, ``.pdf``, ``.svg`` or another of matplotlib.
 
     Returns
     -------
     Path
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``figure`` is no figure, or ``path`` has no ending of a format.
+    OSError
+        If it cannot be written: a file that was there is as it was, and the figure stays open.
 
     Examples
     --------
@@ -227,6 +237,10 @@ def save_figure(figure: Figure, path: Path) -> Path:
     ...     tc.plot.save_figure(figure, pathlib.Path(folder) / "prism.png").name
     'prism.png'
     """
-    figure.savefig(path, dpi=_DPI)
+    instance("figure", figure, Figure, "take ax.figure of what was drawn")
+    formats = sorted(f".{name}" for name in figure.canvas.get_supported_filetypes())
+    place, buffer = file_path("path", path, formats), BytesIO()
+    figure.savefig(buffer, dpi=_DPI, format=place.suffix[1:].lower())
+    write_file(place, buffer.getbuffer())
     plt.close(figure)
-    return path
+    return place
