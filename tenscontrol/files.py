@@ -5,7 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 # What to do about an error of the file system, by its number; else only writing elsewhere helps.
@@ -26,51 +27,46 @@ def write_file(path: Path, content: bytes | memoryview | str, flush: bool = True
     stays a link; what is no regular file, a pipe or ``/dev/stdout``, is written to. Raises an
     OSError that has number and path and says what to do.
     """
-    try:
-        _write(path, content.encode() if isinstance(content, str) else content, flush)
-    except OSError as error:
-        raise _explained(error, path) from None
+    data = content.encode() if isinstance(content, str) else content
+    with _explained(path):
+        mode = path.stat().st_mode if os.path.exists(path) else None
+        if mode is not None and not stat.S_ISREG(mode):
+            with path.open("wb") as stream:
+                stream.write(data)
+            return path
+        place = Path(os.path.realpath(path))
+        if mode is not None and not os.access(place, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        beside = place.with_name(f".tenscontrol-{os.urandom(8).hex()}")
+        try:
+            with beside.open("xb") as stream:
+                stream.write(data)
+                stream.flush()
+                if flush:
+                    os.fsync(stream.fileno())
+            if mode is not None:
+                beside.chmod(stat.S_IMODE(mode))
+            os.replace(beside, place)
+        except BaseException:  # Ctrl-C too
+            with suppress(OSError):
+                beside.unlink()
+            raise
     return path
 
 
 def make_folder(path: Path) -> Path:
     """Return a folder that is there, made with those above it; errors as :func:`write_file`."""
-    try:
+    with _explained(path):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _explained(error, path) from None
     return path
 
 
-def _write(path: Path, content: bytes | memoryview, flush: bool) -> None:
-    mode = None
-    with suppress(FileNotFoundError):
-        mode = path.stat().st_mode
-    if mode is not None and not stat.S_ISREG(mode):
-        with path.open("wb") as stream:
-            stream.write(content)
-        return
-    place = Path(os.path.realpath(path))
-    if mode is not None and not os.access(place, os.W_OK):
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    beside = place.with_name(f".tenscontrol-{os.urandom(8).hex()}")
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Put the path and what to do into an error of the file system."""
     try:
-        with beside.open("xb") as stream:
-            stream.write(content)
-            stream.flush()
-            if flush:
-                os.fsync(stream.fileno())
-        if mode is not None:
-            beside.chmod(stat.S_IMODE(mode))
-        os.replace(beside, place)
-    except BaseException:  # Ctrl-C too
-        with suppress(OSError):
-            beside.unlink()
-        raise
-
-
-def _explained(error: OSError, path: Path) -> OSError:
-    """Return an error of the same kind that names the path and says what to do."""
-    number = errno.EIO if error.errno is None else error.errno
-    remedy = _REMEDY.get(number, "write elsewhere")
-    return OSError(number, f"cannot write: {error.strerror or error}; {remedy}", str(path))
+        yield
+    except OSError as error:
+        number = error.errno or errno.EIO
+        said = f"cannot write: {error.strerror or error}; {_REMEDY.get(number, 'write elsewhere')}"
+        raise OSError(number, said, str(path)) from None

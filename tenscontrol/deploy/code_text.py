@@ -24,27 +24,14 @@ from tenscontrol.validation import FloatArray
 # Numbers a line.
 _PER_LINE = 6
 
+# How a C file ends: by a condition or a definition.
+_END = re.compile(r"^(#endif.*|};?)\n+\Z", re.MULTILINE)
+
 _UNIT = {"force_density": "force densities, N/m", "rest_length": "rest lengths, m"}
-
-_MATRIX = """
-typedef struct {
-    int rows;
-    const int *start, *column; /* of the entries of each row */
-    const double *value;
-} Matrix;
-"""
-
-_SOLVER_WORDS = """
-The quadratic program is solved by OSQP, in controller_qp_workspace.c and the other files. It is
-under the licence in OSQP_LICENSE.txt, which has to go with it.
-"""
 
 
 def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str]:
-    """Return the texts of all files, by file name; names in C begin with ``name``.
-
-    Raises ValueError if the solver has a file of this name.
-    """
+    """Return the texts of all files, by file name; names in C begin with ``name``."""
     plant = controller.plant
     functions = _named({"measure": measurement(plant)} | law.functions, name)
     count = len(controller.bounds[0])
@@ -57,7 +44,7 @@ def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str
         "COMMANDS": str(count),
         "STEP": f"{controller.sample_time:g}",
         "KIND": type(controller).__name__,
-        "SOLVER": "" if law.program is None else _SOLVER_WORDS.replace("controller", name),
+        "SOLVER": "" if law.program is None else _template("solver.txt", name, {}),
     }
     code = "".join(
         _template(file, name, {}) for file in ("common.c", *law.templates, "interface.c")
@@ -128,7 +115,6 @@ def _data(controller: Controller, law: LawCode, functions: list[ca.Function]) ->
     texts = [
         "/* Numbers of the controller. Included once. */",
         _constants(constants),
-        _MATRIX,
         *(_array(name, values) for name, values in arrays.items()),
         *(_matrix(name, values) for name, values in law.matrices.items()),
     ]
@@ -169,15 +155,11 @@ def _written(write: Callable[[str], object]) -> dict[str, str]:
         with suppress(OSError, AssertionError):  # the latter by OSQP
             write(str(folder))
             texts = {path.name: path.read_text("utf-8") for path in folder.rglob("*.[ch]")}
-        ends = re.compile(r"^(#endif.*|};|})\n+\Z", re.MULTILINE)
         made = [texts.get(path.name, "") for path in folder.glob("*.[ch]")] or [""]
-        if not all(text.count("{") == text.count("}") and ends.search(text) for text in made):
-            raise OSError(
-                errno.ENOSPC,
-                "cannot write C code to the temporary folder; free some space there, or set TMPDIR",
-                str(folder),
-            )
-    return texts
+        if all(text.count("{") == text.count("}") and _END.search(text) for text in made):
+            return texts
+    advice = "free some space there, or set TMPDIR"
+    raise OSError(errno.ENOSPC, f"cannot write C code; {advice}", str(folder))
 
 
 def _licence() -> str:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,10 +77,10 @@ class GeneratedController:
         ValueError
             If the timeout is not positive.
         """
-        sources = [self.folder / file for file in self.files if file.endswith(".c")]
+        sources = [file for file in self.files if file.endswith(".c") and file != "main.c"]
         return CompiledController(
             self.name,
-            [source for source in sources if source.name != "main.c"],
+            [self.folder / file for file in sources],
             self.plant,
             self.sample_time,
             (self.low, self.high),
@@ -177,21 +176,18 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
 
 
 def _write_folder(place: Path, texts: dict[str, str], last: str) -> None:
-    """Write files, or none; the last is what all need, so that no part of them compiles."""
+    """Write files, or none; without the last one, which all need, no part of them compiles."""
     missing = [each for each in (place, *place.parents) if not os.path.exists(each)]
-    make_folder(place)
-    with ExitStack() as undo:
-        for folder in reversed(missing):
-            undo.callback(_remove, folder.rmdir)
+    try:
+        make_folder(place)
         for file in sorted(texts, key=lambda each: each == last):
             write_file(place / file, texts[file], flush=file == last)
-            undo.callback(_remove, (place / file).unlink)
-        undo.pop_all()
-
-
-def _remove(remove: Callable[[], None]) -> None:
-    with suppress(OSError):  # of the disk that failed before
-        remove()
+    except BaseException:  # Ctrl-C too
+        written = [(place / file).unlink for file in texts]
+        for remove in (*written, *(folder.rmdir for folder in missing)):
+            with suppress(OSError):
+                remove()
+        raise
 
 
 def _law_code(controller: object) -> LawCode:

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from tenscontrol.plant import LinearPlant, Modes
-from tenscontrol.plot.structure_drawing import Drawing, checked_space, draw, frame, new_space
+from tenscontrol.plot.structure_drawing import Drawing, draw, frame, new_space
 from tenscontrol.plot.style import SMALL, SMALL_FAINT, checked_indices, given_axes
 from tenscontrol.validation import FloatArray, instance, positive_number
 
@@ -129,7 +129,7 @@ def mode_shapes(
 
 def _panels(axes: Sequence[Any] | None, count: int) -> list[Any]:
     if axes is not None:
-        return given_axes(axes, count, "one for each mode drawn", checked_space)
+        return given_axes(axes, count, "one for each mode drawn", "three-dimensional")
     columns = min(count, _COLUMNS)
     rows = ceil(count / columns)
     figure = plt.figure(figsize=(_PANEL * columns, _PANEL * rows + 0.2))

@@ -6,7 +6,7 @@ and in how dark they are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from math import ceil
@@ -109,12 +109,12 @@ def reference_style(position: int) -> dict[str, Any]:
     return {"color": REFERENCE_COLOR, "linestyle": dashes, "linewidth": REFERENCE_WIDTH}
 
 
-def flat_axes(ax: object) -> Axes:
-    """Return ``ax`` if it is a pair of flat axes, new ones if it is None; else raise."""
+def flat_axes(ax: object, size: tuple[float, float] = (_WIDTH, _SINGLE_HEIGHT)) -> Axes:
+    """Return ``ax`` if it is a pair of flat axes, new ones of a size, inches, if it is None."""
     if ax is None:
-        _, new = plt.subplots(figsize=(_WIDTH, _SINGLE_HEIGHT), layout="constrained")
-        return new
-    return _checked("ax", ax)
+        _, ax = plt.subplots(figsize=size, layout="constrained")
+    checked: Axes = checked_axes("ax", ax, "flat")
+    return checked
 
 
 def panel_axes(axes: Sequence[Axes] | None, names: Sequence[str]) -> list[Axes]:
@@ -127,12 +127,10 @@ def panel_axes(axes: Sequence[Axes] | None, names: Sequence[str]) -> list[Axes]:
         column = list(grid[:, 0])
         figure.align_ylabels(column)
         return column
-    return given_axes(axes, len(names), f"one for each of {', '.join(names)}", _checked)
+    return given_axes(axes, len(names), f"one for each of {', '.join(names)}", "flat")
 
 
-def given_axes(
-    axes: Sequence[Any], count: int, which: str, check: Callable[[str, object], Any]
-) -> list[Any]:
+def given_axes(axes: Sequence[Any], count: int, which: str, kind: str) -> list[Any]:
     """Return the axes that the user gives, or raise if their number or kind is wrong."""
     given = list(np.ravel(np.array(axes, dtype=object)))
     if len(given) != count:
@@ -140,7 +138,20 @@ def given_axes(
             f"axes has {len(given)} entries, expected {count}: {which}; "
             "leave it out for a new figure"
         )
-    return [check(f"axes[{i}]", ax) for i, ax in enumerate(given)]
+    return [checked_axes(f"axes[{i}]", ax, kind) for i, ax in enumerate(given)]
+
+
+def checked_axes(name: str, ax: object, kind: str) -> Any:
+    """Return axes of a kind, flat or three-dimensional, or raise naming the argument."""
+    found = f"a {type(ax).__name__}"
+    if isinstance(ax, Axes):
+        found = "three-dimensional" if ax.name == "3d" else "flat"
+    if found != kind:
+        how = "subplots()" if kind == "flat" else 'figure().add_subplot(projection="3d")'
+        raise TypeError(
+            f"{name} is {found}, expected {kind} matplotlib Axes: make them by plt.{how}"
+        )
+    return ax
 
 
 def checked_indices(name: str, given: object, count: int, things: str, example: str) -> list[int]:
@@ -197,15 +208,6 @@ def _legend_columns(names: Sequence[str], room: float) -> int:
         if sum(max(width[first::columns]) for first in range(columns)) <= room:
             return ceil(count / ceil(count / columns))
     return 1
-
-
-def _checked(name: str, ax: object) -> Axes:
-    if not isinstance(ax, Axes) or ax.name == "3d":
-        found = "three-dimensional" if isinstance(ax, Axes) else f"a {type(ax).__name__}"
-        raise TypeError(
-            f"{name} is {found}, expected flat matplotlib Axes: make them by plt.subplots()"
-        )
-    return ax
 
 
 def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
