@@ -25,7 +25,7 @@ from tenscontrol.plot.structure_drawing import (
     new_space,
     sample,
 )
-from tenscontrol.plot.style import FAINT, NORMAL
+from tenscontrol.plot.style import FAINT, NORMAL, drawable
 from tenscontrol.simulation import Trajectory
 from tenscontrol.validation import (
     FloatArray,
@@ -166,7 +166,9 @@ def animate(
         raise ValueError(f"view has shape {eye.shape}, expected (2,): elevation and azimuth")
     motion = float_array("run.nodes", run.nodes)
     float_array("run.force_density", run.force_density)
-    goal = None if target is None else run.structure.checked_nodes("target", target)
+    goal = None
+    if target is not None:
+        goal = drawable("target", run.structure.checked_nodes("target", target))
     times = np.linspace(run.time[0], run.time[-1], max(2, round(length * rate)))
     shapes, gammas = _sampled(run, motion, times)
     figure = Figure(figsize=SIZE, dpi=dots)

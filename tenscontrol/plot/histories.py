@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from tenscontrol.plot.style import (
     PALETTE,
     curve_style,
+    drawable,
     dress,
     flat_axes,
     legend_above,
@@ -131,7 +132,7 @@ def draw_curves(
             **reference_style(position),
         )
     dress(ax, xlabel, ylabel)
-    if len(time) > 1:
+    if time[-1] > time[0]:
         ax.set_xlim(time[0], time[-1])
     legend_above(ax)
     return Curves(ax, lines, levels, {})
@@ -140,8 +141,10 @@ def draw_curves(
 def checked_references(references: object, count: int) -> dict[str, FloatArray]:
     """Return the reference lines as arrays of shape () or (T,)."""
     levels = {}
-    for name, value in _checked_mapping("references", references or {}).items():
-        array = float_array(f"references[{name!r}]", value)
+    for name, value in _checked_mapping(
+        "references", {} if references is None else references
+    ).items():
+        array = drawable(f"references[{name!r}]", float_array(f"references[{name!r}]", value))
         if array.shape not in ((), (count,)):
             raise ValueError(
                 f"references[{name!r}] has shape {array.shape}, expected () or ({count},): "
@@ -152,7 +155,7 @@ def checked_references(references: object, count: int) -> dict[str, FloatArray]:
 
 
 def _checked_time(time: object) -> FloatArray:
-    times = float_array("time", time)
+    times = drawable("time", float_array("time", time))
     if times.ndim != 1 or len(times) == 0:
         raise ValueError(f"time has shape {times.shape}, expected (T,) with at least one time in s")
     back = np.flatnonzero(np.diff(times) < 0)
@@ -165,7 +168,7 @@ def _checked_time(time: object) -> FloatArray:
 
 
 def _checked_rows(name: str, values: object, count: int) -> FloatArray:
-    array = float_array(f"series[{name!r}]", values)
+    array = drawable(f"series[{name!r}]", float_array(f"series[{name!r}]", values))
     if array.ndim not in (1, 2) or array.shape[-1] != count:
         raise ValueError(
             f"series[{name!r}] has shape {array.shape}, expected ({count},) or (k, {count}): "

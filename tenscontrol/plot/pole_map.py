@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Annotation
 
-from tenscontrol.plot.style import PALETTE, dress, flat_axes, legend_above, marker_style
+from tenscontrol.plot.style import PALETTE, drawable, dress, flat_axes, legend_above, marker_style
 
 # Poles closer than this fraction of the largest are drawn as one: round-off
 # splits a double pole by less.
@@ -195,7 +195,7 @@ def _distinct(values: np.ndarray, tolerance: float) -> tuple[np.ndarray, list[in
 def _checked(name: str, values: object) -> np.ndarray:
     try:
         array = np.array(values, dtype=complex)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise TypeError(f"{name} must be an array of complex numbers: {error}") from None
     if array.ndim != 1 or len(array) == 0:
         raise ValueError(f"{name} has shape {array.shape}, expected (k,): one number per pole")
@@ -205,4 +205,5 @@ def _checked(name: str, values: object) -> np.ndarray:
             f"{name}[{bad[0]}] is {array[bad[0]]}, expected a finite number in 1/s; "
             f"{len(bad)} of {len(array)} poles are not finite"
         )
+    drawable(name, array.view(float))
     return array

@@ -23,10 +23,11 @@ from tenscontrol.plot.style import (
     NORMAL,
     MemberStyle,
     checked_axes,
+    drawable,
     marker_style,
 )
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray, instance, non_negative, per_member
+from tenscontrol.validation import FloatArray, IntArray, instance, non_negative, per_member, truth
 
 # A string below this fraction of the largest force density carries nothing.
 _SLACK = 1e-9
@@ -220,7 +221,7 @@ def color_by_force(strings: Any, gamma: FloatArray) -> None:
 def checked_force_density(structure: Structure, force_density: object) -> FloatArray:
     """Return γ, one for each string, at least 0; or raise naming the argument."""
     gamma = per_member("force_density", force_density, len(structure.strings), "string")
-    return non_negative("force_density", gamma, "a string can only pull")
+    return non_negative("force_density", drawable("force_density", gamma), "a string can only pull")
 
 
 def is_slack(gamma: FloatArray) -> np.ndarray:
@@ -329,7 +330,11 @@ def structure(
     >>> plt.close(drawing.ax.figure)
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    for name, flag in {"labels": labels, "member_labels": member_labels, "faint": faint}.items():
+        truth(name, flag, "whether to draw so")
+    truth("legend", legend, "whether to show one")
     shape = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
+    drawable("nodes", shape)
     gamma = None
     if force_density is not None:
         gamma = checked_force_density(structure, force_density)

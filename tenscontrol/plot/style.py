@@ -23,7 +23,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from tenscontrol.files import write_file
-from tenscontrol.validation import file_path, instance, whole_number
+from tenscontrol.validation import FloatArray, file_path, float_array, indices, instance
 
 # Okabe & Ito (2008), without the yellow, which is lost on white paper.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
@@ -57,7 +57,8 @@ _WIDTH, _ROW_HEIGHT, _SINGLE_HEIGHT = 6.4, 2.2, 3.2
 # Width of a legend entry, points: of its sample with the gaps, and of a letter.
 _SAMPLE_WIDTH, _LETTER_WIDTH = 44.0, 5.0
 
-# Of saved figures.
+# Of what is drawn, and dots an inch of saved figures.
+_LARGEST = 1e150
 _DPI = 130
 
 
@@ -141,6 +142,14 @@ def given_axes(axes: Sequence[Any], count: int, which: str, kind: str) -> list[A
     return [checked_axes(f"axes[{i}]", ax, kind) for i, ax in enumerate(given)]
 
 
+def drawable(name: str, array: FloatArray) -> FloatArray:
+    """Refuse an array with an entry that axes cannot hold: its square is not finite."""
+    largest = np.abs(array).max(initial=0.0)
+    if largest > _LARGEST:
+        raise ValueError(f"{name} has an entry of {largest:g}, expected at most {_LARGEST:g}")
+    return array
+
+
 def checked_axes(name: str, ax: object, kind: str) -> Any:
     """Return axes of a kind, flat or three-dimensional, or raise naming the argument."""
     found = f"a {type(ax).__name__}"
@@ -156,16 +165,11 @@ def checked_axes(name: str, ax: object, kind: str) -> Any:
 
 def checked_indices(name: str, given: object, count: int, things: str, example: str) -> list[int]:
     """Return the numbers of some of ``count`` things, each checked to be there."""
-    if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or len(given) == 0:
+    array = float_array(name, given)
+    if array.ndim != 1 or len(array) == 0:
         raise TypeError(f"{name} is {given!r}, expected a sequence of {things}, like {example}")
-    numbers = [whole_number(f"{name}[{i}]", entry, least=0) for i, entry in enumerate(given)]
-    for i, number in enumerate(numbers):
-        if number >= count:
-            raise ValueError(
-                f"{name}[{i}] is {number}, expected 0 to {count - 1}: there are {count} "
-                f"{things.split()[0]}s, counted from 0"
-            )
-    return numbers
+    of = f"there are {count} {things.split()[0]}s"
+    return [int(index) for index in indices(name, array, count, of)]
 
 
 def dress(ax: Axes, xlabel: str | None, ylabel: str) -> None:

@@ -22,7 +22,7 @@ from tenscontrol.plot.style import (
     panel_axes,
 )
 from tenscontrol.robustness import SweepReport
-from tenscontrol.validation import FloatArray, float_array, instance
+from tenscontrol.validation import FloatArray, choice, float_array, instance, truth
 
 # Inches; both panels side by side.
 _SIZE = (8.0, 3.4)
@@ -121,6 +121,7 @@ def sweep(
     level = None if limit is None else float_array("limit", limit)
     if level is not None and level.ndim:
         raise ValueError(f"limit has shape {level.shape}, expected one number")
+    truth("logarithmic", logarithmic, "whether the axis of the figure is")
     if not isinstance(unit, str):
         raise TypeError(f"unit is {unit!r}, expected text like 'm'")
     if axes is None:
@@ -195,12 +196,7 @@ def _strongest(report: SweepReport, figure: str) -> tuple[str, str]:
 
 
 def _checked_pair(report: SweepReport, over: object) -> tuple[str, str]:
-    known = report.columns
     pair = tuple(over) if isinstance(over, tuple | list) else ()
     if len(pair) != 2:
         raise TypeError(f"over is {over!r}, expected a pair of names from report.columns")
-    for name in pair:
-        if name not in known:
-            listed = ", ".join(repr(each) for each in known) or "none"
-            raise ValueError(f"over names {name!r}, which was not drawn; drawn were: {listed}")
-    return pair[0], pair[1]
+    return choice("over[0]", pair[0], report.columns), choice("over[1]", pair[1], report.columns)
