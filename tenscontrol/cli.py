@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from tenscontrol._version import __version__
+from tenscontrol.files import make_folder, write_file
 
 if TYPE_CHECKING:
     from tenscontrol.accuracy import Peer
@@ -21,10 +23,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     commands = {"demo": _demo, "simulate": _simulate, "modes": _modes, "accuracy": _accuracy}
     try:
         commands[options.command](options)
-    except (ValueError, ArithmeticError, OSError) as error:
-        print(f"tenscontrol: {error}", file=sys.stderr)
+        print(end="", flush=True)
+    except (ValueError, ArithmeticError, OSError, MemoryError) as error:
+        print(f"tenscontrol: {_told(error)}", file=sys.stderr)
         return 2
     return 0
+
+
+def _told(error: Exception) -> str:
+    """Return the line that an error is told by."""
+    if isinstance(error, MemoryError):
+        return f"out of memory: {str(error) or 'ask for less'}"
+    if isinstance(error, OSError) and error.errno is not None and error.filename is None:
+        # Else Python would try once more to write what is left, at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return f"cannot write to the standard output: {error.strerror}"
+    return str(error)
 
 
 # What a command needs is imported in it, so that --help and --version answer at once.
@@ -33,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _demo(options: argparse.Namespace) -> None:
     from tenscontrol.demo import main as demo
 
-    demo(_folder(options.output), figures=not options.no_figures)
+    demo(make_folder(options.output), figures=not options.no_figures)
 
 
 def _simulate(options: argparse.Namespace) -> None:
@@ -41,7 +55,7 @@ def _simulate(options: argparse.Namespace) -> None:
     from tenscontrol.simulation import SimulationError
 
     scene = load_scene(options.scene)
-    folder = _folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
+    folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
     try:
         run = scene.simulate(progress=True)
     except SimulationError as error:  # the motion up to there is kept; its figures may overflow
@@ -57,8 +71,9 @@ def _keep(run: Trajectory, folder: Path) -> None:
     """Print the summary of a motion and save it."""
     from tenscontrol.scene import save_trajectory
 
+    saved = save_trajectory(run, folder / "trajectory.npz")  # also where nobody reads the summary
     print(run.summary())
-    print(save_trajectory(run, folder / "trajectory.npz"))
+    print(saved)
 
 
 def _draw(run: Trajectory, folder: Path) -> None:
@@ -88,7 +103,7 @@ def _modes(options: argparse.Namespace) -> None:
         raise ValueError(f"{options.scene}: {error}") from error
     print(f"{plant.input.replace('_', ' ')} held")
     print(found.table())
-    folder = _folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
+    folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
     _save(plot.mode_shapes(plant, found)[0].ax.figure, folder / "modes.png")
 
 
@@ -110,10 +125,9 @@ def _accuracy(options: argparse.Namespace) -> None:
         )
     except (TypeError, ValueError) as error:
         raise ValueError(f"{options.scene}: {error}") from error
-    folder = _folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
+    folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
     saved = found.to_csv(folder / "accuracy.csv")
-    page = folder / "accuracy.md"
-    page.write_text(found.to_markdown(), encoding="utf-8")
+    page = write_file(folder / "accuracy.md", found.to_markdown())
     if options.csv:
         print(saved.read_text(encoding="utf-8"), end="")
         files = sys.stderr  # so that what is printed is CSV and nothing else
@@ -146,15 +160,6 @@ def _peers() -> list[Peer]:
         MuJoCo("rk4"),
         MuJoCo("implicit"),
     ]
-
-
-def _folder(path: Path) -> Path:
-    """Return a folder that is there."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OSError(f"cannot write to {path}: {error.strerror or error}") from error
-    return path
 
 
 def _save(figure: Any, path: Path, told: TextIO | None = None) -> None:

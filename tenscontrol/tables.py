@@ -8,6 +8,9 @@ from io import StringIO
 from math import isnan
 from pathlib import Path
 
+from tenscontrol.files import write_file
+from tenscontrol.validation import file_path
+
 Cell = str | float | int | None
 
 
@@ -45,6 +48,4 @@ def write_csv(path: str | Path, columns: Sequence[str], records: Sequence[object
     for record in records:
         cells = [getattr(record, name) for name in columns]
         writer.writerow(["" if isinstance(x, float) and isnan(x) else x for x in cells])
-    path = Path(path)
-    path.write_text(text.getvalue(), encoding="utf-8")
-    return path
+    return write_file(file_path("path", path), text.getvalue())

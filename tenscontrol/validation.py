@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -273,3 +275,19 @@ def items(name: str, value: object, of: str) -> tuple[Any, ...]:
         if not isinstance(value, str | bytes | Mapping):
             return tuple(value)  # type: ignore[arg-type]  # refused below
     raise TypeError(f"{name} is {_brief(value)}, expected a sequence of {of}")
+
+
+def file_path(name: str, value: object, endings: Iterable[str] = ()) -> Path:
+    """Return a path, or say why no file can have it or that it has none of the endings."""
+    if not isinstance(value, str | os.PathLike):
+        raise TypeError(f"{name} is {_brief(value)}, expected a path: text or pathlib.Path")
+    try:
+        encoded = os.fsencode(value)
+    except UnicodeEncodeError:
+        encoded = b""
+    if not encoded or b"\0" in encoded:
+        raise ValueError(f"{name} is {_brief(value)}, expected a name that a file can have")
+    path, allowed = Path(os.fsdecode(encoded)), tuple(endings)
+    if allowed and path.suffix.lower() not in allowed:
+        raise ValueError(f"{name} is {str(path)!r}, expected a name ending in {', '.join(allowed)}")
+    return path

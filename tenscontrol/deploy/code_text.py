@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
@@ -23,28 +25,15 @@ from tenscontrol.validation import FloatArray
 # Numbers a line.
 _PER_LINE = 6
 
+# How a C file ends: by a condition or a definition.
+_END = re.compile(r"^(#endif.*|};?)\n+\Z", re.MULTILINE)
+
 _UNIT = {"force_density": "force densities, N/m", "rest_length": "rest lengths, m"}
-
-_MATRIX = """
-typedef struct {
-    int rows;
-    const int *start, *column; /* of the entries of each row */
-    const double *value;
-} Matrix;
-"""
-
-_SOLVER_WORDS = """
-The quadratic program is solved by OSQP, in controller_qp_workspace.c and the other files. It is
-under the licence in OSQP_LICENSE.txt, which has to go with it.
-"""
 
 
 @builds
 def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str]:
-    """Return the texts of all files, by file name; names in C begin with ``name``.
-
-    Raises ValueError if the solver has a file of this name.
-    """
+    """Return the texts of all files, by file name; names in C begin with ``name``."""
     plant = controller.plant
     functions = _named({"measure": measurement(plant)} | law.functions, name)
     count = len(controller.bounds[0])
@@ -57,7 +46,7 @@ def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str
         "COMMANDS": str(count),
         "STEP": f"{controller.sample_time:g}",
         "KIND": type(controller).__name__,
-        "SOLVER": "" if law.program is None else _SOLVER_WORDS.replace("controller", name),
+        "SOLVER": "" if law.program is None else _template("solver.txt", name, {}),
     }
     code = "".join(
         _template(file, name, {}) for file in ("common.c", *law.templates, "interface.c")
@@ -128,7 +117,6 @@ def _data(controller: Controller, law: LawCode, functions: list[ca.Function]) ->
     texts = [
         "/* Numbers of the controller. Included once. */",
         _constants(constants),
-        _MATRIX,
         *(_array(name, values) for name, values in arrays.items()),
         *(_matrix(name, values) for name, values in law.matrices.items()),
     ]
@@ -140,22 +128,40 @@ def _casadi(functions: list[ca.Function], name: str) -> dict[str, str]:
     code = ca.CodeGenerator(f"{name}_casadi", {"with_header": True})
     for function in functions:
         code.add(function)
-    with TemporaryDirectory(prefix="tenscontrol-") as folder:
+
+    def write(folder: str) -> None:
+        os.mkdir(folder)
         code.generate(folder + os.sep)
-        return {path.name: path.read_text("utf-8") for path in Path(folder).iterdir()}
+
+    return _written(write)
 
 
 def _solver(program: OSQPSolver, name: str, others: set[str]) -> dict[str, str]:
     """Return the files of OSQP, all side by side."""
-    with TemporaryDirectory(prefix="tenscontrol-") as folder:
-        inside = Path(folder) / "osqp"
-        program.write_c(str(inside), f"{name}_qp_")
-        found = [path for path in inside.rglob("*.[ch]") if path.name != "emosqp.c"]
-        texts = {path.name: path.read_text("utf-8") for path in found}
+    texts = _written(lambda folder: program.write_c(folder, f"{name}_qp_"))
+    del texts["emosqp.c"]
     clash = sorted(others & set(texts))
     if clash:
         raise ValueError(f"name is {name!r}, but OSQP has a file {clash[0]!r}; give another")
     return texts | {"OSQP_LICENSE.txt": _licence()}
+
+
+def _written(write: Callable[[str], object]) -> dict[str, str]:
+    """Return the C texts, by file name, that a library writes into a new folder and below.
+
+    CasADi and OSQP do not say that a disk is full: what they write themselves, into the folder,
+    then does not end as it should. What is below is copied, and that says so.
+    """
+    with TemporaryDirectory(prefix="tenscontrol-") as above:
+        folder, texts = Path(above) / "code", {}
+        with suppress(OSError, AssertionError):  # the latter by OSQP
+            write(str(folder))
+            texts = {path.name: path.read_text("utf-8") for path in folder.rglob("*.[ch]")}
+        made = [texts.get(path.name, "") for path in folder.glob("*.[ch]")] or [""]
+        if all(text.count("{") == text.count("}") and _END.search(text) for text in made):
+            return texts
+    advice = "free some space there, or set TMPDIR"
+    raise OSError(errno.ENOSPC, f"cannot write C code; {advice}", str(folder))
 
 
 def _licence() -> str:

@@ -40,6 +40,8 @@ _FALLBACKS = (
     Fallback.EQUILIBRIUM_HELD,
 )
 
+_VECTOR = np.ctypeslib.ndpointer(np.float64, flags="C")
+
 # GCC takes a third of the time of -O2 for long straight code.
 OPTIMIZATION = "-O1"
 
@@ -80,13 +82,12 @@ class CompiledController(Controller):
                     f"the compiled controller cannot be loaded: {error}. The compiler may be one "
                     "for another machine: see CC"
                 ) from None
-        numbers = ctypes.POINTER(ctypes.c_double)
         self._reset, self._run, self._set_applied, self._count = (
             getattr(loaded, f"{name}_{what}")
             for what in ("reset", "command", "applied", "iterations")
         )
-        self._run.argtypes = [ctypes.c_double, numbers, numbers, numbers]
-        self._set_applied.argtypes = [numbers]
+        self._run.argtypes = [ctypes.c_double, _VECTOR, _VECTOR, _VECTOR]
+        self._set_applied.argtypes = [_VECTOR]
         self.reset()
 
     @property
@@ -103,8 +104,7 @@ class CompiledController(Controller):
         """See :meth:`Controller.applied`."""
         super().applied(value)
         assert self._previous_input is not None  # just set
-        previous = np.ascontiguousarray(self._previous_input)
-        self._set_applied(previous.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
+        self._set_applied(np.ascontiguousarray(self._previous_input))
 
     def take_over(self, command: object) -> None:
         """See :meth:`Controller.take_over`; an estimated load is forgotten too."""
@@ -119,9 +119,7 @@ class CompiledController(Controller):
 
     def _decide(self, time: float, state: FloatArray) -> Command:
         command = np.zeros(len(self._low))
-        numbers = ctypes.POINTER(ctypes.c_double)
-        nodes, velocities = (part.ctypes.data_as(numbers) for part in np.split(state, 2))
-        status = self._run(time, nodes, velocities, command.ctypes.data_as(numbers))
+        status = self._run(time, *np.split(state, 2), command)
         return Command(command, _STATUSES[status & 15], _FALLBACKS[status >> 4])
 
     def _fall_back(self, status: Status) -> Command:

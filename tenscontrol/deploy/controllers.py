@@ -114,10 +114,7 @@ class _Reader:
 
 
 def mpc_code(controller: MPC) -> LawCode:
-    """Return the code of a linear MPC.
-
-    Raises ValueError if it has a time limit, or its reference lasts too long for a table.
-    """
+    """Return the code of a linear MPC."""
     law = controller.law
     _refuse_time_limit(law.settings.longest_time)
     reader = _Reader(law)
@@ -175,11 +172,7 @@ def _read(
 
 
 def nmpc_code(controller: NMPC) -> LawCode:
-    """Return the code of a nonlinear MPC.
-
-    Raises ValueError if it predicts by implicit steps, has a time limit, or its reference lasts too
-    long for a table.
-    """
+    """Return the code of a nonlinear MPC."""
     law = controller.law
     _refuse_time_limit(law.settings.longest_time)
     problem, model = law.problem, law.model
@@ -314,11 +307,7 @@ def _limits(program: Sparse, problem: MPCProblem) -> tuple[IntArray, FloatArray]
 def _time_table(
     span: tuple[float, float], step: float, horizon: int, row: Callable[[float], FloatArray]
 ) -> tuple[int, FloatArray]:
-    """Return the number of the first sample, and a row of the table for each from there on.
-
-    ``span`` is the time in which the reference changes, s, and ``row`` gives what depends on a
-    time. Raises ValueError if the table were too large.
-    """
+    """Return the number of the first sample, and a row of the table for each from there on."""
     begin, end = span
     if begin == end:
         return 0, row(0.0)[None]

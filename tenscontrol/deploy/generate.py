@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,8 +13,9 @@ from tenscontrol.deploy.code_text import code_files
 from tenscontrol.deploy.compiled_controller import CompiledController
 from tenscontrol.deploy.controllers import LawCode, lqr_code, mpc_code, nmpc_code
 from tenscontrol.dynamics import builds
+from tenscontrol.files import make_folder, write_file
 from tenscontrol.plant import LinearPlant
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.validation import FloatArray, file_path, frozen
 
 # Names of functions and headers that a controller may not have.
 _TAKEN = {"main", "osqp", "casadi", "qdldl", "math", "string", "stdio"}
@@ -76,10 +78,10 @@ class GeneratedController:
         ValueError
             If the timeout is not positive.
         """
-        sources = [self.folder / file for file in self.files if file.endswith(".c")]
+        sources = [file for file in self.files if file.endswith(".c") and file != "main.c"]
         return CompiledController(
             self.name,
-            [source for source in sources if source.name != "main.c"],
+            [self.folder / file for file in sources],
             self.plant,
             self.sample_time,
             (self.low, self.high),
@@ -127,6 +129,8 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
         strings or ramp inputs, or the reference lasts too long for a table.
     FileExistsError
         If the folder is not empty.
+    OSError
+        If a file cannot be written: then none is left.
 
     Notes
     -----
@@ -148,18 +152,14 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     """
     law = _law_code(controller)
     name = _checked_name(name)
-    if not isinstance(folder, str | os.PathLike):
-        raise TypeError(f"folder is {folder!r}, expected a path")
-    place = Path(os.fsdecode(folder)).absolute()
-    if place.is_dir() and any(place.iterdir()):
+    place = file_path("folder", folder).absolute()
+    if os.path.isdir(place) and any(place.iterdir()):
         raise FileExistsError(
             f"folder {str(place)!r} is not empty, and other C files in it would be compiled too: "
             "give a new one"
         )
-    place.mkdir(parents=True, exist_ok=True)
     texts = code_files(controller, law, name)
-    for file, text in texts.items():
-        (place / file).write_text(text, encoding="utf-8", newline="\n")
+    _write_folder(place, texts, last=f"{name}.h")
     assert controller.sample_time is not None  # checked with the law
     low, high = controller.bounds
     listed = sorted(texts)
@@ -174,6 +174,21 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
         low=frozen(low),
         high=frozen(high),
     )
+
+
+def _write_folder(place: Path, texts: dict[str, str], last: str) -> None:
+    """Write files, or none; without the last one, which all need, no part of them compiles."""
+    missing = [each for each in (place, *place.parents) if not os.path.exists(each)]
+    try:
+        make_folder(place)
+        for file in sorted(texts, key=lambda each: each == last):
+            write_file(place / file, texts[file], flush=file == last)
+    except BaseException:  # Ctrl-C too
+        written = [(place / file).unlink for file in texts]
+        for remove in (*written, *(folder.rmdir for folder in missing)):
+            with suppress(OSError):
+                remove()
+        raise
 
 
 @builds

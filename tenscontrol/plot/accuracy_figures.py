@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
@@ -77,9 +76,7 @@ def work_precision(result: WorkPrecision, *, ax: Axes | None = None) -> Curves:
     >>> plt.close(drawn.ax.figure)
     """
     instance("result", result, WorkPrecision, "make one by work_precision(scene)")
-    if ax is None:
-        _, ax = plt.subplots(figsize=_SIZE, layout="constrained")
-    ax = flat_axes(ax)
+    ax = flat_axes(ax, _SIZE)
     lines: dict[str, tuple[Line2D, ...]] = {}
     ends: dict[str, tuple[float, float, Any]] = {}
     names = (*result.methods, *result.peers)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from io import BytesIO
-from os import PathLike, fspath
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from tenscontrol.files import write_file
 from tenscontrol.plot.structure_drawing import (
     FILLED,
     SIZE,
@@ -26,10 +27,20 @@ from tenscontrol.plot.structure_drawing import (
 )
 from tenscontrol.plot.style import FAINT, NORMAL
 from tenscontrol.simulation import Trajectory
-from tenscontrol.validation import FloatArray, float_array, instance, positive_number, whole_number
+from tenscontrol.validation import (
+    FloatArray,
+    file_path,
+    float_array,
+    instance,
+    positive_number,
+    whole_number,
+)
 
-# A GIF counts time in hundredths of a second, and viewers slow down below two.
-_FASTEST = 50.0
+# A GIF counts time in hundredths of a second, up to 65,535, and viewers slow down below two.
+_SLOWEST, _FASTEST = 0.01, 50.0
+
+# Pixels of all frames, a byte each, and of an inch.
+_MOST_PIXELS, _MOST_DOTS = 4e9, 1000
 
 # Drawings of lines need few. One palette for all pictures makes the file a third
 # of what matplotlib's PillowWriter makes it, and keeps colours from flickering.
@@ -59,7 +70,7 @@ def write_gif(path: Path, canvas: Any, pictures: Iterable[None], count: int, rat
         duration=[10 * int(hundredths) for hundredths in np.diff(ends)],
         loop=0,
     )
-    path.write_bytes(buffer.getvalue())
+    write_file(path, buffer.getbuffer())
 
 
 def _palette(picture: Image.Image) -> Image.Image:
@@ -92,7 +103,7 @@ def animate(
     path : str or path
         Where to write; ends in ``.gif``. A file that is there is replaced.
     fps : float
-        Frames a second, at most 50.
+        Frames a second, 0.01 to 50.
     duration : float, optional
         Time that the animation takes, s; as long as the motion if not given,
         so that it plays in real time.
@@ -114,8 +125,9 @@ def animate(
     TypeError, ValueError
         If an argument is of the wrong kind, does not fit or is not finite, or
         ``path`` does not end in ``.gif``. Nothing is written then.
-    FileNotFoundError
-        If the folder of ``path`` is not there.
+    OSError
+        If the folder of ``path`` is not there, or the file cannot be written: a file that was there
+        is as it was.
 
     Examples
     --------
@@ -130,20 +142,33 @@ def animate(
     ('prism.gif', True)
     """
     instance("run", run, Trajectory, "make one by simulate(model, ...)")
-    place = _checked_path(path)
+    place = file_path("path", path, [".gif"])
+    if not place.parent.is_dir():
+        raise FileNotFoundError(f"path is {str(place)!r}, but its folder is not there; make it")
     rate = positive_number("fps", fps, "1/s")
-    if rate > _FASTEST:
-        raise ValueError(f"fps is {rate:g}, expected at most {_FASTEST:g}: viewers show no more")
+    if not _SLOWEST <= rate <= _FASTEST:
+        raise ValueError(
+            f"fps is {rate:g}, expected at least {_SLOWEST:g} and at most {_FASTEST:g}: a "
+            "GIF cannot be slower, and viewers are not faster"
+        )
     length = float(run.time[-1] - run.time[0]) if duration is None else duration
     if duration is not None:
         length = positive_number("duration", duration, "s")
-    dots = whole_number("dpi", dpi, least=10)
+    dots = whole_number("dpi", dpi, least=10, most=_MOST_DOTS)
+    pixels = length * rate * SIZE[0] * SIZE[1] * dots**2
+    if pixels > _MOST_PIXELS:
+        raise ValueError(
+            f"duration is {length:g} s, which at fps={rate:g} and dpi={dots} makes {pixels:.1e} "
+            f"pixels, expected at most {_MOST_PIXELS:.0e}: give a shorter one, or fewer of them"
+        )
     eye = float_array("view", view)
     if eye.shape != (2,):
         raise ValueError(f"view has shape {eye.shape}, expected (2,): elevation and azimuth")
     motion = float_array("run.nodes", run.nodes)
     float_array("run.force_density", run.force_density)
-    goal = None if target is None else run.structure.checked_nodes("target", target)
+    goal = None
+    if target is not None:
+        goal = run.structure.checked_nodes("target", target)
     times = np.linspace(run.time[0], run.time[-1], max(2, round(length * rate)))
     shapes, gammas = _sampled(run, motion, times)
     figure = Figure(figsize=SIZE, dpi=dots)
@@ -182,14 +207,3 @@ def _sampled(
     share = np.where(gap > 0, (times - run.time[before]) / np.where(gap > 0, gap, 1.0), 1.0)
     shapes = motion[:, :, before] * (1 - share) + motion[:, :, after] * share
     return shapes, run.force_density[:, after]
-
-
-def _checked_path(path: object) -> Path:
-    if not isinstance(path, str | PathLike):
-        raise TypeError(f"path is {path!r}, expected the name of a file ending in .gif")
-    place = Path(fspath(path))
-    if place.suffix.lower() != ".gif":
-        raise ValueError(f"path is {str(place)!r}, expected a name ending in .gif")
-    if not place.parent.is_dir():
-        raise FileNotFoundError(f"path is {str(place)!r}, but its folder is not there; make it")
-    return place

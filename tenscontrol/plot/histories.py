@@ -130,7 +130,7 @@ def draw_curves(
             **reference_style(position),
         )
     dress(ax, xlabel, ylabel)
-    if len(time) > 1:
+    if time[-1] > time[0]:
         ax.set_xlim(time[0], time[-1])
     legend_above(ax)
     return Curves(ax, lines, levels, {})
@@ -139,7 +139,9 @@ def draw_curves(
 def checked_references(references: object, count: int) -> dict[str, FloatArray]:
     """Return the reference lines as arrays of shape () or (T,)."""
     levels = {}
-    for name, value in _checked_mapping("references", references or {}).items():
+    for name, value in _checked_mapping(
+        "references", {} if references is None else references
+    ).items():
         array = float_array(f"references[{name!r}]", value)
         if array.shape not in ((), (count,)):
             raise ValueError(

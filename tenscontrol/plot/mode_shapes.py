@@ -11,8 +11,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from tenscontrol.plant import LinearPlant, Modes
-from tenscontrol.plot.structure_drawing import Drawing, checked_space, draw, frame, new_space
-from tenscontrol.plot.style import SMALL, SMALL_FAINT, checked_indices, given_axes
+from tenscontrol.plot.structure_drawing import Drawing, draw, frame, new_space
+from tenscontrol.plot.style import (
+    SMALL,
+    SMALL_FAINT,
+    checked_indices,
+    given_axes,
+)
 from tenscontrol.validation import FloatArray, instance, positive_number
 
 _COLUMNS = 3
@@ -109,7 +114,8 @@ def mode_shapes(
     chosen = list(range(min(count, _MOST)))
     if which is not None:
         chosen = checked_indices("which", which, count, "mode numbers", "[0, 5]")
-    size = positive_number("scale", scale, "structure sizes") * float(np.ptp(nodes, axis=1).max())
+    share = positive_number("scale", scale, "structure sizes")
+    size = float(share * np.ptp(nodes, axis=1).max())
     moved = [nodes + size * _at_largest(modes.shape[:, :, mode]) for mode in chosen]
     drawn = []
     for ax, mode, displaced in zip(_panels(axes, len(chosen)), chosen, moved, strict=True):
@@ -129,7 +135,7 @@ def mode_shapes(
 
 def _panels(axes: Sequence[Any] | None, count: int) -> list[Any]:
     if axes is not None:
-        return given_axes(axes, count, "one for each mode drawn", checked_space)
+        return given_axes(axes, count, "one for each mode drawn", "three-dimensional")
     columns = min(count, _COLUMNS)
     rows = ceil(count / columns)
     figure = plt.figure(figsize=(_PANEL * columns, _PANEL * rows + 0.2))

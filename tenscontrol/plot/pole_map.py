@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.text import Annotation
 
 from tenscontrol.plot.style import PALETTE, dress, flat_axes, legend_above, marker_style
+from tenscontrol.validation import float_array
 
 # Poles closer than this fraction of the largest are drawn as one: round-off
 # splits a double pole by less.
@@ -195,7 +196,7 @@ def _distinct(values: np.ndarray, tolerance: float) -> tuple[np.ndarray, list[in
 def _checked(name: str, values: object) -> np.ndarray:
     try:
         array = np.array(values, dtype=complex)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise TypeError(f"{name} must be an array of complex numbers: {error}") from None
     if array.ndim != 1 or len(array) == 0:
         raise ValueError(f"{name} has shape {array.shape}, expected (k,): one number per pole")
@@ -205,4 +206,5 @@ def _checked(name: str, values: object) -> np.ndarray:
             f"{name}[{bad[0]}] is {array[bad[0]]}, expected a finite number in 1/s; "
             f"{len(bad)} of {len(array)} poles are not finite"
         )
+    float_array(name, array.view(float))
     return array

@@ -10,7 +10,6 @@ from typing import Any
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
@@ -23,6 +22,7 @@ from tenscontrol.plot.style import (
     FORCE_WIDTH,
     NORMAL,
     MemberStyle,
+    checked_axes,
     marker_style,
 )
 from tenscontrol.structure import Structure
@@ -66,26 +66,6 @@ class _InnerTicks(MaxNLocator):
         ticks = np.asarray(super().tick_values(vmin, vmax))
         corner = _CORNER * (vmax - vmin)
         return ticks[(ticks > vmin + corner) & (ticks < vmax - corner)]
-
-
-def space_axes(ax: object, beside: float) -> Any:
-    """Return ``ax`` if it is three-dimensional; new axes with room beside, inches, if None."""
-    if ax is None:
-        figure = plt.figure(figsize=(SIZE[0] + beside, SIZE[1]))
-        figure.subplots_adjust(**FILLED)
-        return new_space(figure)
-    return checked_space("ax", ax)
-
-
-def checked_space(name: str, ax: object) -> Any:
-    """Return ``ax`` if it is three-dimensional, or raise naming the argument."""
-    if not isinstance(ax, Axes) or ax.name != "3d":
-        found = "flat" if isinstance(ax, Axes) else f"a {type(ax).__name__}"
-        raise TypeError(
-            f"{name} is {found}, expected three-dimensional axes: make them by "
-            'plt.figure().add_subplot(projection="3d")'
-        )
-    return ax
 
 
 def new_space(figure: Figure, rows: int = 1, columns: int = 1, index: int = 1) -> Any:
@@ -349,16 +329,19 @@ def structure(
     >>> plt.close(drawing.ax.figure)
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    for name, flag in {"labels": labels, "member_labels": member_labels, "faint": faint}.items():
+        truth(name, flag, "whether to draw so")
+    truth("legend", legend, "whether to show one")
     shape = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
-    truth("labels", labels, "whether to number the nodes")
-    truth("member_labels", member_labels, "whether to number bars and strings")
-    truth("faint", faint, "whether to draw in light grey")
-    truth("legend", legend, "whether to show a legend")
     gamma = None
     if force_density is not None:
         gamma = checked_force_density(structure, force_density)
     own = ax is None
-    ax = space_axes(ax, beside=0.0 if gamma is None else _SCALE_WIDTH)
+    if own:
+        figure = plt.figure(figsize=(SIZE[0] + (0.0 if gamma is None else _SCALE_WIDTH), SIZE[1]))
+        figure.subplots_adjust(**FILLED)
+        ax = new_space(figure)
+    checked_axes("ax", ax, "three-dimensional")
     grow = ax.has_data()
     drawing = draw(ax, structure, shape, FAINT if faint else NORMAL)
     frame(ax, [shape], grow=grow)

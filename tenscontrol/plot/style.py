@@ -6,9 +6,11 @@ and in how dark they are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
 from math import ceil
+from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,7 +22,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from tenscontrol.validation import items, whole_number
+from tenscontrol.files import write_file
+from tenscontrol.validation import file_path, float_array, indices, instance
 
 # Okabe & Ito (2008), without the yellow, which is lost on white paper.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
@@ -54,7 +57,6 @@ _WIDTH, _ROW_HEIGHT, _SINGLE_HEIGHT = 6.4, 2.2, 3.2
 # Width of a legend entry, points: of its sample with the gaps, and of a letter.
 _SAMPLE_WIDTH, _LETTER_WIDTH = 44.0, 5.0
 
-# Of saved figures.
 _DPI = 130
 
 
@@ -106,12 +108,12 @@ def reference_style(position: int) -> dict[str, Any]:
     return {"color": REFERENCE_COLOR, "linestyle": dashes, "linewidth": REFERENCE_WIDTH}
 
 
-def flat_axes(ax: object) -> Axes:
-    """Return ``ax`` if it is a pair of flat axes, new ones if it is None; else raise."""
+def flat_axes(ax: object, size: tuple[float, float] = (_WIDTH, _SINGLE_HEIGHT)) -> Axes:
+    """Return ``ax`` if it is a pair of flat axes, new ones of a size, inches, if it is None."""
     if ax is None:
-        _, new = plt.subplots(figsize=(_WIDTH, _SINGLE_HEIGHT), layout="constrained")
-        return new
-    return _checked("ax", ax)
+        _, ax = plt.subplots(figsize=size, layout="constrained")
+    checked: Axes = checked_axes("ax", ax, "flat")
+    return checked
 
 
 def panel_axes(axes: Sequence[Axes] | None, names: Sequence[str]) -> list[Axes]:
@@ -124,12 +126,10 @@ def panel_axes(axes: Sequence[Axes] | None, names: Sequence[str]) -> list[Axes]:
         column = list(grid[:, 0])
         figure.align_ylabels(column)
         return column
-    return given_axes(axes, len(names), f"one for each of {', '.join(names)}", _checked)
+    return given_axes(axes, len(names), f"one for each of {', '.join(names)}", "flat")
 
 
-def given_axes(
-    axes: Sequence[Any], count: int, which: str, check: Callable[[str, object], Any]
-) -> list[Any]:
+def given_axes(axes: Sequence[Any], count: int, which: str, kind: str) -> list[Any]:
     """Return the axes that the user gives, or raise if their number or kind is wrong."""
     given = list(np.ravel(np.array(axes, dtype=object)))
     if len(given) != count:
@@ -137,22 +137,29 @@ def given_axes(
             f"axes has {len(given)} entries, expected {count}: {which}; "
             "leave it out for a new figure"
         )
-    return [check(f"axes[{i}]", ax) for i, ax in enumerate(given)]
+    return [checked_axes(f"axes[{i}]", ax, kind) for i, ax in enumerate(given)]
+
+
+def checked_axes(name: str, ax: object, kind: str) -> Any:
+    """Return axes of a kind, flat or three-dimensional, or raise naming the argument."""
+    found = f"a {type(ax).__name__}"
+    if isinstance(ax, Axes):
+        found = "three-dimensional" if ax.name == "3d" else "flat"
+    if found != kind:
+        how = "subplots()" if kind == "flat" else 'figure().add_subplot(projection="3d")'
+        raise TypeError(
+            f"{name} is {found}, expected {kind} matplotlib Axes: make them by plt.{how}"
+        )
+    return ax
 
 
 def checked_indices(name: str, given: object, count: int, things: str, example: str) -> list[int]:
     """Return the numbers of some of ``count`` things, each checked to be there."""
-    entries = items(name, given, f"{things}, like {example}")
-    if not entries:
-        raise ValueError(f"{name} is empty, expected {things}, like {example}")
-    numbers = [whole_number(f"{name}[{i}]", entry, least=0) for i, entry in enumerate(entries)]
-    for i, number in enumerate(numbers):
-        if number >= count:
-            raise ValueError(
-                f"{name}[{i}] is {number}, expected 0 to {count - 1}: there are {count} "
-                f"{things.split()[0]}s, counted from 0"
-            )
-    return numbers
+    array = float_array(name, given)
+    if array.ndim != 1 or len(array) == 0:
+        raise TypeError(f"{name} is {given!r}, expected a sequence of {things}, like {example}")
+    of = f"there are {count} {things.split()[0]}s"
+    return [int(index) for index in indices(name, array, count, of)]
 
 
 def dress(ax: Axes, xlabel: str | None, ylabel: str) -> None:
@@ -197,27 +204,25 @@ def _legend_columns(names: Sequence[str], room: float) -> int:
     return 1
 
 
-def _checked(name: str, ax: object) -> Axes:
-    if not isinstance(ax, Axes) or ax.name == "3d":
-        found = "three-dimensional" if isinstance(ax, Axes) else f"a {type(ax).__name__}"
-        raise TypeError(
-            f"{name} is {found}, expected flat matplotlib Axes: make them by plt.subplots()"
-        )
-    return ax
-
-
-def save_figure(figure: Figure, path: Path) -> Path:
+def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
     """Write a figure to a file, close it, and return where it is.
 
     Parameters
     ----------
     figure : matplotlib.figure.Figure
-    path : Path
-        The ending says the format.
+    path : str or path
+        The ending says the format: ``.png``, ``.pdf``, ``.svg`` or another of matplotlib.
 
     Returns
     -------
     Path
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``figure`` is no figure, or ``path`` has no ending of a format.
+    OSError
+        If it cannot be written: a file that was there is as it was, and the figure stays open.
 
     Examples
     --------
@@ -228,6 +233,10 @@ def save_figure(figure: Figure, path: Path) -> Path:
     ...     tc.plot.save_figure(figure, pathlib.Path(folder) / "prism.png").name
     'prism.png'
     """
-    figure.savefig(path, dpi=_DPI)
+    instance("figure", figure, Figure, "take ax.figure of what was drawn")
+    formats = sorted(f".{name}" for name in figure.canvas.get_supported_filetypes())
+    place, buffer = file_path("path", path, formats), BytesIO()
+    figure.savefig(buffer, dpi=_DPI, format=place.suffix[1:].lower())
+    write_file(place, buffer.getbuffer())
     plt.close(figure)
-    return path
+    return place

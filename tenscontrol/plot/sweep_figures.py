@@ -122,6 +122,7 @@ def sweep(
     level = None if limit is None else float_array("limit", limit)
     if level is not None and level.ndim:
         raise ValueError(f"limit has shape {level.shape}, expected one number")
+    truth("logarithmic", logarithmic, "whether the axis of the figure is")
     text("unit", unit, "like 'm'")
     if axes is None:
         _, axes = plt.subplots(1, 2, figsize=_SIZE, layout="constrained")
@@ -195,10 +196,7 @@ def _strongest(report: SweepReport, figure: str) -> tuple[str, str]:
 
 
 def _checked_pair(report: SweepReport, over: object) -> tuple[str, str]:
-    known = report.columns
     pair = tuple(over) if isinstance(over, tuple | list) else ()
     if len(pair) != 2:
         raise TypeError(f"over is {over!r}, expected a pair of names from report.columns")
-    for name in pair:
-        choice("a name in over", name, known)
-    return pair[0], pair[1]
+    return choice("over[0]", pair[0], report.columns), choice("over[1]", pair[1], report.columns)

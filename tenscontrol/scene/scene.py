@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, is_dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,12 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter
+from tenscontrol.files import write_file
 from tenscontrol.plant import LinearPlant, linearize
 from tenscontrol.simulation import Fault, Trajectory, simulate
 from tenscontrol.statics import prestress
 from tenscontrol.structure import Structure, to_strings
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.validation import FloatArray, file_path, frozen, instance
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +175,7 @@ def save_trajectory(run: Trajectory, file: str | Path) -> Path:
     Raises
     ------
     OSError
-        If it cannot be written.
+        If it cannot be written: a file that was there is as it was.
 
     Notes
     -----
@@ -191,11 +193,10 @@ def save_trajectory(run: Trajectory, file: str | Path) -> Path:
     ...         saved["nodes"].shape, str(saved["choice_method"]), saved["structure_bars"].shape
     ((3, 6, 11), 'rk4', (3, 2))
     """
-    arrays = _arrays("", run)
-    path = Path(file)
-    with path.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)
-    return path
+    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    path, buffer = file_path("file", file), BytesIO()
+    np.savez_compressed(buffer, **_arrays("", run))
+    return write_file(path, buffer.getbuffer())
 
 
 def _arrays(prefix: str, value: Any) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Controllers as C code do what they do in Python, in closed loop and on spoilt input."""
 
+import os
 import shutil
 import subprocess
 
@@ -201,9 +202,67 @@ def test_program_that_replays_prints_the_same(moved, replay):
     size = np.abs(pair.commands[1]).max()
     np.testing.assert_allclose(rows[:, 2:], pair.commands[1], rtol=0, atol=1e-10 * size)
     assert set(np.flatnonzero(rows[:, 0])) == {*scenes.SPOILT, *scenes.ABSURD}
-    short = subprocess.run([program], input="0.0 1.0", capture_output=True, text=True)
-    assert short.returncode == 1
-    assert "expected 1 + 36 numbers" in short.stderr
+
+
+SAMPLE = " ".join(["0.0"] * 37)
+
+
+@pytest.mark.parametrize(
+    ("given", "answers", "message"),
+    [
+        ("", 0, None),
+        (f"\n{SAMPLE}\r\n \n\t{SAMPLE}  ", 2, None),
+        (
+            SAMPLE.replace("0.0", "-0x1p-3")
+            + "\n"
+            + SAMPLE.replace("0.0", "-INF nan 1e-400", 1)[:-8],
+            2,
+            None,
+        ),
+        ("0.0 1.0", 0, "line 1 ends after 2 numbers, expected 1 + 36"),
+        (
+            f"{SAMPLE}\n\n{SAMPLE[:-4]}\n{SAMPLE}",
+            1,
+            "line 3 ends after 36 numbers, expected 1 + 36",
+        ),
+        (f"{SAMPLE} 0.0\n", 0, "line 1, word 38: '0.0' is too much, expected 1 + 36 numbers"),
+        (f"{SAMPLE} rubbish\n", 0, "line 1, word 38: 'rubbish' is too much"),
+        (f"{SAMPLE}\ntime x y z", 1, "line 2, word 1: 'time' is not a number"),
+        ("0.0 1,5 2", 0, "line 1, word 2: '1,5' is not a number"),
+        ("0.0 0.0 1.0m", 0, "line 1, word 3: '1.0m' is not a number"),
+        ("1e999", 0, "line 1, word 1: '1e999' is out of range"),
+        ("0 -1e309", 0, "line 1, word 2: '-1e309' is out of range"),
+        ("0 1\0 2", 0, "line 1, word 2: '1?' is not a number"),
+        ("0 \x1b[31m\xff 2", 0, "line 1, word 2: '?[31m?' is not a number"),
+        (9999 * "1", 0, "is not a number"),
+        (99 * "\0", 0, "line 1, word 1: '???"),
+    ],
+)
+def test_program_says_which_line_and_word_is_wrong(given, answers, message, replay):
+    done = subprocess.run([replay[0]], input=given.encode("latin-1"), capture_output=True)
+    said = done.stderr.decode("ascii")
+    assert done.returncode == (0 if message is None else 1)
+    assert said == "" if message is None else message in said
+    assert len(said) < 200
+    assert done.stdout.count(b"\n") == answers
+
+
+@pytest.mark.skipif(os.name != "posix", reason="streams of POSIX")
+@pytest.mark.parametrize("count", [1, 10_000])
+def test_program_says_that_nobody_takes_its_answers(count, replay, tmp_path):
+    (tmp_path / "samples").write_text(f"{SAMPLE}\n" * count)
+    for where in (["sh", "-c", '"$0" >&-'], ["sh", "-c", '"$0" >/dev/full']):
+        with (tmp_path / "samples").open() as samples:
+            done = subprocess.run(
+                [*where, replay[0]], stdin=samples, capture_output=True, text=True
+            )
+        assert done.returncode == 1
+        assert "the standard output takes no more" in done.stderr
+    done = subprocess.run(
+        ["sh", "-c", '"$0" <.', replay[0]], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "the standard input" in done.stderr
 
 
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not there")

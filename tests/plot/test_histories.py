@@ -66,6 +66,9 @@ class TestHistory:
     def test_draws_into_given_axes(self, flat):
         assert tc.plot.history(self.time, {"a": self.time}, "m", ax=flat).ax is flat
 
+    def test_times_that_are_all_the_same(self):
+        assert tc.plot.history([1.0, 1.0], {"a": [0.0, 1.0]}, "m").ax.get_xlim()[0] < 1.0
+
     @pytest.mark.parametrize(
         ("arguments", "error", "message"),
         [
@@ -76,6 +79,18 @@ class TestHistory:
             ({"series": {"a": [0, 0]}}, ValueError, r"series\['a'\] has shape \(2,\)"),
             ({"series": {"a": [0, 0, np.inf]}}, ValueError, r"series\['a'\]\[2\] is inf"),
             ({"references": {"b": [1, 2]}}, ValueError, r"references\['b'\] has shape \(2,\)"),
+            ({"references": np.zeros(3)}, TypeError, "references is a ndarray, expected a dict"),
+            (
+                {"references": {"b": 1e200}},
+                ValueError,
+                r"references\['b'\] is 1e\+200, expected",
+            ),
+            ({"time": [0, 1, 1e308]}, ValueError, r"time\[2\] is 1e\+308, expected"),
+            (
+                {"series": {"a": [0, 0, -1e200]}},
+                ValueError,
+                r"series\['a'\]\[2\] is -1e\+200, expected",
+            ),
             ({"ylabel": 3}, TypeError, "ylabel is 3"),
             ({"ax": 3}, TypeError, "ax is a int, expected flat"),
         ],

@@ -194,7 +194,17 @@ def test_plain_drawing_learns_which_strings_are_slack(prism):
         ({"nodes": np.full((3, 6), np.nan)}, ValueError, r"nodes\[0, 0\] is nan"),
         ({"force_density": [1.0]}, ValueError, r"force_density has shape \(1,\)"),
         ({"force_density": -1.0}, ValueError, r"force_density\[0\] is -1.*only pull"),
-        ({"ax": "here"}, TypeError, "ax is a str, expected three-dimensional axes"),
+        ({"ax": "here"}, TypeError, "ax is a str, expected three-dimensional matplotlib Axes"),
+        (
+            {"nodes": np.full((3, 6), 1e308)},
+            ValueError,
+            r"nodes\[0, 0\] is 1e\+308, expected",
+        ),
+        ({"force_density": 1e308}, ValueError, "force_density is 1e.308, expected"),
+        ({"labels": np.zeros(3)}, TypeError, r"labels is .*expected True or False"),
+        ({"member_labels": "no"}, TypeError, "member_labels is 'no'"),
+        ({"faint": None}, TypeError, "faint is None"),
+        ({"legend": 1}, TypeError, "legend is 1"),
         ({"colour": "red"}, TypeError, "colour"),
     ],
 )

@@ -1,6 +1,10 @@
 """The command, called as the shell calls it."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -140,7 +144,8 @@ def test_a_motion_that_runs_away_is_saved_up_to_there(tmp_path, capsys, scene):
 
 def test_a_folder_that_cannot_be_made(tmp_path, capsys, scene):
     err = refused(capsys, "simulate", scene, "--output", scene / "below")
-    assert "cannot write to" in err
+    assert "cannot write: Not a directory; give a folder" in err
+    assert str(scene / "below") in err
 
 
 def test_unknown_commands_and_missing_scenes_end_with_status_two(capsys):
@@ -174,3 +179,61 @@ def test_accuracy_of_an_unknown_method(tmp_path, capsys, scene):
     err = refused(capsys, "accuracy", scene, "--methods", "rk4,euler", "--output", tmp_path / "n")
     assert "rest.toml: method is 'euler', expected one of" in err
     assert not (tmp_path / "n").exists()
+
+
+# ---- disks and pipes that take no more, and memory that ends ----
+
+SMALL = """
+import resource, sys
+from tenscontrol.cli import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, -1))
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def ended(arguments, start=("-m", "tenscontrol"), **options):
+    """Run the command in a process of its own; the one line that it says on stderr."""
+    done = subprocess.run(
+        [sys.executable, *start, *map(str, arguments)], stderr=subprocess.PIPE, text=True, **options
+    )
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    return line
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device")
+def test_a_full_standard_output(tmp_path, scene):
+    with open("/dev/full", "w") as full:
+        said = ended(["simulate", scene, "--output", tmp_path / "saved"], stdout=full)
+    assert said == "tenscontrol: cannot write to the standard output: No space left on device"
+    assert (tmp_path / "saved" / "trajectory.npz").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
+def test_a_closed_pipe(tmp_path, scene):
+    reading, writing = os.pipe()
+    os.close(reading)
+    with open(writing, "w") as pipe:
+        said = ended(["simulate", scene, "--output", tmp_path / "saved"], stdout=pipe)
+    assert said == "tenscontrol: cannot write to the standard output: Broken pipe"
+    assert (tmp_path / "saved" / "trajectory.npz").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
+def test_a_full_disk(tmp_path, scene):
+    (tmp_path / "trajectory.npz").write_text("old")
+    said = ended(
+        ["simulate", scene, "--output", tmp_path], ("-c", SMALL), stdout=subprocess.DEVNULL
+    )
+    assert "cannot write: File too large; write elsewhere" in said
+    assert str(tmp_path / "trajectory.npz") in said
+    assert (tmp_path / "trajectory.npz").read_text() == "old"
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [(MemoryError(), "ask for less"), (MemoryError("Unable to allocate 1. TiB"), "1. TiB")],
+)
+def test_memory_that_ends(error, message, capsys, scene, monkeypatch):
+    monkeypatch.setattr("tenscontrol.scene.load_scene", Mock(side_effect=error))
+    assert message in refused(capsys, "modes", scene)

@@ -5,6 +5,13 @@
 #include <string.h>
 
 #include "controller_casadi.h"
+
+typedef struct {
+    int rows;
+    const int *start, *column; /* of the entries of each row */
+    const double *value;
+} Matrix;
+
 #include "controller_data.h"
 
 /* ---- common to all laws ---- */
