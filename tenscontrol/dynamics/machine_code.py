@@ -10,13 +10,12 @@ import os
 import platform
 import shlex
 import shutil
-import signal
 import stat
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
@@ -25,6 +24,7 @@ from time import perf_counter
 
 import casadi as ca
 
+from tenscontrol import file_lock
 from tenscontrol.validation import instance, positive_number
 
 #: Environment variable that names the compiler, before ``CC``; ``none`` switches compiling off.
@@ -46,6 +46,25 @@ FLAGS = (
     "-fPIC",
     "-shared",
 )
+
+# How a POSIX shell runs a compiler. Its standard input is a pipe whose other end is held by this
+# process alone: when that is closed, or this process is killed, the compiler is ended with all that
+# it has started, and the folder in which it works is removed.
+_WATCHED = """
+exec 3<&0 </dev/null
+"$@" 3<&- & job=$!
+{
+    read -r end
+    trap '' TERM; kill -TERM 0
+    [ -z "$0" ] || rm -rf -- "$0"
+    kill -KILL 0
+} <&3 3<&- >/dev/null 2>&1 & watch=$!
+exec 3<&-
+wait "$job"; status=$?
+exec 2>/dev/null
+kill -KILL "$watch"
+exit "$status"
+"""
 
 _VERSION_TIMEOUT = 30.0  # s
 _LINES = 8  # of what the compiler says that go into a message
@@ -125,7 +144,13 @@ def suffix() -> str:
 
 def _asked_for(variable: str, asked: str) -> Compiler:
     # A path with blanks is a program; "ccache gcc" is a program and an argument.
-    words = [asked] if shutil.which(asked) else shlex.split(asked)
+    try:
+        words = [asked] if shutil.which(asked) else shlex.split(asked)
+    except ValueError as error:
+        raise CompilerError(
+            f"{variable} is {asked!r}, expected a program and its arguments, but it has "
+            f"{str(error).lower()}. {_ADVICE}"
+        ) from None
     path = shutil.which(words[0])
     if path is None:
         raise CompilerError(f"{variable} is {asked!r}, and there is no such program. {_ADVICE}")
@@ -163,17 +188,24 @@ def _run(command: list[str], folder: Path | None, timeout: float) -> tuple[int |
     environment = {**os.environ, "LC_ALL": "C"}
     if folder is not None:
         environment["TMPDIR"] = str(folder)  # goes with the folder, whatever happens
-    with subprocess.Popen(
-        command,
-        cwd=folder,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        encoding="utf-8",
-        errors="replace",
-        start_new_session=True,
-    ) as process:
+    if os.name != "nt":
+        command = ["/bin/sh", "-c", _WATCHED, str(folder or ""), *command]
+    end, held = (os.fdopen(each, mode) for each, mode in zip(os.pipe(), ("rb", "wb"), strict=True))
+    with (
+        end,
+        held,
+        subprocess.Popen(
+            command,
+            cwd=folder,
+            env=environment,
+            stdin=end,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            encoding="utf-8",
+            errors="replace",
+            start_new_session=True,
+        ) as process,
+    ):
         try:
             said, _ = process.communicate(timeout=timeout)
         except subprocess.TimeoutExpired:
@@ -181,17 +213,11 @@ def _run(command: list[str], folder: Path | None, timeout: float) -> tuple[int |
         finally:
             # Also at Ctrl-C: what the compiler has started must not go on without it.
             if process.returncode is None:
-                _end(process)
+                held.close()
+                if os.name == "nt":
+                    process.kill()
+                process.communicate()
     return process.returncode, said
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    if os.name == "nt":
-        process.kill()
-    else:
-        with suppress(ProcessLookupError):  # it may just have ended
-            os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
 
 
 _DIGITS = 32  # of each hash in a file name: 128 bits
@@ -417,12 +443,39 @@ def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, 
     library = kept.find(key)
     cached = library is not None
     if library is None:
-        with tempfile.TemporaryDirectory(dir=kept.folder, prefix="making-") as folder:
+        with _new_folder(kept.folder) as folder:
             # Names without a folder: the library must not depend on where it was made.
-            (Path(folder) / "function.c").write_text(source, encoding="utf-8")
-            made = found.link([Path("function.c")], Path(folder), "function", timeout)
+            (folder / "function.c").write_text(source, encoding="utf-8")
+            made = found.link([Path("function.c")], folder, "function", timeout)
             library = kept.add(key, made)
     return library, cached, kept
+
+
+@contextmanager
+def _new_folder(parent: Path) -> Iterator[Path]:
+    """Yield a folder to compile in, removed afterwards, and remove those of dead processes."""
+    for left in parent.glob("making-*"):
+        # It may just be removed by its owner, or not be ours to open.
+        with suppress(OSError), file_lock.opened(left / "lock") as (_, locked):
+            if locked:
+                shutil.rmtree(left, ignore_errors=True)
+    while True:
+        folder = Path(tempfile.mkdtemp(dir=parent, prefix="making-"))
+        with ExitStack() as stack:
+            stack.callback(shutil.rmtree, folder, ignore_errors=True)
+            if _claimed(folder, stack):
+                yield folder
+                return
+
+
+def _claimed(folder: Path, stack: ExitStack) -> bool:
+    """Lock a new folder, unless another process took it for one that was left, and removes it."""
+    try:
+        opened = file_lock.opened(folder / "lock", os.O_EXCL)
+        descriptor, locked = stack.enter_context(opened)
+    except (FileExistsError, FileNotFoundError):
+        return False
+    return locked is not False and os.fstat(descriptor).st_nlink > 0
 
 
 def _source(function: ca.Function) -> str:

@@ -1,0 +1,62 @@
+"""A lock on a file that one holder at a time has, and that ends with the holder's process."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+_held: set[int] = set()
+
+
+@contextmanager
+def opened(path: Path, flags: int = 0) -> Iterator[tuple[int, bool | None]]:
+    """Open a file, made if it is not there, and yield its descriptor and whether it is locked.
+
+    False says that another process or thread has the lock, None that this file system has none.
+    """
+    binary = getattr(os, "O_BINARY", 0)  # of Windows
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | binary | flags, 0o666)
+    _held.add(descriptor)
+    try:
+        yield descriptor, _locked(descriptor)
+    finally:
+        _held.discard(descriptor)
+        os.close(descriptor)
+
+
+def _let_go() -> None:
+    """Close the files in a process that was forked: it would keep the lock of a dead parent."""
+    for descriptor in _held:
+        os.close(descriptor)
+    _held.clear()
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    _FAR = 0x7FFFFFFE  # beyond what is written: nobody else can read a byte that is locked
+
+    def _locked(descriptor: int) -> bool | None:
+        os.lseek(descriptor, _FAR, os.SEEK_SET)
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+
+else:
+    import fcntl
+
+    os.register_at_fork(after_in_child=_let_go)
+
+    def _locked(descriptor: int) -> bool | None:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return None
+        return True
