@@ -12,13 +12,13 @@ _held: set[int] = set()
 
 
 @contextmanager
-def opened(path: Path, flags: int = 0) -> Iterator[tuple[int, bool | None]]:
-    """Open a file, made if it is not there, and yield its descriptor and whether it is locked.
+def opened(path: Path) -> Iterator[tuple[int, bool | None]]:
+    """Open or make a file to append to, lock it, and yield its descriptor and whether it is locked.
 
-    False says that another process or thread has the lock, None that this file system has none.
+    False: another process or thread has the lock. None: this file system has no locks.
     """
-    binary = getattr(os, "O_BINARY", 0)  # of Windows
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | binary | flags, 0o666)
+    flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
+    descriptor = os.open(path, flags, 0o666)
     _held.add(descriptor)
     try:
         yield descriptor, _locked(descriptor)

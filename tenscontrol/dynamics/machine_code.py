@@ -15,12 +15,12 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, time
 
 import casadi as ca
 
@@ -453,29 +453,19 @@ def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, 
 
 @contextmanager
 def _new_folder(parent: Path) -> Iterator[Path]:
-    """Yield a folder to compile in, removed afterwards, and remove those of dead processes."""
+    """Yield a folder to compile in, removed afterwards; one that a dead process left goes first."""
     for left in parent.glob("making-*"):
-        # It may just be removed by its owner, or not be ours to open.
-        with suppress(OSError), file_lock.opened(left / "lock") as (_, locked):
-            if locked:
-                shutil.rmtree(left, ignore_errors=True)
-    while True:
-        folder = Path(tempfile.mkdtemp(dir=parent, prefix="making-"))
-        with ExitStack() as stack:
-            stack.callback(shutil.rmtree, folder, ignore_errors=True)
-            if _claimed(folder, stack):
-                yield folder
-                return
-
-
-def _claimed(folder: Path, stack: ExitStack) -> bool:
-    """Lock a new folder, unless another process took it for one that was left, and removes it."""
-    try:
-        opened = file_lock.opened(folder / "lock", os.O_EXCL)
-        descriptor, locked = stack.enter_context(opened)
-    except (FileExistsError, FileNotFoundError):
-        return False
-    return locked is not False and os.fstat(descriptor).st_nlink > 0
+        with suppress(OSError):  # it may just be removed by its owner
+            # A young one may not be locked yet.
+            if time() > left.stat().st_mtime + 10.0:
+                with file_lock.opened(left / "lock") as (_, locked):
+                    if locked:
+                        shutil.rmtree(left, ignore_errors=True)
+    with (
+        tempfile.TemporaryDirectory("", "making-", parent, ignore_cleanup_errors=True) as folder,
+        file_lock.opened(Path(folder) / "lock"),
+    ):
+        yield Path(folder)
 
 
 def _source(function: ca.Function) -> str:

@@ -362,6 +362,7 @@ def test_what_dead_processes_have_left_is_removed(monkeypatch, tmp_path, cache):
     left = cache / "making-left"
     left.mkdir()
     (left / "function.c").touch()
+    os.utime(left, (0.0, 0.0))  # a young one may be that of a process that has yet to lock it
     real, wait = compiler().command[0], tmp_path / "wait"
     wait.touch()
     slow = f'[ "$1" = --version ] || while [ -e "{wait}" ]; do sleep 0.02; done; exec "{real}" "$@"'
