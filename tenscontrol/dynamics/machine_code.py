@@ -6,6 +6,7 @@ another user may have written.
 
 from __future__ import annotations
 
+import atexit
 import os
 import platform
 import shlex
@@ -48,22 +49,14 @@ FLAGS = (
 )
 
 # How a POSIX shell runs a compiler. Its standard input is a pipe whose other end is held by this
-# process alone: when that is closed, or this process is killed, the compiler is ended with all that
-# it has started, and the folder in which it works is removed.
+# process alone: if that is closed without a word, as when this process is killed, the compiler is
+# ended with all that it has started, and the folder in which it works is removed.
 _WATCHED = """
 exec 3<&0 </dev/null
-"$@" 3<&- & job=$!
-{
-    read -r end
-    trap '' TERM; kill -TERM 0
-    [ -z "$0" ] || rm -rf -- "$0"
-    kill -KILL 0
-} <&3 3<&- >/dev/null 2>&1 & watch=$!
-exec 3<&-
-wait "$job"; status=$?
-exec 2>/dev/null
-kill -KILL "$watch"
-exit "$status"
+{ read -r done && exit
+  trap '' TERM; kill -TERM 0; [ -z "$0" ] || rm -rf -- "$0"; kill -KILL 0
+} <&3 3<&- >/dev/null 2>&1 &
+exec "$@" 3<&-
 """
 
 _VERSION_TIMEOUT = 30.0  # s
@@ -96,9 +89,9 @@ class Compiler:
     ) -> Path:
         """Compile files of C code to one library and return its path.
 
-        ``sources`` are seen from the folder, ``name`` is without ending, ``extra`` are options
-        that go after all others. Raises CompilerError if the compiler fails, writes nothing, or
-        takes longer than ``timeout``, s.
+        ``sources`` are seen from the folder, which goes if this process is killed; ``name`` is
+        without ending, ``extra`` are options that go after all others. Raises CompilerError if the
+        compiler fails, writes nothing, or takes longer than ``timeout``, s.
         """
         library = folder / f"{name}{suffix()}"
         files = [str(source) for source in sources]
@@ -208,6 +201,7 @@ def _run(command: list[str], folder: Path | None, timeout: float) -> tuple[int |
     ):
         try:
             said, _ = process.communicate(timeout=timeout)
+            held.write(b"done\n")
         except subprocess.TimeoutExpired:
             return None, ""
         finally:
@@ -284,15 +278,12 @@ def _user_folder() -> Path | None:
     return folder if folder.is_absolute() else None
 
 
-def _temporary() -> Cache:
-    return Cache(Path(_temporary_folder().name), temporary=True)
-
-
 @cache
-def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
-    """Return one private folder for the process, removed at its end."""
-    # Windows does not remove a library in use.
-    return tempfile.TemporaryDirectory(prefix="tenscontrol-", ignore_cleanup_errors=True)
+def _temporary() -> Cache:
+    """Return one private cache for the process, removed at its end."""
+    folder = tempfile.mkdtemp(prefix="tenscontrol-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)  # Windows keeps a library in use
+    return Cache(Path(folder), temporary=True)
 
 
 def _refuse_unsafe(path: Path, kind: str, remedy: str) -> None:
@@ -349,7 +340,7 @@ def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
     as fast or more. The library is kept in the user's cache folder, so that the next run need not
     compile again: ``$XDG_CACHE_HOME/tenscontrol``, else ``~/.cache/tenscontrol``, on macOS
     ``~/Library/Caches/tenscontrol``, on Windows ``tenscontrol`` in ``%LOCALAPPDATA%``. It may be
-    deleted at any time.
+    deleted at any time. A process that is killed takes its compiler with it, except on Windows.
 
     Parameters
     ----------

@@ -49,9 +49,9 @@ def sweep(
     parameters : mapping of str to Distribution
         What to draw for each run: :class:`Uniform`, :class:`Normal`, :class:`OneOf`.
     count : int
-        Number of runs.
+        Number of runs, at most 10**9.
     seed : int
-        What the random numbers start from, at least 0.
+        What the random numbers start from, at least 0 and below 2**256.
     executor : concurrent.futures.Executor, optional
         Where the runs are done; it is not shut down. Dask's is
         ``Client(...).get_executor()``. If not given, new processes, which a script
@@ -63,9 +63,9 @@ def sweep(
         a process if not given, 64 on an executor that is given.
     file : path, optional
         Where each run is written down as soon as it is done. If the file is there, the sweep goes
-        on from it: one of its runs is done again, and must give the same numbers; the others are
-        not. ``count`` may differ from that of the file: a larger one adds runs to it, with a
-        smaller one the first ``count`` runs are reported, and the file keeps all.
+        on from it: all parameters and one of its runs must come out the same again. ``count`` may
+        differ from that of the file: a larger one adds runs to it, with a smaller one the first
+        ``count`` runs are reported, and the file keeps all.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 
@@ -77,7 +77,11 @@ def sweep(
     ------
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit, the case cannot be
-        pickled, or the file is of another sweep; the message says what differs.
+        pickled, the file is of another sweep (the message says what differs), or was changed (it
+        says in which line).
+    OSError
+        If the file cannot be read or written, or another sweep writes to it. It keeps all runs
+        that were written.
     SweepError
         If a worker dies, the case is none, or a run of the file gives other
         numbers now. It carries the report of what is done.
@@ -87,7 +91,7 @@ def sweep(
     RuntimeWarning
         If the user interrupts: the report of what is done is returned, and runs at
         work are given up; an executor that is given ends those by itself. If the last
-        line of the file is torn: it is dropped.
+        line of the file is torn: it is dropped. If the file system has no locks.
 
     Examples
     --------
