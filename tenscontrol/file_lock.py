@@ -8,6 +8,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+if sys.platform == "win32":
+    import msvcrt
+
+    _FAR = 0x7FFFFFFE  # beyond what is written: nobody else can read a byte that is locked
+else:
+    import fcntl
+
 _held: set[int] = set()
 
 
@@ -34,29 +41,19 @@ def _let_go() -> None:
     _held.clear()
 
 
-if sys.platform == "win32":
-    import msvcrt
-
-    _FAR = 0x7FFFFFFE  # beyond what is written: nobody else can read a byte that is locked
-
-    def _locked(descriptor: int) -> bool | None:
-        os.lseek(descriptor, _FAR, os.SEEK_SET)
-        try:
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        except OSError:
-            return False
-        return True
-
-else:
-    import fcntl
-
+if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_let_go)
 
-    def _locked(descriptor: int) -> bool | None:
-        try:
+
+def _locked(descriptor: int) -> bool | None:
+    try:
+        if sys.platform == "win32":
+            os.lseek(descriptor, _FAR, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-        except OSError:
-            return None
-        return True
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError:
+        return None
+    return True

@@ -18,7 +18,7 @@ Drawn = float | list[float]
 
 # Streams of random numbers of a run: one for each parameter, by its name, and one for the case.
 # So a further parameter changes nothing of what the others and the case draw.
-_PARAMETERS, _CASE = 0, 1
+_PARAMETERS, CASE = 0, 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,16 +201,11 @@ def one_number(name: str, value: object) -> float:
 def draw_run(parameters: Mapping[str, Distribution], seed: int, run: int) -> dict[str, Drawn]:
     """Return the parameters of a run, which hang on the seed and the index alone."""
     return {
-        name: distribution.draw(_generator(seed, run, _PARAMETERS, *name.encode()))
+        name: distribution.draw(generator(seed, run, _PARAMETERS, *name.encode()))
         for name, distribution in parameters.items()
     }
 
 
-def case_generator(seed: int, run: int) -> np.random.Generator:
-    """Return the random numbers that the case has in a run."""
-    return _generator(seed, run, _CASE)
-
-
-def _generator(seed: int, *key: int) -> np.random.Generator:
+def generator(seed: int, *key: int) -> np.random.Generator:
     """Return the generator that ``SeedSequence(seed)`` spawns at this key."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

@@ -148,7 +148,10 @@ def sweep(
                     if record.run in records:
                         _refuse_other_numbers(record, records[record.run])
                         return
-                    _refuse_other_figures(record, records)
+                    try:
+                        store.refuse_other_figures(record, records)
+                    except ValueError as error:
+                        raise SweepError(str(error)) from None
                     write(record)
                     records[record.run] = record
                     report(len(records) - beyond)
@@ -195,19 +198,6 @@ def _checked_parameters(parameters: object) -> dict[str, Distribution]:
             f"parameters[{name!r}]", distribution, Distribution, "use Uniform, Normal or OneOf"
         )
     return dict(parameters)
-
-
-def _refuse_other_figures(record: Record, records: Mapping[int, Record]) -> None:
-    """Refuse figures of other names than those of the runs so far."""
-    if record.figures is None:
-        return
-    earlier = next((each for each in records.values() if each.figures is not None), record)
-    found, expected = sorted(record.figures), sorted(earlier.figures or ())
-    if found != expected:
-        raise SweepError(
-            f"run {record.run} has the figures {found}, but run {earlier.run} has {expected}: "
-            "a case returns the same ones in every run"
-        )
 
 
 def _refuse_other_numbers(now: Record, then: Record) -> None:

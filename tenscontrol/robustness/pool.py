@@ -26,7 +26,7 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol.robustness.closed_loop_case import Outcome
-from tenscontrol.robustness.distributions import Distribution, case_generator, draw_run
+from tenscontrol.robustness.distributions import CASE, Distribution, draw_run, generator
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError
 from tenscontrol.validation import frozen
@@ -205,7 +205,7 @@ def run_one(case: bytes, parameters: Mapping[str, Distribution], seed: int, run:
         for name, value in drawn.items()
     }
     try:
-        outcome = function(given, case_generator(seed, run))
+        outcome = function(given, generator(seed, run, CASE))
     except (SweepError, MemoryError):
         raise  # the sweep is wrong, or the machine too small: the next runs would be no better
     except Exception as error:  # noqa: BLE001  # the only place: a run that fails is data

@@ -21,6 +21,8 @@ from types import UnionType
 from typing import Any, Self, get_args, get_origin, get_type_hints
 from zlib import crc32
 
+import numpy as np
+
 from tenscontrol import file_lock
 from tenscontrol.robustness.distributions import Distribution, Drawn, draw_run
 from tenscontrol.validation import whole_number
@@ -110,6 +112,10 @@ def read(
         ) from None
     if wanted is not None:
         _refuse_another(file, header, wanted)
+    sizes = {
+        name: () if (size := each.get("size")) is None else (size,)
+        for name, each in header.parameters.items()
+    }
     records: dict[int, Record] = {}
     for number, line in enumerate(lines[1:], start=2):
         try:
@@ -120,16 +126,17 @@ def read(
                 header = replace(header, count=count)
                 continue
             record = Record.read(text, found)
-            run, expected = record.run, record.parameters
+            run, parameters = record.run, record.parameters
             if run in records or not 0 <= run < header.count:
                 raise ValueError(f"run is {run}, expected each of 0 to {header.count - 1} once")
-            if drawn is not None:
-                expected = draw_run(drawn, header.seed, run)
-            if record.parameters != expected:
+            if sizes != {name: np.shape(each) for name, each in parameters.items()}:
+                raise ValueError(f"parameters are {parameters!r:.99}, expected the shapes {sizes}")
+            if drawn is not None and parameters != draw_run(drawn, header.seed, run):
                 raise ValueError(
-                    f"parameters are {record.parameters!r:.99}, expected those of the seed "
-                    f"{header.seed}, {expected!r:.99}: the file or NumPy has changed"
+                    f"parameters are {parameters!r:.99}, expected those of the seed {header.seed}: "
+                    "the file was changed, or NumPy has"
                 )
+            refuse_other_figures(record, records)
         except _FAULTS as error:
             raise ValueError(f"{file}, line {number} is not a run: {error}") from None
         records[run] = record
@@ -183,6 +190,19 @@ def opened(
         found, records, size = read(file, header, drawn)
         os.ftruncate(descriptor, size)
         yield found.count, records, write
+
+
+def refuse_other_figures(record: Record, records: Mapping[int, Record]) -> None:
+    """Refuse figures of other names than those of the runs so far."""
+    if record.figures is None:
+        return
+    earlier = next((each for each in records.values() if each.figures is not None), record)
+    found, expected = sorted(record.figures), sorted(earlier.figures or ())
+    if found != expected:
+        raise ValueError(
+            f"run {record.run} has the figures {found}, but run {earlier.run} has {expected}: "
+            "a case returns the same ones in every run"
+        )
 
 
 def _content(file: Path) -> bytes:
