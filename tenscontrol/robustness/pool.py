@@ -224,9 +224,10 @@ def run_one(case: bytes, parameters: Mapping[str, Distribution], seed: int, run:
 def begin_work() -> None:
     """Leave Ctrl-C to the parent, and end with it, however it ends.
 
-    What is left of a simulation after Ctrl-C must not pass for a whole run.
+    What is left of a simulation after a signal must not pass for a whole run.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: os._exit(1))
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
