@@ -48,9 +48,10 @@ class Line:
         return f'{text[:-1]}, "check": "{crc32(text.encode()):08x}"}}'
 
     @classmethod
-    def read(cls, text: str, found: Any) -> Self:
-        """Return the line of a text and what it says, or raise a TypeError or ValueError."""
-        made = cls(**{name: value for name, value in dict(found).items() if name != "check"})
+    def read(cls, text: str) -> Self:
+        """Return what a line says, or raise an error of those in ``_FAULTS``."""
+        found = dict(json.loads(text))
+        made = cls(**{name: value for name, value in found.items() if name != "check"})
         if made.line() != text:
             raise ValueError("it was changed after it was written: its check sum is another")
         return made
@@ -104,8 +105,7 @@ def read(
     """
     *lines, torn = _content(file).split(b"\n")
     try:
-        first = b"".join(lines[:1]).decode()
-        header = Header.read(first, json.loads(first))
+        header = Header.read(b"".join(lines[:1]).decode())
     except _FAULTS as error:
         raise ValueError(
             f"{file} is no file of a sweep: its first line is not a header ({error})"
@@ -119,13 +119,12 @@ def read(
     records: dict[int, Record] = {}
     for number, line in enumerate(lines[1:], start=2):
         try:
-            found = json.loads(text := line.decode())
-            if isinstance(found, dict) and "count" in found:
-                longer = Longer.read(text, found)
+            if line.startswith(b'{"count"'):
+                longer = Longer.read(line.decode())
                 count = whole_number("count", longer.count, least=header.count + 1)
                 header = replace(header, count=count)
                 continue
-            record = Record.read(text, found)
+            record = Record.read(line.decode())
             run, parameters = record.run, record.parameters
             if run in records or not 0 <= run < header.count:
                 raise ValueError(f"run is {run}, expected each of 0 to {header.count - 1} once")

@@ -66,11 +66,13 @@ def numbers(report):
 
 def victim(work, mark, folder):
     """Do the work in a process that was forked; return its id."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until the child is within try
     process = os.fork()
     if process == 0:
         try:
             os.setsid()
             signal.signal(signal.SIGINT, signal.default_int_handler)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
             quiet = os.open(os.devnull, os.O_RDWR)
             for stream in (1, 2):
                 os.dup2(quiet, stream)
@@ -78,6 +80,7 @@ def victim(work, mark, folder):
             work()
         finally:
             os._exit(0)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     return process
 
 
