@@ -6,25 +6,26 @@ another user may have written.
 
 from __future__ import annotations
 
+import atexit
 import os
 import platform
 import shlex
 import shutil
-import signal
 import stat
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, time
 
 import casadi as ca
 
+from tenscontrol import file_lock
 from tenscontrol.dynamics.threads import builds, paused
 from tenscontrol.validation import instance, positive_number
 
@@ -47,6 +48,17 @@ FLAGS = (
     "-fPIC",
     "-shared",
 )
+
+# How a POSIX shell runs a compiler. Its standard input is a pipe whose other end is held by this
+# process alone: if that is closed without a word, as when this process is killed, the compiler is
+# ended with all that it has started, and the folder in which it works is removed.
+_WATCHED = """
+exec 3<&0 </dev/null
+{ read -r done && exit
+  trap '' TERM; kill -TERM 0; [ -z "$0" ] || rm -rf -- "$0"; kill -KILL 0
+} <&3 3<&- >/dev/null 2>&1 &
+exec "$@" 3<&-
+"""
 
 _VERSION_TIMEOUT = 30.0  # s
 _LINES = 8  # of what the compiler says that go into a message
@@ -78,9 +90,9 @@ class Compiler:
     ) -> Path:
         """Compile files of C code to one library and return its path.
 
-        ``sources`` are seen from the folder, ``name`` is without ending, ``extra`` are options
-        that go after all others. Raises CompilerError if the compiler fails, writes nothing, or
-        takes longer than ``timeout``, s.
+        ``sources`` are seen from the folder, which goes if this process is killed; ``name`` is
+        without ending, ``extra`` are options that go after all others. Raises CompilerError if the
+        compiler fails, writes nothing, or takes longer than ``timeout``, s.
         """
         library = folder / f"{name}{suffix()}"
         files = [str(source) for source in sources]
@@ -126,7 +138,13 @@ def suffix() -> str:
 
 def _asked_for(variable: str, asked: str) -> Compiler:
     # A path with blanks is a program; "ccache gcc" is a program and an argument.
-    words = [asked] if shutil.which(asked) else shlex.split(asked)
+    try:
+        words = [asked] if shutil.which(asked) else shlex.split(asked)
+    except ValueError as error:
+        raise CompilerError(
+            f"{variable} is {asked!r}, expected a program and its arguments, but it has "
+            f"{str(error).lower()}. {_ADVICE}"
+        ) from None
     path = shutil.which(words[0])
     if path is None:
         raise CompilerError(f"{variable} is {asked!r}, and there is no such program. {_ADVICE}")
@@ -164,35 +182,37 @@ def _run(command: list[str], folder: Path | None, timeout: float) -> tuple[int |
     environment = {**os.environ, "LC_ALL": "C"}
     if folder is not None:
         environment["TMPDIR"] = str(folder)  # goes with the folder, whatever happens
-    with subprocess.Popen(
-        command,
-        cwd=folder,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        encoding="utf-8",
-        errors="replace",
-        start_new_session=True,
-    ) as process:
+    if os.name != "nt":
+        command = ["/bin/sh", "-c", _WATCHED, str(folder or ""), *command]
+    end, held = (os.fdopen(each, mode) for each, mode in zip(os.pipe(), ("rb", "wb"), strict=True))
+    with (
+        end,
+        held,
+        subprocess.Popen(
+            command,
+            cwd=folder,
+            env=environment,
+            stdin=end,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            encoding="utf-8",
+            errors="replace",
+            start_new_session=True,
+        ) as process,
+    ):
         try:
             said, _ = process.communicate(timeout=timeout)
+            held.write(b"done\n")
         except subprocess.TimeoutExpired:
             return None, ""
         finally:
             # Also at Ctrl-C: what the compiler has started must not go on without it.
             if process.returncode is None:
-                _end(process)
+                held.close()
+                if os.name == "nt":
+                    process.kill()
+                process.communicate()
     return process.returncode, said
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    if os.name == "nt":
-        process.kill()
-    else:
-        with suppress(ProcessLookupError):  # it may just have ended
-            os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
 
 
 _DIGITS = 32  # of each hash in a file name: 128 bits
@@ -259,15 +279,12 @@ def _user_folder() -> Path | None:
     return folder if folder.is_absolute() else None
 
 
-def _temporary() -> Cache:
-    return Cache(Path(_temporary_folder().name), temporary=True)
-
-
 @cache
-def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
-    """Return one private folder for the process, removed at its end."""
-    # Windows does not remove a library in use.
-    return tempfile.TemporaryDirectory(prefix="tenscontrol-", ignore_cleanup_errors=True)
+def _temporary() -> Cache:
+    """Return one private cache for the process, removed at its end."""
+    folder = tempfile.mkdtemp(prefix="tenscontrol-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)  # Windows keeps a library in use
+    return Cache(Path(folder), temporary=True)
 
 
 def _refuse_unsafe(path: Path, kind: str, remedy: str) -> None:
@@ -325,7 +342,7 @@ def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
     as fast or more. The library is kept in the user's cache folder, so that the next run need not
     compile again: ``$XDG_CACHE_HOME/tenscontrol``, else ``~/.cache/tenscontrol``, on macOS
     ``~/Library/Caches/tenscontrol``, on Windows ``tenscontrol`` in ``%LOCALAPPDATA%``. It may be
-    deleted at any time.
+    deleted at any time. A process that is killed takes its compiler with it, except on Windows.
 
     Parameters
     ----------
@@ -420,12 +437,29 @@ def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, 
     library = kept.find(key)
     cached = library is not None
     if library is None:
-        with tempfile.TemporaryDirectory(dir=kept.folder, prefix="making-") as folder:
+        with _new_folder(kept.folder) as folder:
             # Names without a folder: the library must not depend on where it was made.
-            (Path(folder) / "function.c").write_text(source, encoding="utf-8")
-            made = found.link([Path("function.c")], Path(folder), "function", timeout)
+            (folder / "function.c").write_text(source, encoding="utf-8")
+            made = found.link([Path("function.c")], folder, "function", timeout)
             library = kept.add(key, made)
     return library, cached, kept
+
+
+@contextmanager
+def _new_folder(parent: Path) -> Iterator[Path]:
+    """Yield a folder to compile in, removed afterwards; one that a dead process left goes first."""
+    for left in parent.glob("making-*"):
+        with suppress(OSError):  # it may just be removed by its owner
+            # A young one may not be locked yet.
+            if time() > left.stat().st_mtime + 10.0:
+                with file_lock.opened(left / "lock") as (_, locked):
+                    if locked:
+                        shutil.rmtree(left, ignore_errors=True)
+    with (
+        tempfile.TemporaryDirectory("", "making-", parent, ignore_cleanup_errors=True) as folder,
+        file_lock.opened(Path(folder) / "lock"),
+    ):
+        yield Path(folder)
 
 
 def _source(function: ca.Function) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, fields
 from typing import TYPE_CHECKING, Any, final
 
@@ -14,6 +15,10 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 Drawn = float | list[float]
+
+# Streams of random numbers of a run: one for each parameter, by its name, and one for the case.
+# So a further parameter changes nothing of what the others and the case draw.
+_PARAMETERS, CASE = 0, 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,3 +194,16 @@ def one_number(name: str, value: object) -> float:
     if array.ndim:
         raise ValueError(f"{name} has shape {array.shape}, expected one number")
     return float(array)
+
+
+def draw_run(parameters: Mapping[str, Distribution], seed: int, run: int) -> dict[str, Drawn]:
+    """Return the parameters of a run, which hang on the seed and the index alone."""
+    return {
+        name: distribution.draw(generator(seed, run, _PARAMETERS, *name.encode()))
+        for name, distribution in parameters.items()
+    }
+
+
+def generator(seed: int, *key: int) -> np.random.Generator:
+    """Return the generator that ``SeedSequence(seed)`` spawns at this key."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

@@ -10,6 +10,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
+from tenscontrol._version import __version__
 from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import store
 from tenscontrol.robustness.closed_loop_case import Outcome
@@ -62,9 +63,9 @@ def sweep(
         a process if not given, 64 on an executor that is given.
     file : path, optional
         Where each run is written down as soon as it is done. If the file is there, the sweep goes
-        on from it: one of its runs is done again, and must give the same numbers; the others are
-        not. ``count`` may differ from that of the file: a larger one adds runs to it, with a
-        smaller one the first ``count`` runs are reported, and the file keeps all.
+        on from it: all parameters and one of its runs must come out the same again. ``count`` may
+        differ from that of the file: a larger one adds runs to it, with a smaller one the first
+        ``count`` runs are reported, and the file keeps all.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 
@@ -76,7 +77,11 @@ def sweep(
     ------
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit, the case cannot be
-        pickled, or the file is of another sweep; the message says what differs.
+        pickled, the file is of another sweep (the message says what differs), or was changed (it
+        says in which line).
+    OSError
+        If the file cannot be read or written, or another sweep writes to it. It keeps all runs
+        that were written.
     SweepError
         If a worker dies, the case is none, or a run of the file gives other
         numbers now. It carries the report of what is done.
@@ -86,7 +91,7 @@ def sweep(
     RuntimeWarning
         If the user interrupts: the report of what is done is returned, and runs at
         work are given up; an executor that is given ends those by itself. If the last
-        line of the file is torn: it is dropped.
+        line of the file is torn: it is dropped. If the file system has no locks.
 
     Examples
     --------
@@ -125,47 +130,49 @@ def sweep(
     if in_flight is not None:
         in_flight = whole_number("in_flight", in_flight, least=1)
     name = str(getattr(case, "__qualname__", type(case).__qualname__))
-    header = store.make_header(name, seed, count, distributions)
+    settings = {name: each.settings() for name, each in distributions.items()}
+    header = store.Header(__version__, name, seed, count, settings)
     if file is not None and not isinstance(file, str | os.PathLike):
         raise TypeError(f"file is {file!r}, expected a path, or None for no file")
     path = None if file is None else Path(file)
-    known_count, known = (count, []) if path is None else store.resume(path, header)
-    records = {record.run: record for record in known}
-    beyond = sum(run >= count for run in records)  # the file may be that of a longer sweep
 
-    try:
-        with (
-            store.appending(path) as write,
-            progress_bar(count, progress, label="sweep", unit="runs") as report,
-            workers(executor, processes, in_flight) as pool,
-        ):
+    with store.opened(path, header, distributions) as (known_count, records, write):
+        beyond = sum(run >= count for run in records)  # the file may be that of a longer sweep
+        try:
+            with (
+                progress_bar(count, progress, label="sweep", unit="runs") as report,
+                workers(executor, processes, in_flight) as pool,
+            ):
 
-            def keep(record: Record) -> None:
-                if record.run in records:
-                    _refuse_other_numbers(record, records[record.run])
-                    return
-                _refuse_other_figures(record, records)
-                write(record.line())
-                records[record.run] = record
-                report(len(records) - beyond)
+                def keep(record: Record) -> None:
+                    if record.run in records:
+                        _refuse_other_numbers(record, records[record.run])
+                        return
+                    try:
+                        store.refuse_other_figures(record, records)
+                    except ValueError as error:
+                        raise SweepError(str(error)) from None
+                    write(record)
+                    records[record.run] = record
+                    report(len(records) - beyond)
 
-            def start(run: int) -> tuple[Any, ...]:
-                return run_one, pickled, distributions, seed, run
+                def start(run: int) -> tuple[Any, ...]:
+                    return run_one, pickled, distributions, seed, run
 
-            # One run of the file is done again: it tells whether the case is still the same,
-            # before anything is added to the file.
-            spread(pool, start, [record.run for record in known[:1]], keep)
-            if count > known_count:
-                write(store.longer(count))
-            spread(pool, start, [run for run in range(count) if run not in records], keep)
-    except SweepError as error:
-        raise SweepError(str(error), collected(header, records)) from error.__cause__
-    except KeyboardInterrupt:
-        warnings.warn(
-            f"the sweep was interrupted with {len(records) - beyond} of {count} runs done",
-            RuntimeWarning,
-            stacklevel=2,
-        )
+                # One run of the file is done again: it tells whether the case is still the same,
+                # before anything is added to the file.
+                spread(pool, start, list(records)[:1], keep)
+                if count > known_count:
+                    write(store.Longer(count))
+                spread(pool, start, (run for run in range(count) if run not in records), keep)
+        except SweepError as error:
+            raise SweepError(str(error), collected(header, records)) from error.__cause__
+        except KeyboardInterrupt:
+            warnings.warn(
+                f"the sweep was interrupted with {len(records) - beyond} of {count} runs done",
+                RuntimeWarning,
+                stacklevel=2,
+            )
     return collected(header, records)
 
 
@@ -191,20 +198,6 @@ def _checked_parameters(parameters: object) -> dict[str, Distribution]:
             f"parameters[{name!r}]", distribution, Distribution, "use Uniform, Normal or OneOf"
         )
     return dict(parameters)
-
-
-def _refuse_other_figures(record: Record, records: Mapping[int, Record]) -> None:
-    """Refuse figures of other names than those of the runs so far."""
-    if record.figures is None:
-        return
-    earlier = next((each for each in records.values() if each.figures is not None), None)
-    if earlier is not None and earlier.figures is not None:
-        found, expected = sorted(record.figures), sorted(earlier.figures)
-        if found != expected:
-            raise SweepError(
-                f"run {record.run} has the figures {found}, but run {earlier.run} has {expected}: "
-                "a case returns the same ones in every run"
-            )
 
 
 def _refuse_other_numbers(now: Record, then: Record) -> None:

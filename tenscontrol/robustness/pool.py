@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -15,15 +16,17 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from multiprocessing import connection
 from multiprocessing.context import SpawnContext
-from multiprocessing.process import BaseProcess
+from multiprocessing.process import BaseProcess, parent_process
+from types import FrameType
 from typing import Any, final
 
 import numpy as np
 
 from tenscontrol.robustness.closed_loop_case import Outcome
-from tenscontrol.robustness.distributions import Distribution
+from tenscontrol.robustness.distributions import CASE, Distribution, draw_run, generator
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError
 from tenscontrol.validation import frozen
@@ -33,10 +36,6 @@ _PER_PROCESS = 2
 
 # Runs in flight on an executor whose width is not known, unless the user says otherwise.
 _IN_FLIGHT = 64
-
-# Streams of random numbers of a run: one for each parameter, by its name, and one for the case.
-# So a further parameter changes nothing of what the others and the case draw.
-_PARAMETERS, _CASE = 0, 1
 
 
 @final
@@ -50,9 +49,7 @@ class Workers:
         """Hand out a run."""
         if self._own is None:
             return self._executor.submit(function, *arguments)
-        # This may start a process. It inherits the mask: Ctrl-C, which the terminal sends to all
-        # processes, would else end it before it can ignore that.
-        with _interrupts_blocked():
+        with _interrupts_held_back():
             return self._executor.submit(function, *arguments)
 
     def give_up(self, pending: Iterable[Future[Record]]) -> None:
@@ -65,7 +62,8 @@ class Workers:
         # the thread of Python 3.11 that clears up fails at a cancelled future, and the processes
         # that are left wait for ever.
         for process in self._own.started:
-            process.terminate()
+            if process.pid is not None:
+                process.kill()
 
 
 class _Remembering(SpawnContext):
@@ -83,16 +81,25 @@ class _Remembering(SpawnContext):
 
 
 @contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Hold Ctrl-C back, where the system can: on Windows it cannot."""
-    if not hasattr(signal, "pthread_sigmask"):
+def _interrupts_held_back() -> Iterator[None]:
+    """Hold Ctrl-C back while processes are started.
+
+    They inherit the mask: Ctrl-C, which the terminal sends to all processes, would else end them
+    before they can ignore that. Here it would leave an executor that is half begun.
+    """
+    caught: list[tuple[int, FrameType | None]] = []
+    before = signal.getsignal(signal.SIGINT)
+    is_main = threading.current_thread() is threading.main_thread()
+    with ExitStack() as stack:
+        if is_main and callable(before):
+            signal.signal(signal.SIGINT, lambda *found: caught.append(found))
+            stack.callback(signal.signal, signal.SIGINT, before)
+        if hasattr(signal, "pthread_sigmask"):  # not on Windows
+            mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
         yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    if caught and callable(before):
+        before(*caught[0])
 
 
 @contextmanager
@@ -107,7 +114,7 @@ def workers(
     width = processes or (len(affinity(0)) if affinity else os.cpu_count() or 1)
     # Processes are started anew: a fork of a process that has threads can lock up.
     context = _Remembering()
-    pool = ProcessPoolExecutor(width, context, initializer=ignore_interrupts)
+    pool = ProcessPoolExecutor(width, context, initializer=begin_work)
     try:
         yield Workers(pool, in_flight or _PER_PROCESS * width, context)
     finally:
@@ -138,6 +145,11 @@ def spread(
                     raise _stopped(error, pending[future], pending.values()) from error
                 del pending[future]
                 keep(future.result())
+    except KeyboardInterrupt:
+        for future in sorted(pending, key=pending.__getitem__):
+            if future.done() and _error(future) is None:
+                keep(future.result())
+        raise
     finally:
         if not over:
             pool.give_up(pending)
@@ -187,16 +199,13 @@ def run_one(case: bytes, parameters: Mapping[str, Distribution], seed: int, run:
     another. The random numbers hang on the seed and the index alone.
     """
     function = _loaded(case)
-    drawn = {
-        name: distribution.draw(_generator(seed, run, _PARAMETERS, *name.encode()))
-        for name, distribution in parameters.items()
-    }
+    drawn = draw_run(parameters, seed, run)
     given = {
         name: frozen(np.array(value)) if isinstance(value, list) else value
         for name, value in drawn.items()
     }
     try:
-        outcome = function(given, _generator(seed, run, _CASE))
+        outcome = function(given, generator(seed, run, CASE))
     except (SweepError, MemoryError):
         raise  # the sweep is wrong, or the machine too small: the next runs would be no better
     except Exception as error:  # noqa: BLE001  # the only place: a run that fails is data
@@ -212,9 +221,23 @@ def run_one(case: bytes, parameters: Mapping[str, Distribution], seed: int, run:
     return Record(run, drawn, outcome.success, outcome.figures)
 
 
-def ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent: what is left of a simulation must not pass for a whole run."""
+def begin_work() -> None:
+    """Leave Ctrl-C to the parent, and end with it, however it ends.
+
+    What is left of a simulation after a signal must not pass for a whole run.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: os._exit(1))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None  # this is a worker
+    # A process that the parent has forked may keep the sentinel open after its end.
+    while not connection.wait([parent.sentinel], timeout=1.0) and os.getppid() == parent.pid:
+        pass
+    os._exit(1)
 
 
 def _loaded(case: bytes) -> Callable[..., Any]:
@@ -226,8 +249,3 @@ def _loaded(case: bytes) -> Callable[..., Any]:
             "import, or in the script itself above `if __name__ == '__main__':`"
         ) from None
     return function
-
-
-def _generator(seed: int, *key: int) -> np.random.Generator:
-    """Return the generator that ``SeedSequence(seed)`` spawns at this key."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

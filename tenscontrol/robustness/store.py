@@ -1,25 +1,64 @@
 """The runs of a sweep and their file: a header and a line of JSON for each run that is done.
 
-A sweep that is made longer adds a line with its new number of runs, ``{"count": 400}``. Lines are
-only ever added, so that no power cut costs more than the last one.
+A sweep that is made longer adds a line with its new number of runs, ``{"count": 400}``. Each line
+ends in a check sum. Lines are only ever added, by one sweep at a time, and each is on the disk
+before the next is written: a power cut costs no more than the last one.
 """
 
 from __future__ import annotations
 
+import errno
 import json
+import math
+import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields, replace
+from functools import cache
 from pathlib import Path
-from typing import IO, Any
+from types import UnionType
+from typing import Any, Self, get_args, get_origin, get_type_hints
+from zlib import crc32
 
-from tenscontrol._version import __version__
-from tenscontrol.robustness.distributions import Distribution, Drawn
+import numpy as np
+
+from tenscontrol import file_lock
+from tenscontrol.robustness.distributions import Distribution, Drawn, draw_run
+from tenscontrol.validation import whole_number
+
+_BEGIN = b'{"tenscontrol": "'  # of each header
+
+_kinds: Callable[[type], dict[str, Any]] = cache(get_type_hints)  # of fields, by name
 
 
 @dataclass(frozen=True)
-class Record:
+class Line:
+    """A line of the file; its values are of the kinds that its fields are declared with."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not _fits(value, _kinds(type(self))[field.name]):
+                raise TypeError(f"{field.name} is {value!r:.60}, expected {field.type}, finite")
+
+    def line(self) -> str:
+        """Return it as JSON with a check sum. Floats are written so that they come back."""
+        text = json.dumps(vars(self), allow_nan=False)
+        return f'{text[:-1]}, "check": "{crc32(text.encode()):08x}"}}'
+
+    @classmethod
+    def read(cls, text: str) -> Self:
+        """Return what a line says, or raise an error of those in ``_FAULTS``."""
+        found = dict(json.loads(text))
+        made = cls(**{name: value for name, value in found.items() if name != "check"})
+        if made.line() != text:
+            raise ValueError("it was changed after it was written: its check sum is another")
+        return made
+
+
+@dataclass(frozen=True)
+class Record(Line):
     """One run, by its index from 0: what was drawn, and what came of it.
 
     Where the case raised, ``figures`` is None, ``error`` and ``message`` are kind and text.
@@ -32,17 +71,20 @@ class Record:
     error: str | None = None
     message: str | None = None
 
-    def line(self) -> str:
-        """Return the record as a line of JSON. Floats are written so that they come back."""
-        return json.dumps(asdict(self), allow_nan=False)
-
     def numbers(self) -> tuple[Any, ...]:
         """Return all but the text of an error."""
         return self.run, self.parameters, self.success, self.figures, self.error
 
 
 @dataclass(frozen=True)
-class Header:
+class Longer(Line):
+    """The sweep has so many runs from here on."""
+
+    count: int
+
+
+@dataclass(frozen=True)
+class Header(Line):
     """What a sweep is: the same header, the same numbers. ``count`` is how many runs of them."""
 
     tenscontrol: str
@@ -52,105 +94,149 @@ class Header:
     parameters: dict[str, dict[str, Any]]
 
 
-def make_header(case: str, seed: int, count: int, parameters: Mapping[str, Distribution]) -> Header:
-    """Return the header of a sweep of this version of the package."""
-    settings = {name: each.settings() for name, each in parameters.items()}
-    return Header(__version__, case, seed, count, settings)
-
-
-def read(file: Path) -> tuple[Header, list[Record], int]:
-    """Return header and records of a file, and how many of its bytes are whole lines.
+def read(
+    file: Path, wanted: Header | None = None, drawn: Mapping[str, Distribution] | None = None
+) -> tuple[Header, dict[int, Record], int]:
+    """Return header and records by run of a file, and how many of its bytes are whole lines.
 
     A last line that is torn, as a process that is killed leaves it, is dropped with a
-    RuntimeWarning.
+    RuntimeWarning. Where a sweep is wanted, the file must be of that one, and its parameters those
+    that are drawn.
     """
-    whole, _, torn = file.read_bytes().rpartition(b"\n")
-    first, *lines = whole.decode("utf-8").split("\n")
+    *lines, torn = _content(file).split(b"\n")
     try:
-        header = Header(**json.loads(first))
-    except (ValueError, TypeError) as error:
+        header = Header.read(b"".join(lines[:1]).decode())
+    except _FAULTS as error:
         raise ValueError(
             f"{file} is no file of a sweep: its first line is not a header ({error})"
         ) from None
+    if wanted is not None:
+        _refuse_another(file, header, wanted)
+    sizes = {
+        name: () if (size := each.get("size")) is None else (size,)
+        for name, each in header.parameters.items()
+    }
     records: dict[int, Record] = {}
-    for number, line in enumerate(lines, start=2):
+    for number, line in enumerate(lines[1:], start=2):
         try:
-            found = json.loads(line)
-            if isinstance(found, dict) and found.keys() == {"count"}:
-                count = found["count"]
-                if not isinstance(count, int) or count <= header.count:
-                    raise ValueError(
-                        f"count is {count!r}, expected a whole number above {header.count}"
-                    )
+            if line.startswith(b'{"count"'):
+                longer = Longer.read(line.decode())
+                count = whole_number("count", longer.count, least=header.count + 1)
                 header = replace(header, count=count)
                 continue
-            record = Record(**found)
-            if not isinstance(record.run, int):
-                raise TypeError(f"run is {record.run!r}, expected a whole number")
-        except (ValueError, TypeError) as error:
+            record = Record.read(line.decode())
+            run, parameters = record.run, record.parameters
+            if run in records or not 0 <= run < header.count:
+                raise ValueError(f"run is {run}, expected each of 0 to {header.count - 1} once")
+            if sizes != {name: np.shape(each) for name, each in parameters.items()}:
+                raise ValueError(f"parameters are {parameters!r:.99}, expected the shapes {sizes}")
+            if drawn is not None and parameters != draw_run(drawn, header.seed, run):
+                raise ValueError(
+                    f"parameters are {parameters!r:.99}, expected those of the seed {header.seed}: "
+                    "the file was changed, or NumPy has"
+                )
+            refuse_other_figures(record, records)
+        except _FAULTS as error:
             raise ValueError(f"{file}, line {number} is not a run: {error}") from None
-        if record.run in records or not 0 <= record.run < header.count:
-            raise ValueError(
-                f"{file}, line {number} is run {record.run}, expected each of 0 to "
-                f"{header.count - 1} once"
-            )
-        records[record.run] = record
+        records[run] = record
     if torn:
         warnings.warn(
             f"{file} ends in a torn line, which is dropped as if it had not been written",
             RuntimeWarning,
             stacklevel=3,
         )
-    return header, [records[run] for run in sorted(records)], len(whole) + 1
-
-
-def resume(file: Path, header: Header) -> tuple[int, list[Record]]:
-    """Return count and records of an earlier, equal sweep; the file is begun, or ready for more."""
-    if not file.exists():
-        file.write_text(json.dumps(asdict(header), allow_nan=False) + "\n", "utf-8", newline="\n")
-        return header.count, []
-    found, records, size = read(file)
-    _refuse_another(file, found, header)
-    with file.open("r+b") as stream:
-        stream.truncate(size)
-    return found.count, records
+    return header, dict(sorted(records.items())), sum(len(line) + 1 for line in lines)
 
 
 @contextmanager
-def appending(file: Path | None) -> Iterator[Callable[[str], None]]:
-    """Yield a function that writes a line down at once, or nowhere."""
+def opened(
+    file: Path | None, header: Header, drawn: Mapping[str, Distribution]
+) -> Iterator[tuple[int, dict[int, Record], Callable[[Line], None]]]:
+    """Yield count and records of an earlier, equal sweep, and a function that writes a line.
+
+    The file is begun if there is none, or only a torn header in it. No other sweep may write to it.
+    """
     if file is None:
-        yield lambda line: None
+        yield header.count, {}, lambda line: None
         return
-    stream: IO[str]
-    with file.open("a", encoding="utf-8", newline="\n") as stream:
+    with file_lock.opened(file) as (descriptor, locked):
+        if locked is False:
+            text = "another sweep writes to this file: wait for its end, or give another file"
+            raise BlockingIOError(errno.EAGAIN, text, str(file))
+        if locked is None:
+            text = f"the file system of {file} has no locks: let no other sweep write to it"
+            warnings.warn(text, RuntimeWarning, stacklevel=4)
 
-        def write(line: str) -> None:
-            stream.write(line + "\n")
-            stream.flush()
+        def write(line: Line) -> None:
+            left, size = f"{line.line()}\n".encode(), os.fstat(descriptor).st_size
+            try:
+                while left:
+                    left = left[os.write(descriptor, left) :]
+                os.fsync(descriptor)
+            except OSError as error:
+                with suppress(OSError):  # else the torn line is dropped when it is read
+                    os.ftruncate(descriptor, size)
+                text = f"{error.strerror}; the runs so far are kept, and the same call goes on"
+                raise OSError(error.errno, text, str(file)) from None
 
-        yield write
+        content = _content(file)
+        if b"\n" not in content and _BEGIN.startswith(content[: len(_BEGIN)]):
+            if content:
+                text = f"{file} has a torn header and no run, and is begun anew"
+                warnings.warn(text, RuntimeWarning, stacklevel=4)
+            os.ftruncate(descriptor, 0)
+            write(header)
+        found, records, size = read(file, header, drawn)
+        os.ftruncate(descriptor, size)
+        yield found.count, records, write
 
 
-def longer(count: int) -> str:
-    """Return the line that makes a sweep longer, to so many runs."""
-    return json.dumps({"count": count})
+def refuse_other_figures(record: Record, records: Mapping[int, Record]) -> None:
+    """Refuse figures of other names than those of the runs so far."""
+    if record.figures is None:
+        return
+    earlier = next((each for each in records.values() if each.figures is not None), record)
+    found, expected = sorted(record.figures), sorted(earlier.figures or ())
+    if found != expected:
+        raise ValueError(
+            f"run {record.run} has the figures {found}, but run {earlier.run} has {expected}: "
+            "a case returns the same ones in every run"
+        )
+
+
+def _content(file: Path) -> bytes:
+    if file.exists() and not file.is_file() and not file.is_dir():
+        raise ValueError(f"{file} is a device or pipe, expected a file that keeps what is written")
+    return file.read_bytes()
+
+
+# What reading a line raises; RecursionError is that of JSON in JSON in JSON.
+_FAULTS = (TypeError, ValueError, RecursionError)
+
+
+def _fits(value: object, kind: Any) -> bool:
+    """Whether a value, and what is in it, is of the kind of a field, and finite."""
+    if isinstance(kind, UnionType):
+        return any(_fits(value, each) for each in get_args(kind))
+    plain = get_origin(kind) or kind
+    if plain is Any or not isinstance(value, plain):
+        return plain is Any
+    if isinstance(value, list | dict):
+        inside = value.values() if isinstance(value, dict) else value
+        return all(_fits(each, get_args(kind)[-1]) for each in inside)
+    finite = not isinstance(value, float) or math.isfinite(value)
+    return finite and isinstance(value, bool) == (plain is bool)
 
 
 def _refuse_another(file: Path, found: Header, wanted: Header) -> None:
-    """Refuse the file of another sweep, and say what is different."""
-    for name, here, there in _pairs(asdict(wanted), asdict(found)):
-        if here != there:
+    """Refuse the file of another sweep, and say what is different; the count may be."""
+    there, here = (
+        vars(each) | {f"parameter {name!r}": value for name, value in each.parameters.items()}
+        for each in (found, wanted)
+    )
+    for name in sorted({*there, *here} - {"count", "parameters"}):
+        if there.get(name) != here.get(name):
             raise ValueError(
-                f"{file} is of another sweep: {name} is {there!r} there and {here!r} here. "
-                "Give another file, or remove this one"
+                f"{file} is of another sweep: {name} is {there.get(name)!r} there and "
+                f"{here.get(name)!r} here. Give another file, or remove this one"
             )
-
-
-def _pairs(here: dict[str, Any], there: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Yield what is to be equal, parameter by parameter: all but the number of runs."""
-    for name in here:
-        if name not in ("count", "parameters"):
-            yield name, here[name], there[name]
-    for key in sorted({*here["parameters"], *there["parameters"]}):
-        yield f"parameter {key!r}", here["parameters"].get(key), there["parameters"].get(key)

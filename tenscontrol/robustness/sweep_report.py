@@ -94,7 +94,7 @@ class SweepReport:
         Raises
         ------
         OSError, ValueError
-            If the file cannot be read, or is no file of a sweep.
+            If the file cannot be read, or a line of it is not as :func:`sweep` wrote it.
 
         Warns
         -----
@@ -102,7 +102,7 @@ class SweepReport:
             If the last line is torn; that run is left out.
         """
         header, records, _ = store.read(Path(file))
-        return cls(header.case, header.seed, header.count, tuple(records))
+        return cls(header.case, header.seed, header.count, tuple(records.values()))
 
     def __len__(self) -> int:
         return len(self._records)

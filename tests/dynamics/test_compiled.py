@@ -4,10 +4,12 @@ import dataclasses
 import os
 import select
 import shutil
+import signal
 import stat
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import casadi as ca
@@ -15,7 +17,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator
+from tenscontrol.dynamics import Evaluator, machine_code
 from tenscontrol.dynamics.machine_code import CompilerError, compiled, compiler
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
@@ -275,6 +277,14 @@ def test_a_compiler_that_is_not_there_is_no_silent_matter(monkeypatch, variable)
         compiled(square())
 
 
+@pytest.mark.parametrize("variable", ["CC", "TENSCONTROL_COMPILER"])
+def test_a_compiler_with_an_open_quotation_is_named(monkeypatch, variable):
+    monkeypatch.delenv("TENSCONTROL_COMPILER", raising=False)
+    monkeypatch.setenv(variable, "'x")
+    with pytest.raises(CompilerError, match=f'{variable} is "\'x", expected a program.*or CC'):
+        compiled(square())
+
+
 @needs_shell
 @pytest.mark.parametrize(
     ("text", "message"),
@@ -319,6 +329,71 @@ def test_a_compiler_is_stopped_with_all_it_started(monkeypatch, tmp_path, cache)
     assert os.read(held, 1) == b""
     os.close(held)
     assert time.monotonic() - began < 40.0
+    assert list(cache.iterdir()) == []
+
+
+@needs_shell
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_a_compiler_ends_with_the_process_that_started_it(monkeypatch, tmp_path, cache, number):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    # One that does not listen to SIGTERM, and has started another process.
+    deaf = f'[ "$1" = --version ] && exit 0; trap "" TERM; echo > "{pipe}"; sleep 60 > "{pipe}"; :'
+    monkeypatch.setenv("TENSCONTROL_COMPILER", str(script(tmp_path / "deaf", deaf)))
+    (tmp_path / "go").touch()
+    process = start(tmp_path)
+    with pipe.open("rb", buffering=0) as held:
+        assert held.read(1) == b"\n"
+        process.send_signal(number)
+        process.communicate(timeout=30)
+        assert process.returncode != 0
+        ended, _, _ = select.select([held], [], [], 30.0)
+        assert ended
+        assert held.read(1) == b""
+    while list(cache.iterdir()):  # it is removed before the compiler is ended by force
+        time.sleep(0.02)
+
+
+@needs_compiler
+@needs_shell
+def test_what_dead_processes_have_left_is_removed(monkeypatch, tmp_path, cache):
+    """By the next one that compiles, and not while its process is at work."""
+    compiled(square())
+    left = cache / "making-left"
+    left.mkdir()
+    (left / "function.c").touch()
+    os.utime(left, (0.0, 0.0))  # a young one may be that of a process that has yet to lock it
+    real, wait = compiler().command[0], tmp_path / "wait"
+    wait.touch()
+    slow = f'[ "$1" = --version ] || while [ -e "{wait}" ]; do sleep 0.02; done; exec "{real}" "$@"'
+    monkeypatch.setenv("TENSCONTROL_COMPILER", str(script(tmp_path / "slow", slow)))
+    (tmp_path / "go").touch()
+    process = start(tmp_path)
+    while left.exists() or not list(cache.glob("making-*/function.c")):
+        time.sleep(0.02)
+    monkeypatch.delenv("TENSCONTROL_COMPILER")
+    (at_work,) = cache.glob("making-*")
+    assert compiled(square(factor=2.0)).library.exists()
+    assert list(cache.glob("making-*")) == [at_work]
+    wait.unlink()
+    end(process)
+    assert sorted(cache.iterdir()) == libraries(cache)
+
+
+@needs_compiler
+def test_folders_being_made_are_not_taken_for_left_ones(cache):
+    """Many threads make and clear folders at once; none loses the one that it works in."""
+    cache.mkdir(parents=True)
+
+    def work(_):
+        for _ in range(100):
+            with machine_code._new_folder(cache) as folder:
+                (folder / "function.c").touch()
+                assert len(list(folder.iterdir())) == 2
+        return True
+
+    with ThreadPoolExecutor(4) as executor:
+        assert all(executor.map(work, range(4)))
     assert list(cache.iterdir()) == []
 
 
@@ -389,12 +464,13 @@ def test_nobody_else_can_read_or_write_the_cache(cache):
 
 
 PROGRAM = """
-import sys, time, pathlib
+import pathlib, signal, sys, time
 import casadi as ca
 from tenscontrol.dynamics.machine_code import compiled
 x = ca.SX.sym("x", 2)
 function = ca.Function("square", [x], [{factor} * x**2], ["x"], ["y"])
 go = pathlib.Path({go!r})
+signal.signal(signal.SIGINT, signal.default_int_handler)
 print("ready", flush=True)
 while not go.exists():
     time.sleep(0.005)

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -44,9 +45,9 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("moment", ["starting", "at work"])
-def test_ctrl_c_ends_the_script(tmp_path, moment):
-    """Runs of ten minutes, or workers that take as long to start, do not hold it up."""
+@contextmanager
+def started(tmp_path, moment):
+    """The script, at a moment of its workers; it has said the moment's name once."""
     script = tmp_path / "script.py"
     script.write_text(SCRIPT, "utf-8")
     with subprocess.Popen(
@@ -56,13 +57,28 @@ def test_ctrl_c_ends_the_script(tmp_path, moment):
     ) as process:  # fmt: skip
         try:
             assert process.stdout.readline() == f"{moment}\n"
-            os.killpg(process.pid, signal.SIGINT)  # as the terminal does
-            # This waits for the workers too, which hold the pipes.
-            out, error = process.communicate(timeout=60)
+            yield process
         finally:
-            if process.poll() is None:
+            # Also workers that have outlived their parent: all are of one group.
+            with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("moment", ["starting", "at work"])
+def test_ctrl_c_ends_the_script(tmp_path, moment):
+    """Runs of ten minutes, or workers that take as long to start, do not hold it up."""
+    with started(tmp_path, moment) as process:
+        os.killpg(process.pid, signal.SIGINT)  # as the terminal does
+        # This waits for the workers too, which hold the pipes.
+        out, error = process.communicate(timeout=60)
     assert process.returncode == 0
     assert "runs reported" in out
     assert "RuntimeWarning: the sweep was interrupted with" in error
     assert "Traceback" not in error
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_workers_end_with_the_script_however_it_ends(tmp_path, number):
+    with started(tmp_path, "at work") as process:
+        process.send_signal(number)
+        process.communicate(timeout=60)  # of the workers too

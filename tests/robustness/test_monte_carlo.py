@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.robustness import store
 from tests.robustness import cases
 from tests.robustness.cases import PARAMETERS, Inline, Waiting
 
@@ -190,6 +191,15 @@ class TestFailuresAreData:
         assert runs == [0, *range(len(part), COUNT)]
 
 
+def other_outcome(line):
+    """The line of a run of which something else came."""
+    found = json.loads(line)
+    del found["check"]
+    figures = {"value": 1.0, "first_mass": 1.0}
+    changed = {"success": True, "error": None, "message": None, "figures": figures}
+    return store.Record(**(found | changed)).line() + "\n"
+
+
 class TestFile:
     @pytest.fixture
     def file(self, tmp_path):
@@ -226,9 +236,7 @@ class TestFile:
 
     def test_a_case_that_has_changed_is_noticed(self, file):
         head, first, *rest = file.read_text("utf-8").splitlines(keepends=True)
-        record = json.loads(first)
-        record["success"] = not record["success"]
-        file.write_text(head + json.dumps(record) + "\n" + "".join(rest), "utf-8")
+        file.write_text(head + other_outcome(first) + "".join(rest), "utf-8")
         with pytest.raises(
             tc.robustness.SweepError, match=r"run 0 of the file gave .* case, a library or"
         ):
@@ -253,13 +261,20 @@ class TestFile:
     @pytest.mark.parametrize(
         ("content", "message"),
         [
-            ("", "is no file of a sweep"),
+            ("notes", "is no file of a sweep"),
             ("notes\n", "is no file of a sweep: its first line is not a header"),
             ("HEAD\n{}\n", "line 2 is not a run"),
-            ("HEAD\nFIRST\nFIRST\n", "line 3 is run 0, expected each of 0 to 23 once"),
+            (
+                "HEAD\nFIRST\nFIRST\n",
+                "line 3 is not a run: run is 0, expected each of 0 to 23 once",
+            ),
             ("HEAD\n[]\n", "line 2 is not a run"),
-            ('HEAD\n{"count": 24}\n', "line 2 is not a run: count is 24, expected .* above 24"),
-            ('HEAD\n{"count": true}\n', "line 2 is not a run: count is True, expected"),
+            (
+                f"HEAD\n{store.Longer(24).line()}\n",
+                "line 2 is not a run: count is 24.* at least 25",
+            ),
+            ('HEAD\n{"count": true}\n', "line 2 is not a run: count is True, expected int"),
+            ('HEAD\n{"count": 25}\n', "line 2 is not a run: it was changed after it was written"),
         ],
     )
     def test_what_is_no_sweep_is_refused(self, file, content, message):
@@ -348,9 +363,7 @@ class TestAnotherNumberOfRuns:
 
     def test_a_case_that_has_changed_adds_nothing(self, file):
         head, first, *rest = file.read_text("utf-8").splitlines(keepends=True)
-        record = json.loads(first)
-        record["success"] = not record["success"]
-        file.write_text(head + json.dumps(record) + "\n" + "".join(rest), "utf-8")
+        file.write_text(head + other_outcome(first) + "".join(rest), "utf-8")
         before = file.read_bytes()
         with (
             ThreadPoolExecutor(2) as executor,

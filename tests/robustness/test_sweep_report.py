@@ -13,7 +13,7 @@ from tests.robustness.cases import PARAMETERS, Inline
 def of(good, count):
     """A report of so many runs, so many of them a success."""
     records = tuple(
-        tc.robustness.store.Record(i, {"x": float(i)}, i < good, {"y": float(i * i)})
+        tc.robustness.store.Record(i, {"x": float(i)}, bool(i < good), {"y": float(i * i)})
         for i in range(count)
     )
     return tc.robustness.SweepReport("case", 0, count, records)

@@ -1,0 +1,59 @@
+"""A lock on a file that one holder at a time has, and that ends with the holder's process."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+if sys.platform == "win32":
+    import msvcrt
+
+    _FAR = 0x7FFFFFFE  # beyond what is written: nobody else can read a byte that is locked
+else:
+    import fcntl
+
+_held: set[int] = set()
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[tuple[int, bool | None]]:
+    """Open or make a file to append to, lock it, and yield its descriptor and whether it is locked.
+
+    False: another process or thread has the lock. None: this file system has no locks.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
+    descriptor = os.open(path, flags, 0o666)
+    _held.add(descriptor)
+    try:
+        yield descriptor, _locked(descriptor)
+    finally:
+        _held.discard(descriptor)
+        os.close(descriptor)
+
+
+def _let_go() -> None:
+    """Close the files in a process that was forked: it would keep the lock of a dead parent."""
+    for descriptor in _held:
+        os.close(descriptor)
+    _held.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_let_go)
+
+
+def _locked(descriptor: int) -> bool | None:
+    try:
+        if sys.platform == "win32":
+            os.lseek(descriptor, _FAR, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError:
+        return None
+    return True
