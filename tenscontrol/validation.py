@@ -8,8 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tenscontrol.limits import LARGEST_WHOLE
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+# Squares and fourth powers must stay within double precision.
+LARGEST = 1e70
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -31,7 +36,10 @@ _KIND = {"b": "bool", "c": "complex", "U": "text (str)", "S": "bytes", "M": "dat
 
 def _brief(value: object) -> str:
     """Return a value as text that fits in a message."""
-    text = " ".join(repr(value).split())
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # Python writes no whole number of more than 4300 digits
+        return "beyond 1e4000"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -162,17 +170,22 @@ def positive_number(name: str, value: object, unit: str) -> float:
     if not np.isfinite(number) or number <= 0:
         found = _brief(value)
         raise ValueError(f"{name} is {found}, expected a positive finite number in {unit}")
+    if not 1 / LARGEST <= number <= LARGEST:
+        raise ValueError(
+            f"{name} is {number:g}, expected between {1 / LARGEST:g} and {LARGEST:g} in {unit}: "
+            "products and squares must stay within double precision"
+        )
     return number
 
 
-def whole_number(name: str, value: object, least: int, most: int | None = None) -> int:
-    """Return an integer that is at least ``least``, and at most ``most`` if that is given."""
+def whole_number(name: str, value: object, least: int, most: int = LARGEST_WHOLE) -> int:
+    """Return an integer from ``least`` to ``most``."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{name} is {value!r}, expected a whole number of at least {least}")
+        raise TypeError(f"{name} is {_brief(value)}, expected a whole number of at least {least}")
     if value < least:
-        raise ValueError(f"{name} is {value}, expected a whole number of at least {least}")
-    if most is not None and value > most:
-        raise ValueError(f"{name} is {value}, expected a whole number of at most {most}")
+        raise ValueError(f"{name} is {_brief(value)}, expected a whole number of at least {least}")
+    if value > most:
+        raise ValueError(f"{name} is {_brief(value)}, expected a whole number of at most {most}")
     return int(value)
 
 
@@ -212,6 +225,16 @@ def member_parameters(parameters: dict[str, FloatArray]) -> None:
     if len(counts) > 1:
         found = ", ".join(f"{name} {array.shape}" for name, array in parameters.items())
         raise ValueError(f"shapes do not go together: {found}; expected one count of strings")
+
+
+def refuse_overflow(name: str, array: FloatArray, unit: str) -> None:
+    """Refuse an array with entries whose products and squares would overflow."""
+    largest = float(np.abs(array).max(initial=0.0))
+    if largest > LARGEST:
+        raise ValueError(
+            f"{name} has entries up to {largest:g} {unit}, expected at most {LARGEST:g} {unit}: "
+            "products and squares would overflow"
+        )
 
 
 def wrong_kind(name: str, value: object, expected: str) -> TypeError:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.dynamics import ElasticStrings, LinearStrings, Model, StringLaw
+from tenscontrol.limits import LARGEST_SEED
 from tenscontrol.scene.document import Document, Table
 from tenscontrol.scene.schema import FORCE, LAWS, MEMBERS, PRISM
 from tenscontrol.statics import Prestress, prestress
@@ -237,7 +238,7 @@ def build_start(document: Document, structure: Structure) -> tuple[FloatArray, F
     if "disturbance" in table:
         with table.checked("disturbance"):
             size = positive_number("disturbance", table.need("disturbance"), "m")
-            seed = whole_number("seed", table.get("seed", 0), least=0)
+            seed = whole_number("seed", table.get("seed", 0), 0, LARGEST_SEED)
             nodes = _disturbed(structure, size, seed)
     return nodes, velocities
 

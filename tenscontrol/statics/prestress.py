@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from tenscontrol.limits import MOST_RUNS
 from tenscontrol.statics.equilibrium_matrix import member_forces
 from tenscontrol.statics.least_distance import nearest_in_cone
 from tenscontrol.statics.stability import Stability, stability
@@ -19,6 +20,7 @@ from tenscontrol.validation import (
     instance,
     non_negative,
     positive_number,
+    refuse_overflow,
     shaped,
     whole_number,
 )
@@ -144,6 +146,7 @@ def prestress(
     load = np.zeros((3, n))
     if external_force is not None:
         load = shaped("external_force", external_force, (3, n), "one force per node, N")
+        refuse_overflow("external_force", load, "N")
     w = free_coordinates(structure, load)
     forces = member_forces(structure, w)
     live, E, states, particular = forces.live, forces.matrix, forces.states, forces.particular
@@ -158,6 +161,11 @@ def prestress(
         )  # fmt: skip
         group = structure.string_groups[0] if reference is None else reference
         strings = np.flatnonzero(np.isin(np.flatnonzero(live_strings), structure.strings_in(group)))
+        if len(strings) == 0:
+            raise ValueError(
+                f"reference is {group!r}, whose strings all run between fixed nodes: no force of "
+                "theirs moves anything; give a group with a free end as reference"
+            )
         densities = _nearest_to_uniform(particular, states, strings, level, count)
         if densities is None:
             raise ValueError(_infeasible(states, forces.sizes, bool(w.any())))
@@ -166,6 +174,7 @@ def prestress(
             raise ValueError("reference goes with a single force_density, not with an array")
         gamma = shaped("force_density", given, (alpha,), "one per string")
         non_negative("force_density", gamma, "a string can only pull")
+        refuse_overflow("force_density", gamma, "N/m")
         pull = gamma[live_strings]
         bars = np.linalg.lstsq(E[:, count:], w - E[:, :count] @ pull, rcond=None)[0]
         densities = np.concatenate([pull, bars])
@@ -227,12 +236,12 @@ def prism_force_density(
     >>> strings[[0, 3, 6]].round(4)
     array([10.    , 10.    , 17.3205])
     """
-    q = whole_number("sides", sides, least=3)
+    q = whole_number("sides", sides, 3, MOST_RUNS)
     top = positive_number("force_density", force_density, "N/m")
     b = positive_number("radius", radius, "m")
     a = b if top_radius is None else positive_number("top_radius", top_radius, "m")
     vertical = 2 * np.sin(np.pi / q) * top * a / b
-    bottom = top * (a / b) ** 2
+    bottom = positive_number("force_density (top_radius/radius)²", top * (a / b) ** 2, "N/m")
     return np.repeat([top, bottom, vertical], q), np.full(q, vertical)
 
 

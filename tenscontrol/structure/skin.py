@@ -6,7 +6,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from tenscontrol.structure.structure import Structure, refuse_missing_node
+from tenscontrol.structure.structure import (
+    Structure,
+    refuse_many_members,
+    refuse_missing_node,
+)
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -25,6 +29,9 @@ _PLANAR = 1e-4
 
 # Lengths and areas below this fraction of the panel's are none.
 _ZERO = 1e-9
+
+# Far more than fit in memory: each makes three times as many strings.
+_MOST_ITERATIONS = 500
 
 Loop = tuple[int, ...]
 
@@ -114,12 +121,14 @@ def skin(
     array([0.05])
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
-    count = whole_number("iterations", iterations, least=0)
+    count = whole_number("iterations", iterations, 0, _MOST_ITERATIONS)
     identifier("group", group)
     loops = _loops(structure, panels)
     density = _density(loops, structure.nodes, node_mass, panel_mass, areal_density)
     if count == 0:
         return structure
+    around = sum(map(len, loops.values()))
+    refuse_many_members(f"iterations is {count}", around * (3.0**count - 1) / 2)
 
     known = structure.nodes.shape[1]
     places = list(structure.nodes.T)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tenscontrol.limits import refuse_memory
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -19,6 +20,7 @@ from tenscontrol.validation import (
     instance,
     per_member,
     positive,
+    refuse_overflow,
     shaped,
 )
 
@@ -28,8 +30,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from scipy.sparse import csr_array
 
-# Squares and fourth powers of lengths must stay within double precision.
-_LARGEST = 1e70
+# What a bar or a string with its nodes takes while it is checked.
+_MEMBER_BYTES = 800
 
 # A bar shorter than this fraction of the structure's size has no direction in double precision.
 _ZERO_LENGTH = 1e-12
@@ -392,6 +394,11 @@ def _members(name: str, pairs: Any, count: int) -> IntArray:
     return array.astype(np.int64)
 
 
+def refuse_many_members(asked: str, count: float) -> None:
+    """Raise if a structure of so many bars and strings does not fit in memory."""
+    refuse_memory(asked, count, "bars and strings", _MEMBER_BYTES)
+
+
 def refuse_missing_node(name: str, node: float, count: int) -> None:
     """Raise if a member or a loop names a node that there is not."""
     if not 0 <= node < count:
@@ -453,12 +460,7 @@ def _refuse_untouched_nodes(bars: IntArray, strings: IntArray, count: int) -> No
 
 def _refuse_bad_sizes(nodes: FloatArray, bars: IntArray) -> None:
     """Raise if coordinates would overflow, or a bar has no length."""
-    largest = float(np.abs(nodes).max())
-    if largest > _LARGEST:
-        raise ValueError(
-            f"nodes has entries up to {largest:g} m, expected at most {_LARGEST:g} m: "
-            "squares of lengths would overflow"
-        )
+    refuse_overflow("nodes", nodes, "m")
     size = float(np.ptp(nodes, axis=1).max())
     length = np.linalg.norm(nodes[:, bars[:, 1]] - nodes[:, bars[:, 0]], axis=0)
     short = np.flatnonzero(length <= _ZERO_LENGTH * size)
