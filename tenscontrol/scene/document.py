@@ -15,7 +15,7 @@ from typing import Any
 from tenscontrol.scene.schema import LISTS, RENAMED, TABLES, Keys
 
 # A scene of 30,000 bars given by their numbers is below this, and is read in a few seconds.
-_MOST_BYTES, _MOST_KEYS, _MOST_LISTS, _DEEPEST = 10_000_000, 100_000, 500_000, 16
+_MOST_BYTES, _MOST_KEYS, _MOST_LISTS, _DEEPEST = 10_000_000, 100_000, 250_000, 16
 _LIMITS = (
     f"a scene file has at most {_MOST_BYTES:,} bytes, {_MOST_KEYS:,} keys and tables, "
     f"{_MOST_LISTS:,} lists and {_DEEPEST} levels of them"
@@ -151,11 +151,11 @@ def read_document(file: str | Path) -> Document:
     name, path = str(file), Path(file)
     try:
         if not S_ISREG(path.stat().st_mode):  # a pipe may never end
-            raise SceneError(f"{name}: cannot be read: it is a folder, a pipe or a device, no file")
+            raise OSError(None, "it is a folder, a pipe or a device")
         with path.open("rb") as stream:
             raw = stream.read(_MOST_BYTES + 1)
-    except OSError as error:
-        raise SceneError(f"{name}: cannot be read: {error.strerror or error}") from error
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise SceneError(f"{name}: cannot be read: {getattr(error, 'strerror', error)}") from error
     if len(raw) > _MOST_BYTES:
         raise SceneError(f"{name}: is too large: {_LIMITS}")
     try:

@@ -113,9 +113,10 @@ class MemberForces:
 def member_forces(structure: Structure, load: FloatArray) -> MemberForces:
     """Return the force densities that balance a load on the free coordinates, shape (f,)."""
     live = is_movable(structure, np.vstack([structure.strings, structure.bars]))
+    rows, count = len(structure.free_rows), int(live.sum())
+    size = f"structure has {rows} free coordinates and {count} members"
+    refuse_memory(size, (rows + count) ** 2, "numbers in E and its singular vectors", 8)
     E = equilibrium_matrix(structure)[structure.free_rows][:, live]
-    size = f"structure has {E.shape[0]} free coordinates and {E.shape[1]} members"
-    refuse_memory(size, sum(E.shape) ** 2, "numbers in E and its singular vectors", 8)
     U, sizes, Vt = np.linalg.svd(E)
     rank = member_rank(structure, E)
     particular = Vt[:rank].T @ ((U[:, :rank].T @ load) / sizes[:rank])

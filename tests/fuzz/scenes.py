@@ -15,7 +15,6 @@ import linecache
 import queue
 import random
 import re
-import resource
 import signal
 import subprocess
 import sys
@@ -444,6 +443,8 @@ def _with_place(error, message):
 
 def _worker(arguments):
     """Read numbers, write outcomes as JSON, one a line."""
+    import resource  # POSIX
+
     limit = int(arguments.memory * 1e9)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     import tenscontrol as tc
@@ -485,6 +486,8 @@ def _peak():
     status = Path("/proc/self/status")
     if status.exists():
         return int(re.search(r"VmHWM:\s*(\d+)", status.read_text()).group(1)) / 1e3
+    import resource
+
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 

@@ -1,5 +1,6 @@
 """Scene files: what they give, and what is said of broken ones."""
 
+import os
 import tomllib
 from dataclasses import replace
 from inspect import signature
@@ -1077,6 +1078,74 @@ def test_a_file_that_is_not_there(tmp_path):
         tc.load_scene(tmp_path)
     with pytest.raises(TypeError, match="file is a int, expected a path"):
         tc.load_scene(5)
+
+
+# ---- files that are no scenes ----
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders here")
+def test_a_pipe_and_a_device_are_not_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe.toml")
+    for file in (tmp_path / "pipe.toml", "/dev/zero"):
+        with pytest.raises(SceneError, match="cannot be read: it is a folder, a pipe or a device"):
+            tc.load_scene(file)
+
+
+def test_a_name_that_no_file_has():
+    with pytest.raises(SceneError, match="cannot be read: embedded null"):
+        tc.load_scene("a\0b.toml")
+
+
+def test_a_mark_of_the_byte_order_is_left_out(load):
+    assert load(b"\xef\xbb\xbf" + PRISM.encode()).duration == 0.1
+
+
+MANY = "a scene file has at most 10,000,000 bytes, 100,000 keys and tables, 250,000 lists and 16 "
+TOO_MUCH = {
+    "bytes": ("#" * 10_000_001, r": is too large: " + MANY),
+    "parts": ("\n" + "a." * 100_000 + "b = 1", r":2: goes beyond what is read: " + MANY),
+    "parts of a heading": ("[" + "a." * 100_000 + "b]", r":1: goes beyond"),
+    "parts without an end": ("[" + "a." * 100_000, r":1: goes beyond"),
+    "parts in a table": ("x = {y = 1.5, " + "a . 'b'." * 50_000 + "b = 1}", r":1: goes beyond"),
+    "keys": ("".join(f"k{i} = {i}\n" for i in range(200_000)), r":100001: goes beyond"),
+    "tables": ("".join(f"[t{i}]\n" for i in range(600_000)), r":100001: goes beyond"),
+    "tables in a list": ("a = [" + "{}," * 200_000 + "]", r":1: goes beyond"),
+    "lists": ("a = [" + "[]," * 300_000 + "]", r":1: goes beyond"),
+    "nested lists": ("\n\na = " + "[" * 10_000 + "]" * 10_000, r":3: goes beyond"),
+    "nested tables": ("a = " + "{a = " * 10_000 + "1" + "}" * 10_000, r":1: goes beyond"),
+    "quotes": ('\\"' * 500_000, r":1: not TOML"),
+    "open text": ('a = """' + "\\\\" * 500_000, r":1: not TOML: Unterminated"),
+    "nul": ("[run]\n\0", r":2: not TOML"),
+    "utf-16": (PRISM.encode("utf-16"), r":1: not UTF-8 text"),
+    "date": (PRISM.replace("0.1", "1979-05-27"), r":9: .*duration is a date, expected a number"),
+    "1e999": (PRISM.replace("0.1", "1e999"), r":9: .*duration is inf, expected a positive"),
+    "400 digits": (
+        PRISM.replace("0.1", "1" + "0" * 400),
+        r":9: .*a number of more than 20 digits",
+    ),
+    "long key": (PRISM + "k" * 100_000 + " = 1", r":11: \[run\] has no key 'k{60}'\. The keys are"),
+    "long table": ("[" + "k" * 100_000 + "]", r":1: a scene has no table \[k{60}\]\. The tables"),
+    "other script": (PRISM + "ʎ = 1", r":11: not TOML"),
+    "other script quoted": (PRISM + "'ключ' = 1", r":11: \[run\] has no key 'ключ'"),
+    "twice": (PRISM + "step = 1", r":11: not TOML: Cannot overwrite a value"),
+}
+
+
+@pytest.mark.parametrize("name", TOO_MUCH)
+def test_files_that_ask_for_too_much_are_refused(load, name):
+    text, message = TOO_MUCH[name]
+    with pytest.raises(SceneError, match=r"scene\.toml" + message) as raised:
+        load(text)
+    assert len(str(raised.value)) < 1000
+
+
+def test_points_in_texts_and_numbers_are_not_parts_of_keys(load):
+    numbers = f"[{', '.join(['1.5'] * 50)}]"
+    dots = "." * 99
+    text = f"x = {numbers}\ny = ['{dots}', '{dots}']  # {dots}\nz = "
+    text += f"{{a = 1.5, b.c = '{dots}', e = 1}}\n"
+    with pytest.raises(SceneError, match=r"scene\.toml:11: \[run\] has no key 'x'"):
+        load(PRISM + text)
 
 
 # ---- lines ----

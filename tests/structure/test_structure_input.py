@@ -201,7 +201,17 @@ FOUND_IN_REVIEW = [
     refused("height beyond numbers", lambda: tc.prism(height=10**400), (TypeError, ValueError),
             r"height"),
     refused("height whose square overflows", lambda: tc.prism(height=1e200), ValueError,
-            r"(height|bars\[0\]|nodes).*1e\+200|bars\[0\].*length"),
+            r"^height is 1e\+200, expected between 1e-70 and 1e\+70 in m"),
+    refused("nodes whose squares overflow", lambda: line(nodes=1e71 * line_nodes()), ValueError,
+            r"^nodes has entries up to 3e\+71 m, expected at most 1e\+70 m"),
+    refused("bar length whose square overflows", lambda: tc.structure.prism_radius(1e160, 1.0),
+            ValueError, r"^bar_length is 1e\+160, expected between"),
+    refused("nodes too far to restore bars",
+            lambda: tc.structure.restore_bar_lengths(prism(), with_entry(nodes(), (0, 0), 1e300)),
+            ValueError, r"^nodes has entries up to 1e\+300 m, expected at most 6\.26148e\+07 m"),
+    refused("nodes so far that bars vanish",
+            lambda: tc.structure.restore_bar_lengths(prism(), nodes() + 1e20),
+            ValueError, r"^nodes has entries up to 1e\+20 m, .* does not hold the shortest bar"),
 ]
 
 # fmt: on
