@@ -141,6 +141,7 @@ def prestress(
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     n, alpha = structure.nodes.shape[1], len(structure.strings)
     given = float_array("force_density", force_density)
+    refuse_overflow("force_density", given, "N/m")
     if alpha == 0 and given.ndim == 0:
         raise ValueError("the structure has no strings, so there is nothing to prestress")
     load = np.zeros((3, n))
@@ -174,7 +175,6 @@ def prestress(
             raise ValueError("reference goes with a single force_density, not with an array")
         gamma = shaped("force_density", given, (alpha,), "one per string")
         non_negative("force_density", gamma, "a string can only pull")
-        refuse_overflow("force_density", gamma, "N/m")
         pull = gamma[live_strings]
         bars = np.linalg.lstsq(E[:, count:], w - E[:, :count] @ pull, rcond=None)[0]
         densities = np.concatenate([pull, bars])

@@ -6,16 +6,13 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from tenscontrol.structure.structure import (
-    Structure,
-    refuse_many_members,
-    refuse_missing_node,
-)
+from tenscontrol.structure.structure import Structure, refuse_many_members
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
     float_array,
     identifier,
+    indices,
     instance,
     per_member,
     positive,
@@ -308,19 +305,16 @@ def _given_loop(name: str, entry: object, count: int) -> Loop:
             f"{name} has shape {array.shape}, expected a panel name or a sequence of node "
             f"indices{hint}"
         )
-    for node in array.tolist():
-        if not node.is_integer():
-            raise TypeError(f"{name} names node {node:g}, expected whole numbers")
-        refuse_missing_node(name, node, count)
-    if len(array) < 3:
-        raise ValueError(f"{name} has {len(array)} nodes, expected at least 3 around a panel")
-    indices, times = np.unique(array, return_counts=True)
+    loop = indices(name, array, count, f"there are {count} nodes", "node ")
+    if len(loop) < 3:
+        raise ValueError(f"{name} has {len(loop)} nodes, expected at least 3 around a panel")
+    corners, times = np.unique(loop, return_counts=True)
     if (times > 1).any():
         raise ValueError(
-            f"{name} names node {indices[times.argmax()]:g} twice, expected each corner once; "
+            f"{name} names node {corners[times.argmax()]} twice, expected each corner once; "
             "the loop closes by itself"
         )
-    return tuple(int(node) for node in array)
+    return tuple(loop.tolist())
 
 
 def _named_panels(structure: Structure) -> dict[str, list[Loop]]:

@@ -613,7 +613,7 @@ BROKEN = {
         BAR.replace("[[0,1]]", "[[0,1,2]]") + RUN,
         r":3: in .*bars\[0\] is \[0, 1, 2\], expected a pair",
     ),
-    "bar to nowhere": (BAR.replace("[[0,1]]", "[[0,7]]") + RUN, r":3: in .*bars\[0\] names node 7"),
+    "bar to nowhere": (BAR.replace("[[0,1]]", "[[0,7]]") + RUN, r":3: in .*bars\[0\] is node 7"),
     "no prestress": (
         PRISM.replace("[prestress]\nforce_density = 17.3205\n", ""),
         r": the table \[prestress\] is missing",
@@ -731,7 +731,7 @@ BROKEN = {
     ),
     "fixed moves": (
         BAR + "fixed = [0]\n" + RUN + "[start]\nvelocities = [[0,1,0],[0,1,0]]\n",
-        r":10: in \[start\], velocities\[0\] moves a fixed node",
+        r":10: in \[start\], velocities move the fixed node 0",
     ),
     "disturbance": (
         PRISM + "[start]\ndisturbance = -1\n",
