@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tenscontrol.limits import LARGEST_WHOLE
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -191,14 +193,14 @@ def positive_number(name: str, value: object, unit: str) -> float:
     return number
 
 
-def whole_number(name: str, value: object, least: int, most: int | None = None) -> int:
-    """Return an integer that is at least ``least``, and at most ``most`` if that is given."""
+def whole_number(name: str, value: object, least: int, most: int = LARGEST_WHOLE) -> int:
+    """Return an integer from ``least`` to ``most``."""
     if isinstance(value, _NO_NUMBERS) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{name} is {value!r}, expected a whole number of at least {least}")
+        raise TypeError(f"{name} is {_brief(value)}, expected a whole number of at least {least}")
     if value < least:
-        raise ValueError(f"{name} is {value}, expected a whole number of at least {least}")
-    if most is not None and value > most:
-        raise ValueError(f"{name} is {value}, expected a whole number of at most {most}")
+        raise ValueError(f"{name} is {_brief(value)}, expected a whole number of at least {least}")
+    if value > most:
+        raise ValueError(f"{name} is {_brief(value)}, expected a whole number of at most {most}")
     return int(value)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.dynamics import Evaluator, unpack_states
 from tenscontrol.integrate import DOP853
+from tenscontrol.limits import MOST_RUNS
 from tenscontrol.scene import Scene
 from tenscontrol.validation import FloatArray, frozen, function, whole_number
 
@@ -110,7 +111,7 @@ def converged_motion(
     ((3, 6, 20), True)
     """
     case = as_case(scene)
-    count = whole_number("outputs", outputs, least=1)
+    count = whole_number("outputs", outputs, 1, MOST_RUNS)
     if report is not None:
         function("report", report, "it is told the time reached, s")
     times = case.duration * np.arange(1, count + 1) / count

@@ -16,6 +16,7 @@ from tenscontrol.accuracy.measured_run import (
     default_settings,
     method_named,
 )
+from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, shown
@@ -142,7 +143,7 @@ def convergence_order(
     """
     case = as_case(scene)
     chosen = method_named(method)
-    count = whole_number("outputs", outputs, least=1)
+    count = whole_number("outputs", outputs, 1, MOST_RUNS)
     if reference is not None:
         instance("reference", reference, ConvergedMotion, "make one by converged_motion(case)")
         count = len(reference.time)

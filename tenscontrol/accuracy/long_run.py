@@ -15,6 +15,7 @@ from tenscontrol.accuracy.measured_run import (
     method_named,
 )
 from tenscontrol.integrate import IntegrationError, Work
+from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, shown
@@ -196,7 +197,7 @@ def long_run(
     chosen = method_named(method)
     setting = positive_number("setting", setting, "s" if chosen.setting == "step" else "1")
     steps = whole_number("steps", steps, least=10)
-    outputs = whole_number("outputs", outputs, least=_BLOCKS)
+    outputs = whole_number("outputs", outputs, _BLOCKS, MOST_RUNS)
     truth("machine_code", machine_code, "whether to compile the steps")
     duration = setting * steps if chosen.setting == "step" else steps / fastest_rate(case)
     case = replace(case, duration=duration)

@@ -9,6 +9,7 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case, state_change
 from tenscontrol.integrate import DOP853
+from tenscontrol.limits import LARGEST_SEED, MOST_RUNS
 from tenscontrol.scene import Scene
 from tenscontrol.validation import FloatArray, frozen, function, positive_number, whole_number
 
@@ -132,12 +133,12 @@ def predictability(
     """
     case = as_case(scene)
     error = positive_number("error", error, "m")
-    count = whole_number("outputs", outputs, least=2)
+    count = whole_number("outputs", outputs, 2, MOST_RUNS)
     if report is not None:
         function("report", report, "it is told the time reached, s")
     times = case.duration * np.arange(1, count + 1) / count
-    random = np.random.default_rng(whole_number("seed", seed, least=0))
-    offsets = [_offset(case, random) for _ in range(whole_number("samples", samples, least=1))]
+    random = np.random.default_rng(whole_number("seed", seed, 0, LARGEST_SEED))
+    offsets = [_offset(case, random) for _ in range(whole_number("samples", samples, 1, MOST_RUNS))]
     allowed = error / (_ROUND_OFF * case.size)
     growth: list[float] = []
     for largest in _growths(case, times, offsets):

@@ -14,6 +14,7 @@ from tenscontrol.accuracy.measured_run import checked_settings, invariants, meth
 from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.integrate import IntegrationError, Method
+from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.statics import prestress
 from tenscontrol.structure import prism, restore_bar_lengths, spread_force_density, subdivide
@@ -145,7 +146,7 @@ def stability_map(
         raise ValueError(f"method is {method!r}, which chooses its steps; expected one with a step")
     stiff = checked_settings("stiffness", stiffness, "N/m")[::-1]
     ratios = checked_settings("mass_ratio", mass_ratio, "1")[::-1]
-    count = whole_number("steps", steps, least=20)
+    count = whole_number("steps", steps, 20, MOST_RUNS)
     make = prism_near_rest if case is None else case
     function("case", make, "(stiffness, mass_ratio) -> Case")
     limit = theoretical_limit(method)

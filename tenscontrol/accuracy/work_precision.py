@@ -23,6 +23,7 @@ from tenscontrol.accuracy.measured_run import (
 from tenscontrol.accuracy.peers import Peer
 from tenscontrol.accuracy.predictability import Predictability, predictability
 from tenscontrol.integrate import METHODS, Method
+from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, markdown, shown, write_csv
@@ -377,8 +378,8 @@ def work_precision(
     """
     case = as_case(scene)
     finest = positive_number("finest", finest, "m")
-    repeats = whole_number("repeats", repeats, least=1)
-    outputs = whole_number("outputs", outputs, least=1)
+    repeats = whole_number("repeats", repeats, 1, MOST_RUNS)
+    outputs = whole_number("outputs", outputs, 1, MOST_RUNS)
     truth("machine_code", machine_code, "whether to compile our own methods")
     names = tuple(METHODS) if methods is None else items("methods", methods, "names of methods")
     chosen = [method_named(name, f"methods[{i}]") for i, name in enumerate(names)]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol.limits import MOST_SAMPLES
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 
-# Each is a span of the integration.
-_MOST_SUBSTEPS = 10_000
 _SUBSTEPS = 10
 
 _UNITS = (("rate", "speed in m/s"), ("shortest", "length in m"), ("longest", "length in m"))
@@ -103,7 +102,7 @@ class Winches:
         ramp = truth("ramp", self.ramp, "whether rest lengths ramp through a sample")
         steps = _SUBSTEPS if ramp else 1
         if self.substeps is not None:
-            steps = whole_number("substeps", self.substeps, 1, _MOST_SUBSTEPS)
+            steps = whole_number("substeps", self.substeps, 1, MOST_SAMPLES)
         if ramp and steps == 1:
             raise ValueError("substeps is 1, expected at least 2 for a ramp; leave out ramp=True")
         object.__setattr__(self, "ramp", steps > 1)

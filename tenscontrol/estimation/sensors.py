@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from tenscontrol.limits import MOST_SAMPLES
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
@@ -144,7 +145,7 @@ class Sensors:
         if not self._taken:
             names = ", ".join(kind for kind, *_ in KINDS)
             raise ValueError(f"nothing is measured: give the noise of one of {names}")
-        object.__setattr__(self, "delay", whole_number("delay", self.delay, least=0))
+        object.__setattr__(self, "delay", whole_number("delay", self.delay, 0, MOST_SAMPLES))
         for name in ("drop_rate", "outlier_rate"):
             object.__setattr__(self, name, _rate(name, getattr(self, name)))
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from tenscontrol.limits import MOST_RUNS
 from tenscontrol.validation import FloatArray, float_array, frozen, positive_number, whole_number
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class Distribution(ABC):
 
     def __post_init__(self) -> None:
         if self.size is not None:
-            object.__setattr__(self, "size", whole_number("size", self.size, least=1))
+            object.__setattr__(self, "size", whole_number("size", self.size, 1, MOST_RUNS))
 
     def draw(self, rng: np.random.Generator) -> Drawn:
         """Return what one run gets: a number, or a list of ``size`` numbers.

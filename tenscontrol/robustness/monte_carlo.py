@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tenscontrol._version import __version__
+from tenscontrol.limits import LARGEST_SEED, MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import store
 from tenscontrol.robustness.closed_loop_case import Outcome
@@ -116,8 +117,8 @@ def sweep(
     """
     pickled = _pickled(case)
     distributions = _checked_parameters(parameters)
-    count = whole_number("count", count, least=1)
-    seed = whole_number("seed", seed, least=0)
+    count = whole_number("count", count, 1, MOST_RUNS)
+    seed = whole_number("seed", seed, 0, LARGEST_SEED)
     truth("progress", progress, "whether to show a progress bar")
     if executor is not None:
         instance(

@@ -11,6 +11,7 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control import MPC, Controller, GainSchedule, OutputLimit, energy_weights
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter, Sensors, kalman
+from tenscontrol.limits import LARGEST_SEED, MOST_DESIGNS
 from tenscontrol.plant import Reference, linearize
 from tenscontrol.scene import schema
 from tenscontrol.scene.document import Document, Table
@@ -86,7 +87,7 @@ def _schedule(table: Table, model: Model, arguments: dict[str, Any], input: str)
             "[[controller.reference]]",
         )
     with table.checked("plants"):
-        count = whole_number("plants", table.need("plants"), least=1)
+        count = whole_number("plants", table.need("plants"), 1, MOST_DESIGNS)
     reference: Reference = arguments["reference"]
     assert reference.force_density is not None  # it is a path of equilibria
     with table.checked():
@@ -229,7 +230,7 @@ def build_estimator(
         return None
     estimator.choice("kind", ("kalman",))
     with sensors.checked():
-        whole_number("seed", sensors.get("seed", 0), least=0)
+        whole_number("seed", sensors.get("seed", 0), 0, LARGEST_SEED)
         readings = Sensors(structure=model.structure, **sensors.without("seed"))
     with estimator.checked():
         plant = linearize(model, rest, input=input)

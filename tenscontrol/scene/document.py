@@ -9,9 +9,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from stat import S_ISREG
 from typing import Any
 
 from tenscontrol.scene.schema import LISTS, RENAMED, TABLES, Keys
+
+# A scene of 30,000 bars given by their numbers is below this, and is read in a few seconds.
+_MOST_BYTES, _MOST_KEYS, _MOST_LISTS, _DEEPEST = 10_000_000, 100_000, 250_000, 16
+_LIMITS = (
+    f"a scene file has at most {_MOST_BYTES:,} bytes, {_MOST_KEYS:,} keys and tables, "
+    f"{_MOST_LISTS:,} lists and {_DEEPEST} levels of them"
+)
 
 # Table names and keys, and numbers of entries of lists, from the outside in.
 KeyPath = tuple[str | int, ...]
@@ -59,7 +67,7 @@ class Table:
                 written = RENAMED[(*path, key)]
                 raise self.error(key, f"{title} has no key {key!r} any more; write {written}")
             if key not in keys:
-                raise self.error(key, f"{title} has no key {key!r}{_hint(key, keys)}")
+                raise self.error(key, f"{title} has no key {key[:60]!r}{_hint(key[:60], keys)}")
             kind, unit = keys[key]
             fault = kind.fault(key, value, unit)
             if fault:
@@ -140,30 +148,37 @@ class Table:
 
 def read_document(file: str | Path) -> Document:
     """Return the tables of a scene file, or raise a SceneError where it is not one."""
-    name = str(file)
+    name, path = str(file), Path(file)
     try:
-        raw = Path(file).read_bytes()
-    except OSError as error:
-        raise SceneError(f"{name}: cannot be read: {error.strerror or error}") from error
+        if not S_ISREG(path.stat().st_mode):  # a pipe may never end
+            raise OSError(None, "it is a folder, a pipe or a device")
+        with path.open("rb") as stream:
+            raw = stream.read(_MOST_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise SceneError(f"{name}: cannot be read: {getattr(error, 'strerror', error)}") from error
+    if len(raw) > _MOST_BYTES:
+        raise SceneError(f"{name}: is too large: {_LIMITS}")
     try:
-        text = raw.decode("utf-8").replace("\r\n", "\n")
+        text = raw.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise SceneError(f"{name}:{line}: not UTF-8 text: {error.reason}") from error
+    written = headings(name, text)
     try:
         values = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         found = re.search(r" ?\(at (?:line (\d+), column \d+|end of document)\)", str(error))
         where = ""
         if found:
             where = f":{found.group(1) or max(1, len(text.splitlines()))}"
+        elif digits := re.search(r"\d{4000}", text):  # Python reads no whole number as long
+            where = f":{text.count(chr(10), 0, digits.start()) + 1}"
         raise SceneError(f"{name}{where}: not TOML: {error}") from error
-    document = Document(name, values, key_lines(text))
+    document = Document(name, values, key_lines(written))
     for table, value in values.items():
         if table not in TABLES:
-            raise document.error(
-                (table,), f"a scene has no table [{table}]{_hint(table, TABLES, 'The tables')}"
-            )
+            hint = _hint(table[:60], TABLES, "The tables")
+            raise document.error((table,), f"a scene has no table [{table[:60]}]{hint}")
         if table in LISTS:
             if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
                 raise document.error((table,), f"{table} is no list of tables; write [[{table}]]")
@@ -192,45 +207,74 @@ def _hint(key: str, known: Mapping[str, Any], what: str = "The keys") -> str:
 
 # ---- lines of keys, which tomllib does not tell ----
 
-# Texts, comments, and the signs that end keys, values and headers.
+# Texts, comments, and the signs that end keys, values and headers. A text that does not end goes
+# on to the end of its line or of the file, so that nothing is read twice.
 _TOKEN = re.compile(
-    r'"""(?:\\.|[^\\])*?"""+' r"|'''.*?'''+" r'|"(?:\\.|[^"\\])*"' r"|'[^']*'|#[^\n]*|[\[\]{}=\n]",
+    r'"""(?:[^"\\]+|\\.|"(?!""))*+(?:"""+|\Z)'
+    r"|'''.*?(?:'''+|\Z)"
+    r'|"(?:[^"\\\n]+|\\.)*+"?'
+    r"|'[^'\n]*'?|#[^\n]*|[\[\]{}=\n]",
     re.DOTALL,
 )
 
 
-def key_lines(text: str) -> dict[KeyPath, int]:
-    """Return the line, from 1, of each table header and key of a text that tomllib has accepted.
+def headings(name: str, text: str) -> list[tuple[int, str]]:
+    """Return line, from 1, and text of each table header and each key before a value.
+
+    Before tomllib reads it: raise where there are more keys or levels than it reads at once.
+    """
+    found: list[tuple[int, str]] = []
+    line, depth, begin, end, in_value, keys, lists, dots = 1, 0, 0, 0, False, 0, 0, 0
+    for token in _TOKEN.finditer(text + "\n"):
+        sign, start = token.group(), token.start()
+        # Numbers have a point each and commas between them; what has more is a key.
+        dots += text.count(".", end, start) - text.count(",", end, start)
+        end = token.end()
+        if keys > _MOST_KEYS or lists > _MOST_LISTS or max(depth, dots) > _DEEPEST:
+            raise SceneError(f"{name}:{line}: goes beyond what is read: {_LIMITS}")
+        if sign == "=":
+            keys += 1
+            if depth == 0 and not in_value:
+                found.append((line, text[begin:start].strip()))
+                in_value = True
+        elif sign in "[{":
+            depth += 1
+            keys += sign == "{"
+            lists += sign == "["
+        elif sign in "]}":
+            depth -= 1
+            if depth == 0 and not in_value:
+                keys += 1
+                found.append((line, text[begin:end].strip()))
+        elif sign == "\n" and depth == 0:
+            begin, in_value = end, False
+        if sign in "=[]{}\n":
+            dots = 0
+        line += sign.count("\n")
+    return found
+
+
+def key_lines(found: list[tuple[int, str]]) -> dict[KeyPath, int]:
+    """Return the line of each table and key, from the headings of a text that tomllib accepts.
 
     Paths are like ``("loads", "forces", 0, "node")``. Keys within inline tables belong to the key
     before.
     """
-    found: dict[KeyPath, int] = {}
+    lines: dict[KeyPath, int] = {}
     last_entry: dict[KeyPath, int] = {}  # of each array of tables
     table: KeyPath = ()
-    line, depth, begin, in_value = 1, 0, 0, False
-    for token in _TOKEN.finditer(text):
-        sign = token.group()
-        if sign == "=" and depth == 0 and not in_value:
-            _note(found, (*table, *_parts(text[begin : token.start()])), line)
-            in_value = True
-        elif sign in "[{":
-            depth += 1
-        elif sign in "]}":
-            depth -= 1
-            if depth == 0 and not in_value:
-                header = text[begin : token.end()].strip()
-                brackets = 2 if header.startswith("[[") else 1
-                table = _within(_parts(header[brackets:-brackets]), last_entry)
-                if brackets == 2:
-                    last_entry[table] = last_entry.get(table, -1) + 1
-                    found.setdefault(table, line)
-                    table = (*table, last_entry[table])
-                _note(found, table, line)
-        elif sign == "\n" and depth == 0:
-            begin, in_value = token.end(), False
-        line += sign.count("\n")
-    return found
+    for line, heading in found:
+        if not heading.startswith("["):
+            _note(lines, (*table, *_parts(heading)), line)
+            continue
+        brackets = 2 if heading.startswith("[[") else 1
+        table = _within(_parts(heading[brackets:-brackets].strip()), last_entry)
+        if brackets == 2:
+            last_entry[table] = last_entry.get(table, -1) + 1
+            lines.setdefault(table, line)
+            table = (*table, last_entry[table])
+        _note(lines, table, line)
+    return lines
 
 
 def _note(found: dict[KeyPath, int], path: KeyPath, line: int) -> None:
@@ -251,7 +295,9 @@ def _within(path: KeyPath, last_entry: Mapping[KeyPath, int]) -> KeyPath:
 
 def _parts(dotted: str) -> KeyPath:
     """Return the parts of a key such as ``strings.'top left'``, as tomllib reads it."""
-    value: Any = tomllib.loads(f"{dotted.strip()} = 0")
+    if re.fullmatch(r"[\w-]+(\.[\w-]+)*", dotted, re.ASCII):
+        return tuple(dotted.split("."))
+    value: Any = tomllib.loads(f"{dotted} = 0")
     parts: list[str] = []
     while isinstance(value, dict):
         ((part, value),) = value.items()

@@ -169,7 +169,7 @@ def load_scene(file: str | Path) -> Scene:
         estimator = build_estimator(document, design, rest, input, sample, winches)
     commanded = None if controller is None else len(controller.plant.commanded.strings)
     faults = build_faults(document, len(structure.strings), commanded)
-    nodes, velocities = build_start(document, structure)
+    nodes, velocities = build_start(document, model)
     return Scene(
         file=document.file,
         model=model,

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import builds, kernel
+from tenscontrol.limits import refuse_memory
 from tenscontrol.shape.continuation import Continuation, Waypoint
 from tenscontrol.shape.nonlinear_program import ShapeProblem
 from tenscontrol.statics import Prestress, prestress
@@ -58,6 +59,8 @@ class TimedPath:
         scaling = TimeScaling(places, pace, ramp)
         total = scaling.shortest if duration is None else duration
         # A little more than needed: the path is slowed down below.
+        each = 400 * continuation.problem.nodes.shape[1]
+        refuse_memory(f"step is {step:g} s", _SPARE * total / step, "shapes", each)
         count = max(3, ceil(_SPARE * total / step) + 1)
         share = np.linspace(0.0, 1.0, count)
         at, speed = scaling.at(share)

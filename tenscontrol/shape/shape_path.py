@@ -8,6 +8,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model
+from tenscontrol.limits import MOST_DESIGNS
 from tenscontrol.plant import LinearPlant, OperatingPoint, Reference, linearize
 from tenscontrol.shape.continuation import Continuation, Waypoint
 from tenscontrol.shape.force_bounds import checked_bounds
@@ -160,7 +161,7 @@ def plants_along(
     model: Model, nodes: FloatArray, force_density: FloatArray, count: int, input: str
 ) -> tuple[LinearPlant, ...]:
     """Return plants at some of T equilibria, (3, n, T) and (α, T); see ShapePath.plants."""
-    count = whole_number("count", count, least=1)
+    count = whole_number("count", count, 1, MOST_DESIGNS)
     travel = np.linalg.norm(np.diff(nodes, axis=2), axis=(0, 1))
     gone = np.concatenate([[0.0], np.cumsum(travel)])
     shares = np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])

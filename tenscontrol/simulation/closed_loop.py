@@ -11,6 +11,7 @@ from tenscontrol.actuation import Winches, WinchMove
 from tenscontrol.control import Command, Controller
 from tenscontrol.dynamics import unpack_states
 from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol.limits import refuse_memory
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.observation import Observation
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
@@ -26,6 +27,9 @@ from tenscontrol.validation import (
     positive_number,
     shaped,
 )
+
+# A command and the move of the winches, but for their numbers.
+_SAMPLE_BYTES = 1500
 
 _NONE = frozen(np.zeros(0, dtype=np.int64))
 
@@ -45,6 +49,8 @@ def run_closed_loop(
     ``estimation`` is the estimator, the sensors and the seed.
     """
     sample = _sample_time(controller, sample_time, loop.step)
+    kept = _SAMPLE_BYTES + 48 * len(controller.plant.commanded.strings)
+    refuse_memory(f"sample_time is {sample:g} s", duration / sample, "samples", kept)
     actuators = Actuators(loop, controller, winches, rest_length, sample)
     controller.reset()
     if actuators.start is not None:

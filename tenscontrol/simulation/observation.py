@@ -10,6 +10,7 @@ import numpy as np
 from tenscontrol.control import Controller
 from tenscontrol.dynamics import Evaluator, Model, pack_state
 from tenscontrol.estimation import Estimate, FilterStatistics, KalmanFilter, Sensors
+from tenscontrol.limits import LARGEST_SEED
 from tenscontrol.structure import same_members, to_strings
 from tenscontrol.validation import FloatArray, frozen, instance, whole_number
 
@@ -77,7 +78,7 @@ class Observation:
         _refuse_misfits(estimator, sensors, input, controller, sample, substeps)
         self._filter, self._sensors = estimator, sensors
         self._generator = np.random.default_rng(
-            0 if seed is None else whole_number("seed", seed, least=0)
+            0 if seed is None else whole_number("seed", seed, 0, LARGEST_SEED)
         )
         self._model = model
         self._law = None

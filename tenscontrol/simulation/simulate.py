@@ -13,6 +13,7 @@ from tenscontrol.control import Controller
 from tenscontrol.dynamics import Model, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Method
+from tenscontrol.limits import refuse_memory, refuse_time
 from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
@@ -37,9 +38,8 @@ from tenscontrol.validation import (
 # States kept of an adaptive run, unless the user says otherwise.
 _OUTPUTS = 1000
 
-# More would not be over in a day, or not fit in memory.
-_MOST_STEPS = 1e11
-_MOST_NUMBERS = 5e8
+# A step of the smallest scene in machine code, s.
+_STEP = 1e-6
 
 
 def simulate(
@@ -276,18 +276,11 @@ def _output_step(loop: Loop, output_step: float | None, duration: float) -> floa
         name, value = "step", loop.step
     else:
         return duration / _OUTPUTS
-    if loop.step is not None and duration / loop.step > _MOST_STEPS:
-        raise ValueError(
-            f"step is {loop.step:g} s, expected at least {duration / _MOST_STEPS:.1e} s: "
-            f"{duration:g} s would take {duration / loop.step:.1e} steps"
-        )
-    size = 6 * loop.model.structure.nodes.shape[1]
-    if size * duration / value > _MOST_NUMBERS:
-        raise ValueError(
-            f"{name} is {value:g} s, expected at least {size * duration / _MOST_NUMBERS:.1e} s: "
-            f"{duration / value:.1e} states of {size} numbers would be kept. "
-            "A longer output_step keeps fewer"
-        )
+    if loop.step is not None:
+        refuse_time(f"step is {loop.step:g} s", duration / loop.step, "steps", _STEP)
+    size = 8 * 6 * loop.model.structure.nodes.shape[1]
+    keep = ". A longer output_step keeps fewer"
+    refuse_memory(f"{name} is {value:g} s", duration / value, "states", size, keep)
     return value
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tenscontrol.limits import refuse_memory
 from tenscontrol.structure import Structure, is_movable
 from tenscontrol.validation import FloatArray, instance
 
@@ -52,6 +53,8 @@ def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     alpha, beta = len(structure.strings), len(structure.bars)
+    size = f"structure has {N.shape[1]} nodes and {alpha + beta} members"
+    refuse_memory(size, N.size * (alpha + beta), "numbers in its equilibrium matrix", 8)
     E = np.zeros((N.shape[1], 3, alpha + beta))
     # A string pulls its ends together, a bar pushes them apart.
     vectors = np.hstack([-structure.string_vectors(N), structure.bar_vectors(N)]).T
@@ -62,11 +65,30 @@ def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray
     return E.reshape(-1, alpha + beta)
 
 
-def null_space(matrix: FloatArray) -> FloatArray:
+def null_space(matrix: FloatArray, rank: int | None = None) -> FloatArray:
     """Return an orthonormal basis of the null space, shape (columns, nullity)."""
     _, sizes, Vt = np.linalg.svd(matrix)
-    rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
-    return np.asarray(Vt[rank:].T)
+    return np.asarray(Vt[_rank(sizes) if rank is None else rank :].T)
+
+
+def _rank(sizes: FloatArray) -> int:
+    return int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
+
+
+def member_rank(structure: Structure, E: FloatArray) -> int:
+    """Return the rank of columns of the equilibrium matrix, for the free coordinates.
+
+    It is the same in every affine picture of the shape, so it is counted in one that is as long in
+    all directions, with members of length 1: a flat or slender shape loses no digits.
+    """
+    centred = structure.nodes - structure.nodes.mean(axis=1, keepdims=True)
+    axes, sizes, _ = np.linalg.svd(centred, full_matrices=False)
+    thick = np.where(sizes > _RANK_TOLERANCE * sizes[0], sizes, sizes[0] or 1.0)
+    parts = E.reshape(-1, 3, E.shape[1])
+    pictured = np.einsum("ij,njk->nik", axes.T / thick[:, None], parts).reshape(-1, E.shape[1])
+    length = np.linalg.norm(pictured, axis=0)
+    pictured /= np.where(length > 0, length, 1.0)
+    return _rank(np.linalg.svd(pictured, compute_uv=False))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +113,11 @@ class MemberForces:
 def member_forces(structure: Structure, load: FloatArray) -> MemberForces:
     """Return the force densities that balance a load on the free coordinates, shape (f,)."""
     live = is_movable(structure, np.vstack([structure.strings, structure.bars]))
+    rows, count = len(structure.free_rows), int(live.sum())
+    size = f"structure has {rows} free coordinates and {count} members"
+    refuse_memory(size, (rows + count) ** 2, "numbers in E and its singular vectors", 8)
     E = equilibrium_matrix(structure)[structure.free_rows][:, live]
     U, sizes, Vt = np.linalg.svd(E)
-    rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
+    rank = member_rank(structure, E)
     particular = Vt[:rank].T @ ((U[:, :rank].T @ load) / sizes[:rank])
     return MemberForces(live, E, sizes, Vt[rank:].T, particular)

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from tenscontrol.limits import MOST_RUNS
 from tenscontrol.statics.equilibrium_matrix import MemberForces, member_forces
 from tenscontrol.statics.least_distance import nearest_in_cone
 from tenscontrol.statics.stability import Stability, stability
@@ -160,6 +161,11 @@ def prestress(
         groups = dict.fromkeys(structure.string_groups)
         group = next(iter(groups)) if reference is None else choice("reference", reference, groups)
         strings = np.flatnonzero(np.isin(np.flatnonzero(live_strings), structure.strings_in(group)))
+        if len(strings) == 0:
+            raise ValueError(
+                f"reference is {group!r}, whose strings all run between fixed nodes: no force of "
+                "theirs moves anything; give a group with a free end as reference"
+            )
         densities = _nearest_to_uniform(particular, states, strings, level, count)
         if densities is None:
             raise ValueError(_infeasible(states, forces.sizes, bool(w.any())))
@@ -248,7 +254,7 @@ def prism_force_density(
     >>> strings[[0, 3, 6]].round(4)
     array([10.    , 10.    , 17.3205])
     """
-    q = whole_number("sides", sides, least=3)
+    q = whole_number("sides", sides, 3, MOST_RUNS)
     top = positive_number("force_density", force_density, "N/m")
     b = positive_number("radius", radius, "m")
     a = b if top_radius is None else positive_number("top_radius", top_radius, "m")

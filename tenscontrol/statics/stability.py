@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, null_space
+from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, member_rank, null_space
 from tenscontrol.structure import Structure, rigid_basis
 from tenscontrol.validation import FloatArray, frozen, instance, shaped
 
@@ -50,7 +50,7 @@ def stability(
 
     carrying = np.concatenate([taut, np.ones(len(structure.bars), bool)])
     members = equilibrium_matrix(structure)[structure.free_rows][:, carrying]
-    flexes = null_space(members.T)
+    flexes = null_space(members.T, member_rank(structure, members))
     flexes = flexes @ null_space(rigid_basis(structure)[structure.free_rows].T @ flexes)
     # vec(N) is node by node, so the energy ½ tr(N Ω Nᵀ) has the matrix Ω ⊗ I₃.
     rows = structure.free_rows

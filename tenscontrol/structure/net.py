@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.structure import Structure, refuse_many_members
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -67,6 +67,9 @@ def net(
     """
     count_rows = whole_number("rows", rows, least=2)
     count_columns = whole_number("columns", columns, least=2)
+    refuse_many_members(
+        f"rows is {count_rows} and columns is {count_columns}", 2 * count_rows * count_columns
+    )
     step = positive_number("spacing", spacing, "m")
     mass = positive_number("node_mass", node_mass, "kg")
     knots = np.arange(count_rows * count_columns).reshape(count_rows, count_columns)

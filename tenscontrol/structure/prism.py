@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.structure import Structure, refuse_many_members
 from tenscontrol.validation import choice, positive_number, truth, whole_number
 
 
@@ -66,6 +66,7 @@ def prism(
     (array([ 0.483 , -0.1294,  1.    ]), array([1.3903, 1.3903, 1.3903]))
     """
     q = whole_number("sides", sides, least=3)
+    refuse_many_members(f"sides is {q}", 5 * q)
     bottom_radius = positive_number("radius", radius, "m")
     height = positive_number("height", height, "m")
     upper = bottom_radius if top_radius is None else positive_number("top_radius", top_radius, "m")

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tenscontrol.structure.structure import Structure, refuse_missing_node
+from tenscontrol.structure.structure import Structure, refuse_many_members
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
     float_array,
     identifier,
+    indices,
     instance,
     items,
     per_member,
@@ -26,6 +27,9 @@ _PLANAR = 1e-4
 
 # Lengths and areas below this fraction of the panel's are none.
 _ZERO = 1e-9
+
+# Far more than fit in memory: each makes three times as many strings.
+_MOST_ITERATIONS = 500
 
 Loop = tuple[int, ...]
 
@@ -115,12 +119,14 @@ def skin(
     array([0.05])
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
-    count = whole_number("iterations", iterations, least=0)
+    count = whole_number("iterations", iterations, 0, _MOST_ITERATIONS)
     identifier("group", group)
     loops = _loops(structure, panels)
     density = _density(loops, structure.nodes, node_mass, panel_mass, areal_density)
     if count == 0:
         return structure
+    around = sum(map(len, loops.values()))
+    refuse_many_members(f"iterations is {count}", around * (3.0**count - 1) / 2)
 
     known = structure.nodes.shape[1]
     places = list(structure.nodes.T)
@@ -298,19 +304,16 @@ def _given_loop(name: str, entry: object, count: int) -> Loop:
             f"{name} has shape {array.shape}, expected a panel name or a sequence of node "
             f"indices{hint}"
         )
-    for node in array.tolist():
-        if not node.is_integer():
-            raise TypeError(f"{name} names node {node:g}, expected whole numbers")
-        refuse_missing_node(name, node, count)
-    if len(array) < 3:
-        raise ValueError(f"{name} has {len(array)} nodes, expected at least 3 around a panel")
-    indices, times = np.unique(array, return_counts=True)
+    loop = indices(name, array, count, f"there are {count} nodes", "node ")
+    if len(loop) < 3:
+        raise ValueError(f"{name} has {len(loop)} nodes, expected at least 3 around a panel")
+    corners, times = np.unique(loop, return_counts=True)
     if (times > 1).any():
         raise ValueError(
-            f"{name} names node {indices[times.argmax()]:g} twice, expected each corner once; "
+            f"{name} names node {corners[times.argmax()]} twice, expected each corner once; "
             "the loop closes by itself"
         )
-    return tuple(int(node) for node in array)
+    return tuple(loop.tolist())
 
 
 def _named_panels(structure: Structure) -> dict[str, list[Loop]]:

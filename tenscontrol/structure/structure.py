@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tenscontrol.limits import refuse_memory
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
     from scipy.sparse import csr_array
+
+# What a bar or a string with its nodes takes while it is checked.
+_MEMBER_BYTES = 800
 
 # A bar shorter than this fraction of the structure's size has no direction in double precision.
 _ZERO_LENGTH = 1e-12
@@ -374,23 +378,16 @@ def _members(name: str, pairs: Any, count: int) -> IntArray:
         raise ValueError(
             f"{name} has shape {array.shape}, expected (count, 2): a start and an end node each"
         )
-    for i, pair in enumerate(array.tolist()):
-        for node in pair:
-            if not node.is_integer():
-                raise TypeError(f"{name}[{i}] is {pair}, expected two whole numbers")
-            refuse_missing_node(f"{name}[{i}]", node, count)
-        if pair[0] == pair[1]:
-            raise ValueError(f"{name}[{i}] joins node {pair[0]:g} to itself")
-    return array.astype(np.int64)
+    ends = [indices(name, nodes, count, f"there are {count} nodes", "node ") for nodes in array.T]
+    loops = np.flatnonzero(ends[0] == ends[1])
+    if len(loops):
+        raise ValueError(f"{name}[{loops[0]}] joins node {ends[0][loops[0]]} to itself")
+    return np.column_stack(ends)
 
 
-def refuse_missing_node(name: str, node: float, count: int) -> None:
-    """Raise if a member or a loop names a node that there is not."""
-    if not 0 <= node < count:
-        raise ValueError(
-            f"{name} names node {node:g}, expected 0 to {count - 1}: "
-            f"there are {count} nodes, counted from 0"
-        )
+def refuse_many_members(asked: str, count: float) -> None:
+    """Raise if a structure of so many bars and strings does not fit in memory."""
+    refuse_memory(asked, count, "bars and strings", _MEMBER_BYTES)
 
 
 def _fixed_nodes(nodes: Any, count: int) -> IntArray:

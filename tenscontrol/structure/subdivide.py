@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.structure.bar_geometry import refuse_strings_without_length
-from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.structure import Structure, refuse_many_members
 from tenscontrol.validation import FloatArray, IntArray, instance, per_member, positive_number
 
 
@@ -125,6 +125,7 @@ def _counts(segments: object, count: int) -> IntArray:
             raise TypeError(f"{name} is {s:g}, expected a whole number of at least 1")
         if s < 1:
             raise ValueError(f"{name} is {s:g}, expected at least 1; 1 leaves the string as it is")
+    refuse_many_members(f"segments is {float(np.max(counts, initial=1)):g}", counts.sum())
     return counts.astype(np.int64)
 
 

@@ -6,7 +6,7 @@ from math import ceil
 
 import numpy as np
 
-from tenscontrol.structure.structure import Structure
+from tenscontrol.structure.structure import Structure, refuse_many_members
 from tenscontrol.validation import FloatArray, IntArray, choice, positive_number, whole_number
 
 # Above this share of the stage height some towers would need strings that push.
@@ -83,6 +83,7 @@ def prism_tower(
     """
     count = whole_number("stages", stages, least=1)
     q = whole_number("sides", sides, least=3)
+    refuse_many_members(f"stages is {count} and sides is {q}", 8 * count * q)
     radius = positive_number("radius", radius, "m")
     height = positive_number("height", height, "m")
     overlap = positive_number("overlap", overlap, "stage heights")

@@ -8,6 +8,7 @@ from scipy.optimize import linprog, minimize
 from scipy.spatial.transform import Rotation
 
 import tenscontrol as tc
+from tenscontrol.statics import member_forces
 from tests.dynamics.scenes import TOP_FORCE_DENSITY, random_force_density, random_structure
 
 SIDES = range(3, 9)
@@ -279,3 +280,32 @@ def test_prestress_refuses_exactly_where_a_linear_program_is_infeasible(seed):
         assert found.force_density.min() >= 0.0
         assert found.force_density[:4].mean() == pytest.approx(10.0)
         assert found.residual < 1e-9 * found.force_density.max()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_prism_of_any_proportions_has_one_state_of_self_stress(seed):
+    rng = np.random.default_rng(seed)
+    radius, height, top = 10.0 ** rng.uniform(-3, 3, 3)
+    sides = int(rng.integers(3, 7))
+    prism = tc.prism(sides, radius, height, top)
+    forces = member_forces(prism, np.zeros(prism.nodes.size))
+    assert forces.states.shape[1] == 1
+    gamma, lam = tc.statics.prism_force_density(sides, 1.0, radius, top)
+    wanted = np.concatenate([gamma, lam]) / np.linalg.norm(np.concatenate([gamma, lam]))
+    found = forces.states[:, 0] * np.sign(forces.states[:, 0] @ wanted)
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
+
+
+def test_the_proportions_that_showed_three_states():
+    for sides, radius, height, top in (
+        (6, 250.07462015060963, 0.0012839789441676849, 0.016036813132064058),
+        (4, 0.032773169699274116, 0.002434922596824015, 602.9972061348006),
+        (6, 1575.5281135362982, 0.00013955450772653588, 0.004044120537500458),
+    ):
+        rest = tc.prestress(tc.prism(sides, radius, height, top), 10.0)
+        assert (rest.self_stress_states, rest.mechanisms) == (1, 2 * sides - 5)
+
+
+def test_a_line_of_two_nodes_has_the_rank_of_its_one_member():
+    bar = tc.Structure([[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]], [[0, 1]], [], bar_mass=1.0)
+    assert member_forces(bar, np.zeros(6)).rank == 1

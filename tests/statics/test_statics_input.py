@@ -1,5 +1,7 @@
 """Input of statics that must be refused by name."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,12 @@ from tests.refused import (
     refused,
     with_entry,
 )
+
+
+def held_top():
+    """A prism that hangs on its top nodes."""
+    return replace(prism(), fixed=[0, 1, 2])
+
 
 # fmt: off
 # Two lines a case.
@@ -107,6 +115,23 @@ FOUND_IN_REVIEW = [
     refused("stress_matrix nan",
             lambda: tc.statics.stress_matrix(prism(), np.full(9, NAN), np.ones(3)), ValueError,
             r"^force_density\[0\] is nan"),
+    refused("force_density beyond squares", lambda: tc.prestress(prism(), 1e308), ValueError,
+            r"^force_density has entries up to 1e\+308 N/m, expected at most 1e\+70"),
+    refused("force_density of a string beyond squares",
+            lambda: tc.prestress(prism(), np.full(9, 1e308)), ValueError,
+            r"^force_density has entries up to 1e\+308 N/m, expected at most 1e\+70"),
+    refused("load beyond squares",
+            lambda: tc.prestress(prism(), 17.0, external_force=np.full((3, 6), 1e308)), ValueError,
+            r"^external_force has entries up to 1e\+308 N, expected at most 1e\+70"),
+    refused("radius beyond squares",
+            lambda: tc.statics.prism_force_density(3, 10.0, radius=1e-320), ValueError,
+            r"^radius is 9\.99989e-321, expected between 1e-70"),
+    refused("ratio of radii", lambda: tc.statics.prism_force_density(3, 10.0, 1e-60, 1e60),
+            ValueError, r"^force_density \(top_radius/radius\)² is 1e\+241, expected"),
+    refused("reference between fixed nodes", lambda: tc.prestress(held_top(), 17.0, "top"),
+            ValueError, r"^reference is 'top', whose strings all run between fixed nodes"),
+    refused("group of the first string between fixed nodes",
+            lambda: tc.prestress(held_top(), 17.0), ValueError, r"^reference is 'top'"),
     refused("reference empty", lambda: tc.prestress(prism(), 17.0, reference=""), ValueError,
             r"reference is '', expected one of"),
 ]

@@ -313,7 +313,7 @@ def test_an_index_out_of_range_is_refused(name, data):
     count = given_arguments["nodes"].shape[1]
     index = data.draw(st.one_of(st.integers(-50, -1), st.integers(count, count + 50)))
     given_arguments[name][i, data.draw(st.integers(0, 1))] = index
-    with pytest.raises(ValueError, match=rf"{name}\[{i}\] names node {index}, expected 0 to"):
+    with pytest.raises(ValueError, match=rf"{name}\[{i}\] is node {index}, expected 0 to"):
         tc.Structure(**given_arguments)
 
 
@@ -323,7 +323,7 @@ def test_an_index_that_is_not_whole_is_refused(name, data):
     given_arguments, i = data.draw(some_members(name))
     spoiled = given_arguments[name].astype(float)
     spoiled[i, 1] += data.draw(st.floats(-0.9, -0.1) | st.floats(0.1, 0.9))
-    with pytest.raises(TypeError, match=rf"{name}\[{i}\] is .* expected two whole numbers"):
+    with pytest.raises(TypeError, match=rf"{name}\[{i}\] is .* expected a whole number"):
         tc.Structure(**(given_arguments | {name: spoiled}))
 
 

@@ -319,9 +319,13 @@ REFUSED = {
         ValueError,
         "panels[1] names node 0 twice, expected each corner once; the loop closes by itself",
     ),
-    "range": (lambda: over([(0, 1, 6)]), ValueError, "panels[0] names node 6, expected 0 to 5"),
-    "below": (lambda: over([(0, 1, -1)]), ValueError, "panels[0] names node -1, expected 0 to 5"),
-    "part": (lambda: over([(0, 1, 2.5)]), TypeError, "panels[0] names node 2.5, expected whole"),
+    "range": (lambda: over([(0, 1, 6)]), ValueError, "panels[0][2] is node 6, expected 0 to 5"),
+    "below": (lambda: over([(0, 1, -1)]), ValueError, "panels[0][2] is node -1, expected 0 to 5"),
+    "part": (
+        lambda: over([(0, 1, 2.5)]),
+        TypeError,
+        "panels[0][2] is 2.5, expected a whole number",
+    ),
     "words": (lambda: over([("a", "b", "c")]), TypeError, "panels[0] must be an array"),
     "the same panel": (
         lambda: over(["top", (2, 1, 0)]),

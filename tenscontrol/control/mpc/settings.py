@@ -28,6 +28,7 @@ from tenscontrol.control.mpc.problem import (
     RowBlock,
     string_block,
 )
+from tenscontrol.limits import MOST_SAMPLES
 from tenscontrol.plant import (
     LinearPlant,
     Reference,
@@ -59,9 +60,6 @@ _INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
 
 # Price of a violation by one level, against the cost of an input one level off.
 _PENALTY = 1e2
-
-# Longer horizons only fill memory: the terminal cost stands for what comes after.
-_LONGEST = 10_000
 
 # Numbers and arrays that are checked against a plant later.
 _NUMBERS = (
@@ -194,7 +192,7 @@ class MPCSettings:
             "string_penalty": _checked_penalty(self.string_penalty),
             "tolerance": positive_number("tolerance", self.tolerance, "units of an input"),
             "max_iterations": whole_number("max_iterations", self.max_iterations, least=1),
-            "horizon": whole_number("horizon", self.horizon, 1, _LONGEST),
+            "horizon": whole_number("horizon", self.horizon, 1, MOST_SAMPLES),
             "outputs": outputs,
         }
         if self.time_limit is not None:
