@@ -12,7 +12,8 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -35,7 +36,7 @@ class Interruption:
     def __init__(self) -> None:
         self.signal: int | None = None  # the first that came
         self.active = self.raised = self.at_once = self.finishing = False
-        self.terminated = self.left_alone = False
+        self.whole = self.terminated = self.left_alone = False
 
     @property
     def status(self) -> int:
@@ -69,24 +70,29 @@ def _main_thread() -> int:
 
 
 @contextmanager
-def interruptible() -> Iterator[Interruption]:
+def interruptible(whole: bool = False) -> Iterator[Interruption]:
     """Keep Ctrl-C and SIGTERM for :func:`check`; yield what has come.
 
-    A second signal raises KeyboardInterrupt at once, and so does the first half a second later if
-    nothing checks. After SIGTERM the loop at work returns what it has; the next that begins
-    raises SystemExit with status 143.
+    ``whole`` says that loops within are to raise, not to return a part of their result. A second
+    signal raises KeyboardInterrupt at once, and so does the first half a second later if nothing
+    checks. After SIGTERM the loop at work returns what it has; the next that begins raises
+    SystemExit with status 143.
     """
     state = _STATE
     if state.left_alone or _thread.get_ident() != _main_thread():
         yield Interruption()
         return
     if state.active:
-        yield state
+        before, state.whole = state.whole, state.whole or whole
+        try:
+            yield state
+        finally:
+            state.whole = before
         return
     if state.terminated:
         state.terminated = False
         raise SystemExit(128 + signal.SIGTERM)
-    state.signal, state.raised, former = None, False, {}
+    state.signal, state.raised, state.whole, former = None, False, whole, {}
     try:
         state.active = True
         for number, default in _TAKEN.items():
@@ -98,6 +104,24 @@ def interruptible() -> Iterator[Interruption]:
         for number, handler in former.items():
             signal.signal(number, handler)
         state.terminated = state.signal == signal.SIGTERM
+
+
+@contextmanager
+def keeping(done: Callable[[], str]) -> Iterator[None]:
+    """Run a loop whose finished parts are its result; warn of what is ``done`` if it is ended.
+
+    KeyboardInterrupt goes on if nothing is done, ``""``, or a loop around this one wants all of it.
+    """
+    passed_on = _STATE.active and _STATE.whole
+    try:
+        with interruptible(whole=True) as came:
+            yield
+        if passed_on or came.signal is None:
+            return
+    except KeyboardInterrupt:
+        if passed_on or not done():
+            raise
+    warnings.warn(f"interrupted: {done()}", InterruptionWarning, stacklevel=4)
 
 
 def check() -> None:

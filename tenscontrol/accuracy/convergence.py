@@ -11,11 +11,13 @@ from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.measured_run import (
     Bench,
+    Measurement,
     as_taken,
     checked_settings,
     default_settings,
     method_named,
 )
+from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, shown
@@ -124,6 +126,11 @@ def convergence_order(
     ArithmeticError
         If the motion runs away.
 
+    Warns
+    -----
+    InterruptionWarning
+        If Ctrl-C or SIGTERM ends it: the order is fitted to the runs done by then.
+
     Notes
     -----
     A run is fitted if its error is below a hundredth of the size of the structure, above ten times
@@ -150,11 +157,16 @@ def convergence_order(
     if steps is not None:
         settings = checked_settings("steps", steps, unit)
     settings = as_taken(chosen, settings, case.duration / count)
-    with progress_bar(1 + len(settings), progress, "fitting the order", "runs") as report:
+    rows: list[Measurement] = []
+
+    def done() -> str:
+        return f"{len(rows)} of {len(settings)} runs are measured" if rows else ""
+
+    total = 1 + len(settings)
+    with keeping(done), progress_bar(total, progress, "fitting the order", "runs") as report:
         reference = reference or converged_motion(case, count)
         report(1)
         bench = Bench(case, reference, repeats=0)
-        rows = []
         for setting in settings:
             rows.append(bench.own(chosen, setting))
             report(1 + len(rows))
@@ -165,7 +177,7 @@ def convergence_order(
     is_clean = (error < _COARSE * case.size) & (error > least)
     step = case.duration / taken
     if chosen.setting == "step":  # not counting the pieces that switches cut steps into
-        step = np.array(settings)
+        step = np.array(settings[: len(rows)])
     order, deviation, constant = _fit(step[is_clean], error[is_clean])
     return ConvergenceOrder(
         method=chosen.name,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case, state_change
 from tenscontrol.integrate import DOP853
+from tenscontrol.interrupt import keeping
 from tenscontrol.scene import Scene
 from tenscontrol.validation import FloatArray, frozen, positive_number, whole_number
 
@@ -48,7 +49,7 @@ class Predictability:
     error : float
         The error asked for, m.
     duration : float
-        s.
+        s; if the user interrupted, how long it was followed.
     """
 
     time: FloatArray
@@ -120,6 +121,11 @@ def predictability(
     ArithmeticError
         If the motion runs away.
 
+    Warns
+    -----
+    InterruptionWarning
+        If Ctrl-C or SIGTERM ends it: the growth up to then is returned.
+
     Examples
     --------
     >>> import numpy as np, tenscontrol as tc
@@ -138,12 +144,19 @@ def predictability(
     offsets = [_offset(case, random) for _ in range(whole_number("samples", samples, least=1))]
     allowed = error / (_ROUND_OFF * case.size)
     growth: list[float] = []
-    for largest in _growths(case, times, offsets):
-        growth.append(max(largest, growth[-1] if growth else 0.0))
-        if report is not None:
-            report(float(times[len(growth) - 1]))
-        if growth[-1] > allowed:
-            break
+
+    def done() -> str:
+        return f"followed up to {times[len(growth) - 1]:.6g} s" if growth else ""
+
+    with keeping(done):
+        for largest in _growths(case, times, offsets):
+            growth.append(max(largest, growth[-1] if growth else 0.0))
+            if report is not None:
+                report(float(times[len(growth) - 1]))
+            if growth[-1] > allowed:
+                break
+    if growth[-1] <= allowed and len(growth) < count:  # interrupted
+        case = replace(case, duration=float(times[len(growth) - 1]))
     return _judged(case, times[: len(growth)], np.array(growth), allowed, error)
 
 

@@ -14,6 +14,7 @@ from tenscontrol.accuracy.measured_run import checked_settings, invariants, meth
 from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.integrate import IntegrationError, Method
+from tenscontrol.interrupt import keeping
 from tenscontrol.progress import progress_bar
 from tenscontrol.statics import prestress
 from tenscontrol.structure import prism, restore_bar_lengths, spread_force_density, subdivide
@@ -58,6 +59,7 @@ class StabilityMap:
     mass_ratio : ndarray, shape (M,)
     step : ndarray, shape (S, M)
         Largest stable step, s; infinite where every step tried was stable, zero where none.
+        NaN, with the rate, for cases left out as the user interrupted.
     rate : ndarray, shape (S, M)
         Fastest rate of the linearized motion ω, 1/s.
     limit : float
@@ -133,6 +135,11 @@ def stability_map(
         If an argument is of the wrong kind or does not fit, with its name; if
         the method chooses its own steps.
 
+    Warns
+    -----
+    InterruptionWarning
+        If Ctrl-C or SIGTERM ends it: the cases done by then are returned.
+
     Examples
     --------
     >>> import tenscontrol as tc
@@ -149,13 +156,20 @@ def stability_map(
     make = prism_near_rest if case is None else case
     limit = theoretical_limit(method)
     shape = (len(stiff), len(ratios))
-    step, rate = np.zeros(shape), np.zeros(shape)
-    with progress_bar(step.size, progress, f"stability of {method}", "cases") as report:
+    step, rate = np.full((2, *shape), np.nan)
+    title = f"stability of {method}"
+
+    def done() -> str:
+        known = int(np.isfinite(rate).sum())
+        return f"{known} of {step.size} cases are done, the others NaN" if known else ""
+
+    with keeping(done), progress_bar(step.size, progress, title, "cases") as report:
         for i, j in np.ndindex(shape):
             each = make(stiff[i], ratios[j])
             instance("what case(stiffness, mass_ratio) returns", each, Case, "make one by Case()")
-            rate[i, j] = fastest_rate(each)
-            step[i, j] = _Probe(each, chosen, float(rate[i, j]), count).largest_step(limit)
+            fastest = fastest_rate(each)
+            step[i, j] = _Probe(each, chosen, fastest, count).largest_step(limit)
+            rate[i, j] = fastest
             report(i * shape[1] + j + 1)
     return StabilityMap(
         method=method,
@@ -215,9 +229,7 @@ class _Probe:
             count = min(_PART, self._count - first)
             try:
                 span = self._integrator.advance(state, self._case.value, step * count, count)
-            except IntegrationError as error:
-                if error.interrupted:
-                    raise KeyboardInterrupt from None
+            except IntegrationError:
                 return float("inf")
             with np.errstate(over="ignore", invalid="ignore"):
                 largest = max(largest, float(invariants(self._case, span.states).kinetic.max()))

@@ -21,6 +21,7 @@ from tenscontrol.accuracy.case import state_change
 from tenscontrol.accuracy.extreme_cases import ASKED, TOLERANCE, Extreme, extremes, methods
 from tenscontrol.dynamics import unpack_states
 from tenscontrol.integrate import CVODES, DOP853, EnergyMomentum, Integrator, Rattle6
+from tenscontrol.interrupt import interruptible, keeping
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation import (
     AccuracyWarning,
@@ -317,12 +318,14 @@ class SuiteResult:
             rows = {row.method: row for row in self.rows if row.case == case}
             first = next(iter(rows.values()))
             cells = [case, f"{first.reference_error:.0e}", f"{first.growth:.0e}"]
-            body.append([*cells, *(_cell(rows[name]) for name in self.methods)])
+            body.append([*cells, *(_cell(rows.get(name)) for name in self.methods)])
         return head, body
 
 
-def _cell(row: Verdict) -> str:
+def _cell(row: Verdict | None) -> str:
     """Return what came of a run in a word or a number."""
+    if row is None:  # interrupted before it
+        return "–"
     if row.verdict in ("accurate", "in part"):
         text = f"{row.error:.0e}" + (" (w)" if row.reason else "")
     elif row.verdict in ("warned", "SILENT"):
@@ -356,7 +359,11 @@ def extreme_suite(quick: bool = False, only: str = "", progress: bool = False) -
         raise ValueError(f"only is {only!r}, found in none of the cases: {groups}")
     rows: list[Verdict] = []
     names = methods()
-    with progress_bar(len(cases), progress, "suite", "cases") as report:
+
+    def done() -> str:
+        return f"{len(rows)} of {len(cases) * len(names)} runs are judged" if rows else ""
+
+    with keeping(done), progress_bar(len(cases), progress, "suite", "cases") as report:
         for case in cases:
             known = truth(case)
             for method in names:
@@ -366,14 +373,26 @@ def extreme_suite(quick: bool = False, only: str = "", progress: bool = False) -
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the suite; return 0, 1 where a run was silently wrong, or 2 with a message on stderr."""
+    """Run the suite; return 0, 1 where a run was silently wrong, or 2 with a message on stderr.
+
+    Ended by Ctrl-C or SIGTERM, it prints what is done and returns 130 or 143.
+    """
     options = _parser().parse_args(arguments)
+    with interruptible() as came:
+        status = _run(options)
+    return status if came.signal is None else came.status
+
+
+def _run(options: argparse.Namespace) -> int:
     try:
         found = extreme_suite(options.quick, options.only, progress=True)
         if options.csv is not None:
             found.to_csv(options.csv)
         if options.markdown is not None:
             options.markdown.write_text(found.to_markdown(), encoding="utf-8")
+    except KeyboardInterrupt:
+        print("suite: interrupted before the first run was done", file=sys.stderr)
+        return 2
     except (ValueError, ArithmeticError, OSError) as error:
         print(f"suite: {error}", file=sys.stderr)
         return 2

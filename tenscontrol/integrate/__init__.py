@@ -5,6 +5,7 @@ from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
 from tenscontrol.integrate.integrator import (
     IntegrationError,
+    IntegrationInterrupt,
     Integrator,
     Report,
     Span,
@@ -24,6 +25,7 @@ __all__ = [
     "Choice",
     "EnergyMomentum",
     "IntegrationError",
+    "IntegrationInterrupt",
     "Integrator",
     "Method",
     "Rattle",

@@ -11,9 +11,10 @@ from tenscontrol.actuation import Winches, WinchMove
 from tenscontrol.control import Command, Controller
 from tenscontrol.dynamics import unpack_states
 from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol.interrupt import check
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.observation import Observation
-from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
+from tenscontrol.simulation.trajectory import ControlRecord
 from tenscontrol.structure import same_members, to_segments, to_strings
 from tenscontrol.validation import (
     FloatArray,
@@ -39,8 +40,8 @@ def run_closed_loop(
     winches: Winches | None,
     sample_time: float | None,
     estimation: tuple[KalmanFilter, Sensors | None, int | None] | None,
-) -> Trajectory:
-    """Return the motion of the plant under a controller, run sample by sample.
+) -> None:
+    """Run the plant under a controller, sample by sample.
 
     ``estimation`` is the estimator, the sensors and the seed.
     """
@@ -82,6 +83,7 @@ def run_closed_loop(
         began = perf_counter()
         command = controller.command(loop.now, *motion)
         taken = perf_counter() - began
+        check()  # a command that was interrupted is not applied
         move, inputs = actuators.apply(command, N, loop.faults.stuck(moment))
         controller.applied(actuators.applied_input(N))
         if observation is not None:
@@ -94,7 +96,6 @@ def run_closed_loop(
             span -= loop.now
             if span > 1e-9 * whole:  # not round-off
                 state = loop.run(state, held, span)
-    return loop.trajectory()
 
 
 def _control_record(

@@ -125,7 +125,8 @@ class Observation:
 
     def record(self, time: FloatArray) -> EstimateRecord:
         """Return measurements and estimates at these times."""
-        readings, estimates = zip(*self._rows, strict=True)
+        # The last estimate may be of a sample that was interrupted.
+        readings, estimates = zip(*self._rows[: len(time)], strict=True)
         names = "nodes", "velocities", "node_deviation", "length_deviation", "state"
         series = {
             name: frozen(np.stack([getattr(each, name) for each in estimates], axis=-1))

@@ -13,6 +13,7 @@ from tenscontrol.control import Controller
 from tenscontrol.dynamics import Model, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Method
+from tenscontrol.interrupt import InterruptionWarning, interruptible
 from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
@@ -156,8 +157,11 @@ def simulate(
     -----
     AccuracyWarning
         If the motion passes a limit: the integration was too coarse.
-    RuntimeWarning
-        If the user interrupts; the motion up to there is returned.
+    InterruptionWarning
+        A RuntimeWarning: Ctrl-C or SIGTERM ended the run, and the motion up to there is returned,
+        with its control record, from the main thread. Before the first step there is no motion:
+        KeyboardInterrupt. After SIGTERM the next long computation raises SystemExit (143), so that
+        a script of many ends.
 
     Examples
     --------
@@ -204,25 +208,30 @@ def simulate(
     )
     loop.output_step = _output_step(loop, output_step, duration)
     state = initial_state(model, nodes, velocities, loop.input)
-    try:
-        with progress_bar(duration, shown=True) if progress else nullcontext() as loop.report:
-            if controller is None:
-                if winches is not None or sample_time is not None or estimator is not None:
-                    raise ValueError("estimator, winches and sample_time go with a controller")
-                value = held_value(model, rest_length, force_density)
-                loop.run(state, value, duration)
-                run = loop.trajectory()
-            else:
-                estimation = None if estimator is None else (estimator, sensors, seed)
-                run = run_closed_loop(
-                    loop, state, duration, controller, rest_length, winches, sample_time, estimation
-                )
-    except SimulationError as error:
-        if not error.interrupted:
-            raise
-        warnings.warn(f"the simulation {error.trajectory.stopped}", RuntimeWarning, stacklevel=2)
-        return error.trajectory
-    _check(run, HealthLimits() if limits is None else limits)
+    stopped = None
+    with interruptible() as interruption:
+        try:
+            with progress_bar(duration, shown=True) if progress else nullcontext() as loop.report:
+                if controller is None:
+                    if winches is not None or sample_time is not None or estimator is not None:
+                        raise ValueError("estimator, winches and sample_time go with a controller")
+                    loop.run(state, held_value(model, rest_length, force_density), duration)
+                else:
+                    estimation = None if estimator is None else (estimator, sensors, seed)
+                    run_closed_loop(
+                        loop, state, duration, controller, rest_length, winches, sample_time,
+                        estimation,
+                    )  # fmt: skip
+        except KeyboardInterrupt:
+            if not loop.spans or interruption.whole:
+                raise
+            stopped = f"stopped at {loop.now:.6g} s of motion: interrupted"
+        run = loop.trajectory(stopped)
+    if stopped is not None or interruption.signal is not None:
+        what = stopped or "was interrupted at its end, and is complete"
+        warnings.warn(f"the simulation {what}", InterruptionWarning, stacklevel=2)
+    if stopped is None:
+        _check(run, HealthLimits() if limits is None else limits)
     return run
 
 
