@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from tenscontrol._version import __version__
+from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
 
 if TYPE_CHECKING:
     from tenscontrol.accuracy import Peer
@@ -16,15 +19,24 @@ if TYPE_CHECKING:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return the exit status: 0, or 2 with a message on stderr."""
+    """Run the command line and return the exit status: 0, or 2 with a message on stderr.
+
+    Ended by Ctrl-C or SIGTERM, it keeps what is done, says so in a line, and returns 130 or 143.
+    """
     options = _parser().parse_args(arguments)
     commands = {"demo": _demo, "simulate": _simulate, "modes": _modes, "accuracy": _accuracy}
-    try:
-        commands[options.command](options)
-    except (ValueError, ArithmeticError, OSError) as error:
-        print(f"tenscontrol: {error}", file=sys.stderr)
-        return 2
-    return 0
+    ignored = warnings.catch_warnings(action="ignore", category=InterruptionWarning)
+    with interruptible() as came, ignored:
+        try:
+            with suppress(KeyboardInterrupt):
+                commands[options.command](options)
+                if came.signal is None:
+                    return 0
+        except (ValueError, ArithmeticError, OSError) as error:
+            print(f"tenscontrol: {error}", file=sys.stderr)
+            return 2
+    print("tenscontrol: interrupted; what is above was done by then", file=sys.stderr)
+    return came.status
 
 
 # What a command needs is imported in it, so that --help and --version answer at once.
@@ -57,8 +69,9 @@ def _keep(run: Trajectory, folder: Path) -> None:
     """Print the summary of a motion and save it."""
     from tenscontrol.scene import save_trajectory
 
-    print(run.summary())
-    print(save_trajectory(run, folder / "trajectory.npz"))
+    with finishing():
+        print(run.summary())
+        print(save_trajectory(run, folder / "trajectory.npz"))
 
 
 def _draw(run: Trajectory, folder: Path) -> None:
@@ -111,9 +124,10 @@ def _accuracy(options: argparse.Namespace) -> None:
     except (TypeError, ValueError) as error:
         raise ValueError(f"{options.scene}: {error}") from error
     folder = _folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
-    saved = found.to_csv(folder / "accuracy.csv")
-    page = folder / "accuracy.md"
-    page.write_text(found.to_markdown(), encoding="utf-8")
+    with finishing():
+        saved = found.to_csv(folder / "accuracy.csv")
+        page = folder / "accuracy.md"
+        page.write_text(found.to_markdown(), encoding="utf-8")
     if options.csv:
         print(saved.read_text(encoding="utf-8"), end="")
         files = sys.stderr  # so that what is printed is CSV and nothing else

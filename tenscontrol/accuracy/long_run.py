@@ -213,7 +213,7 @@ def long_run(
     state, spacing, failure, work = case.state, duration / outputs, "", Work()
 
     def done() -> str:
-        return failure if recorder.count >= _BLOCKS else ""
+        return f"judged up to {recorder.count * spacing:.6g} s" if recorder.count >= _BLOCKS else ""
 
     with keeping(done), progress_bar(duration, progress, f"running {chosen.name}") as report:
         integrator = chosen.integrator(case.equation(), setting, machine_code=machine_code)
