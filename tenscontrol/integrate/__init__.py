@@ -14,6 +14,7 @@ from tenscontrol.integrate.integrator import (
     state_scale,
 )
 from tenscontrol.integrate.methods import METHODS, Choice, Method, choose, method_of
+from tenscontrol.integrate.projection import Projector
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6, splitting
 from tenscontrol.integrate.rk4 import RK4
 
@@ -28,6 +29,7 @@ __all__ = [
     "IntegrationInterrupt",
     "Integrator",
     "Method",
+    "Projector",
     "Rattle",
     "Rattle4",
     "Rattle6",

@@ -72,6 +72,7 @@ class Loop:
     now: float = 0.0
     integrator: Integrator | None = None
     choice: Choice | None = None
+    note: str | None = None
 
     def __post_init__(self) -> None:
         self._method = method_of(self.method)
@@ -146,7 +147,7 @@ class Loop:
         held = self.faults.without_cut(held, self.now + close)
         if self.integrator is None:
             self.integrator = self._prepare(state, held)
-            self._keep(np.zeros(1), state[:, None], held)
+            self._keep(np.array([self.now]), state[:, None], held)
         outputs = max(1, ceil(duration / self.output_step - 1e-9))
         start, report = self.now, self.report
         reached = None if report is None else lambda time: report(start + time)
@@ -231,6 +232,7 @@ class Loop:
             position_error=error,
             released_energy=frozen(released),
             faults=self.faults.listed,
+            note=self.note,
         )
 
 
