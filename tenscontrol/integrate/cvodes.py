@@ -302,8 +302,9 @@ class _Motion:
         with self._solvers.calling:
             try:
                 with at_once():  # a call may take minutes, and ends at what a handler raises
-                    states = np.array(solver(x0=state, p=parameters)["xf"])
-            except RuntimeError as error:
+                    result = solver(x0=state, p=parameters)
+                states = np.array(result["xf"])
+            except (RuntimeError, SystemError) as error:
                 check()  # CVODES takes KeyboardInterrupt for a failure of the right-hand side
                 if "CVode returned" not in str(error):
                     raise
