@@ -325,12 +325,9 @@ def stiffness_report(
     if reference is not None:
         _refuse_other_end(reference, designs[0].controllers[0].plant, tolerance)
     rows: list[StiffnessRow] = []
-
-    def done() -> str:
-        return f"{len(rows)} of {len(designs)} rows are done" if rows else ""
-
+    kept = keeping("rows are done", rows.__len__)
     total = sum(len(design.controllers) for design in designs)
-    with keeping(done), progress_bar(total, progress, label="stiffness", unit="runs") as report:
+    with kept, progress_bar(total, progress, label="stiffness", unit="runs") as report:
         for design in designs:
             runs: list[StiffnessRun] = []
             for controller in design.controllers:

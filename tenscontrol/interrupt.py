@@ -14,7 +14,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
 
 # A loop that calls `check` less often is ended wherever it is, s.
@@ -36,7 +36,7 @@ class Interruption:
     def __init__(self) -> None:
         self.signal: int | None = None  # the first that came
         self.active = self.raised = self.at_once = self.finishing = False
-        self.whole = self.terminated = self.left_alone = False
+        self.whole = self.terminated = False
 
     @property
     def status(self) -> int:
@@ -70,6 +70,16 @@ def _main_thread() -> int:
 
 
 @contextmanager
+def _set(name: str, value: bool = True) -> Iterator[Interruption]:
+    before = getattr(_STATE, name)
+    try:
+        setattr(_STATE, name, value)
+        yield _STATE
+    finally:
+        setattr(_STATE, name, before)
+
+
+@contextmanager
 def interruptible(whole: bool = False) -> Iterator[Interruption]:
     """Keep Ctrl-C and SIGTERM for :func:`check`; yield what has come.
 
@@ -79,15 +89,12 @@ def interruptible(whole: bool = False) -> Iterator[Interruption]:
     SystemExit with status 143.
     """
     state = _STATE
-    if state.left_alone or _thread.get_ident() != _main_thread():
+    if _thread.get_ident() != _main_thread():
         yield Interruption()
         return
     if state.active:
-        before, state.whole = state.whole, state.whole or whole
-        try:
+        with _set("whole", state.whole or whole):
             yield state
-        finally:
-            state.whole = before
         return
     if state.terminated:
         state.terminated = False
@@ -107,10 +114,10 @@ def interruptible(whole: bool = False) -> Iterator[Interruption]:
 
 
 @contextmanager
-def keeping(done: Callable[[], str]) -> Iterator[None]:
-    """Run a loop whose finished parts are its result; warn of what is ``done`` if it is ended.
+def keeping(what: str, count: Callable[[], int]) -> Iterator[None]:
+    """Run a loop whose finished parts are its result; if it is ended, warn how many there are.
 
-    KeyboardInterrupt goes on if nothing is done, ``""``, or a loop around this one wants all of it.
+    KeyboardInterrupt goes on if there are none, or a loop around this one wants all of them.
     """
     passed_on = _STATE.active and _STATE.whole
     try:
@@ -119,9 +126,9 @@ def keeping(done: Callable[[], str]) -> Iterator[None]:
         if passed_on or came.signal is None:
             return
     except KeyboardInterrupt:
-        if passed_on or not done():
+        if passed_on or not count():
             raise
-    warnings.warn(f"interrupted: {done()}", InterruptionWarning, stacklevel=4)
+    warnings.warn(f"interrupted: {count()} {what}", InterruptionWarning, stacklevel=4)
 
 
 def check() -> None:
@@ -131,29 +138,11 @@ def check() -> None:
         raise KeyboardInterrupt
 
 
-@contextmanager
-def at_once() -> Iterator[None]:
+def at_once() -> AbstractContextManager[Interruption]:
     """Let a signal raise KeyboardInterrupt at once: around a call that waits, or polls signals."""
-    before = _STATE.at_once
-    try:
-        _STATE.at_once = True
-        check()
-        yield
-    finally:
-        _STATE.at_once = before
+    return _set("at_once")
 
 
-@contextmanager
-def finishing() -> Iterator[None]:
+def finishing() -> AbstractContextManager[Interruption]:
     """Let a first signal raise nothing while a result is put together, however long it takes."""
-    before = _STATE.finishing
-    try:
-        _STATE.finishing = True
-        yield
-    finally:
-        _STATE.finishing = before
-
-
-def leave_to_parent() -> None:
-    """Take over no signals in this process from now on: a worker, which its parent ends."""
-    _STATE.left_alone = True
+    return _set("finishing")

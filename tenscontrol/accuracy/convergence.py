@@ -118,6 +118,7 @@ def convergence_order(
     Returns
     -------
     ConvergenceOrder
+        Of the runs done by then, if Ctrl-C or SIGTERM ends it; a warning says so.
 
     Raises
     ------
@@ -125,11 +126,6 @@ def convergence_order(
         If an argument is of the wrong kind or does not fit, with its name.
     ArithmeticError
         If the motion runs away.
-
-    Warns
-    -----
-    InterruptionWarning
-        If Ctrl-C or SIGTERM ends it: the order is fitted to the runs done by then.
 
     Notes
     -----
@@ -158,12 +154,8 @@ def convergence_order(
         settings = checked_settings("steps", steps, unit)
     settings = as_taken(chosen, settings, case.duration / count)
     rows: list[Measurement] = []
-
-    def done() -> str:
-        return f"{len(rows)} of {len(settings)} runs are measured" if rows else ""
-
-    total = 1 + len(settings)
-    with keeping(done), progress_bar(total, progress, "fitting the order", "runs") as report:
+    total, kept = 1 + len(settings), keeping("runs are measured", rows.__len__)
+    with kept, progress_bar(total, progress, "fitting the order", "runs") as report:
         reference = reference or converged_motion(case, count)
         report(1)
         bench = Bench(case, reference, repeats=0)

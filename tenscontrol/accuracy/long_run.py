@@ -171,17 +171,12 @@ def long_run(
     Returns
     -------
     LongRun
-        Also of a run that ended early.
+        Also of a run that ended early, or by Ctrl-C or SIGTERM; a warning says so.
 
     Raises
     ------
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit, with its name.
-
-    Warns
-    -----
-    InterruptionWarning
-        If Ctrl-C or SIGTERM ends it: the part done by then is judged, if it has 21 blocks.
 
     Notes
     -----
@@ -211,11 +206,8 @@ def long_run(
     case = replace(case, duration=duration)
     recorder = _Recorder(case)
     state, spacing, failure, work = case.state, duration / outputs, "", Work()
-
-    def done() -> str:
-        return f"judged up to {recorder.count * spacing:.6g} s" if recorder.count >= _BLOCKS else ""
-
-    with keeping(done), progress_bar(duration, progress, f"running {chosen.name}") as report:
+    kept = keeping("states are judged", lambda: recorder.count * (recorder.count >= _BLOCKS))
+    with kept, progress_bar(duration, progress, f"running {chosen.name}") as report:
         integrator = chosen.integrator(case.equation(), setting, machine_code=machine_code)
         for first in range(0, outputs, _PART):
             count = min(_PART, outputs - first)

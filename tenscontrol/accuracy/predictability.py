@@ -113,6 +113,7 @@ def predictability(
     Returns
     -------
     Predictability
+        Up to then, if Ctrl-C or SIGTERM ends it; a warning says so.
 
     Raises
     ------
@@ -120,11 +121,6 @@ def predictability(
         If an argument is of the wrong kind or does not fit.
     ArithmeticError
         If the motion runs away.
-
-    Warns
-    -----
-    InterruptionWarning
-        If Ctrl-C or SIGTERM ends it: the growth up to then is returned.
 
     Examples
     --------
@@ -144,11 +140,7 @@ def predictability(
     offsets = [_offset(case, random) for _ in range(whole_number("samples", samples, least=1))]
     allowed = error / (_ROUND_OFF * case.size)
     growth: list[float] = []
-
-    def done() -> str:
-        return f"followed up to {times[len(growth) - 1]:.6g} s" if growth else ""
-
-    with keeping(done):
+    with keeping("times are compared", growth.__len__):
         for largest in _growths(case, times, offsets):
             growth.append(max(largest, growth[-1] if growth else 0.0))
             if report is not None:

@@ -128,17 +128,13 @@ def stability_map(
     Returns
     -------
     StabilityMap
+        Of the cases done by then, if Ctrl-C or SIGTERM ends it; a warning says so.
 
     Raises
     ------
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit, with its name; if
         the method chooses its own steps.
-
-    Warns
-    -----
-    InterruptionWarning
-        If Ctrl-C or SIGTERM ends it: the cases done by then are returned.
 
     Examples
     --------
@@ -157,13 +153,8 @@ def stability_map(
     limit = theoretical_limit(method)
     shape = (len(stiff), len(ratios))
     step, rate = np.full((2, *shape), np.nan)
-    title = f"stability of {method}"
-
-    def done() -> str:
-        known = int(np.isfinite(rate).sum())
-        return f"{known} of {step.size} cases are done, the others NaN" if known else ""
-
-    with keeping(done), progress_bar(step.size, progress, title, "cases") as report:
+    kept = keeping("cases are done, the others NaN", lambda: int(np.isfinite(rate).sum()))
+    with kept, progress_bar(step.size, progress, f"stability of {method}", "cases") as report:
         for i, j in np.ndindex(shape):
             each = make(stiff[i], ratios[j])
             instance("what case(stiffness, mass_ratio) returns", each, Case, "make one by Case()")

@@ -359,11 +359,8 @@ def extreme_suite(quick: bool = False, only: str = "", progress: bool = False) -
         raise ValueError(f"only is {only!r}, found in none of the cases: {groups}")
     rows: list[Verdict] = []
     names = methods()
-
-    def done() -> str:
-        return f"{len(rows)} of {len(cases) * len(names)} runs are judged" if rows else ""
-
-    with keeping(done), progress_bar(len(cases), progress, "suite", "cases") as report:
+    kept = keeping("runs are judged", rows.__len__)
+    with kept, progress_bar(len(cases), progress, "suite", "cases") as report:
         for case in cases:
             known = truth(case)
             for method in names:
@@ -379,25 +376,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(arguments)
     with interruptible() as came:
-        status = _run(options)
-    return status if came.signal is None else came.status
-
-
-def _run(options: argparse.Namespace) -> int:
-    try:
-        found = extreme_suite(options.quick, options.only, progress=True)
-        if options.csv is not None:
-            found.to_csv(options.csv)
-        if options.markdown is not None:
-            options.markdown.write_text(found.to_markdown(), encoding="utf-8")
-    except KeyboardInterrupt:
-        print("suite: interrupted before the first run was done", file=sys.stderr)
-        return 2
-    except (ValueError, ArithmeticError, OSError) as error:
-        print(f"suite: {error}", file=sys.stderr)
-        return 2
+        try:
+            found = extreme_suite(options.quick, options.only, progress=True)
+            if options.csv is not None:
+                found.to_csv(options.csv)
+            if options.markdown is not None:
+                options.markdown.write_text(found.to_markdown(), encoding="utf-8")
+        except (ValueError, ArithmeticError, OSError) as error:
+            print(f"suite: {error}", file=sys.stderr)
+            return 2
     print(found.table())
-    return 1 if found.silent else 0
+    return int(bool(found.silent)) if came.signal is None else came.status
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -348,6 +348,7 @@ def work_precision(
     Returns
     -------
     WorkPrecision
+        Of the runs done by then, if Ctrl-C or SIGTERM ends it; a warning says so.
 
     Raises
     ------
@@ -355,11 +356,6 @@ def work_precision(
         If an argument is of the wrong kind or does not fit, with its name.
     ArithmeticError
         If the motion runs away.
-
-    Warns
-    -----
-    InterruptionWarning
-        If Ctrl-C or SIGTERM ends it: the runs measured by then are returned.
 
     Examples
     --------
@@ -391,11 +387,8 @@ def work_precision(
     other = [(p, x) for p in peers for x in given.get(p.name) or p.settings]
     total = 2 + sum(map(len, wanted.values())) + len(other)
     rows: list[Measurement] = []
-
-    def done() -> str:
-        return f"{len(rows)} of {len(runs)} runs are measured" if rows else ""
-
-    with keeping(done), progress_bar(total, progress, "measuring", "runs") as report:
+    kept = keeping("runs are measured", rows.__len__)
+    with kept, progress_bar(total, progress, "measuring", "runs") as report:
         growth: Predictability | None = None
         if reference is None:
             full = case.duration

@@ -37,7 +37,7 @@ def press_at(call, monkeypatch, owner, name):
 
 def test_work_precision(case, monkeypatch):
     press_at(3, monkeypatch, Bench, "own")
-    with pytest.warns(InterruptionWarning, match="2 of 4 runs are measured") as caught:
+    with pytest.warns(InterruptionWarning, match="2 runs are measured") as caught:
         found = tc.work_precision(
             case, ["rk4"], {"rk4": [0.05, 0.025, 0.0125, 0.00625]}, repeats=1, outputs=10
         )
@@ -48,7 +48,7 @@ def test_work_precision(case, monkeypatch):
 
 def test_convergence_order(case, monkeypatch):
     press_at(4, monkeypatch, Bench, "own")
-    with pytest.warns(InterruptionWarning, match="3 of 4 runs"):
+    with pytest.warns(InterruptionWarning, match="3 runs"):
         found = tc.convergence_order(case, "rk4", [0.02, 0.01, 0.005, 0.0025])
     assert len(found.step) == len(found.error) == 3
     assert 3.5 < found.order < 4.5
@@ -62,7 +62,7 @@ def test_before_the_first_row_there_is_nothing(case, monkeypatch):
 
 def test_long_run(case, monkeypatch):
     press_at(3, monkeypatch, sys.modules[long_run.__module__]._Recorder, "add")
-    with pytest.warns(InterruptionWarning, match=r"judged up to 3\.75 s"):
+    with pytest.warns(InterruptionWarning, match="150 states are judged"):
         found = long_run(case, "rk4", 5e-3, steps=5000, outputs=1000)
     assert found.failure.startswith("interrupted at")
     assert len(found.time) == len(found.of("energy").error) == 150
@@ -79,7 +79,7 @@ def test_predictability(case, monkeypatch):
             yield each
 
     monkeypatch.setattr(module, "_growths", pressed)
-    with pytest.warns(InterruptionWarning, match="followed up to"):
+    with pytest.warns(InterruptionWarning, match="20 times are compared"):
         found = predictability(case, outputs=40)
     assert found.duration == found.time[-1] < 0.5
     assert not found.is_limited
@@ -87,7 +87,7 @@ def test_predictability(case, monkeypatch):
 
 def test_stability_map(monkeypatch):
     press_at(2, monkeypatch, sys.modules[stability_map.__module__], "fastest_rate")
-    with pytest.warns(InterruptionWarning, match="1 of 2 cases"):
+    with pytest.warns(InterruptionWarning, match="1 cases are done"):
         found = tc.stability_map("rk4", [1e3, 1e4], [0.1], steps=50)
     assert np.isfinite(found.step[0, 0])
     assert np.isnan(found.step[1, 0])
@@ -96,7 +96,7 @@ def test_stability_map(monkeypatch):
 
 def test_suite(monkeypatch):
     press_at(3, monkeypatch, suite, "judge")
-    with pytest.warns(InterruptionWarning, match="2 of .* runs are judged"):
+    with pytest.warns(InterruptionWarning, match="2 runs are judged"):
         found = suite.extreme_suite(quick=True, only="free bar")
     assert len(found.rows) == 2
     assert found.table()

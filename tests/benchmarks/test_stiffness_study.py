@@ -291,7 +291,7 @@ def test_an_interrupted_report_keeps_its_rows(monkeypatch):
         return tc.simulate(*arguments, **options)
 
     monkeypatch.setattr(stiffness_study, "simulate", pressed)
-    with pytest.warns(InterruptionWarning, match="1 of 2 rows"):
+    with pytest.warns(InterruptionWarning, match="1 rows are done"):
         found = stiffness_report(REST, [1e2, 1e3], sample_time=SAMPLE, duration=SAMPLE)
     assert found.stiffness.tolist() == [1e2]
     assert len(found.rows[0].runs) == 4
