@@ -225,8 +225,13 @@ def simulate(
         instance("start", start, Trajectory, "a run that simulate(...) returned")
         if nodes is not None or velocities is not None:
             raise ValueError("start gives nodes and velocities: leave those out")
-        if not same_members(start.structure, model.structure):
-            raise ValueError(f"start is a run of {start.structure!r}, expected the model's members")
+        if not same_members(start.structure, model.structure) or not np.array_equal(
+            start.structure.bar_length, model.structure.bar_length
+        ):
+            raise ValueError(
+                f"start is a run of {start.structure!r}, expected the bars, strings and supports "
+                f"of the model's {model.structure!r}"
+            )
         faults = faults or start.faults
         if controller is None and rest_length is None and force_density is None:
             kept = start.held
@@ -261,7 +266,8 @@ def simulate(
     stopped = None
     with interruptible() as interruption:
         try:
-            with progress_bar(duration, shown=True) if progress else nullcontext() as loop.report:
+            end = loop.now + duration
+            with progress_bar(end, shown=True) if progress else nullcontext() as loop.report:
                 if controller is None:
                     assert held is not None  # one of the two is given
                     loop.run(state, held, duration)

@@ -135,6 +135,7 @@ def test_another_controller_begins_where_the_winches_stand(example):
         ({"start": "run"}, TypeError, "start is a str"),
         ({"nodes": tc.prism().nodes}, ValueError, "start gives nodes and velocities"),
         ({"model": tc.Model(tc.prism(4))}, ValueError, "start is a run of"),
+        ({"model": tc.Model(tc.prism(height=1.1))}, ValueError, "start is a run of"),
     ],
 )
 def test_what_does_not_fit_is_refused(example, options, error, message):
@@ -177,6 +178,15 @@ def test_the_last_state_of_rk4_is_projected(example, step):
     assert more.note in more.summary()
     assert np.abs(more.nodes[:, :, 0] - run.nodes[:, :, -1]).max() < 1e-4
     assert tc.simulate(example.model, 0.1, start=run, step=step).note is None
+
+
+def test_a_load_does_not_matter(example):
+    """The speed that bars may stretch at is found without it."""
+    model = tc.Model(example.model.structure, strings=example.model.strings, external_force=True)
+    load = {"external_force": np.zeros((3, 6)), "rest_length": example.lengths}
+    run = tc.simulate(model, 0.5, step=5e-3, **load)
+    last = run.nodes[:, :, -1], run.velocities[:, :, -1]
+    assert "bars made rigid" in tc.simulate(model, 0.01, *last, step=1e-3, **load).note
 
 
 def test_what_is_accepted_as_it_is_is_not_touched(example):
