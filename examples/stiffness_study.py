@@ -26,6 +26,7 @@ from matplotlib.lines import Line2D
 
 import tenscontrol as tc
 from tenscontrol.control import Controller, HeldLoop, Status, held_loop
+from tenscontrol.interrupt import keeping
 from tenscontrol.plant import INPUTS, LinearPlant
 from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import farthest_node
@@ -271,7 +272,12 @@ def stiffness_report(
         If an argument is of the wrong kind or does not fit, or no controller can be designed
         for a stiffness.
     KeyboardInterrupt
-        If the user interrupts a run: part of a run tells nothing.
+        If the user interrupts before the first row is done.
+
+    Warns
+    -----
+    InterruptionWarning
+        If the user interrupts later: the rows done by then are returned.
 
     Examples
     --------
@@ -318,15 +324,15 @@ def stiffness_report(
     designs = [task.design(each, _damping(damping, each)) for each in k]
     if reference is not None:
         _refuse_other_end(reference, designs[0].controllers[0].plant, tolerance)
-    rows, done = [], 0
+    rows: list[StiffnessRow] = []
+    kept = keeping("rows are done", rows.__len__)
     total = sum(len(design.controllers) for design in designs)
-    with progress_bar(total, progress, label="stiffness", unit="runs") as report:
+    with kept, progress_bar(total, progress, label="stiffness", unit="runs") as report:
         for design in designs:
-            runs = []
+            runs: list[StiffnessRun] = []
             for controller in design.controllers:
                 runs.append(task.run(controller, design.integration_step))
-                done += 1
-                report(done)
+                report(len(rows) * len(design.controllers) + len(runs))
             rows.append(
                 StiffnessRow(
                     design.stiffness, design.damping, design.held, design.radius, tuple(runs)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from tenscontrol._version import __version__
 from tenscontrol.files import make_folder, write_file
+from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
 
 if TYPE_CHECKING:
     from tenscontrol.accuracy import Peer
@@ -18,16 +21,25 @@ if TYPE_CHECKING:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return the exit status: 0, or 2 with a message on stderr."""
+    """Run the command line and return the exit status: 0, or 2 with a message on stderr.
+
+    Ended by Ctrl-C or SIGTERM, it keeps what is done, says so in a line, and returns 130 or 143.
+    """
     options = _parser().parse_args(arguments)
     commands = {"demo": _demo, "simulate": _simulate, "modes": _modes, "accuracy": _accuracy}
-    try:
-        commands[options.command](options)
-        print(end="", flush=True)
-    except (ValueError, ArithmeticError, OSError, MemoryError) as error:
-        print(f"tenscontrol: {_told(error)}", file=sys.stderr)
-        return 2
-    return 0
+    ignored = warnings.catch_warnings(action="ignore", category=InterruptionWarning)
+    with interruptible() as came, ignored:
+        try:
+            with suppress(KeyboardInterrupt):
+                commands[options.command](options)
+                print(end="", flush=True)
+                if came.signal is None:
+                    return 0
+        except (ValueError, ArithmeticError, OSError, MemoryError) as error:
+            print(f"tenscontrol: {_told(error)}", file=sys.stderr)
+            return 2
+    print("tenscontrol: interrupted; what is above was done by then", file=sys.stderr)
+    return came.status
 
 
 def _told(error: Exception) -> str:
@@ -71,9 +83,10 @@ def _keep(run: Trajectory, folder: Path) -> None:
     """Print the summary of a motion and save it."""
     from tenscontrol.scene import save_trajectory
 
-    saved = save_trajectory(run, folder / "trajectory.npz")  # also where nobody reads the summary
-    print(run.summary())
-    print(saved)
+    with finishing():
+        saved = save_trajectory(run, folder / "trajectory.npz")  # also where nobody reads the rest
+        print(run.summary())
+        print(saved)
 
 
 def _draw(run: Trajectory, folder: Path) -> None:
@@ -126,8 +139,9 @@ def _accuracy(options: argparse.Namespace) -> None:
     except (TypeError, ValueError) as error:
         raise ValueError(f"{options.scene}: {error}") from error
     folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
-    saved = found.to_csv(folder / "accuracy.csv")
-    page = write_file(folder / "accuracy.md", found.to_markdown())
+    with finishing():
+        saved = found.to_csv(folder / "accuracy.csv")
+        page = write_file(folder / "accuracy.md", found.to_markdown())
     if options.csv:
         print(saved.read_text(encoding="utf-8"), end="")
         files = sys.stderr  # so that what is printed is CSV and nothing else

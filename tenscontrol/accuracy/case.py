@@ -81,13 +81,14 @@ class Case:
         text("note", self.note, "what a reader of the result must know")
         given = (self.value, None) if self.input == "rest_length" else (None, self.value)
         checked_load(self.model, self.external_force)
-        initial_state(self.model, self.nodes, self.velocities, self.input)
+        value = held_value(self.model, *given)
+        initial_state(self.model, self.nodes, self.velocities, self.input, value)
         structure = self.model.structure
         put = object.__setattr__
         put(self, "duration", positive_number("duration", self.duration, "s"))
         put(self, "nodes", frozen(_array(self.nodes, structure.nodes)))
         put(self, "velocities", frozen(_array(self.velocities, 0 * structure.nodes)))
-        put(self, "value", frozen(held_value(self.model, *given)))
+        put(self, "value", frozen(value))
         if self.external_force is not None:
             put(self, "external_force", frozen(_array(self.external_force, structure.nodes)))
 
@@ -109,7 +110,7 @@ class Case:
     @property
     def state(self) -> FloatArray:
         """The start as integrators take it: x of the free nodes."""
-        return initial_state(self.model, self.nodes, self.velocities, self.input)
+        return initial_state(self.model, self.nodes, self.velocities, self.input, self.value)[0]
 
     def equation(self) -> Equation:
         """Return the state equation under the loads of the case."""

@@ -11,11 +11,13 @@ from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.measured_run import (
     Bench,
+    Measurement,
     as_taken,
     checked_settings,
     default_settings,
     method_named,
 )
+from tenscontrol.interrupt import keeping
 from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
@@ -117,6 +119,7 @@ def convergence_order(
     Returns
     -------
     ConvergenceOrder
+        Of the runs done by then, if Ctrl-C or SIGTERM ends it; a warning says so.
 
     Raises
     ------
@@ -152,11 +155,12 @@ def convergence_order(
     if steps is not None:
         settings = checked_settings("steps", steps, unit)
     settings = as_taken(chosen, settings, case.duration / count)
-    with progress_bar(1 + len(settings), progress, "fitting the order", "runs") as report:
+    rows: list[Measurement] = []
+    total, kept = 1 + len(settings), keeping("runs are measured", rows.__len__)
+    with kept, progress_bar(total, progress, "fitting the order", "runs") as report:
         reference = reference or converged_motion(case, count)
         report(1)
         bench = Bench(case, reference, repeats=0)
-        rows = []
         for setting in settings:
             rows.append(bench.own(chosen, setting))
             report(1 + len(rows))
@@ -167,7 +171,7 @@ def convergence_order(
     is_clean = (error < _COARSE * case.size) & (error > least)
     step = case.duration / taken
     if chosen.setting == "step":  # not counting the pieces that switches cut steps into
-        step = np.array(settings)
+        step = np.array(settings[: len(rows)])
     order, deviation, constant = _fit(step[is_clean], error[is_clean])
     return ConvergenceOrder(
         method=chosen.name,

@@ -14,7 +14,8 @@ from tenscontrol.accuracy.measured_run import (
     invariants,
     method_named,
 )
-from tenscontrol.integrate import IntegrationError, Work
+from tenscontrol.integrate import IntegrationError, IntegrationInterrupt, Work
+from tenscontrol.interrupt import keeping
 from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
@@ -168,7 +169,7 @@ def long_run(
     Returns
     -------
     LongRun
-        Also of a run that ended early.
+        Also of a run that ended early, or by Ctrl-C or SIGTERM; a warning says so.
 
     Raises
     ------
@@ -202,16 +203,20 @@ def long_run(
     duration = setting * steps if chosen.setting == "step" else steps / fastest_rate(case)
     case = replace(case, duration=duration)
     recorder = _Recorder(case)
-    with progress_bar(duration, progress, f"running {chosen.name}") as report:
+    state, spacing, failure, work = case.state, duration / outputs, "", Work()
+    kept = keeping("states are judged", lambda: recorder.count * (recorder.count >= _BLOCKS))
+    with kept, progress_bar(duration, progress, f"running {chosen.name}") as report:
         integrator = chosen.integrator(case.equation(), setting, machine_code=machine_code)
-        state, spacing, failure, work = case.state, duration / outputs, "", Work()
         for first in range(0, outputs, _PART):
             count = min(_PART, outputs - first)
             try:
                 span = integrator.advance(state, case.value, spacing * count, count)
+            except IntegrationInterrupt as error:
+                recorder.add(error.span.states)
+                work += error.span.work
+                failure = f"interrupted at {spacing * first + error.time:.6g} s"
+                raise
             except IntegrationError as error:
-                if error.interrupted:
-                    raise KeyboardInterrupt from None
                 span, reached = error.span, spacing * first + error.time
                 # The message counts time from the start of the part.
                 failure = f"at {reached:.6g} s; within its last {spacing * count:.6g} s, {error}"

@@ -222,8 +222,6 @@ class Bench:
                 lambda: integrator.advance(case.state, case.value, case.duration, outputs), built
             )
         except IntegrationError as error:
-            if error.interrupted:
-                raise KeyboardInterrupt from None
             return replace(row, **_counts(error.span.work), failure=str(error))
         except (ValueError, ArithmeticError) as error:
             return replace(row, failure=str(error))

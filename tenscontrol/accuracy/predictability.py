@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case, state_change
 from tenscontrol.integrate import DOP853
+from tenscontrol.interrupt import keeping
 from tenscontrol.limits import LARGEST_SEED, MOST_RUNS
 from tenscontrol.scene import Scene
 from tenscontrol.validation import FloatArray, frozen, function, positive_number, whole_number
@@ -49,7 +50,7 @@ class Predictability:
     error : float
         The error asked for, m.
     duration : float
-        s.
+        s; if the user interrupted, how long it was followed.
     """
 
     time: FloatArray
@@ -113,6 +114,7 @@ def predictability(
     Returns
     -------
     Predictability
+        Up to then, if Ctrl-C or SIGTERM ends it; a warning says so.
 
     Raises
     ------
@@ -141,12 +143,15 @@ def predictability(
     offsets = [_offset(case, random) for _ in range(whole_number("samples", samples, 1, MOST_RUNS))]
     allowed = error / (_ROUND_OFF * case.size)
     growth: list[float] = []
-    for largest in _growths(case, times, offsets):
-        growth.append(max(largest, growth[-1] if growth else 0.0))
-        if report is not None:
-            report(float(times[len(growth) - 1]))
-        if growth[-1] > allowed:
-            break
+    with keeping("times are compared", growth.__len__):
+        for largest in _growths(case, times, offsets):
+            growth.append(max(largest, growth[-1] if growth else 0.0))
+            if report is not None:
+                report(float(times[len(growth) - 1]))
+            if growth[-1] > allowed:
+                break
+    if growth[-1] <= allowed and len(growth) < count:  # interrupted
+        case = replace(case, duration=float(times[len(growth) - 1]))
     return _judged(case, times[: len(growth)], np.array(growth), allowed, error)
 
 

@@ -14,6 +14,7 @@ from tenscontrol.accuracy.measured_run import checked_settings, invariants, meth
 from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.integrate import IntegrationError, Method
+from tenscontrol.interrupt import keeping
 from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.statics import prestress
@@ -59,6 +60,7 @@ class StabilityMap:
     mass_ratio : ndarray, shape (M,)
     step : ndarray, shape (S, M)
         Largest stable step, s; infinite where every step tried was stable, zero where none.
+        NaN, with the rate, for cases left out as the user interrupted.
     rate : ndarray, shape (S, M)
         Fastest rate of the linearized motion ω, 1/s.
     limit : float
@@ -127,6 +129,7 @@ def stability_map(
     Returns
     -------
     StabilityMap
+        Of the cases done by then, if Ctrl-C or SIGTERM ends it; a warning says so.
 
     Raises
     ------
@@ -151,13 +154,15 @@ def stability_map(
     function("case", make, "(stiffness, mass_ratio) -> Case")
     limit = theoretical_limit(method)
     shape = (len(stiff), len(ratios))
-    step, rate = np.zeros(shape), np.zeros(shape)
-    with progress_bar(step.size, progress, f"stability of {method}", "cases") as report:
+    step, rate = np.full((2, *shape), np.nan)
+    kept = keeping("cases are done, the others NaN", lambda: int(np.isfinite(rate).sum()))
+    with kept, progress_bar(step.size, progress, f"stability of {method}", "cases") as report:
         for i, j in np.ndindex(shape):
             each = make(stiff[i], ratios[j])
             instance("what case(stiffness, mass_ratio) returns", each, Case, "make one by Case()")
-            rate[i, j] = fastest_rate(each)
-            step[i, j] = _Probe(each, chosen, float(rate[i, j]), count).largest_step(limit)
+            fastest = fastest_rate(each)
+            step[i, j] = _Probe(each, chosen, fastest, count).largest_step(limit)
+            rate[i, j] = fastest
             report(i * shape[1] + j + 1)
     return StabilityMap(
         method=method,
@@ -217,9 +222,7 @@ class _Probe:
             count = min(_PART, self._count - first)
             try:
                 span = self._integrator.advance(state, self._case.value, step * count, count)
-            except IntegrationError as error:
-                if error.interrupted:
-                    raise KeyboardInterrupt from None
+            except IntegrationError:
                 return float("inf")
             with np.errstate(over="ignore", invalid="ignore"):
                 largest = max(largest, float(invariants(self._case, span.states).kinetic.max()))

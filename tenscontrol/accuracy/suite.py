@@ -22,6 +22,7 @@ from tenscontrol.accuracy.extreme_cases import ASKED, TOLERANCE, Extreme, extrem
 from tenscontrol.dynamics import unpack_states
 from tenscontrol.files import write_file
 from tenscontrol.integrate import CVODES, DOP853, EnergyMomentum, Integrator, Rattle6
+from tenscontrol.interrupt import interruptible, keeping
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation import (
     AccuracyWarning,
@@ -318,12 +319,14 @@ class SuiteResult:
             rows = {row.method: row for row in self.rows if row.case == case}
             first = next(iter(rows.values()))
             cells = [case, f"{first.reference_error:.0e}", f"{first.growth:.0e}"]
-            body.append([*cells, *(_cell(rows[name]) for name in self.methods)])
+            body.append([*cells, *(_cell(rows.get(name)) for name in self.methods)])
         return head, body
 
 
-def _cell(row: Verdict) -> str:
+def _cell(row: Verdict | None) -> str:
     """Return what came of a run in a word or a number."""
+    if row is None:  # interrupted before it
+        return "–"
     if row.verdict in ("accurate", "in part"):
         text = f"{row.error:.0e}" + (" (w)" if row.reason else "")
     elif row.verdict in ("warned", "SILENT"):
@@ -357,7 +360,8 @@ def extreme_suite(quick: bool = False, only: str = "", progress: bool = False) -
         raise ValueError(f"only is {only!r}, found in none of the cases: {groups}")
     rows: list[Verdict] = []
     names = methods()
-    with progress_bar(len(cases), progress, "suite", "cases") as report:
+    kept = keeping("runs are judged", rows.__len__)
+    with kept, progress_bar(len(cases), progress, "suite", "cases") as report:
         for case in cases:
             known = truth(case)
             for method in names:
@@ -367,19 +371,23 @@ def extreme_suite(quick: bool = False, only: str = "", progress: bool = False) -
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the suite; return 0, 1 where a run was silently wrong, or 2 with a message on stderr."""
+    """Run the suite; return 0, 1 where a run was silently wrong, or 2 with a message on stderr.
+
+    Ended by Ctrl-C or SIGTERM, it prints what is done and returns 130 or 143.
+    """
     options = _parser().parse_args(arguments)
-    try:
-        found = extreme_suite(options.quick, options.only, progress=True)
-        if options.csv is not None:
-            found.to_csv(options.csv)
-        if options.markdown is not None:
-            write_file(options.markdown, found.to_markdown())
-    except (ValueError, ArithmeticError, OSError) as error:
-        print(f"suite: {error}", file=sys.stderr)
-        return 2
+    with interruptible() as came:
+        try:
+            found = extreme_suite(options.quick, options.only, progress=True)
+            if options.csv is not None:
+                found.to_csv(options.csv)
+            if options.markdown is not None:
+                write_file(options.markdown, found.to_markdown())
+        except (ValueError, ArithmeticError, OSError) as error:
+            print(f"suite: {error}", file=sys.stderr)
+            return 2
     print(found.table())
-    return 1 if found.silent else 0
+    return int(bool(found.silent)) if came.signal is None else came.status
 
 
 def _parser() -> argparse.ArgumentParser:

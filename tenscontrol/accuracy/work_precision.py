@@ -23,6 +23,7 @@ from tenscontrol.accuracy.measured_run import (
 from tenscontrol.accuracy.peers import Peer
 from tenscontrol.accuracy.predictability import Predictability, predictability
 from tenscontrol.integrate import METHODS, Method
+from tenscontrol.interrupt import keeping
 from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
@@ -356,6 +357,7 @@ def work_precision(
     Returns
     -------
     WorkPrecision
+        Of the runs done by then, if Ctrl-C or SIGTERM ends it; a warning says so.
 
     Raises
     ------
@@ -392,7 +394,9 @@ def work_precision(
     wanted = {m: given.get(m.name) or default_settings(m, case) for m in chosen}
     other = [(p, x) for p in peers for x in given.get(p.name) or p.settings]
     total = 2 + sum(map(len, wanted.values())) + len(other)
-    with progress_bar(total, progress, "measuring", "runs") as report:
+    rows: list[Measurement] = []
+    kept = keeping("runs are measured", rows.__len__)
+    with kept, progress_bar(total, progress, "measuring", "runs") as report:
         growth: Predictability | None = None
         if reference is None:
             full = case.duration
@@ -406,7 +410,6 @@ def work_precision(
         spacing = case.duration / len(reference.time)
         runs = [partial(bench.own, m, x) for m in chosen for x in as_taken(m, wanted[m], spacing)]
         runs += [partial(bench.peer, p, x) for p, x in other if refusals[p.name] is None]
-        rows = []
         for run in runs:
             rows.append(run())
             report(2 + len(rows))

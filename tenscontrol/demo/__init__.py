@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
 
 from tenscontrol._version import __version__
 from tenscontrol.demo import tour
+from tenscontrol.interrupt import interruptible
 
 __all__ = ["main"]
 
 
 def main(output: Path, figures: bool = True) -> None:
-    """Run the demo, print its numbers and save its figures in a folder that exists."""
+    """Run the demo, print its numbers and save its figures in a folder that exists.
+
+    If it is interrupted, the figures of what is done are saved.
+    """
     began = perf_counter()
     print(f"tenscontrol {__version__}: a tensegrity prism, 3 bars of 1 kg, 9 strings\n")
-    model = tour.demo_model()
-    rest = tour.show_equilibrium(model.structure)
-    plants = tour.show_modes(model, rest)
-    regulator = tour.show_lqr(model, plants["force_density"][0])
-    morph = tour.show_mpc(model, rest)
+    found = tour.Found()
+    with interruptible(), suppress(KeyboardInterrupt):
+        model = tour.demo_model()
+        found.rest = tour.show_equilibrium(model.structure)
+        found.plants = tour.show_modes(model, found.rest)
+        found.regulator = tour.show_lqr(model, found.plants["force_density"][0])
+        found.morph = tour.show_mpc(model, found.rest)
     if figures:
         from tenscontrol.demo.figures import save_figures
 
         print("\n5. Figures")
-        for path in save_figures(output, rest, plants, regulator, morph):
+        for path in save_figures(output, found):
             print(f"   {path}")
     print(f"\n{perf_counter() - began:.1f} s in all")

@@ -11,33 +11,29 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tenscontrol import plot
-from tenscontrol.control import LQR
-from tenscontrol.demo.tour import TARGET, Morph
-from tenscontrol.plant import LinearPlant, Modes
+from tenscontrol.demo.tour import TARGET, Found, Morph
 from tenscontrol.plot import new_space, save_figure
-from tenscontrol.statics import Prestress
 from tenscontrol.validation import FloatArray
 
 
-def save_figures(
-    output: Path,
-    rest: Prestress,
-    plants: dict[str, tuple[LinearPlant, Modes]],
-    regulator: LQR,
-    morph: Morph,
-) -> Iterator[Path]:
-    """Draw and save one figure after the other, and yield where each is."""
-    prism = plot.structure(rest.structure, force_density=rest.force_density)
-    yield save_figure(_figure(prism.ax), output / "prism.png")
-    for name, (plant, found) in plants.items():
-        shapes = plot.mode_shapes(plant, found)
-        yield save_figure(_figure(shapes[0].ax), output / f"modes_{name}.png")
-    open_loop = np.linalg.eigvals(regulator.plant.A)
-    poles = plot.poles({"open loop": open_loop, "LQR": regulator.poles})
-    yield save_figure(_figure(poles.ax), output / "poles.png")
-    yield save_figure(morph_figure(morph), output / "closed_loop.png")
-    yield save_figure(_figure(plot.health(morph.run)["energy"].ax), output / "health.png")
-    yield plot.animate(morph.run, output / "closed_loop.gif", target=_laid_over(morph), fps=16)
+def save_figures(output: Path, found: Found) -> Iterator[Path]:
+    """Draw and save what is found, one figure after the other, and yield where each is."""
+    rest, regulator, morph = found.rest, found.regulator, found.morph
+    if rest is not None:
+        prism = plot.structure(rest.structure, force_density=rest.force_density)
+        yield save_figure(_figure(prism.ax), output / "prism.png")
+    for name, (plant, shapes) in found.plants.items():
+        drawn = plot.mode_shapes(plant, shapes)
+        yield save_figure(_figure(drawn[0].ax), output / f"modes_{name}.png")
+    if regulator is not None:
+        open_loop = np.linalg.eigvals(regulator.plant.A)
+        poles = plot.poles({"open loop": open_loop, "LQR": regulator.poles})
+        yield save_figure(_figure(poles.ax), output / "poles.png")
+    if morph is not None:
+        yield save_figure(morph_figure(morph), output / "closed_loop.png")
+        yield save_figure(_figure(plot.health(morph.run)["energy"].ax), output / "health.png")
+    if morph is not None and morph.run.stopped is None:
+        yield plot.animate(morph.run, output / "closed_loop.gif", target=_laid_over(morph), fps=16)
 
 
 def morph_figure(morph: Morph) -> Figure:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from tenscontrol.actuation import Winches, to_rest_length
 from tenscontrol.control import LQR, MPC, energy_weights, lqr
 from tenscontrol.dynamics import LinearStrings, Model
+from tenscontrol.interrupt import check
 from tenscontrol.plant import LinearPlant, Modes, Reference, controllability, linearize, modes
 from tenscontrol.simulation import Trajectory, simulate
 from tenscontrol.statics import Prestress, prestress, prism_force_density
@@ -42,6 +43,16 @@ class Morph:
     def height_error(self) -> float:
         """Final height less target, m."""
         return float(self.height[-1] - TARGET)
+
+
+@dataclass(eq=False)
+class Found:
+    """What the demo has found so far."""
+
+    rest: Prestress | None = None
+    plants: dict[str, tuple[LinearPlant, Modes]] = field(default_factory=dict)
+    regulator: LQR | None = None
+    morph: Morph | None = None
 
 
 def demo_model() -> Model:
@@ -107,6 +118,7 @@ def show_lqr(model: Model, plant: LinearPlant) -> LQR:
     start = disturbed(plant)
     run = simulate(model, 8.0, start, controller=regulator, input="force_density", step=STEP,
                    sample_time=0.01)  # fmt: skip
+    check()  # part of a run does not show how it settles
     left = distance(plant, run)
     below = run.time[np.flatnonzero(left >= 1e-4)[-1] + 1]
     print(

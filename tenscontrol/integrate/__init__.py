@@ -5,6 +5,7 @@ from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
 from tenscontrol.integrate.integrator import (
     IntegrationError,
+    IntegrationInterrupt,
     Integrator,
     Report,
     Span,
@@ -13,6 +14,7 @@ from tenscontrol.integrate.integrator import (
     state_scale,
 )
 from tenscontrol.integrate.methods import METHODS, Choice, Method, choose, method_of
+from tenscontrol.integrate.projection import Projector
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6, splitting
 from tenscontrol.integrate.rk4 import RK4
 
@@ -24,8 +26,10 @@ __all__ = [
     "Choice",
     "EnergyMomentum",
     "IntegrationError",
+    "IntegrationInterrupt",
     "Integrator",
     "Method",
+    "Projector",
     "Rattle",
     "Rattle4",
     "Rattle6",

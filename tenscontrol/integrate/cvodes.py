@@ -15,6 +15,7 @@ from tenscontrol.dynamics import ColumnEvaluator, Equation, Evaluator
 from tenscontrol.integrate.events import BAND, CHATTER, first_crossing, refuse_chatter
 from tenscontrol.integrate.integrator import (
     IntegrationError,
+    IntegrationInterrupt,
     Integrator,
     Report,
     Span,
@@ -24,6 +25,7 @@ from tenscontrol.integrate.integrator import (
     state_scale,
 )
 from tenscontrol.integrate.projection import Projector
+from tenscontrol.interrupt import at_once, check, interruptible
 from tenscontrol.validation import FloatArray
 
 # States that one call returns. Powers of two, so that outputs fall on them. Where strings can go
@@ -134,7 +136,7 @@ class CVODES(Integrator):
         done = 0
         try:
             # A state that is not finite is looked for, so NumPy need not warn of it.
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            with interruptible(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 motion.begin(state / scale)
                 while motion.now < duration:
                     window = motion.next_window()
@@ -147,13 +149,13 @@ class CVODES(Integrator):
                     if report is not None:
                         report(motion.now)
                     motion.switch()
+            return Span(self._projected(states * scale[:, None]), motion.work)
         except (FloatingPointError, KeyboardInterrupt) as error:
-            interrupted = isinstance(error, KeyboardInterrupt)
-            stopped = f"{self.name} stopped after {motion.now:.6g} s: {error}"
             so_far = Span(self._projected(states[:, :done] * scale[:, None]), motion.work)
-            message = "interrupted" if interrupted else stopped
-            raise IntegrationError(message, motion.now, so_far, interrupted) from None
-        return Span(self._projected(states * scale[:, None]), motion.work)
+            if isinstance(error, KeyboardInterrupt):
+                raise IntegrationInterrupt(motion.now, so_far) from None
+            stopped = f"{self.name} stopped after {motion.now:.6g} s: {error}"
+            raise IntegrationError(stopped, motion.now, so_far) from None
 
 
 class _Motion:
@@ -300,8 +302,11 @@ class _Motion:
         parameters = np.concatenate([[span], self._held, self._taut, self._scale])
         with self._solvers.calling:
             try:
-                states = np.array(solver(x0=state, p=parameters)["xf"])
-            except RuntimeError as error:
+                with at_once():  # a call may take minutes, and ends at what a handler raises
+                    result = solver(x0=state, p=parameters)
+                states = np.array(result["xf"])
+            except (RuntimeError, SystemError) as error:
+                check()  # CVODES takes KeyboardInterrupt for a failure of the right-hand side
                 if "CVode returned" not in str(error):
                     raise
                 states = None

@@ -12,6 +12,7 @@ from tenscontrol.dynamics import Equation, Evaluator, compiler
 from tenscontrol.integrate.events import crossing, landing, taut_strings
 from tenscontrol.integrate.integrator import (
     IntegrationError,
+    IntegrationInterrupt,
     Integrator,
     Report,
     Span,
@@ -22,6 +23,7 @@ from tenscontrol.integrate.integrator import (
     state_scale,
 )
 from tenscontrol.integrate.projection import Projector, projection
+from tenscontrol.interrupt import check
 from tenscontrol.validation import FloatArray
 
 # Evaluations of a step whose first slope is known, and of its interpolant.
@@ -129,31 +131,30 @@ class DOP853(Integrator):
         given = np.concatenate([held, [duration, spacing, longest], self.tolerance * scale])
         given = np.tile(given[:, None], (1, self._turns)) if self._turns > 1 else given
         done, told = 0, dict.fromkeys(_CARRIED, 0.0)
-        while True:
-            try:
+        try:
+            while told["time"] < duration:
+                check()
                 after, recorded = self._chunk(carried, given)
-            except KeyboardInterrupt:
-                reached = Span(self._projected(states[:, :done]), _work(told))
-                raise IntegrationError("interrupted", told["time"], reached, True) from None
-            carried = after.reshape(-1, self._turns, order="F")[:, -1].copy()
-            recorded = recorded.reshape(-1, self._turns, order="F")
-            done = _interpolate(recorded, times[:-1], states, done)
-            told = dict(zip(_CARRIED, carried[2 * n + switches :].tolist(), strict=True))
-            work = _work(told)
-            if told["stuck"]:
-                raise IntegrationError(
-                    f"dop853 stopped after {told['time']:.6g} s: its step fell to "
-                    f"{told['step']:.1e} s, as the forces are no longer finite or change "
-                    "without end",
-                    told["time"],
-                    Span(self._projected(states[:, :done]), work),
-                )
-            if report is not None:
-                report(told["time"])
-            if told["time"] >= duration:
-                states[:, :-1] = self._projected(states[:, :-1])
-                states[:, -1] = carried[:n]
-                return Span(states, work)
+                carried = after.reshape(-1, self._turns, order="F")[:, -1].copy()
+                recorded = recorded.reshape(-1, self._turns, order="F")
+                done = _interpolate(recorded, times[:-1], states, done)
+                told = dict(zip(_CARRIED, carried[2 * n + switches :].tolist(), strict=True))
+                if told["stuck"]:
+                    raise IntegrationError(
+                        f"dop853 stopped after {told['time']:.6g} s: its step fell to "
+                        f"{told['step']:.1e} s, as the forces are no longer finite or change "
+                        "without end",
+                        told["time"],
+                        Span(self._projected(states[:, :done]), _work(told)),
+                    )
+                if report is not None:
+                    report(told["time"])
+            states[:, :-1] = self._projected(states[:, :-1])
+            states[:, -1] = carried[:n]
+            return Span(states, _work(told))
+        except KeyboardInterrupt:
+            reached = Span(self._projected(states[:, :done]), _work(told))
+            raise IntegrationInterrupt(told["time"], reached) from None
 
 
 def _work(told: dict[str, float]) -> Work:

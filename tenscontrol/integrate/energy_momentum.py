@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil
+from time import perf_counter
 from typing import Any, final
 
 import casadi as ca
@@ -11,7 +12,9 @@ import numpy as np
 
 from tenscontrol.dynamics import Equation, Evaluator, kernel
 from tenscontrol.integrate.integrator import (
+    LONGEST_CALL,
     IntegrationError,
+    IntegrationInterrupt,
     Integrator,
     Report,
     Span,
@@ -20,6 +23,7 @@ from tenscontrol.integrate.integrator import (
     where_needed,
 )
 from tenscontrol.integrate.projection import Bodies
+from tenscontrol.interrupt import check
 from tenscontrol.validation import FloatArray, positive_number
 
 # Tried steps per call into CasADi: those not needed cost next to nothing.
@@ -165,28 +169,33 @@ class EnergyMomentum(Integrator):
         states = np.empty((len(state), outputs))
         work = np.concatenate([state, progress])
         left, step, failed = (len(state) + i for i in range(3))
-        for output in range(outputs):
-            work[left] = interval
-            while work[left] > 0:
-                expected = ceil(min(work[left] / work[step], _CHUNKS[-1]))
-                chunk = next(count for count in _CHUNKS if count >= expected)
-                try:
+        output, most = 0, _CHUNKS[-1]
+        try:
+            for output in range(outputs):
+                work[left] = interval
+                while work[left] > 0:
+                    check()
+                    began = perf_counter()
+                    expected = ceil(min(work[left] / work[step], most))
+                    chunk = next(count for count in _CHUNKS if count >= expected)
                     work = self._chunks[chunk](work, held, limits)[0].copy()
-                except KeyboardInterrupt:
-                    span = Span(states[:, :output], _work(work[-3:], evaluations))
-                    raise IntegrationError("interrupted", interval * output, span, True) from None
-                if work[failed]:
-                    time = interval * (output + 1) - float(work[left])
-                    raise IntegrationError(
-                        f"Newton's iteration or the error test of energy_momentum failed at "
-                        f"{time:.6g} s down to a step of {work[step]:.3g} s; the motion may have "
-                        "run away, or strings are too stiff for double precision",
-                        time,
-                        Span(states[:, :output], _work(work[-3:], evaluations)),
-                    )
-            states[:, output] = work[: len(state)]
-            if report is not None:
-                report(interval * (output + 1))
+                    if perf_counter() - began > LONGEST_CALL:
+                        most = max(chunk // 8, 1)
+                    if work[failed]:
+                        time = interval * (output + 1) - float(work[left])
+                        raise IntegrationError(
+                            f"Newton's iteration or the error test of energy_momentum failed at "
+                            f"{time:.6g} s down to a step of {work[step]:.3g} s; the motion may "
+                            "have run away, or strings are too stiff for double precision",
+                            time,
+                            Span(states[:, :output], _work(work[-3:], evaluations)),
+                        )
+                states[:, output] = work[: len(state)]
+                if report is not None:
+                    report(interval * (output + 1))
+        except KeyboardInterrupt:
+            span = Span(states[:, :output], _work(work[-3:], evaluations))
+            raise IntegrationInterrupt(interval * output, span) from None
         return Span(states, _work(work[-3:], evaluations))
 
     def _first_step(self, state: FloatArray, held: FloatArray, interval: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass
 from math import ceil
+from time import perf_counter
 
 import casadi as ca
 import numpy as np
@@ -12,7 +13,9 @@ import numpy as np
 from tenscontrol.dynamics import Equation, Evaluator, compiler
 from tenscontrol.integrate.events import COUNTS, located, taut_strings
 from tenscontrol.integrate.integrator import (
+    LONGEST_CALL,
     IntegrationError,
+    IntegrationInterrupt,
     Integrator,
     Report,
     Span,
@@ -21,6 +24,7 @@ from tenscontrol.integrate.integrator import (
     where_needed,
 )
 from tenscontrol.integrate.projection import projected
+from tenscontrol.interrupt import check
 from tenscontrol.validation import FloatArray, positive_number
 
 # Steps in a block, and blocks in a call into CasADi: enough that the call costs nothing, few enough
@@ -102,40 +106,44 @@ class FixedStep(Integrator):
         states = np.empty((n, outputs))
         taut = self._taut(state, held)[0] if switches else np.zeros(0)
         carried = np.concatenate([state, taut, np.zeros(len(COUNTS))])[: self._size]
-        done = 0
-        while done < total:
-            blocks = self._many if total - done >= self._many * _BLOCK else 1
-            size = min(blocks * _BLOCK, total - done)
-            steps: FloatArray = np.zeros(blocks * _BLOCK)
-            steps[:size] = step
-            inputs = held
-            if blocks > 1:
-                steps = steps.reshape(blocks, _BLOCK).T
-                inputs = np.tile(held[:, None], (1, blocks))
-            try:
+        done, most = 0, self._many * _BLOCK
+        try:
+            while done < total:
+                check()
+                began = perf_counter()
+                blocks = self._many if min(total - done, most) >= self._many * _BLOCK else 1
+                size = min(blocks * _BLOCK, total - done, most)
+                steps: FloatArray = np.zeros(blocks * _BLOCK)
+                steps[:size] = step
+                inputs = held
+                if blocks > 1:
+                    steps = steps.reshape(blocks, _BLOCK).T
+                    inputs = np.tile(held[:, None], (1, blocks))
                 result = self._blocks[blocks](carried, inputs, steps)[0]
-            except KeyboardInterrupt:
-                reached = Span(states[:, : done // inner], self._work(done, carried))
-                raise IntegrationError("interrupted", step * done, reached, True) from None
-            result = result.reshape(self._size, -1, order="F")[:, :size]
-            first = -(-(done + 1) // inner)  # the next output
-            kept = result[:n, first * inner - done - 1 :: inner]
-            states[:, first - 1 : first - 1 + kept.shape[1]] = kept
-            carried = result[:, -1].copy()
-            if not np.isfinite(carried).all():
-                # Once not finite, never finite again: the good states come first.
-                fine = int(np.isfinite(result).all(axis=0).sum())
-                good = done + fine
-                work = self._work(good, result[:, fine - 1] if fine else np.zeros(len(COUNTS)))
-                raise IntegrationError(
-                    f"the state is no longer finite between {step * good:.6g} s and "
-                    f"{step * (good + 1):.6g} s; try a step below {step:g} s",
-                    step * good,
-                    Span(states[:, : good // inner], work),
-                )
-            done += size
-            if report is not None:
-                report(step * done)
+                result = result.reshape(self._size, -1, order="F")[:, :size]
+                first = -(-(done + 1) // inner)  # the next output
+                kept = result[:n, first * inner - done - 1 :: inner]
+                states[:, first - 1 : first - 1 + kept.shape[1]] = kept
+                carried = result[:, -1].copy()
+                if not np.isfinite(carried).all():
+                    # Once not finite, never finite again: the good states come first.
+                    fine = int(np.isfinite(result).all(axis=0).sum())
+                    good = done + fine
+                    work = self._work(good, result[:, fine - 1] if fine else np.zeros(len(COUNTS)))
+                    raise IntegrationError(
+                        f"the state is no longer finite between {step * good:.6g} s and "
+                        f"{step * (good + 1):.6g} s; try a step below {step:g} s",
+                        step * good,
+                        Span(states[:, : good // inner], work),
+                    )
+                done += size
+                if perf_counter() - began > LONGEST_CALL:
+                    most = max(size // 2, 1)
+                if report is not None:
+                    report(step * done)
+        except KeyboardInterrupt:
+            reached = Span(states[:, : done // inner], self._work(done, carried))
+            raise IntegrationInterrupt(step * done, reached) from None
         return Span(states, self._work(total, carried))
 
     def _work(self, steps: int, carried: FloatArray) -> Work:

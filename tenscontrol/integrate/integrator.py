@@ -27,6 +27,9 @@ _Built = TypeVar("_Built")
 # States that fit in memory, as a count of numbers.
 _MOST_NUMBERS = 5e8
 
+# Time in one call of CasADi, s, from which on the next call is given fewer steps: signals wait.
+LONGEST_CALL = 0.2
+
 # Told the time reached within the span, s.
 Report = Callable[[float], None]
 
@@ -84,15 +87,24 @@ class IntegrationError(ArithmeticError):
         Time within the span up to which the states are good, s.
     span : Span
         What was reached, at as many output times as were.
-    interrupted : bool
-        Whether the user stopped it (Ctrl-C); nothing is wrong then.
     """
 
-    def __init__(self, message: str, time: float, span: Span, interrupted: bool = False) -> None:
+    def __init__(self, message: str, time: float, span: Span) -> None:
         super().__init__(message)
         self.time = time
         self.span = span
-        self.interrupted = interrupted
+
+
+class IntegrationInterrupt(KeyboardInterrupt):
+    """An integration that Ctrl-C or SIGTERM ended; nothing is wrong.
+
+    ``time`` and ``span`` are those of :class:`IntegrationError`.
+    """
+
+    def __init__(self, time: float, span: Span) -> None:
+        super().__init__("interrupted")
+        self.time = time
+        self.span = span
 
 
 def checked_tolerance(tolerance: object, least: float = 100 * float(np.finfo(float).eps)) -> float:
@@ -199,7 +211,9 @@ class Integrator(ABC):
         TypeError, ValueError
             If an argument does not fit the equation.
         IntegrationError
-            If the state grows beyond all bounds, the step size vanishes, or the user interrupts.
+            If the state grows beyond all bounds, or the step size vanishes.
+        IntegrationInterrupt
+            If the user interrupts; see :func:`tenscontrol.interrupt.check`.
         """
 
 

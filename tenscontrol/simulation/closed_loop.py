@@ -11,6 +11,7 @@ from tenscontrol.actuation import Winches, WinchMove
 from tenscontrol.control import Command, Controller
 from tenscontrol.dynamics import unpack_states
 from tenscontrol.estimation import KalmanFilter, Sensors
+from tenscontrol.interrupt import check
 from tenscontrol.limits import refuse_memory
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.observation import Observation
@@ -43,40 +44,53 @@ def run_closed_loop(
     winches: Winches | None,
     sample_time: float | None,
     estimation: tuple[KalmanFilter, Sensors | None, int | None] | None,
-) -> Trajectory:
-    """Return the motion of the plant under a controller, run sample by sample.
+    start: Trajectory | None,
+) -> None:
+    """Run the plant under a controller, sample by sample.
 
-    ``estimation`` is the estimator, the sensors and the seed.
+    ``estimation`` is the estimator, the sensors and the seed; ``start`` the run to go on from.
     """
     sample = _sample_time(controller, sample_time, loop.step)
     kept = _SAMPLE_BYTES + 48 * len(controller.plant.commanded.strings)
     refuse_memory(f"sample_time is {sample:g} s", duration / sample, "samples", kept)
-    actuators = Actuators(loop, controller, winches, rest_length, sample)
-    controller.reset()
-    if actuators.start is not None:
+    # In samples; whole, so that the same numbers are multiplied as in a run of one part.
+    begin = round(loop.now / sample)
+    if abs(loop.now / sample - begin) > 1e-9:
+        begin = loop.now / sample  # type: ignore[assignment]
+    actuators = Actuators(loop, controller, winches, rest_length, sample, start)
+    if start is None:
+        controller.reset()
+    # A controller that goes on knows its previous input, unless there is none or it did not come.
+    knows = start is not None and start.stopped is None and rest_length is None
+    if actuators.start is not None and not (knows and controller.status_count):
         N = unpack_states(loop.model.structure, state[:, None])[0][:, :, 0]
         controller.applied(actuators.applied_input(N))
     observation = None
     if estimation is not None:
         substeps = 1 if winches is None else winches.substeps
         observation = Observation(
-            *estimation, loop.model, loop.input, controller, sample, actuators.start, substeps
-        )
+            *estimation, loop.model, loop.input, controller, sample, actuators.start, substeps,
+            start is not None,
+        )  # fmt: skip
+        if start is not None:
+            earlier = None if start.control is None else start.control.estimate
+            observation.go_on(earlier, start.held, round(begin))
     rows: list[tuple[float, Command, WinchMove, float]] = []
 
     def record() -> ControlRecord:
-        start = None
+        stood = None
         if loop.input == "rest_length":
-            start = rows[0][2].rest_length if actuators.start is None else actuators.start
-        return _control_record(rows, start, sample, observation)
+            stood = rows[0][2].rest_length if actuators.start is None else actuators.start
+        return _control_record(rows, stood, sample, observation)
 
     seen = controller.plant.coordinates.nodes.shape[
         1
     ]  # of a subdivision, the nodes of its parent come first
     loop.record = record
     # The allowance keeps round-off from adding a last sample of no length.
+    until = loop.now + duration
     for k in range(max(1, ceil(duration / sample - 1e-9))):
-        loop.now = k * sample
+        loop.now = (begin + k) * sample
         N, V = (part[:, :, 0] for part in unpack_states(loop.model.structure, state[:, None]))
         moment = loop.now + 1e-9 * sample  # a fault that begins at the sample is there
         lost = loop.faults.lost(moment)
@@ -88,19 +102,19 @@ def run_closed_loop(
         began = perf_counter()
         command = controller.command(loop.now, *motion)
         taken = perf_counter() - began
+        check()  # a command that was interrupted is not applied
         move, inputs = actuators.apply(command, N, loop.faults.stuck(moment))
         controller.applied(actuators.applied_input(N))
         if observation is not None:
             observation.predict(move.rest_length, inputs[-1])
         rows.append((loop.now, command, move, taken))
-        end = min(loop.now + sample, duration)
+        end = min(loop.now + sample, until)
         whole = end - loop.now
         for i, held in enumerate(inputs):
             span = min(loop.now + sample / len(inputs), end) if i + 1 < len(inputs) else end
             span -= loop.now
             if span > 1e-9 * whole:  # not round-off
                 state = loop.run(state, held, span)
-    return loop.trajectory()
 
 
 def _control_record(
@@ -164,6 +178,7 @@ class Actuators:
         winches: Winches | None,
         rest_length: object,
         sample_time: float,
+        run: Trajectory | None,
     ) -> None:
         self._structure = loop.model.structure
         self._by_segment = _commands_parent(loop, controller)
@@ -183,6 +198,18 @@ class Actuators:
         self._winches = winches
         self._sample_time = sample_time
         self.start: FloatArray | None = None
+        self._current: FloatArray | None = None
+        if run is not None and rest_length is None:
+            kind = "force_density" if run.rest_length is None else "rest_length"
+            last = run.held if kind == loop.input else None
+            if last is not None and run.control is not None:
+                last = run.control.applied[:, -1]
+            elif last is not None:
+                last = self._to_strings(loop.input, last)
+            if loop.input == "rest_length":
+                rest_length = last
+            else:
+                self._current = last
         if rest_length is not None:
             lengths = per_member(
                 "rest_length", rest_length, self._count, "string of the controller"
@@ -195,7 +222,8 @@ class Actuators:
                 "winches with a rate or substeps need rest_length: where they stand at the start, "
                 "m; to_rest_length(model, nodes, force_density) finds it"
             )
-        self._current = self.start
+        if self.start is not None:
+            self._current = self.start
         if self._convert:
             self._refuse_unreachable(controller.bounds[1])
 
@@ -207,7 +235,7 @@ class Actuators:
         assert self._law is not None  # a rest length is held
         rest_length = self._to_plant("rest_length", self._current)
         gamma = self._law.force_density(self._structure.string_length(nodes), rest_length)
-        return to_strings(self._structure, "force_density", gamma) if self._by_segment else gamma
+        return self._to_strings("force_density", gamma)
 
     def apply(
         self, command: Command, nodes: FloatArray, stuck: IntArray
@@ -225,8 +253,7 @@ class Actuators:
             assert self._law is not None  # a rest length is held
             gamma = self._to_plant("force_density", desired)
             desired = self._law.rest_length(self._structure.string_length(nodes), gamma)
-            if self._by_segment:
-                desired = to_strings(self._structure, "rest_length", desired)
+            desired = self._to_strings("rest_length", desired)
         desired = self._unless_stuck(desired, stuck)
         start = desired if self._current is None else self._current
         move, substeps = WinchMove(frozen(desired), _NONE, _NONE), 1
@@ -248,6 +275,10 @@ class Actuators:
     def _to_plant(self, what: str, values: FloatArray) -> FloatArray:
         """Return values of the plant's strings from those of the commanded ones."""
         return to_segments(self._structure, what, values) if self._by_segment else values
+
+    def _to_strings(self, what: str, values: FloatArray) -> FloatArray:
+        """Return values of the commanded strings from those of the plant's."""
+        return to_strings(self._structure, what, values) if self._by_segment else values
 
     def _unless_stuck(self, desired: FloatArray, stuck: IntArray) -> FloatArray:
         """Return the desired input, but the current one of stuck actuators."""

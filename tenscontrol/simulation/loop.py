@@ -13,6 +13,7 @@ from tenscontrol.integrate import (
     METHODS,
     Choice,
     IntegrationError,
+    IntegrationInterrupt,
     Integrator,
     Method,
     Span,
@@ -20,6 +21,7 @@ from tenscontrol.integrate import (
     choose,
     method_of,
 )
+from tenscontrol.interrupt import finishing
 from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
 from tenscontrol.validation import FloatArray, frozen, positive_number
@@ -39,14 +41,11 @@ class SimulationError(ArithmeticError):
     ----------
     trajectory : Trajectory
         The motion up to the time of the failure.
-    interrupted : bool
-        Whether the user stopped it; nothing is wrong then.
     """
 
-    def __init__(self, message: str, trajectory: Trajectory, interrupted: bool = False) -> None:
+    def __init__(self, message: str, trajectory: Trajectory) -> None:
         super().__init__(message)
         self.trajectory = trajectory
-        self.interrupted = interrupted
 
 
 @dataclass(eq=False)
@@ -66,15 +65,14 @@ class Loop:
     output_step: float = 0.0
     report: Callable[[float], None] | None = None  # of the time reached, s
     record: Callable[[], ControlRecord] | None = None  # under a controller
-    time: list[FloatArray] = field(default_factory=list)
-    states: list[FloatArray] = field(default_factory=list)
-    inputs: list[FloatArray] = field(default_factory=list)
-    released: list[FloatArray] = field(default_factory=list)
+    # Times, states, inputs, and what cut strings had stored: span by span.
+    spans: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
     lost_energy: float = 0.0
     work: Work = field(default_factory=Work)
     now: float = 0.0
     integrator: Integrator | None = None
     choice: Choice | None = None
+    note: str | None = None
 
     def __post_init__(self) -> None:
         self._method = method_of(self.method)
@@ -129,9 +127,9 @@ class Loop:
 
     def _release(self, state: FloatArray, time: float) -> None:
         """Count the energy that strings store which are cut at a time."""
-        if not self.inputs:
+        if not self.spans:
             return
-        before = self.inputs[-1][:, -1]
+        before = self.spans[-1][2][:, -1]
         after = self.faults.without_cut(before, time)
         if np.array_equal(before, after):
             return
@@ -147,22 +145,23 @@ class Loop:
         """Integrate with the strings that are not cut by now, up to what is close."""
         self._release(state, self.now + close)
         held = self.faults.without_cut(held, self.now + close)
-        if not self.time:
-            self._keep(np.zeros(1), state[:, None], held)
         if self.integrator is None:
             self.integrator = self._prepare(state, held)
+            self._keep(np.array([self.now]), state[:, None], held)
         outputs = max(1, ceil(duration / self.output_step - 1e-9))
         start, report = self.now, self.report
         reached = None if report is None else lambda time: report(start + time)
         try:
             span = self.integrator.advance(state, held, duration, outputs, reached)
-        except IntegrationError as error:
+        except (IntegrationError, IntegrationInterrupt) as error:
             self._add(error.span, held, duration, outputs)
-            reason = f"stopped at {start + error.time:.6g} s of motion: {error}"
+            self.now = start + error.time
+            if isinstance(error, IntegrationInterrupt):
+                raise
+            reason = f"stopped at {self.now:.6g} s of motion: {error}"
             raise SimulationError(
                 f"the simulation {reason}. The motion up to there is in the error's .trajectory",
                 self.trajectory(reason),
-                error.interrupted,
             ) from error
         self._add(span, held, duration, outputs)
         self.now = start + duration
@@ -175,19 +174,20 @@ class Loop:
         self.work += span.work
 
     def _keep(self, time: FloatArray, states: FloatArray, held: FloatArray) -> None:
-        self.time.append(time)
-        self.states.append(states)
-        self.inputs.append(np.tile(held[:, None], (1, len(time))))
-        self.released.append(np.full(len(time), self.lost_energy))
+        inputs = np.tile(held[:, None], (1, len(time)))
+        self.spans.append((time, states, inputs, np.full(len(time), self.lost_energy)))
 
     def trajectory(self, stopped: str | None = None) -> Trajectory:
         """Return the motion so far; the model evaluates its energies and momenta at all times."""
+        with finishing():
+            return self._trajectory(stopped)
+
+    def _trajectory(self, stopped: str | None) -> Trajectory:
         assert self.choice is not None  # made before the first span
         assert self.integrator is not None  # made with it
         model, structure = self.model, self.model.structure
         control = None if self.record is None else self.record()
-        time, states = np.concatenate(self.time), np.hstack(self.states)
-        inputs = np.hstack(self.inputs)
+        time, states, inputs, released = map(np.hstack, zip(*self.spans, strict=True))
         error = None
         if stopped is None and self.choice.setting == "tolerance":
             # Each step may err by the tolerance, and errors add up.
@@ -230,8 +230,9 @@ class Loop:
             control=control,
             stopped=stopped,
             position_error=error,
-            released_energy=frozen(np.concatenate(self.released)),
+            released_energy=frozen(released),
             faults=self.faults.listed,
+            note=self.note,
         )
 
 
@@ -270,8 +271,10 @@ def step_doubling_error(
         halves = 2 * max(1, ceil(duration / step - 1e-9))
         try:
             span = integrator.advance(states[:, k], inputs[:, k + 1], duration, halves)
-        except IntegrationError as error:
-            return None if error.interrupted else float("inf")
+        except IntegrationError:
+            return float("inf")
+        except KeyboardInterrupt:
+            return None
         change = (span.states[:, -1] - states[:, k + 1]).reshape(2, -1, 3)
         moved, sped = np.linalg.norm(change, axis=2).max(axis=1)
         errors[k] = moved

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,8 @@ class EstimateRecord:
         In the coordinates of the filter.
     measurement : ndarray, shape (m, K)
         What arrived at each sample, NaN where nothing did.
+    under_way : ndarray, shape (m, delay)
+        What had been measured by the end, and had not arrived.
     status : tuple of str, length K
         What became of it; see :class:`Estimate`.
     statistics : FilterStatistics
@@ -45,6 +47,7 @@ class EstimateRecord:
     length_deviation: FloatArray
     state: FloatArray
     measurement: FloatArray
+    under_way: FloatArray
     status: tuple[str, ...]
     statistics: FilterStatistics
 
@@ -58,7 +61,8 @@ class Observation:
     """Sensors of a simulated motion and the filter that estimates it, checked to go together.
 
     ``sensors`` are those of the estimator if None; ``start`` are the rest lengths at the start, m,
-    shape (α,), if they are known; ``substeps`` those of the winches.
+    shape (α,), if they are known; ``substeps`` those of the winches; ``goes_on`` whether the
+    estimator is as another run left it.
     """
 
     def __init__(
@@ -72,6 +76,7 @@ class Observation:
         sample: float,
         start: FloatArray | None,
         substeps: int,
+        goes_on: bool,
     ) -> None:
         sensors = estimator.sensors if sensors is None else sensors
         instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
@@ -86,9 +91,19 @@ class Observation:
             self._law = Evaluator(model.string_force_density)
         self._held: FloatArray | None = None
         self._nothing = np.full(len(sensors.noise), np.nan)
-        self._late = deque([self._nothing] * sensors.delay)
+        # Readings taken, each to arrive so many samples later: the first were before the run.
+        self._taken = [self._nothing] * sensors.delay
         self._rows: list[tuple[FloatArray, Estimate]] = []
-        estimator.reset(held=start)
+        if not goes_on or not len(estimator.statistics.degrees_of_freedom):
+            estimator.reset(held=start)
+
+    def go_on(self, earlier: EstimateRecord | None, held: FloatArray, samples: int) -> None:
+        """Take over readings under way, the input held, and the noise after so many samples."""
+        if earlier is not None and earlier.under_way.shape[1] == len(self._taken):
+            self._taken = list(earlier.under_way.T)
+        self._held = held
+        for _ in range(samples):
+            self._sensors.disturb(np.zeros(len(self._nothing)), self._generator)
 
     def estimate(self, nodes: FloatArray, velocities: FloatArray, lost: bool) -> Estimate:
         """Measure the motion, and return the estimate from what arrives at this sample.
@@ -98,8 +113,8 @@ class Observation:
         seen = self._sensors.structure.nodes.shape[1]
         exact = self._sensors.measure(nodes[:, :seen], self._tension(nodes, velocities))
         noisy = self._sensors.disturb(exact, self._generator)
-        self._late.append(self._nothing if lost else noisy)
-        reading = self._late.popleft()
+        self._taken.append(self._nothing if lost else noisy)
+        reading = self._taken[len(self._rows)]
         estimate = self._filter.update(reading)
         self._rows.append((reading, estimate))
         return estimate
@@ -124,7 +139,9 @@ class Observation:
 
     def record(self, time: FloatArray) -> EstimateRecord:
         """Return measurements and estimates at these times."""
-        readings, estimates = zip(*self._rows, strict=True)
+        # The last estimate may be of a sample that was interrupted.
+        readings, estimates = zip(*self._rows[: len(time)], strict=True)
+        delay = self._sensors.delay
         names = "nodes", "velocities", "node_deviation", "length_deviation", "state"
         series = {
             name: frozen(np.stack([getattr(each, name) for each in estimates], axis=-1))
@@ -134,6 +151,9 @@ class Observation:
             time=frozen(time),
             **series,
             measurement=frozen(np.column_stack(readings)),
+            under_way=frozen(
+                np.reshape(self._taken[len(time) :][:delay], (delay, len(self._nothing))).T
+            ),
             status=tuple(each.status for each in estimates),
             statistics=self._filter.statistics,
         )

@@ -12,7 +12,8 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller
 from tenscontrol.dynamics import Model, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
-from tenscontrol.integrate import Method
+from tenscontrol.integrate import Method, Projector, largest_frequency, state_scale
+from tenscontrol.interrupt import InterruptionWarning, interruptible
 from tenscontrol.limits import refuse_memory, refuse_time
 from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
@@ -24,6 +25,7 @@ from tenscontrol.structure import (
     refuse_moved_supports,
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
+    same_members,
 )
 from tenscontrol.validation import (
     FloatArray,
@@ -40,6 +42,13 @@ _OUTPUTS = 1000
 
 # A step of the smallest scene in machine code, s.
 _STEP = 1e-6
+
+# A start whose bars are off by this part of their length, and stretching by this part of the
+# largest speed, is taken as it is; up to the second, at which a run counts as inaccurate, it is
+# projected. Near rest the speed is what forces and stiffness can give a structure of this size:
+# the first part of that is round-off, the second what RK4 leaves in a motion that has died out.
+_EXACT, _PROJECTED = 1e-8, 1e-3
+_ROUND_OFF, _LEFT = 1e-12, 1e-6
 
 
 def simulate(
@@ -67,6 +76,7 @@ def simulate(
     estimator: KalmanFilter | None = None,
     sensors: Sensors | None = None,
     seed: int | None = None,
+    start: Trajectory | None = None,
 ) -> Trajectory:
     """Return the motion of a model.
 
@@ -82,7 +92,10 @@ def simulate(
         s.
     nodes, velocities : array_like, shape (3, n), optional
         Motion at the start, m and m/s; the reference shape at rest if not given.
-        Bars must have their lengths, and must not be stretching.
+        Bars must have their lengths, and must not be stretching: what is off by less than a
+        thousandth is projected onto rigid bars, and ``run.note`` says so.
+    start : Trajectory, optional
+        A run to go on from, in place of ``nodes`` and ``velocities``; see the notes.
     rest_length : float or array_like, shape (α,), optional
         Rest lengths, m. With a controller: those at the start, one per string
         that it commands.
@@ -156,8 +169,24 @@ def simulate(
     -----
     AccuracyWarning
         If the motion passes a limit: the integration was too coarse.
-    RuntimeWarning
-        If the user interrupts; the motion up to there is returned.
+    InterruptionWarning
+        A RuntimeWarning: Ctrl-C or SIGTERM ended the run, and the motion up to there is returned,
+        with its control record, from the main thread. Before the first step there is no motion:
+        KeyboardInterrupt. After SIGTERM the next long computation raises SystemExit (143), so that
+        a script of many ends.
+
+    Notes
+    -----
+    A run that is given as ``start`` goes on from its last state, also where it was interrupted:
+    times, and those of faults and references, count on. Its faults, its rest lengths or force
+    densities and those of the winches stay, unless others are given; method and step are those of
+    this call. Neither the controller nor the estimator is reset: give those of the run as it left
+    them (new ones begin anew). Noise goes on in its sequence, and measurements under way arrive.
+
+    So a run in two parts is the same, to the last bit, as in one, if the method has fixed steps
+    and the first part ends with a whole step and sample. Methods with steps of their own begin with
+    a new first step: the same to their tolerance. A run that ended within a sample begins a new
+    one, and a sample whose command was interrupted is measured again.
 
     Examples
     --------
@@ -171,6 +200,12 @@ def simulate(
     >>> run = tc.simulate(model, 1.0, rest_length=start, step=1e-3)
     >>> run.nodes.shape, round(float(run.nodes[2, 0, -1]), 3)
     ((3, 6, 1001), 1.076)
+
+    It goes on for another second:
+
+    >>> more = tc.simulate(model, 1.0, start=run, step=1e-3)
+    >>> more.time[[0, -1]]
+    array([1., 2.])
     """
     instance("model", model, Model, "make one by Model(structure)")
     duration = positive_number("duration", duration, "s")
@@ -189,6 +224,21 @@ def simulate(
         raise ValueError("sensors and seed go with an estimator; kalman(...) makes one")
     if not len(model.structure.free):
         raise ValueError("every node of the model is fixed: nothing can move")
+    if start is not None:
+        instance("start", start, Trajectory, "a run that simulate(...) returned")
+        if nodes is not None or velocities is not None:
+            raise ValueError("start gives nodes and velocities: leave those out")
+        if not same_members(start.structure, model.structure) or not np.array_equal(
+            start.structure.bar_length, model.structure.bar_length
+        ):
+            raise ValueError(
+                f"start is a run of {start.structure!r}, expected the bars, strings and supports "
+                f"of the model's {model.structure!r}"
+            )
+        faults = faults or start.faults
+        if controller is None and rest_length is None and force_density is None:
+            kept = start.held
+            rest_length, force_density = (None, kept) if start.rest_length is None else (kept, None)
     what = _input_kind(model, rest_length, force_density, controller, input)
     breaking = Faults(faults, float(np.ptp(model.structure.nodes, axis=1).max()), what)
     winch_count = None if controller is None else len(controller.plant.commanded.strings)
@@ -206,28 +256,42 @@ def simulate(
         machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
     )
     loop.output_step = _output_step(loop, output_step, duration)
-    state = initial_state(model, nodes, velocities, loop.input)
-    try:
-        with progress_bar(duration, shown=True) if progress else nullcontext() as loop.report:
-            if controller is None:
-                if winches is not None or sample_time is not None or estimator is not None:
-                    raise ValueError("estimator, winches and sample_time go with a controller")
-                value = held_value(model, rest_length, force_density)
-                loop.run(state, value, duration)
-                run = loop.trajectory()
-            else:
-                estimation = None if estimator is None else (estimator, sensors, seed)
-                with controller.in_use, nullcontext() if estimator is None else estimator.in_use:
-                    run = run_closed_loop(
-                        loop, state, duration, controller, rest_length, winches, sample_time,
-                        estimation,
-                    )  # fmt: skip
-    except SimulationError as error:
-        if not error.interrupted:
-            raise
-        warnings.warn(f"the simulation {error.trajectory.stopped}", RuntimeWarning, stacklevel=2)
-        return error.trajectory
-    _check(run, HealthLimits() if limits is None else limits)
+    held = None
+    if controller is None:
+        if winches is not None or sample_time is not None or estimator is not None:
+            raise ValueError("estimator, winches and sample_time go with a controller")
+        held = held_value(model, rest_length, force_density)
+    if start is None:
+        state, loop.note = initial_state(model, nodes, velocities, loop.input, held)
+    else:
+        loop.now = float(start.time[-1])
+        state = pack_state(model.structure, start.nodes[:, :, -1], start.velocities[:, :, -1])
+    stopped = None
+    with interruptible() as interruption:
+        try:
+            end = loop.now + duration
+            with progress_bar(end, shown=True) if progress else nullcontext() as loop.report:
+                if controller is None:
+                    assert held is not None  # one of the two is given
+                    loop.run(state, held, duration)
+                else:
+                    estimation = None if estimator is None else (estimator, sensors, seed)
+                    used = nullcontext() if estimator is None else estimator.in_use
+                    with controller.in_use, used:
+                        run_closed_loop(
+                            loop, state, duration, controller, rest_length, winches, sample_time,
+                            estimation, start,
+                        )  # fmt: skip
+        except KeyboardInterrupt:
+            if not loop.spans or interruption.whole:
+                raise
+            stopped = f"stopped at {loop.now:.6g} s of motion: interrupted"
+        run = loop.trajectory(stopped)
+    if stopped is not None or interruption.signal is not None:
+        what = stopped or "was interrupted at its end, and is complete"
+        warnings.warn(f"the simulation {what}", InterruptionWarning, stacklevel=2)
+    if stopped is None:
+        _check(run, HealthLimits() if limits is None else limits)
     return run
 
 
@@ -300,21 +364,32 @@ def checked_load(model: Model, external_force: object) -> FloatArray:
     return given + model.constant_force
 
 
-def initial_state(model: Model, nodes: object, velocities: object, input: str) -> FloatArray:
-    """Return the state at the start, after checking that the structure can be in it."""
+def initial_state(
+    model: Model, nodes: object, velocities: object, input: str, held: FloatArray | None = None
+) -> tuple[FloatArray, str | None]:
+    """Return the state at the start, and what was put right, after checking the structure is in it.
+
+    ``held`` is the input at the start, if it is known: forces give the structure its speed.
+    """
     if nodes is None and velocities is None:  # depends on nothing but the model
         key = "state at rest", input
-        return model.prepared.get(key, lambda: frozen(_checked_state(model, None, None, input)))
-    return _checked_state(model, nodes, velocities, input)
+        build = lambda: frozen(_checked_state(model, None, None, input, None)[0])  # noqa: E731
+        return model.prepared.get(key, build), None
+    return _checked_state(model, nodes, velocities, input, held)
 
 
-def _checked_state(model: Model, nodes: object, velocities: object, input: str) -> FloatArray:
+def _checked_state(
+    model: Model, nodes: object, velocities: object, input: str, held: FloatArray | None
+) -> tuple[FloatArray, str | None]:
     structure = model.structure
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     V = np.zeros_like(N)
     if velocities is not None:
         V = structure.checked_nodes("velocities", velocities)
-    refuse_wrong_bar_lengths("nodes", structure, N)
+    length = np.linalg.norm(structure.bar_vectors(N), axis=0)
+    off = float(np.abs(length / structure.bar_length - 1).max(initial=0.0))
+    if off > _PROJECTED:
+        refuse_wrong_bar_lengths("nodes", structure, N)
     refuse_moved_supports("nodes", structure, N)
     moving = np.flatnonzero(V[:, structure.fixed].any(axis=0))
     if len(moving):
@@ -322,13 +397,23 @@ def _checked_state(model: Model, nodes: object, velocities: object, input: str) 
         raise ValueError(f"velocities move the fixed node {node} by {V[:, node]} m/s, expected 0")
     if input == "rest_length":
         refuse_strings_without_length("nodes", structure, N)
+    state = pack_state(structure, N, V)
     bars, rates = structure.bar_vectors(N), structure.bar_vectors(V)
     stretching = np.abs((bars * rates).sum(axis=0)) / structure.bar_length
-    allowed = 1e-8 * max(float(np.abs(V).max()), 1e-300)
-    if stretching.size and stretching.max() > allowed:
-        worst = int(stretching.argmax())
+    worst = float(stretching.max(initial=0.0))
+    if off <= _EXACT and worst <= _EXACT * float(np.abs(V).max()):
+        return state, None
+    equation = model.equation(input)
+    if held is None:
+        held = structure.string_length(N) * (input == "rest_length")
+    speed = float(state_scale(equation, state, held, largest_frequency(equation, state, held))[-1])
+    if off <= _EXACT and worst <= _ROUND_OFF * speed:
+        return state, None
+    if worst > max(_PROJECTED * float(np.abs(V).max()), _LEFT * speed):
         raise ValueError(
-            f"velocities stretch bar {worst} at {stretching[worst]:.3g} m/s, expected 0: bars "
+            f"velocities stretch bar {stretching.argmax()} at {worst:.3g} m/s, expected 0: bars "
             "are rigid. plant.to_velocities(q, rates) gives velocities that bars can have"
         )
-    return pack_state(structure, N, V)
+    return Projector(equation, True)(state[:, None])[:, 0], (
+        f"bars made rigid: off by {off:.1e} of their length, stretching at {worst:.1e} m/s"
+    )

@@ -187,7 +187,7 @@ class Trajectory:
     ----------
     structure : Structure
     time : ndarray, shape (T,)
-        s, from 0.
+        s, from 0, or from the end of the run that it goes on from.
     nodes, velocities : ndarray, shape (3, n, T)
         m and m/s.
     force_density : ndarray, shape (α, T)
@@ -226,6 +226,8 @@ class Trajectory:
         Motions that magnify errors need :func:`predictability`.
     faults : tuple of Fault
         What was made to break.
+    note : str or None
+        What was put right at the start.
     """
 
     structure: Structure
@@ -248,6 +250,7 @@ class Trajectory:
     stopped: str | None = None
     position_error: float | None = None
     faults: tuple[Fault, ...] = ()
+    note: str | None = None
 
     @property
     def method(self) -> str:
@@ -306,6 +309,12 @@ class Trajectory:
         return momentum, momentum * float(np.abs(self.nodes - centre).max())
 
     @property
+    def held(self) -> FloatArray:
+        """What was held at the end, shape (α,): rest lengths, m, or γ, N/m."""
+        held = self.force_density if self.rest_length is None else self.rest_length
+        return np.asarray(held[:, -1])
+
+    @property
     def energy(self) -> FloatArray:
         """Kinetic and potential energy together, J, shape (T,)."""
         return self.kinetic_energy + self.potential_energy
@@ -353,6 +362,8 @@ class Trajectory:
         lines = []
         if self.stopped is not None:
             lines.append(f"ended early       {self.stopped}")
+        if self.note is not None:
+            lines.append(f"start             {self.note}")
         for fault in self.faults:
             until = "" if np.isinf(fault.end) else f" to {fault.end:g} s"
             lines.append(f"fault             {fault.label} from {fault.start:g} s{until}")

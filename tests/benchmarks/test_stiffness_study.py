@@ -1,6 +1,8 @@
 """Laws in γ and in rest lengths over the stiffness: the report against loops made by hand."""
 
 import doctest
+import os
+import signal
 import warnings
 from dataclasses import replace
 
@@ -12,6 +14,7 @@ import tenscontrol as tc
 from examples import stiffness_study
 from examples.stiffness_study import stiffness_report
 from tenscontrol.demo import tour as demo
+from tenscontrol.interrupt import InterruptionWarning
 
 SAMPLE = 0.02
 TARGET = demo.prism_of_height(tc.prism(), demo.TARGET)
@@ -274,6 +277,25 @@ def test_steps_of_the_user_are_taken():
         assert run.failure
     for run in fine.rows[0].runs:
         assert run.failure is None
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_an_interrupted_report_keeps_its_rows(monkeypatch):
+    calls = 0
+
+    def pressed(*arguments, **options):
+        nonlocal calls
+        calls += 1
+        if calls == 6:  # the second run of the second row
+            signal.raise_signal(signal.SIGINT)
+        return tc.simulate(*arguments, **options)
+
+    monkeypatch.setattr(stiffness_study, "simulate", pressed)
+    with pytest.warns(InterruptionWarning, match="1 rows are done"):
+        found = stiffness_report(REST, [1e2, 1e3], sample_time=SAMPLE, duration=SAMPLE)
+    assert found.stiffness.tolist() == [1e2]
+    assert len(found.rows[0].runs) == 4
+    assert found.summary()
 
 
 def test_an_interrupted_run_is_no_row(monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, final
 
@@ -163,6 +164,8 @@ class OSQPSolver(QPSolver):
         result = self._solver.solve(raise_error=False)
         self._fresh, self._counted = False, 0.0
         status = self._status[result.info.status_val]
+        if status is Status.INTERRUPTED:  # OSQP took Ctrl-C to itself: it goes to whom it was for
+            signal.raise_signal(signal.SIGINT)
         if status is not Status.OK:
             # What OSQP leaves in x then is not a solution, and may warm-start nothing.
             self._cold_start()

@@ -1,0 +1,148 @@
+"""Ctrl-C and SIGTERM in long loops: they end at a safe point, and what is done is kept.
+
+A long loop runs within :func:`interruptible` and calls :func:`check` between steps. Loops may be
+nested. Only signals that Python would act on by itself are taken over: a program with handlers of
+its own keeps them. Signals come to the main thread; loops in other threads run on.
+"""
+
+from __future__ import annotations
+
+import _thread
+import os
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from types import FrameType
+
+# A loop that calls `check` less often is ended wherever it is, s.
+_PATIENCE = 0.5
+
+# Signals with the handlers that are taken over. On Windows nothing sends SIGTERM.
+_TAKEN: dict[signal.Signals, object] = {signal.SIGINT: signal.default_int_handler}
+if os.name == "posix":
+    _TAKEN[signal.SIGTERM] = signal.SIG_DFL
+
+
+class InterruptionWarning(RuntimeWarning):
+    """A computation that was ended by Ctrl-C or SIGTERM; what was done by then is returned."""
+
+
+class Interruption:
+    """What has come since the outermost :func:`interruptible` began."""
+
+    def __init__(self) -> None:
+        self.signal: int | None = None  # the first that came
+        self.active = self.raised = self.at_once = self.finishing = False
+        self.whole = self.terminated = False
+
+    @property
+    def status(self) -> int:
+        """Exit status of a command that was ended so: 130 for Ctrl-C, 143 for SIGTERM."""
+        return 128 + (self.signal or signal.SIGINT)
+
+    def handle(self, number: int, _: FrameType | None) -> None:
+        """Note a signal. The first waits for :func:`check`, a second one raises at once."""
+        again, self.signal = self.signal is not None, self.signal or number
+        if self.active and (again or self.at_once):
+            self.raised = True
+            raise KeyboardInterrupt
+        if not self.finishing:
+            # Not threading.Thread, whose lock this handler may have been called within.
+            _thread.start_new_thread(self._insist, ())
+
+    def _insist(self) -> None:
+        time.sleep(_PATIENCE)
+        if self.active and self.signal is not None and not (self.raised or self.finishing):
+            if os.name == "posix":  # so that a call that waits wakes up
+                signal.pthread_kill(_main_thread(), self.signal)
+            else:
+                signal.raise_signal(self.signal)
+
+
+_STATE = Interruption()
+
+
+def _main_thread() -> int:
+    return threading.main_thread().ident or 0
+
+
+@contextmanager
+def _set(name: str, value: bool = True) -> Iterator[Interruption]:
+    before = getattr(_STATE, name)
+    try:
+        setattr(_STATE, name, value)
+        yield _STATE
+    finally:
+        setattr(_STATE, name, before)
+
+
+@contextmanager
+def interruptible(whole: bool = False) -> Iterator[Interruption]:
+    """Keep Ctrl-C and SIGTERM for :func:`check`; yield what has come.
+
+    ``whole`` says that loops within are to raise, not to return a part of their result. A second
+    signal raises KeyboardInterrupt at once, and so does the first half a second later if nothing
+    checks. After SIGTERM the loop at work returns what it has; the next that begins raises
+    SystemExit with status 143.
+    """
+    state = _STATE
+    if _thread.get_ident() != _main_thread():
+        yield Interruption()
+        return
+    if state.active:
+        with _set("whole", state.whole or whole):
+            yield state
+        return
+    if state.terminated:
+        state.terminated = False
+        raise SystemExit(128 + signal.SIGTERM)
+    state.signal, state.raised, state.whole, former = None, False, whole, {}
+    try:
+        state.active = True
+        for number, default in _TAKEN.items():
+            if signal.getsignal(number) is default:
+                former[number] = signal.signal(number, state.handle)
+        yield state
+    finally:
+        state.active = False  # from here on nothing is raised, so that all handlers are restored
+        for number, handler in former.items():
+            signal.signal(number, handler)
+        state.terminated = state.signal == signal.SIGTERM
+
+
+@contextmanager
+def keeping(what: str, count: Callable[[], int]) -> Iterator[None]:
+    """Run a loop whose finished parts are its result; if it is ended, warn how many there are.
+
+    KeyboardInterrupt goes on if there are none, or a loop around this one wants all of them.
+    """
+    passed_on = _STATE.active and _STATE.whole
+    try:
+        with interruptible(whole=True) as came:
+            yield
+        if passed_on or came.signal is None:
+            return
+    except KeyboardInterrupt:
+        if passed_on or not count():
+            raise
+    warnings.warn(f"interrupted: {count()} {what}", InterruptionWarning, stacklevel=4)
+
+
+def check() -> None:
+    """Raise KeyboardInterrupt if a signal has come, in the main thread within a long loop."""
+    if _STATE.signal is not None and _STATE.active and _thread.get_ident() == _main_thread():
+        _STATE.raised = True
+        raise KeyboardInterrupt
+
+
+def at_once() -> AbstractContextManager[Interruption]:
+    """Let a signal raise KeyboardInterrupt at once: around a call that waits, or polls signals."""
+    return _set("at_once")
+
+
+def finishing() -> AbstractContextManager[Interruption]:
+    """Let a first signal raise nothing while a result is put together, however long it takes."""
+    return _set("finishing")
