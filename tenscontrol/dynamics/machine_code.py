@@ -25,7 +25,7 @@ from time import perf_counter
 
 import casadi as ca
 
-from tenscontrol.dynamics.threads import builds, paused
+from tenscontrol.dynamics.evaluator import builds, paused
 from tenscontrol.validation import instance, positive_number
 
 #: Environment variable that names the compiler, before ``CC``; ``none`` switches compiling off.
