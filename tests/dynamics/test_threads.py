@@ -13,8 +13,12 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.accuracy import peers
+from tenscontrol.accuracy.case import fastest_rate
+from tenscontrol.accuracy.converged_motion import PiecewiseSolver
 from tenscontrol.dynamics import BUILDING, Evaluator, Prepared
 from tenscontrol.dynamics.evaluator import _dropped, paused
+from tests.accuracy.test_peers import prism_case
 from tests.dynamics.building import unlocked_calls
 from tests.fuzz import threads as fuzz
 
@@ -53,6 +57,16 @@ def test_writing_c_code_holds_the_lock(tmp_path):
     controller = tc.MPC(fuzz.plant_of(fuzz.SHARED), sample_time=0.02, horizon=4)
     with unlocked_calls() as found:
         tc.generate_c(controller, tmp_path / "code")
+    assert found == set()
+
+
+def test_the_accuracy_of_a_case_holds_the_lock():
+    case = prism_case(duration=0.05)
+    with unlocked_calls() as found:
+        fastest_rate(case)
+        PiecewiseSolver(case)
+        for peer in (peers.SciPy("Radau"), peers.CasADiCVODES(), peers.CasADiRK()):
+            peer.prepare(case, peer.settings[0], np.linspace(0.0, 0.05, 3))
     assert found == set()
 
 
