@@ -21,6 +21,7 @@ from tenscontrol.dynamics.evaluator import _dropped, paused
 from tests.accuracy.test_peers import prism_case
 from tests.dynamics.building import unlocked_calls
 from tests.fuzz import threads as fuzz
+from tests.robustness.cases import Inline
 
 STILL = np.zeros((3, 6))
 
@@ -247,6 +248,36 @@ class TestMemory:
 
         assert evaluator(Slow())[0] == 9.0
         assert elsewhere(lambda: evaluator(2.0)[0].copy()) == 4.0
+
+
+@pytest.fixture(scope="module")
+def case():
+    plant = fuzz.plant_of(fuzz.SHARED)
+    Q, R = tc.energy_weights(plant)
+    controller = tc.lqr(plant, Q, 0.1 * R, sample_time=0.02)
+    law = tc.LinearStrings(100.0, damping=0.5)
+    return tc.ClosedLoopCase(fuzz.PRISM, law, controller, duration=0.1, step=5e-3, tolerance=0.03)
+
+
+def report(case, executor):
+    drawn = {"stiffness": tc.Uniform(0.7, 1.3, size=9)}
+    return tc.sweep(case, drawn, 4, seed=0, executor=executor)
+
+
+def test_a_sweep_over_threads_gives_the_report_of_one(case):
+    with ThreadPoolExecutor(4) as executor:
+        assert report(case, executor) == report(case, Inline())
+
+
+def test_a_sweep_over_threads_of_dask_does_too(case):
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=4, processes=False, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        assert report(case, client.get_executor()) == report(case, Inline())
 
 
 def test_runs_by_threads_give_the_numbers_of_one():

@@ -228,7 +228,6 @@ def main():
     parser.add_argument("--jobs", nargs="*", default=list(JOBS), help="names of jobs")
     given = parser.parse_args()
     faulthandler.enable()
-    faulthandler.dump_traceback_later(given.seconds + 240.0, exit=True)  # where it hangs
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.setswitchinterval(1e-4)
     if given.designs:
@@ -236,6 +235,7 @@ def main():
         print(f"{given.threads} threads x {given.designs} designs:", "same" if fine else "OTHER")
         if not fine:
             return 1
+    faulthandler.dump_traceback_later(given.seconds + 240.0, exit=True)  # where it hangs
     jobs = {name: JOBS[name] for name in given.jobs}
     outcomes, wrong = campaign(given.seconds, given.threads, given.seed, jobs)
     for (name, outcome), count in sorted(outcomes.items()):
