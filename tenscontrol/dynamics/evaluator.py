@@ -39,12 +39,7 @@ _dropped: deque[Any] = deque()
 
 
 def builds(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Value]:
-    """Let one thread at a time call a function that builds with CasADi.
-
-    Parameters
-    ----------
-    function : callable
-    """
+    """Let one thread at a time call a function that builds with CasADi."""
 
     @wraps(function)
     def locked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
@@ -112,9 +107,7 @@ copyreg.pickle(ca.Function, _pickled)
 
 if hasattr(os, "register_at_fork"):  # a forked child must not start in the middle of a build
     os.register_at_fork(
-        before=BUILDING.acquire,
-        after_in_parent=BUILDING.release,
-        after_in_child=BUILDING.release,
+        before=BUILDING.acquire, after_in_parent=BUILDING.release, after_in_child=BUILDING.release
     )
 
 
@@ -157,12 +150,7 @@ class Exclusive:
 def exclusive(
     method: Callable[Concatenate[_Self, _Arguments], _Value],
 ) -> Callable[Concatenate[_Self, _Arguments], _Value]:
-    """Let one thread at a time call a method of an object with an ``in_use``, an `Exclusive`.
-
-    Parameters
-    ----------
-    method : callable
-    """
+    """Let one thread at a time call a method of an object with an ``in_use``, an `Exclusive`."""
 
     @wraps(method)
     def alone(self: _Self, /, *args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
