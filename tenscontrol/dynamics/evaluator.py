@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import copyreg
 import os
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from functools import cached_property, wraps
+from queue import SimpleQueue
 from threading import Lock, RLock, get_ident
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
@@ -35,7 +36,12 @@ _SOLVING = Lock()
 
 # CasADi's objects dropped by threads that did not hold the lock, until a thread that does frees
 # them: waiting in ``__del__`` could wait for ever.
-_dropped: deque[Any] = deque()
+_dropped: SimpleQueue[Any] = SimpleQueue()
+
+
+def _free() -> None:
+    while not _dropped.empty():
+        _dropped.get()
 
 
 def builds(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Value]:
@@ -44,7 +50,7 @@ def builds(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Valu
     @wraps(function)
     def locked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
         with BUILDING:
-            _dropped.clear()
+            _free()
             return function(*args, **kwargs)
 
     return locked
@@ -81,10 +87,10 @@ class built(cached_property[_Value]):  # noqa: N801, as cached_property
 def _drop(self: Any) -> None:
     """Free an object of CasADi here if no other thread builds, else leave it to that thread."""
     if not _is_mine():
-        _dropped.append(self.this)
+        _dropped.put(self.this)
         if BUILDING.acquire(blocking=False):
             try:
-                _dropped.clear()
+                _free()
             finally:
                 BUILDING.release()
 
