@@ -8,7 +8,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Model, pack_state
+from tenscontrol.dynamics import Equation, Model, builds, pack_state
 from tenscontrol.plant import held_value
 from tenscontrol.scene import Scene
 from tenscontrol.simulation import checked_load, initial_state
@@ -170,6 +170,7 @@ def state_change(case: Case, moves: FloatArray) -> FloatArray:
 _DENSE = 600
 
 
+@builds
 def fastest_rate(case: Case) -> float:
     """Return the largest magnitude of the eigenvalues of ∂f/∂x at the start, 1/s.
 
@@ -177,11 +178,7 @@ def fastest_rate(case: Case) -> float:
     at least.
     """
     equation = case.equation()
-    x, u, taut = (
-        ca.SX.sym("x", equation.states),
-        ca.SX.sym("u", equation.inputs),
-        ca.SX.sym("taut", equation.switches),
-    )
+    x, u, taut, _ = equation.symbols(ca.SX)
     jacobian = ca.Function("jacobian", [x, u, taut], [ca.jacobian(equation.slope(x, u, taut), x)])
     matrix = jacobian(case.state, case.value, np.ones(equation.switches))
     if equation.states <= _DENSE:

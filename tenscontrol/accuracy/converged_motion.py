@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, as_case
-from tenscontrol.dynamics import Evaluator, unpack_states
+from tenscontrol.dynamics import Evaluator, builds, unpack_states
 from tenscontrol.integrate import DOP853
 from tenscontrol.limits import MOST_RUNS
 from tenscontrol.scene import Scene
@@ -145,6 +145,7 @@ def largest_distance(nodes: FloatArray, others: FloatArray) -> float:
 class PiecewiseSolver:
     """SciPy's DOP853 on a case in smooth pieces, with the times of all ``switches``, s, located."""
 
+    @builds
     def __init__(self, case: Case) -> None:
         equation = case.equation()
         self._case = case

@@ -46,9 +46,7 @@ _SHORTEST = 0.01
 _TOLERANCE = 1e-12
 
 # Methods of controllers that use what they remember of the samples before.
-_WITH_MEMORY = {
-    "applied", "command", "error", "fall_back", "follow", "prepare", "reset", "take_over", "targets"
-}  # fmt: skip
+_WITH_MEMORY = {"applied", "command", "fall_back", "follow", "prepare", "reset", "take_over"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +230,8 @@ class Controller(ABC):
         """Let one thread at a time call what uses the memory of a controller."""
         super().__init_subclass__(**keywords)
         for name in _WITH_MEMORY & vars(cls).keys():
-            setattr(cls, name, exclusive(vars(cls)[name]))
+            if callable(vars(cls)[name]):
+                setattr(cls, name, exclusive(vars(cls)[name]))
 
     @exclusive
     def command(self, time: float, nodes: object, velocities: object) -> Command:

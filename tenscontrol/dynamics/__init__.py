@@ -2,7 +2,18 @@
 
 from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates
 from tenscontrol.dynamics.equation import Equation, smooth_equation
-from tenscontrol.dynamics.evaluator import ColumnEvaluator, Evaluator, Prepared, evaluate_columns
+from tenscontrol.dynamics.evaluator import (
+    BUILDING,
+    ColumnEvaluator,
+    Evaluator,
+    Exclusive,
+    Prepared,
+    builds,
+    built,
+    evaluate_columns,
+    exclusive,
+    solving,
+)
 from tenscontrol.dynamics.machine_code import (
     Compiled,
     Compiler,
@@ -13,7 +24,6 @@ from tenscontrol.dynamics.machine_code import (
 )
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
-from tenscontrol.dynamics.threads import BUILDING, Exclusive, builds, built, exclusive, solving
 
 __all__ = [
     "BUILDING",

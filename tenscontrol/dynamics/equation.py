@@ -8,9 +8,8 @@ from typing import Any
 
 import casadi as ca
 
-from tenscontrol.dynamics.evaluator import Prepared
+from tenscontrol.dynamics.evaluator import Prepared, builds
 from tenscontrol.dynamics.string_laws import StringLaw
-from tenscontrol.dynamics.threads import builds
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray
 

@@ -26,7 +26,7 @@ from time import perf_counter, time
 import casadi as ca
 
 from tenscontrol import file_lock
-from tenscontrol.dynamics.threads import builds, paused
+from tenscontrol.dynamics.evaluator import builds, paused
 from tenscontrol.validation import instance, positive_number
 
 #: Environment variable that names the compiler, before ``CC``; ``none`` switches compiling off.

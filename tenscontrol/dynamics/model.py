@@ -9,11 +9,10 @@ import numpy as np
 
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.equation import FORMS, Equation
-from tenscontrol.dynamics.evaluator import Prepared
+from tenscontrol.dynamics.evaluator import Prepared, built
 from tenscontrol.dynamics.forms import loops_functions, mapped_functions
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.string_laws import StringLaw
-from tenscontrol.dynamics.threads import built
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped, truth
 

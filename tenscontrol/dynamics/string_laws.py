@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics.threads import built
+from tenscontrol.dynamics.evaluator import built
 from tenscontrol.validation import (
     FloatArray,
     float_array,

@@ -11,7 +11,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ColumnEvaluator, Equation, Evaluator
+from tenscontrol.dynamics import ColumnEvaluator, Equation, Evaluator, builds
 from tenscontrol.integrate.events import BAND, CHATTER, first_crossing, refuse_chatter
 from tenscontrol.integrate.integrator import (
     IntegrationError,
@@ -380,12 +380,14 @@ def _solver(scaled: ca.Function, equation: Equation, outputs: int, tolerance: fl
     return ca.integrator("solver", "cvodes", problem, 0.0, grid, options)
 
 
+@builds
 def state_jacobian(slope: ca.Function) -> ca.Function:
     """Return the derivative of a right-hand side by its first input, sparse; same inputs."""
     inputs = slope.sx_in()
     return ca.Function("jacobian", inputs, [ca.jacobian(slope(*inputs), inputs[0])])
 
 
+@builds
 def jacobian_weight(slope: ca.Function, jacobian: ca.Function) -> int:
     """Return how many evaluations of a right-hand side one of its Jacobian is worth."""
     inputs = slope.sx_in()

@@ -22,6 +22,10 @@ READING = tuple(
 )
 
 
+# What leaves the elements of an expression alone.
+HARMLESS = ("__del__", "__hash__", "_drop", "numel", "size1", "size2", "shape")
+
+
 def _has(value: object, kinds: tuple[type, ...]) -> bool:
     if isinstance(value, dict):
         value = list(value.values())
@@ -33,7 +37,7 @@ def _has(value: object, kinds: tuple[type, ...]) -> bool:
 def _builds(frame: object) -> bool:
     code, given = frame.f_code, list(frame.f_locals.values())
     name = code.co_qualname
-    if code.co_name in ("__del__", "__hash__", "_drop") or name.startswith("_swig"):
+    if code.co_name in HARMLESS or name.startswith("_swig"):
         return False
     if name.startswith(("SX.", "MX.", "GenSX.", "GenMX.", "CodeGenerator.")):
         return code.co_name not in ("__init__",) or _has(given, EXPRESSIONS)

@@ -17,7 +17,8 @@ from tenscontrol.accuracy.peers.peer import (
     peer_settings,
     steps_between,
 )
-from tenscontrol.dynamics import Evaluator, unpack_states
+from tenscontrol.dynamics import Evaluator, builds, unpack_states
+from tenscontrol.integrate import jacobian_weight, state_jacobian
 from tenscontrol.validation import FloatArray, choice
 
 _METHODS = ("DOP853", "RK45", "Radau", "LSODA")
@@ -51,6 +52,7 @@ class SciPy(Peer):
         self.name = f"scipy {method.lower()}"
         self.settings = peer_settings(settings)
 
+    @builds
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         setting, times = checked_run(case, setting, times)
@@ -61,7 +63,8 @@ class SciPy(Peer):
         options: dict[str, Any] = {}
         weight = 0
         if self.method in _IMPLICIT:
-            jacobian, weight = _jacobian(kinked)
+            jacobian = state_jacobian(kinked)
+            weight = jacobian_weight(kinked, jacobian)
             inputs = jacobian.sx_in()
             dense = Evaluator(ca.Function("dense", inputs, [ca.densify(jacobian(*inputs))]))
             options["jac"] = lambda time, x: dense(x, held)[0].copy()
@@ -113,18 +116,10 @@ class CasADiCVODES(Peer):
         """See :meth:`Peer.prepare`."""
         setting, times = checked_run(case, setting, times)
         kinked = case.equation().kinked_slope
-        _, weight = _jacobian(kinked)
-        solver = _solver(
-            "cvodes",
-            kinked,
-            times,
-            {
-                "reltol": setting,
-                "abstol": setting,
-                "max_num_steps": 1_000_000,
-                "disable_internal_warnings": True,
-            },
-        )
+        weight = jacobian_weight(kinked, state_jacobian(kinked))
+        tolerances = {"reltol": setting, "abstol": setting}
+        options = {**tolerances, "max_num_steps": 1_000_000, "disable_internal_warnings": True}
+        solver = _solver("cvodes", kinked, times, options)
 
         def run() -> Solution:
             states = _run(solver, case)
@@ -177,6 +172,7 @@ class CasADiRK(Peer):
         return run
 
 
+@builds
 def _solver(
     plugin: str, kinked: ca.Function, times: FloatArray, options: dict[str, Any], unit: float = 1.0
 ) -> ca.Function:
@@ -197,11 +193,3 @@ def _run(solver: ca.Function, case: Case) -> FloatArray:
             raise
         reason = str(error).split("CVode returned")[1].split(".")[0]
         raise ArithmeticError(f"CVODES stopped with {reason.strip()}") from None
-
-
-def _jacobian(kinked: ca.Function) -> tuple[ca.Function, int]:
-    """Return ∂f/∂x, sparse, and how many evaluations of f one of it is worth."""
-    inputs = kinked.sx_in()
-    jacobian = ca.Function("jacobian", inputs, [ca.jacobian(kinked(*inputs), inputs[0])])
-    written = ca.Function("written", inputs, [kinked(*inputs)])  # in whatever form it comes
-    return jacobian, max(1, round(int(jacobian.n_instructions()) / int(written.n_instructions())))
