@@ -30,7 +30,10 @@ def test_writers_on_a_full_and_a_read_only_file_system():
     if not disk.can_mount():
         pytest.skip("no file system can be mounted here")
     command = ["unshare", "-m", sys.executable, "-m", "tests.fuzz.disk", "--small", "--count", "0"]
-    done = subprocess.run([*command, "--only", "run.npz"], capture_output=True, text=True)
+    project = Path(__file__).parent.parent
+    done = subprocess.run(
+        [*command, "--only", "run.npz"], cwd=project, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("full ") == done.stdout.count("read-only") == 1
 
