@@ -20,7 +20,6 @@ import numpy as np
 from tenscontrol.accuracy.case import state_change
 from tenscontrol.accuracy.extreme_cases import ASKED, TOLERANCE, Extreme, extremes, methods
 from tenscontrol.dynamics import unpack_states
-from tenscontrol.files import write_file
 from tenscontrol.integrate import CVODES, DOP853, EnergyMomentum, Integrator, Rattle6
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation import (
@@ -374,7 +373,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.csv is not None:
             found.to_csv(options.csv)
         if options.markdown is not None:
-            write_file(options.markdown, found.to_markdown())
+            options.markdown.write_text(found.to_markdown(), encoding="utf-8")
     except (ValueError, ArithmeticError, OSError) as error:
         print(f"suite: {error}", file=sys.stderr)
         return 2
