@@ -17,7 +17,7 @@ from tenscontrol.validation import file_path
 from tests.fuzz import disk
 
 
-@pytest.mark.parametrize("name", ["run.npz", "suite.csv", "figure.png", "code"])
+@pytest.mark.parametrize("name", ["run.npz", "accuracy.csv", "figure.png", "code"])
 def test_what_was_there_stays_whole_where_a_writer_fails(name):
     with tempfile.TemporaryDirectory() as folder:
         Path(folder).chmod(0o755)  # for another user to look into
@@ -30,7 +30,10 @@ def test_writers_on_a_full_and_a_read_only_file_system():
     if not disk.can_mount():
         pytest.skip("no file system can be mounted here")
     command = ["unshare", "-m", sys.executable, "-m", "tests.fuzz.disk", "--small", "--count", "0"]
-    done = subprocess.run([*command, "--only", "run.npz"], capture_output=True, text=True)
+    project = Path(__file__).parent.parent
+    done = subprocess.run(
+        [*command, "--only", "run.npz"], cwd=project, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("full ") == done.stdout.count("read-only") == 1
 
@@ -99,7 +102,7 @@ def test_names_that_no_file_can_have(path, error, message):
         lambda: file_path("path", path),
         lambda: tc.plot.save_figure(disk.figure(), path),
         lambda: tc.plot.animate(disk.run(), path),
-        lambda: disk.verdicts().to_csv(path),
+        lambda: disk.measured().to_csv(path),
     ):
         with pytest.raises(error, match=message):
             call()

@@ -176,21 +176,6 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
     )
 
 
-def _write_folder(place: Path, texts: dict[str, str], last: str) -> None:
-    """Write files, or none; without the last one, which all need, no part of them compiles."""
-    missing = [each for each in (place, *place.parents) if not os.path.exists(each)]
-    try:
-        make_folder(place)
-        for file in sorted(texts, key=lambda each: each == last):
-            write_file(place / file, texts[file], flush=file == last)
-    except BaseException:  # Ctrl-C too
-        written = [(place / file).unlink for file in texts]
-        for remove in (*written, *(folder.rmdir for folder in missing)):
-            with suppress(OSError):
-                remove()
-        raise
-
-
 @builds
 def _law_code(controller: object) -> LawCode:
     if isinstance(controller, MPC):
@@ -214,3 +199,18 @@ def _checked_name(name: object) -> str:
     if name.lower() in _TAKEN:
         raise ValueError(f"name is {name!r}, which is taken; give another")
     return name
+
+
+def _write_folder(place: Path, texts: dict[str, str], last: str) -> None:
+    """Write files, or none; without the last one, which all need, no part of them compiles."""
+    missing = [each for each in (place, *place.parents) if not os.path.exists(each)]
+    try:
+        make_folder(place)
+        for file in sorted(texts, key=lambda each: each == last):
+            write_file(place / file, texts[file], flush=file == last)
+    except BaseException:  # Ctrl-C too
+        written = [(place / file).unlink for file in texts]
+        for remove in (*written, *(folder.rmdir for folder in missing)):
+            with suppress(OSError):
+                remove()
+        raise
