@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 if sys.platform == "win32":
@@ -15,7 +16,11 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-_held: set[int] = set()
+
+@cache
+def _held() -> set[int]:
+    """Return the descriptors of files that are open, in one set for the process."""
+    return set()
 
 
 @contextmanager
@@ -26,19 +31,20 @@ def opened(path: Path) -> Iterator[tuple[int, bool | None]]:
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
     descriptor = os.open(path, flags, 0o666)
-    _held.add(descriptor)
+    _held().add(descriptor)
     try:
         yield descriptor, _locked(descriptor)
     finally:
-        _held.discard(descriptor)
-        os.close(descriptor)
+        if descriptor in _held():  # else this is a fork, which has closed it
+            _held().remove(descriptor)
+            os.close(descriptor)
 
 
 def _let_go() -> None:
     """Close the files in a process that was forked: it would keep the lock of a dead parent."""
-    for descriptor in _held:
+    for descriptor in _held():
         os.close(descriptor)
-    _held.clear()
+    _held().clear()
 
 
 if hasattr(os, "register_at_fork"):
