@@ -1,9 +1,14 @@
-"""A lock on a file that one holder at a time has, and that ends with the holder's process."""
+"""What ends with a process, however it ends: locks on files, and the workers that it started.
+
+Nothing heavy is imported here: a worker watches its parent before it imports what it works with.
+"""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -24,7 +29,7 @@ def _held() -> set[int]:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[tuple[int, bool | None]]:
+def locked_file(path: Path) -> Iterator[tuple[int, bool | None]]:
     """Open or make a file to append to, lock it, and yield its descriptor and whether it is locked.
 
     False: another process or thread has the lock. None: this file system has no locks.
@@ -63,3 +68,24 @@ def _locked(descriptor: int) -> bool | None:
     except OSError:
         return None
     return True
+
+
+def begin_work() -> None:
+    """Leave Ctrl-C to the parent, and end with it, however it ends.
+
+    What is left of a simulation after a signal must not pass for a whole run.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: os._exit(1))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    from multiprocessing import connection, parent_process
+
+    parent = parent_process()
+    assert parent is not None  # this is a worker
+    # A process that the parent has forked may keep the sentinel open after its end.
+    while not connection.wait([parent.sentinel], timeout=1.0) and os.getppid() == parent.pid:
+        pass
+    os._exit(1)
