@@ -25,7 +25,7 @@ from time import perf_counter, time
 
 import casadi as ca
 
-from tenscontrol import file_lock
+from tenscontrol import processes
 from tenscontrol.dynamics.evaluator import builds, paused
 from tenscontrol.validation import instance, positive_number
 
@@ -452,12 +452,12 @@ def _new_folder(parent: Path) -> Iterator[Path]:
         with suppress(OSError):  # it may just be removed by its owner
             # A young one may not be locked yet.
             if time() > left.stat().st_mtime + 10.0:
-                with file_lock.opened(left / "lock") as (_, locked):
+                with processes.locked_file(left / "lock") as (_, locked):
                     if locked:
                         shutil.rmtree(left, ignore_errors=True)
     with (
         tempfile.TemporaryDirectory("", "making-", parent, ignore_cleanup_errors=True) as folder,
-        file_lock.opened(Path(folder) / "lock"),
+        processes.locked_file(Path(folder) / "lock"),
     ):
         yield Path(folder)
 

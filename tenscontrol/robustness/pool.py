@@ -17,14 +17,14 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import ExitStack, contextmanager
-from multiprocessing import connection
 from multiprocessing.context import SpawnContext
-from multiprocessing.process import BaseProcess, parent_process
+from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import Any, final
 
 import numpy as np
 
+from tenscontrol.processes import begin_work
 from tenscontrol.robustness.closed_loop_case import Outcome
 from tenscontrol.robustness.distributions import CASE, Distribution, draw_run, generator
 from tenscontrol.robustness.store import Record
@@ -219,25 +219,6 @@ def run_one(case: bytes, parameters: Mapping[str, Distribution], seed: int, run:
             "return Outcome(success=..., figures={...})"
         )
     return Record(run, drawn, outcome.success, outcome.figures)
-
-
-def begin_work() -> None:
-    """Leave Ctrl-C to the parent, and end with it, however it ends.
-
-    What is left of a simulation after a signal must not pass for a whole run.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: os._exit(1))
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    assert parent is not None  # this is a worker
-    # A process that the parent has forked may keep the sentinel open after its end.
-    while not connection.wait([parent.sentinel], timeout=1.0) and os.getppid() == parent.pid:
-        pass
-    os._exit(1)
 
 
 def _loaded(case: bytes) -> Callable[..., Any]:

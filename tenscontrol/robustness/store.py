@@ -23,7 +23,7 @@ from zlib import crc32
 
 import numpy as np
 
-from tenscontrol import file_lock
+from tenscontrol import processes
 from tenscontrol.robustness.distributions import Distribution, Drawn, draw_run
 from tenscontrol.validation import whole_number
 
@@ -159,7 +159,7 @@ def opened(
     if file is None:
         yield header.count, {}, lambda line: None
         return
-    with file_lock.opened(file) as (descriptor, locked):
+    with processes.locked_file(file) as (descriptor, locked):
         if locked is False:
             text = "another sweep writes to this file: wait for its end, or give another file"
             raise BlockingIOError(errno.EAGAIN, text, str(file))

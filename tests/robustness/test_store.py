@@ -12,7 +12,7 @@ from zlib import crc32
 import pytest
 
 import tenscontrol as tc
-from tenscontrol import file_lock
+from tenscontrol import processes
 from tests.robustness import cases
 from tests.robustness.cases import PARAMETERS, Inline
 
@@ -146,8 +146,8 @@ class TestTornHeader:
 HOLDER = """
 import sys, time
 from pathlib import Path
-from tenscontrol import file_lock
-with file_lock.opened(Path(sys.argv[1])) as (_, locked):
+from tenscontrol import processes
+with processes.locked_file(Path(sys.argv[1])) as (_, locked):
     print(locked, flush=True)
     time.sleep(600)
 """
@@ -157,14 +157,14 @@ class TestOneWriter:
     def test_a_second_sweep_is_refused_at_once(self, file):
         before = file.read_bytes()
         with (
-            file_lock.opened(file),
+            processes.locked_file(file),
             pytest.raises(BlockingIOError, match="another sweep writes to this file"),
         ):
             swept(file)
         assert file.read_bytes() == before
 
     def test_a_report_can_be_read_meanwhile(self, file, report):
-        with file_lock.opened(file):
+        with processes.locked_file(file):
             assert tc.robustness.SweepReport.load(file) == report
 
     def test_a_lock_ends_with_its_process(self, file, report):
@@ -183,7 +183,7 @@ class TestOneWriter:
     def test_a_fork_does_not_keep_it(self, file, report):
         """Workers of an executor of the user may outlive a process that is killed."""
         begun, begin = os.pipe()
-        with file_lock.opened(file):
+        with processes.locked_file(file):
             child = os.fork()
             if child == 0:
                 os.write(begin, b"x")
@@ -198,7 +198,7 @@ class TestOneWriter:
             os.close(begin)
 
     def test_a_file_system_without_locks_is_told(self, file, report, monkeypatch):
-        monkeypatch.setattr(file_lock, "_locked", lambda descriptor: None)
+        monkeypatch.setattr(processes, "_locked", lambda descriptor: None)
         with pytest.warns(RuntimeWarning, match="has no locks: let no other sweep write"):
             assert swept(file) == report
 
