@@ -167,13 +167,10 @@ def positive_number(name: str, value: object, unit: str) -> float:
         number = float(value)
     except OverflowError:
         number = np.inf
-    if not np.isfinite(number) or number <= 0:
-        found = _brief(value)
-        raise ValueError(f"{name} is {found}, expected a positive finite number in {unit}")
     if not 1 / LARGEST <= number <= LARGEST:
         raise ValueError(
-            f"{name} is {number:g}, expected between {1 / LARGEST:g} and {LARGEST:g} in {unit}: "
-            "products and squares must stay within double precision"
+            f"{name} is {_brief(value)}, expected a positive finite number in {unit}, between "
+            f"{1 / LARGEST:g} and {LARGEST:g}, so that squares stay within double precision"
         )
     return number
 

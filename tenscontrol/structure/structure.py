@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -310,8 +311,11 @@ class Structure:
         """
         found = np.array([i for i, name in enumerate(self.string_groups) if name == group])
         if len(found) == 0:
-            known = ", ".join(repr(name) for name in dict.fromkeys(self.string_groups)) or "none"
-            raise ValueError(f"there is no string group {group!r}; the groups are: {known}")
+            groups = tuple(dict.fromkeys(self.string_groups))
+            near = get_close_matches(str(group), groups, n=1)
+            meant = f"; did you mean {near[0]!r}? The" if near else "; the"
+            known = ", ".join(map(repr, groups)) or "none"
+            raise ValueError(f"there is no string group {group!r}{meant} groups are: {known}")
         return found
 
     def checked_nodes(self, name: str, nodes: object) -> FloatArray:
@@ -422,13 +426,10 @@ def _refuse_repeats(bars: IntArray, strings: IntArray) -> None:
 
 
 def _refuse_shared_bar_nodes(bars: IntArray) -> None:
-    on: dict[int, list[int]] = {}
-    for i, pair in enumerate(bars.tolist()):
-        for node in pair:
-            on.setdefault(node, []).append(i)
-    shared = {node: members for node, members in sorted(on.items()) if len(members) > 1}
+    nodes, counts = np.unique(bars, return_counts=True)
+    shared = [(node, np.flatnonzero((bars == node).any(axis=1))) for node in nodes[counts > 1][:9]]
     if shared:
-        listed = "; ".join(f"node {node} is on bars {members}" for node, members in shared.items())
+        listed = "; ".join(f"node {node} is on bars {on.tolist()}" for node, on in shared)
         raise ValueError(
             f"{listed}: not a class-1 structure, in which a node is on one bar at most. "
             "Give each bar its own node and join them by a short string"
