@@ -461,6 +461,7 @@ def _worker(arguments):
 
     loading.build_structure = announced
     tc.load_scene(SHIPPED[0])  # what takes time and memory once
+    print("ready", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.toml")
         for line in sys.stdin:
@@ -521,6 +522,8 @@ def _feed(todo, done, arguments):
             child = subprocess.Popen(
                 call, cwd=PROJECT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
             )
+            while child.stdout.readline().strip() not in ("ready", ""):
+                pass
         timer = threading.Timer(arguments.seconds, child.kill)
         timer.start()
         child.stdin.write(f"{number}\n")
