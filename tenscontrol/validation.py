@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -182,13 +183,10 @@ def positive_number(name: str, value: object, unit: str) -> float:
         number = float(value)
     except OverflowError:
         number = np.inf
-    if not np.isfinite(number) or number <= 0:
-        found = _brief(value)
-        raise ValueError(f"{name} is {found}, expected a positive finite number in {unit}")
     if not 1 / LARGEST <= number <= LARGEST:
         raise ValueError(
-            f"{name} is {number:g}, expected between {1 / LARGEST:g} and {LARGEST:g} in {unit}: "
-            "products and squares must stay within double precision"
+            f"{name} is {_brief(value)}, expected a positive finite number in {unit}, between "
+            f"{1 / LARGEST:g} and {LARGEST:g}, so that squares stay within double precision"
         )
     return number
 
@@ -209,7 +207,9 @@ def choice(name: str, value: object, options: Iterable[str]) -> str:
     allowed = tuple(options)
     if not isinstance(value, str) or value not in allowed:
         quoted = ", ".join(repr(option) for option in allowed) or "none"
-        raise ValueError(f"{name} is {_brief(value)}, expected one of {quoted}")
+        near = get_close_matches(str(value)[:99], allowed, n=1)
+        meant = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"{name} is {_brief(value)}, expected one of {quoted}{meant}")
     return value
 
 

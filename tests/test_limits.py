@@ -129,5 +129,7 @@ def test_seeds_may_be_as_large_as_those_of_numpy():
 
 @pytest.mark.parametrize("value", [5e-324, 1e-71, 1.1e70, 1e308])
 def test_numbers_whose_squares_leave_double_precision_are_refused(value):
-    with pytest.raises(ValueError, match=r"^mass is .*, expected between 1e-70 and 1e\+70 in kg"):
+    with pytest.raises(
+        ValueError, match=r"^mass is .*, expected a positive .* in kg, between 1e-70 and 1e\+70"
+    ):
         validation.positive_number("mass", value, "kg")

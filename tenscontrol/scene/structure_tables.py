@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -91,24 +90,16 @@ def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
     if not isinstance(value, dict):
         with table.checked(key):
             return per_member(key, value, len(structure.strings), "string")
-    groups = tuple(dict.fromkeys(structure.string_groups))
-    for group in value:
-        if group not in groups:
-            near = get_close_matches(group, groups, n=1)
-            meant = f"; did you mean {near[0]!r}?" if near else "."
-            raise table.error(
-                key,
-                f"in {table.title}, {key} names the string group {group!r}, which the structure "
-                f"does not have{meant} Its groups are: {', '.join(groups) or 'none'}",
-            )
-    missing = [group for group in groups if group not in value]
-    if missing:
-        raise table.error(
-            key,
-            f"in {table.title}, {key} lacks the string group {missing[0]!r}, expected a value for "
-            f"each of: {', '.join(groups)}",
-        )
     with table.checked(key):
+        for group in value:
+            structure.strings_in(group)
+        groups = dict.fromkeys(structure.string_groups)
+        missing = [group for group in groups if group not in value]
+        if missing:
+            raise ValueError(
+                f"{key} lacks the string group {missing[0]!r}, expected a value for each of: "
+                f"{', '.join(groups)}"
+            )
         by_string = [value[group] for group in structure.string_groups]
         return per_member(key, by_string, len(structure.strings), "string")
 

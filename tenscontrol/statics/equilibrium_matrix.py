@@ -75,17 +75,23 @@ def _rank(sizes: FloatArray) -> int:
     return int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
 
 
+def principal_axes(structure: Structure, tolerance: float) -> tuple[FloatArray, FloatArray]:
+    """Return directions in which the structure extends, shape (3, d), and how far, m, (d,)."""
+    centred = structure.nodes - structure.nodes.mean(axis=1, keepdims=True)
+    axes, sizes, _ = np.linalg.svd(centred, full_matrices=False)
+    extends = sizes > tolerance * sizes[0]
+    return axes[:, extends], sizes[extends]
+
+
 def member_rank(structure: Structure, E: FloatArray) -> int:
     """Return the rank of columns of the equilibrium matrix, for the free coordinates.
 
     It is the same in every affine picture of the shape, so it is counted in one that is as long in
     all directions, with members of length 1: a flat or slender shape loses no digits.
     """
-    centred = structure.nodes - structure.nodes.mean(axis=1, keepdims=True)
-    axes, sizes, _ = np.linalg.svd(centred, full_matrices=False)
-    thick = np.where(sizes > _RANK_TOLERANCE * sizes[0], sizes, sizes[0] or 1.0)
+    axes, sizes = principal_axes(structure, _RANK_TOLERANCE)
     parts = E.reshape(-1, 3, E.shape[1])
-    pictured = np.einsum("ij,njk->nik", axes.T / thick[:, None], parts).reshape(-1, E.shape[1])
+    pictured = np.einsum("ij,njk->nik", axes.T / sizes[:, None], parts).reshape(-1, E.shape[1])
     length = np.linalg.norm(pictured, axis=0)
     pictured /= np.where(length > 0, length, 1.0)
     return _rank(np.linalg.svd(pictured, compute_uv=False))

@@ -6,7 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, member_rank, null_space
+from tenscontrol.statics.equilibrium_matrix import (
+    equilibrium_matrix,
+    member_rank,
+    null_space,
+    principal_axes,
+)
 from tenscontrol.structure import Structure, rigid_basis
 from tenscontrol.validation import FloatArray, frozen, instance, shaped
 
@@ -60,7 +65,7 @@ def stability(
 
     eigenvalues = np.linalg.eigvalsh(stress[np.ix_(structure.free, structure.free)])
     defect = int(np.count_nonzero(np.abs(eigenvalues) <= _TOLERANCE * largest))
-    axes = _axes(structure)
+    axes = principal_axes(structure, _TOLERANCE)[0]
     held = structure.nodes[:, structure.fixed]
     # The rank of an empty matrix is an error in NumPy 1.26.
     anchors = np.vstack([held, np.ones(held.shape[1])])
@@ -136,10 +141,3 @@ def _affine_motions_keeping_length(structure: Structure, taut: FloatArray, axes:
     rows, columns = np.triu_indices(axes.shape[1])
     conic = (vectors[rows] * vectors[columns]).T
     return int(null_space(conic).shape[1])
-
-
-def _axes(structure: Structure) -> FloatArray:
-    """Return orthonormal directions in which the structure extends, shape (3, d)."""
-    centred = structure.nodes - structure.nodes.mean(axis=1, keepdims=True)
-    U, sizes, _ = np.linalg.svd(centred, full_matrices=False)
-    return np.asarray(U[:, sizes > _TOLERANCE * max(float(sizes.max()), 1e-300)])

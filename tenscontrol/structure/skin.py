@@ -394,41 +394,15 @@ def _refuse_bad_shape(name: str, loop: Loop, nodes: FloatArray) -> None:
             f"({_PLANAR:g} of its size); cut it into triangles"
         )
     flat = axes[:, :2].T @ corners / size
-    edges = [(k, (k + 1) % len(loop)) for k in range(len(loop))]
-    for i, first in enumerate(edges):
-        for second in edges[i + 1 :]:
-            if not {*first} & {*second} and _meet(*flat[:, first].T, *flat[:, second].T):
-                pairs = [" to ".join(str(loop[k]) for k in edge) for edge in (first, second)]
-                raise ValueError(
-                    f"{name} crosses itself: its edges {pairs[0]} and {pairs[1]} meet; "
-                    "give the nodes in order around the panel"
-                )
-    fan = np.array([_turn(np.zeros(2), flat[:, a], flat[:, b]) for a, b in edges])
-    fan *= np.sign(fan.sum())
-    if fan.min() <= _ZERO:
-        a, b = edges[int(fan.argmin())]
+    # A loop that its centre sees from inside all the way, once around, does not cross itself.
+    after = np.roll(flat, -1, axis=1)
+    fan = flat[0] * after[1] - flat[1] * after[0]
+    turns = float(np.arctan2(fan, (flat * after).sum(axis=0)).sum() / (2 * np.pi))
+    fan *= np.sign(turns)
+    if fan.min() <= _ZERO or abs(turns) > 1.5:
+        a, b = _edges(loop)[int(fan.argmin())]
         raise ValueError(
-            f"{name} is bent inwards: its edge {loop[a]} to {loop[b]} cannot be seen from its "
-            "centre, the mean of its corners; cut it into convex panels"
+            f"{name} crosses itself or is bent inwards: its edge {a} to {b} is not seen from its "
+            "centre, the mean of its corners, or is passed twice; give the nodes in order around "
+            "the panel, and cut it into convex panels"
         )
-
-
-def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    """Return twice the signed area of a flat triangle: positive if it turns left."""
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
-
-
-def _meet(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
-    """Return whether the segments from a to b and from c to d, in a plane, cross or touch."""
-    sides = (_turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b))
-    if sides[0] * sides[1] < 0 and sides[2] * sides[3] < 0:
-        return True
-    ends = ((c, a, b), (d, a, b), (a, c, d), (b, c, d))
-    return any(_distance(*end) <= _ZERO for end in ends)
-
-
-def _distance(p: FloatArray, a: FloatArray, b: FloatArray) -> float:
-    """Return the distance of a point from the segment from a to b."""
-    along = b - a
-    share = np.clip((p - a) @ along / max(float(along @ along), _ZERO**2), 0.0, 1.0)
-    return float(np.linalg.norm(p - a - share * along))

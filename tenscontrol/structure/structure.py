@@ -416,13 +416,10 @@ def _refuse_repeats(bars: IntArray, strings: IntArray) -> None:
 
 
 def _refuse_shared_bar_nodes(bars: IntArray) -> None:
-    on: dict[int, list[int]] = {}
-    for i, pair in enumerate(bars.tolist()):
-        for node in pair:
-            on.setdefault(node, []).append(i)
-    shared = {node: members for node, members in sorted(on.items()) if len(members) > 1}
+    nodes, counts = np.unique(bars, return_counts=True)
+    shared = [(node, np.flatnonzero((bars == node).any(axis=1))) for node in nodes[counts > 1][:9]]
     if shared:
-        listed = "; ".join(f"node {node} is on bars {members}" for node, members in shared.items())
+        listed = "; ".join(f"node {node} is on bars {on.tolist()}" for node, on in shared)
         raise ValueError(
             f"{listed}: not a class-1 structure, in which a node is on one bar at most. "
             "Give each bar its own node and join them by a short string"

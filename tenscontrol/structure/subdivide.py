@@ -6,7 +6,15 @@ import numpy as np
 
 from tenscontrol.structure.bar_geometry import refuse_strings_without_length
 from tenscontrol.structure.structure import Structure, refuse_many_members
-from tenscontrol.validation import FloatArray, IntArray, instance, per_member, positive_number
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    instance,
+    per_member,
+    positive,
+    positive_number,
+    refuse_fractions,
+)
 
 
 def subdivide(
@@ -118,13 +126,8 @@ def _counts(segments: object, count: int) -> IntArray:
     if isinstance(segments, bool):
         raise TypeError(f"segments is {segments}, expected a whole number of at least 1")
     counts = per_member("segments", segments, count, "string")
-    single = np.ndim(segments) == 0  # type: ignore[arg-type]  # array-like, as per_member saw
-    for i, s in enumerate(counts.tolist()):
-        name = "segments" if single else f"segments[{i}]"
-        if not s.is_integer():
-            raise TypeError(f"{name} is {s:g}, expected a whole number of at least 1")
-        if s < 1:
-            raise ValueError(f"{name} is {s:g}, expected at least 1; 1 leaves the string as it is")
+    refuse_fractions("segments", counts)
+    positive("segments", counts, "whole number; 1 leaves the string as it is")
     refuse_many_members(f"segments is {float(np.max(counts, initial=1)):g}", counts.sum())
     return counts.astype(np.int64)
 

@@ -1,6 +1,6 @@
 """Scene files spoilt at random: each is loaded and run for a moment, or refused in plain words.
 
-    python -m tests.fuzz.scenes --count 20000 [--seed 0] [--processes 2]
+    python -m tests.fuzz.scenes --count 20000 [--seed 0] [--processes 2] [--minutes 10]
 
 Each file is one of those that ship, or one with every table, with one to three places changed. A
 child process loads it, under a limit of memory; the parent ends the child if it takes too long. An
@@ -461,6 +461,7 @@ def _worker(arguments):
 
     loading.build_structure = announced
     tc.load_scene(SHIPPED[0])  # what takes time and memory once
+    print("ready", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.toml")
         for line in sys.stdin:
@@ -521,6 +522,8 @@ def _feed(todo, done, arguments):
             child = subprocess.Popen(
                 call, cwd=PROJECT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
             )
+            while child.stdout.readline().strip() not in ("ready", ""):
+                pass
         timer = threading.Timer(arguments.seconds, child.kill)
         timer.start()
         child.stdin.write(f"{number}\n")
@@ -561,6 +564,7 @@ def _parser():
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--memory", type=float, default=4.0, help="limit of a child, GB")
     parser.add_argument("--seconds", type=float, default=60.0, help="after which a child is ended")
+    parser.add_argument("--minutes", type=float, default=1e6, help="after which it ends early")
     parser.add_argument("--only", type=int, help="write this file, and say what becomes of it")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     return parser
@@ -576,7 +580,10 @@ def main():
         sys.stdout.buffer.write(spoilt(arguments.only, arguments.seed)[:3000] + b"\n")
         numbers = [arguments.only]
     kinds, bad, slowest, largest, lined = Counter(), Counter(), (0.0, 0), (0.0, 0), 0
+    end = time.monotonic() + 60 * arguments.minutes
     for found in campaign(numbers, arguments):
+        if time.monotonic() > end:
+            break
         number, kind, message, size, taken, peak, length = found
         kinds[kind] += 1
         lined += kind == "refused" and bool(re.search(r"scene\.toml:\d+: ", message))

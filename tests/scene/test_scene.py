@@ -620,8 +620,8 @@ BROKEN = {
     ),
     "group unknown": (
         changed("17.3205", "{tip = 1, bottom = 1, vertical = 1}"),
-        r":7: in \[prestress\], force_density names the string group 'tip', which .* did you "
-        r"mean 'top'\? Its groups are: top, bottom, vertical",
+        r":7: in \[prestress\], group is 'tip', expected one of 'top', 'bottom', "
+        r"'vertical'; did you mean 'top'\?",
     ),
     "group missing": (
         changed("17.3205", "{top = 1, vertical = 1}"),
@@ -700,7 +700,7 @@ BROKEN = {
     ),
     "segments": (
         PRISM + "[subdivide]\nsegments = 0\nnode_mass = 0.1\n",
-        r":12: in \[subdivide\], segments is 0, expected at least 1",
+        r":12: in \[subdivide\], segments\[0\] is 0, expected a positive",
     ),
     "segments mass": (
         PRISM + "[subdivide]\nsegments = 2\n",

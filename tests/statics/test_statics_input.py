@@ -125,7 +125,7 @@ FOUND_IN_REVIEW = [
             r"^external_force has entries up to 1e\+308 N, expected at most 1e\+70"),
     refused("radius beyond squares",
             lambda: tc.statics.prism_force_density(3, 10.0, radius=1e-320), ValueError,
-            r"^radius is 9\.99989e-321, expected between 1e-70"),
+            r"^radius is 1e-320, expected a positive .* between 1e-70"),
     refused("ratio of radii", lambda: tc.statics.prism_force_density(3, 10.0, 1e-60, 1e60),
             ValueError, r"^force_density \(top_radius/radius\)² is 1e\+241, expected"),
     refused("reference between fixed nodes", lambda: tc.prestress(held_top(), 17.0, "top"),

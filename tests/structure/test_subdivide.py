@@ -255,18 +255,18 @@ REFUSED = {
     "zero": (
         lambda: tc.subdivide(whole(), 0, 0.01),
         ValueError,
-        "segments is 0, expected at least 1; 1 leaves the string as it is",
+        "segments[0] is 0, expected a positive whole number; 1 leaves the string as it is",
     ),
-    "negative": (lambda: tc.subdivide(whole(), -2, 0.01), ValueError, "segments is -2"),
+    "negative": (lambda: tc.subdivide(whole(), -2, 0.01), ValueError, "segments[0] is -2"),
     "zero of one": (
         lambda: tc.subdivide(whole(), [1, 2, 0, 1, 1, 1, 1, 1, 1], 0.01),
         ValueError,
-        "segments[2] is 0, expected at least 1",
+        "segments[2] is 0, expected a positive whole number",
     ),
     "a part": (
         lambda: tc.subdivide(whole(), 2.5, 0.01),
         TypeError,
-        "segments is 2.5, expected a whole number",
+        "segments[0] is 2.5, expected a whole number",
     ),
     "yes": (lambda: tc.subdivide(whole(), True, 0.01), TypeError, "segments is True"),
     "word": (lambda: tc.subdivide(whole(), "four", 0.01), TypeError, "segments must be an array"),
