@@ -95,10 +95,7 @@ class Gate:
 
 
 class Correction:
-    """The measurement update of a filter, without memory.
-
-    ``outputs`` is ``(z, u) -> (y, ∂y/∂z)``; ``gate`` the probability of refusing a good reading.
-    """
+    """Measurement update without memory, with outputs ``(z, u) -> (y, ∂y/∂z)`` and a gate."""
 
     def __init__(
         self, plant: LinearPlant, sensors: Sensors, outputs: ca.Function, gate: float

@@ -175,10 +175,7 @@ def _rank(rows: FloatArray) -> int:
 
 
 def unseen_poles(plant: LinearPlant, C: FloatArray) -> np.ndarray:
-    """Return the poles with Im s ≥ 0 that do not decay and that C does not see, 1/s.
-
-    By the test of Hautus (1969): s is observable if ``[s I − A; C]`` has full column rank.
-    """
+    """Return poles, Im s ≥ 0, that neither decay nor are seen by C, by Hautus's test (1969)."""
     A, seen, highest = _scaled(plant, C)
     poles = distinct_poles(plant.A)
     slow = poles[poles.real >= -_SLOW * highest]

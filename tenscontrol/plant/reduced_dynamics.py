@@ -38,10 +38,7 @@ def reduced_acceleration(plant: LinearPlant, *, taut: bool) -> ca.Function:
 
 
 def tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
-    """Return ``z -> (y, ẏ, ÿ at zero γ, ∂ÿ/∂γ)`` of ``y = C vec(N)``, C of shape (p, 3n).
-
-    Exact as :func:`reduced_acceleration` is; with γ as the input ÿ is affine in it.
-    """
+    """Return ``z -> (y, ẏ, ÿ at zero γ, ∂ÿ/∂γ)`` of ``y = C vec(N)``, exact; affine in γ."""
     key = "tracked_motion", matrix.shape, matrix.tobytes()
     return plant.prepared.get(key, partial(_tracked_motion, plant, matrix))
 

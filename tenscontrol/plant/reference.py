@@ -420,11 +420,7 @@ def _refined(time: FloatArray, sample_time: float) -> FloatArray:
 def _held(
     plant: LinearPlant, q: FloatArray, wanted: FloatArray, response: FloatArray
 ) -> FloatArray:
-    """Return rest, input, γ, tension and drift of each shape, side by side, shape (K, ·).
-
-    γ is the wanted one, shape (α, K), changed as little as the balance of forces asks for; what
-    cannot be balanced shows as drift.
-    """
+    """Return rest, input, γ nearest the wanted, tension and drift of each shape, (K, ·)."""
     structure, law = plant.model.structure, plant.model.strings
     assert law is not None  # the rest length is the input
     shapes = np.array([plant.to_nodes(each) for each in q])

@@ -78,11 +78,7 @@ def string_map(plant: LinearPlant, input: str) -> StringMap:
 
 
 def string_forces(plant: LinearPlant, input: str, N: Any, Nd: Any, u: Any) -> tuple[Any, Any]:
-    """Return expressions of γ and tension of the model's strings, shape (α', 1) each.
-
-    N and Nd, shape (3, n), are the motion of the nodes, u the input of each string of the model.
-    With rest lengths, γ is that of taut strings, and negative beyond.
-    """
+    """Return γ and tension of the model's strings, by rest lengths those of taut ones or < 0."""
     strings, law = plant.model.structure.strings, plant.model.strings
     S, Sd = (kernel.differences(part, strings) for part in (N, Nd))
     length = ca.sqrt(kernel.dots(S, S)).T

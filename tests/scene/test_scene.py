@@ -1001,7 +1001,7 @@ BROKEN = {
     ),
     "sensor of no bar": (
         PRISM + LQR + SEEN.replace("[estimator]", "bars = [3]\n[estimator]"),
-        r":16: in \[sensors\], bars names 3, expected 0 to 2",
+        r":16: in \[sensors\], bars\[0\] is 3, expected 0 to 2",
     ),
     "sensor seed": (
         PRISM + LQR + SEEN.replace("[estimator]", "seed = -1\n[estimator]"),

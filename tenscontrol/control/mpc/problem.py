@@ -284,10 +284,7 @@ class LimitRows:
         return on_inputs, none, csc_array((rows, states)), None
 
     def bounds(self, previous: FloatArray, data: StageData) -> Pair:
-        """Return the bounds of all rows before what is known of states is moved over.
-
-        The previous input is v_{−1}, shape (α,).
-        """
+        """Return bounds of all rows, without the part of known states; previous is v_{−1}."""
         problem = self._problem
         low, high = [data.low.ravel() / problem.level], [data.high.ravel() / problem.level]
         if problem.change is not None:

@@ -110,10 +110,7 @@ class Discretization(ABC):
     def linearize(
         self, states: FloatArray, inputs: FloatArray, stages: FloatArray
     ) -> StageJacobians:
-        """Return z_{k+1} to first order in z_k, u_k and, where inputs are ramps, u_{k−1}.
-
-        States are z_0 … z_{N−1}, inputs u_{−1} … u_{N−1}, stages of shape (N, stages, r).
-        """
+        """Return z_{k+1} to first order in z_k, u_k and, for ramps, u_{k−1}, along a plan."""
 
     @abstractmethod
     def load_response(self, load: FloatArray) -> FloatArray:
