@@ -139,7 +139,8 @@ def draw_curves(
 def checked_references(references: object, count: int) -> dict[str, FloatArray]:
     """Return the reference lines as arrays of shape () or (T,)."""
     levels = {}
-    for name, value in _checked_mapping("references", references or {}).items():
+    given: object = {} if references is None else references
+    for name, value in _checked_mapping("references", given).items():
         array = float_array(f"references[{name!r}]", value)
         if array.shape not in ((), (count,)):
             raise ValueError(
