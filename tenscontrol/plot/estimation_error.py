@@ -8,15 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from tenscontrol.plot.histories import Curves, draw_curves, mark_statuses
-from tenscontrol.plot.style import (
-    PALETTE,
-    checked_indices,
-    curve_style,
-    legend_above,
-    panel_axes,
-)
+from tenscontrol.plot.style import PALETTE, curve_style, legend_above, panel_axes
 from tenscontrol.simulation import Trajectory
-from tenscontrol.validation import FloatArray, IntArray, instance
+from tenscontrol.validation import FloatArray, IntArray, instance, whole_number
 
 # Marks for what became of readings, told apart by their form.
 _MARKERS = {"partly used": "|", "lost": "x", "refused": "v", "waiting": ".", "started anew": "s"}
@@ -74,7 +68,7 @@ def estimate(
     structure = run.structure
     if structure.parent is not None and record.nodes.shape[1] < structure.nodes.shape[1]:
         structure = structure.parent
-    which = checked_indices("strings", strings, len(structure.strings), "string indices", "(0, 1)")
+    which = _checked(strings, len(structure.strings))
     pairs = structure.strings[which]
     seen = run.nodes[:, : record.nodes.shape[1]]
     true, found = _lengths(seen, pairs), _lengths(record.nodes, pairs)
@@ -123,3 +117,17 @@ def estimate(
 def _lengths(nodes: FloatArray, pairs: IntArray) -> FloatArray:
     """Return lengths of strings over time, shape (k, T)."""
     return np.asarray(np.linalg.norm(nodes[:, pairs[:, 1]] - nodes[:, pairs[:, 0]], axis=0))
+
+
+def _checked(strings: object, count: int) -> list[int]:
+    if isinstance(strings, str) or not isinstance(strings, Sequence | np.ndarray):
+        raise TypeError(f"strings is {strings!r}, expected a sequence of indices, like (0, 1)")
+    if len(strings) == 0:
+        raise ValueError("strings is empty, expected at least one index")
+    which = [whole_number(f"strings[{i}]", entry, least=0) for i, entry in enumerate(strings)]
+    if max(which) >= count:
+        raise ValueError(
+            f"strings names {max(which)}, expected 0 to {count - 1}: "
+            f"there are {count} strings, counted from 0"
+        )
+    return which

@@ -18,7 +18,7 @@ from tenscontrol.plot.style import (
     marker_style,
     reference_style,
 )
-from tenscontrol.validation import FloatArray, float_array, text, wrong_kind
+from tenscontrol.validation import FloatArray, float_array, wrong_kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,8 @@ def history(
         for name, values in _checked_mapping("series", series).items()
     }
     levels = checked_references(references, len(times))
-    text("ylabel", ylabel, "the quantity with its unit, like 'height, m'")
+    if not isinstance(ylabel, str):
+        raise TypeError(f"ylabel is {ylabel!r}, expected text with a unit, like 'height, m'")
     return draw_curves(flat_axes(ax), times, rows, ylabel, references=levels)
 
 
@@ -139,8 +140,7 @@ def draw_curves(
 def checked_references(references: object, count: int) -> dict[str, FloatArray]:
     """Return the reference lines as arrays of shape () or (T,)."""
     levels = {}
-    given: object = {} if references is None else references
-    for name, value in _checked_mapping("references", given).items():
+    for name, value in _checked_mapping("references", references or {}).items():
         array = float_array(f"references[{name!r}]", value)
         if array.shape not in ((), (count,)):
             raise ValueError(

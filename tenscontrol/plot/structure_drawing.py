@@ -26,7 +26,7 @@ from tenscontrol.plot.style import (
     marker_style,
 )
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray, instance, non_negative, per_member, truth
+from tenscontrol.validation import FloatArray, IntArray, instance, non_negative, per_member
 
 # A string below this fraction of the largest force density carries nothing.
 _SLACK = 1e-9
@@ -350,10 +350,6 @@ def structure(
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     shape = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
-    truth("labels", labels, "whether to number the nodes")
-    truth("member_labels", member_labels, "whether to number bars and strings")
-    truth("faint", faint, "whether to draw in light grey")
-    truth("legend", legend, "whether to show a legend")
     gamma = None
     if force_density is not None:
         gamma = checked_force_density(structure, force_density)

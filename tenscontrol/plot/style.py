@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from tenscontrol.validation import items, whole_number
+from tenscontrol.validation import whole_number
 
 # Okabe & Ito (2008), without the yellow, which is lost on white paper.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
@@ -142,10 +142,9 @@ def given_axes(
 
 def checked_indices(name: str, given: object, count: int, things: str, example: str) -> list[int]:
     """Return the numbers of some of ``count`` things, each checked to be there."""
-    entries = items(name, given, f"{things}, like {example}")
-    if not entries:
-        raise ValueError(f"{name} is empty, expected {things}, like {example}")
-    numbers = [whole_number(f"{name}[{i}]", entry, least=0) for i, entry in enumerate(entries)]
+    if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or len(given) == 0:
+        raise TypeError(f"{name} is {given!r}, expected a sequence of {things}, like {example}")
+    numbers = [whole_number(f"{name}[{i}]", entry, least=0) for i, entry in enumerate(given)]
     for i, number in enumerate(numbers):
         if number >= count:
             raise ValueError(

@@ -22,7 +22,7 @@ from tenscontrol.plot.style import (
     panel_axes,
 )
 from tenscontrol.robustness import SweepReport
-from tenscontrol.validation import FloatArray, choice, float_array, instance, text, truth
+from tenscontrol.validation import FloatArray, float_array, instance
 
 # Inches; both panels side by side.
 _SIZE = (8.0, 3.4)
@@ -116,13 +116,13 @@ def sweep(
     >>> plt.close(drawn.axes[0].figure)
     """
     instance("report", report, SweepReport, "make one by sweep(case, parameters, count)")
-    values = np.sort(report.figure(choice("figure", figure, report.figures)))
-    truth("logarithmic", logarithmic, "whether the figure's axis is logarithmic")
+    values = np.sort(report.figure(figure))
     pair = _strongest(report, figure) if over is None else _checked_pair(report, over)
     level = None if limit is None else float_array("limit", limit)
     if level is not None and level.ndim:
         raise ValueError(f"limit has shape {level.shape}, expected one number")
-    text("unit", unit, "like 'm'")
+    if not isinstance(unit, str):
+        raise TypeError(f"unit is {unit!r}, expected text like 'm'")
     if axes is None:
         _, axes = plt.subplots(1, 2, figsize=_SIZE, layout="constrained")
     left, right = panel_axes(axes, ["runs", "figure"])
@@ -200,5 +200,7 @@ def _checked_pair(report: SweepReport, over: object) -> tuple[str, str]:
     if len(pair) != 2:
         raise TypeError(f"over is {over!r}, expected a pair of names from report.columns")
     for name in pair:
-        choice("a name in over", name, known)
+        if name not in known:
+            listed = ", ".join(repr(each) for each in known) or "none"
+            raise ValueError(f"over names {name!r}, which was not drawn; drawn were: {listed}")
     return pair[0], pair[1]

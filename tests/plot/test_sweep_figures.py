@@ -61,13 +61,9 @@ def test_given_axes_are_used(report):
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"figure": "speed"}, ValueError, "figure is 'speed', expected one of 'value'"),
+        ({"figure": "speed"}, ValueError, "no figure 'speed'; the figures are: 'value'"),
         ({"over": "mass"}, TypeError, "over is 'mass', expected a pair of names"),
-        (
-            {"over": ("mass", "delay")},
-            ValueError,
-            r"a name in over is 'mass', expected one of 'mass\[0\]'",
-        ),
+        ({"over": ("mass", "delay")}, ValueError, r"over names 'mass', which .*'mass\[0\]'"),
         ({"limit": float("nan")}, ValueError, "limit is nan"),
         ({"limit": [1, 2]}, ValueError, r"limit has shape \(2,\)"),
         ({"unit": 3}, TypeError, "unit is 3"),
