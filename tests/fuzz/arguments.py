@@ -46,11 +46,14 @@ MEMORY = 4 * 2**30
 # Left out: starts processes.
 LEFT_OUT = {("sweep", "executor", "None")}
 
-# Numbers that ask for a long motion, or for one so fast that it takes many steps: it takes its
-# time, and can be interrupted. That is no hang.
+# Numbers that ask for a long motion, or for one so fast that it takes many steps, as a million
+# segments and compiling do: it takes its time, and can be interrupted. That is no hang.
 LONG = ("1", "2", "7", "100", "1e6", "1e15", "2**31", "2**63", "uint64", "float32 max", "times 1e6")
 FAST = ("1e6", "1e15", "2**31", "2**63", "uint64", "float32 max", "times 1e6", "plus 1e9")
 IN_MOTION = ("state", "held", "velocities", "external_force", "force_density", "rest_length")
+
+# Functions that raise when they are called: that is their own error.
+OWN_FUNCTIONS = ("class", "our class", "class of it", "lambda of it", "method")
 
 # Other names that an error may use for an argument, which then says more than its own.
 ALSO = {
@@ -139,8 +142,9 @@ def _is_meant(name, argument, spoiler):
     return (
         (argument == "duration" and spoiler in LONG)
         or (runs and argument in IN_MOTION and spoiler in FAST)
-        or (argument == "machine_code" and spoiler == "True")
-        or (argument == "report" and spoiler in ("class", "class of it", "lambda of it", "method"))
+        or (argument == "segments" and spoiler in ("1e6", "times 1e6"))
+        or (argument == "machine_code" and "True" in spoiler)
+        or (argument == "report" and spoiler in OWN_FUNCTIONS)
     )
 
 
