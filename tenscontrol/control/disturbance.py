@@ -56,7 +56,7 @@ def load_model(
     stiffness, by_input = plant.A[r:, :r], plant.B[r:]
     reach = max(float(np.linalg.norm(stiffness, 2)), 1e-300)
     unit = reach / float(np.linalg.norm(by_input, 2))
-    size = max(float(np.linalg.norm(tracked, 2)), 1e-300)
+    size = max(float(np.linalg.norm(tracked, 2)), 1e-150)  # its square stays above zero
     weight = np.zeros((r + count, r + count))
     weight[:r, :r] = tracked.T @ tracked / size**2
     weight += _THRIFT * np.eye(r + count)

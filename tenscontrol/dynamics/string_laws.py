@@ -24,6 +24,9 @@ from tenscontrol.validation import (
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+# More would not fit in memory.
+_MOST_STRINGS = 10_000_000
+
 
 @dataclass(frozen=True, eq=False)
 class StringLaw(ABC):
@@ -159,7 +162,7 @@ class StringLaw(ABC):
         ValueError
             If a parameter is given for another number of strings.
         """
-        count = whole_number("count", count, least=0)
+        count = whole_number("count", count, 0, _MOST_STRINGS)
         return type(self)(
             **{
                 name: per_member(name, getattr(self, name), count, "string")

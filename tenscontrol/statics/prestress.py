@@ -259,9 +259,8 @@ def prism_force_density(
     b = positive_number("radius", radius, "m")
     a = b if top_radius is None else positive_number("top_radius", top_radius, "m")
     vertical = 2 * np.sin(np.pi / q) * top * a / b
-    bottom = top * (a / b) ** 2
-    found = float_array("force_density at these radii", [top, bottom, vertical])
-    return np.repeat(found, q), np.full(q, vertical)
+    bottom = positive_number("force_density (top_radius/radius)²", top * (a / b) ** 2, "N/m")
+    return np.repeat([top, bottom, vertical], q), np.full(q, vertical)
 
 
 def _nearest_to_uniform(

@@ -137,7 +137,8 @@ def _affine_motions_keeping_length(structure: Structure, taut: FloatArray, axes:
     """Return how many independent symmetric G have ``vᵀ G v = 0`` for every member vector v."""
     strings = structure.string_vectors(structure.nodes)[:, taut]
     vectors = axes.T @ np.hstack([strings, structure.bar_vectors(structure.nodes)])
-    vectors = vectors / np.linalg.norm(vectors, axis=0)
+    length = np.linalg.norm(vectors, axis=0)
+    vectors = vectors[:, length > 0] / length[length > 0]  # a string without length keeps nothing
     rows, columns = np.triu_indices(axes.shape[1])
     conic = (vectors[rows] * vectors[columns]).T
     return int(null_space(conic).shape[1])

@@ -56,7 +56,9 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     length = np.linalg.norm(vectors, axis=0)
     lost = np.flatnonzero(length == 0)
     if len(lost):
-        raise ValueError(f"the ends of bar {lost[0]} are at the same place: it has no direction")
+        raise ValueError(
+            f"in nodes, the ends of bar {lost[0]} are at the same place: it has no direction"
+        )
     change = vectors * (structure.bar_length / length - 1)
     share = structure.end_share
     moved[:, structure.bars[:, 0]] -= share[:, 0] * change

@@ -139,7 +139,7 @@ class Structure:
         _refuse_repeats(bars, strings)
         _refuse_shared_bar_nodes(bars)
         _refuse_untouched_nodes(bars, strings, count)
-        _refuse_bars_without_length(nodes, bars)
+        _refuse_bad_sizes(nodes, bars)
         put = object.__setattr__  # the dataclass is frozen for everyone else
         put(self, "nodes", frozen(nodes))
         put(self, "bars", frozen(bars))
@@ -437,7 +437,7 @@ def _refuse_untouched_nodes(bars: IntArray, strings: IntArray, count: int) -> No
         )
 
 
-def _refuse_bars_without_length(nodes: FloatArray, bars: IntArray) -> None:
+def _refuse_bad_sizes(nodes: FloatArray, bars: IntArray) -> None:
     size = float(np.ptp(nodes, axis=1).max())
     length = np.linalg.norm(nodes[:, bars[:, 1]] - nodes[:, bars[:, 0]], axis=0)
     short = np.flatnonzero(length <= _ZERO_LENGTH * size)

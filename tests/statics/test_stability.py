@@ -125,3 +125,11 @@ def test_a_flat_square_with_crossed_bars_is_super_stable():
     rest = tc.prestress(structure, 10.0)
     assert rest.stability.stress_matrix_rank_defect == 3
     assert rest.is_super_stable
+
+
+def test_strings_drawn_together_have_a_stability():
+    # Uniform force densities draw the ends of most strings of a prism together.
+    model = tc.Model(tc.prism(), external_force=True)
+    rest = tc.equilibrium(model, force_density=0.5, external_force=np.zeros((3, 6)))
+    assert rest.structure.string_length().min() < 1e-12
+    assert isinstance(rest.stability.is_super_stable, bool)
