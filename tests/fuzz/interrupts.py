@@ -19,7 +19,7 @@ import time
 import warnings
 from collections import defaultdict
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -337,7 +337,7 @@ def interrupt_command(name, delay, number):
 # ---- the campaign ----
 
 
-def campaign(count, seed=0, commands=True, told=print):
+def campaign(count, seed=0, commands=True, told=partial(print, flush=True)):
     """Interrupt loops so many times; return the failures, and the longest wait of all, s."""
     generator = np.random.default_rng(seed)
     before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
@@ -350,6 +350,9 @@ def campaign(count, seed=0, commands=True, told=print):
         begun = Begun()
         with Sender() as sender:
             for i in range(count):
+                if i and i % 50 == 0:
+                    longest = max(map(max, waits.values()))
+                    told(f"{i} done, {len(failures)} failures, at most {longest:.3f} s")
                 names = [*MOTIONS] * 3 + [*REPORTS]
                 if commands and i % 20 == 19:
                     names = [*COMMANDS]
