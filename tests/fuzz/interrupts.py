@@ -18,7 +18,7 @@ import tempfile
 import time
 import warnings
 from collections import defaultdict
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -250,11 +250,13 @@ def interrupt(name, sender, begun, delay, number):
     run = {**MOTIONS, **REPORTS}[name]
     begun.count, found, said = 0, None, []
     sender.send(delay, number)
+    # SIGTERM outside of a loop would end this process.
+    guard = interruptible() if number == signal.SIGTERM else nullcontext()
     try:
-        with warnings.catch_warnings(record=True, action="always") as said:
+        with guard, warnings.catch_warnings(record=True, action="always") as said:
             found = run()
-        back = time.monotonic()
-        sent = sender.sent()
+            back = time.monotonic()
+            sent = sender.sent()
     except KeyboardInterrupt:
         back = time.monotonic()
         sent = sender.sent()
