@@ -249,11 +249,11 @@ def interrupt(name, sender, begun, delay, number):
     """Interrupt one loop once; return the wait for control, s, and whether anything was done."""
     run = {**MOTIONS, **REPORTS}[name]
     begun.count, found, said = 0, None, []
-    sender.send(delay, number)
     # SIGTERM outside of a loop would end this process.
     guard = interruptible() if number == signal.SIGTERM else nullcontext()
     try:
         with guard, warnings.catch_warnings(record=True, action="always") as said:
+            sender.send(delay, number)
             found = run()
             back = time.monotonic()
             sent = sender.sent()
@@ -360,7 +360,7 @@ def campaign(count, seed=0, commands=True, told=print):
                     names = [*COMMANDS]
                 name = str(generator.choice(names))
                 number = signal.SIGTERM if generator.random() < 0.25 else signal.SIGINT
-                delay = float(generator.uniform(0, 0.5 if name in MOTIONS else 1.5))
+                delay = float(generator.uniform(0.002, 0.5 if name in MOTIONS else 1.5))
                 try:
                     if name in COMMANDS:
                         wait, done = interrupt_command(name, delay, number)
