@@ -21,9 +21,10 @@ from types import FrameType
 _PATIENCE = 0.5
 
 # Signals with the handlers that are taken over. On Windows nothing sends SIGTERM.
-_TAKEN: dict[signal.Signals, object] = {signal.SIGINT: signal.default_int_handler}
-if os.name == "posix":
-    _TAKEN[signal.SIGTERM] = signal.SIG_DFL
+_TAKEN = {
+    signal.SIGINT: signal.default_int_handler,
+    **({signal.SIGTERM: signal.SIG_DFL} if os.name == "posix" else {}),
+}
 
 
 class InterruptionWarning(RuntimeWarning):

@@ -12,7 +12,6 @@ import numpy as np
 
 from tenscontrol.dynamics import Equation, Evaluator, kernel
 from tenscontrol.integrate.integrator import (
-    LONGEST_CALL,
     IntegrationError,
     IntegrationInterrupt,
     Integrator,
@@ -20,6 +19,7 @@ from tenscontrol.integrate.integrator import (
     Span,
     Work,
     checked_tolerance,
+    next_size,
     where_needed,
 )
 from tenscontrol.integrate.projection import Bodies
@@ -142,6 +142,7 @@ class EnergyMomentum(Integrator):
         self._slope = Evaluator(equation.kinked_slope)
         chunks = self._kept(self._build, step is None)
         self._chunks = {count: Evaluator(chunk) for count, chunk in chunks.items()}
+        self._most = _CHUNKS[0]  # steps tried in the next call, at most
 
     def _build(self) -> dict[int, ca.Function]:
         """Return ``(work, u, limits) -> work`` that tries so many steps."""
@@ -169,18 +170,17 @@ class EnergyMomentum(Integrator):
         states = np.empty((len(state), outputs))
         work = np.concatenate([state, progress])
         left, step, failed = (len(state) + i for i in range(3))
-        output, most = 0, _CHUNKS[-1]
+        output = 0
         try:
             for output in range(outputs):
                 work[left] = interval
                 while work[left] > 0:
                     check()
                     began = perf_counter()
-                    expected = ceil(min(work[left] / work[step], most))
+                    expected = ceil(min(work[left] / work[step], self._most, _CHUNKS[-1]))
                     chunk = next(count for count in _CHUNKS if count >= expected)
                     work = self._chunks[chunk](work, held, limits)[0].copy()
-                    if perf_counter() - began > LONGEST_CALL:
-                        most = max(chunk // 8, 1)
+                    self._most = next_size(self._most, chunk, perf_counter() - began)
                     if work[failed]:
                         time = interval * (output + 1) - float(work[left])
                         raise IntegrationError(

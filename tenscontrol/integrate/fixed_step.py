@@ -13,7 +13,6 @@ import numpy as np
 from tenscontrol.dynamics import Equation, Evaluator, compiler
 from tenscontrol.integrate.events import COUNTS, located, taut_strings
 from tenscontrol.integrate.integrator import (
-    LONGEST_CALL,
     IntegrationError,
     IntegrationInterrupt,
     Integrator,
@@ -21,6 +20,7 @@ from tenscontrol.integrate.integrator import (
     Span,
     Work,
     in_machine_code,
+    next_size,
     where_needed,
 )
 from tenscontrol.integrate.projection import projected
@@ -30,6 +30,9 @@ from tenscontrol.validation import FloatArray, positive_number
 # Steps in a block, and blocks in a call into CasADi: enough that the call costs nothing, few enough
 # that a long run reports its progress and a short one does not wait for steps left out.
 _BLOCK, _MANY = 32, 16
+
+# Steps in the first call where there are more states than this: they may take long.
+_FEW, _LARGE = 4, 600
 
 # Numbers that a call may return: memory is for states that are kept.
 _MOST_NUMBERS = 1e6
@@ -66,6 +69,8 @@ class FixedStep(Integrator):
         self._size, self._many, self.back_end = steps.size, steps.many, steps.back_end
         self._blocks = {1: Evaluator(steps.block), steps.many: Evaluator(steps.blocks)}
         self._taut = Evaluator(steps.taut)
+        # Steps in the next call, at most.
+        self._most = _FEW if equation.states > _LARGE else _BLOCK * _MANY
 
     def _build(self, project: bool, machine_code: bool) -> _Steps:
         equation = self._equation
@@ -106,13 +111,14 @@ class FixedStep(Integrator):
         states = np.empty((n, outputs))
         taut = self._taut(state, held)[0] if switches else np.zeros(0)
         carried = np.concatenate([state, taut, np.zeros(len(COUNTS))])[: self._size]
-        done, most = 0, self._many * _BLOCK
+        done = 0
         try:
             while done < total:
                 check()
                 began = perf_counter()
-                blocks = self._many if min(total - done, most) >= self._many * _BLOCK else 1
-                size = min(blocks * _BLOCK, total - done, most)
+                left = min(total - done, self._most)
+                blocks = self._many if left >= self._many * _BLOCK else 1
+                size = min(blocks * _BLOCK, left)
                 steps: FloatArray = np.zeros(blocks * _BLOCK)
                 steps[:size] = step
                 inputs = held
@@ -137,8 +143,7 @@ class FixedStep(Integrator):
                         Span(states[:, : good // inner], work),
                     )
                 done += size
-                if perf_counter() - began > LONGEST_CALL:
-                    most = max(size // 2, 1)
+                self._most = next_size(self._most, size, perf_counter() - began)
                 if report is not None:
                     report(step * done)
         except KeyboardInterrupt:

@@ -28,7 +28,7 @@ _Built = TypeVar("_Built")
 _MOST_NUMBERS = 5e8
 
 # Time in one call of CasADi, s, from which on the next call is given fewer steps: signals wait.
-LONGEST_CALL = 0.2
+_LONGEST_CALL = 0.2
 
 # Told the time reached within the span, s.
 Report = Callable[[float], None]
@@ -127,6 +127,13 @@ def in_machine_code(equation: Equation, step: ca.Function, wanted: bool) -> tupl
         return step, "machine code for the forces"
     code = compiled(step) if wanted else None
     return (step, "virtual machine") if code is None else (code.function, "machine code")
+
+
+def next_size(most: int, size: int, taken: float) -> int:
+    """Return how many steps a call may take, after one of a size that took so long, s."""
+    if taken > _LONGEST_CALL:
+        return max(size // 8, 1)
+    return min(8 * most, 4096) if taken < _LONGEST_CALL / 16 else most
 
 
 def where_needed(function: ca.Function) -> ca.Function:

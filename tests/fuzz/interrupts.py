@@ -18,7 +18,7 @@ import tempfile
 import time
 import warnings
 from collections import defaultdict
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,9 +28,9 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.accuracy.measured_run import Bench
 from tenscontrol.accuracy.predictability import predictability
-from tenscontrol.accuracy.suite import extreme_suite
 from tenscontrol.interrupt import InterruptionWarning, interruptible
 from tenscontrol.simulation import loop
+from tests.benchmarks.extreme_suite import extreme_suite
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
 ROOT = Path(__file__).parents[2]
@@ -249,12 +249,14 @@ def interrupt(name, sender, begun, delay, number):
     """Interrupt one loop once; return the wait for control, s, and whether anything was done."""
     run = {**MOTIONS, **REPORTS}[name]
     begun.count, found, said = 0, None, []
-    sender.send(delay, number)
+    # SIGTERM outside of a loop would end this process.
+    guard = interruptible() if number == signal.SIGTERM else nullcontext()
     try:
-        with warnings.catch_warnings(record=True, action="always") as said:
+        with guard, warnings.catch_warnings(record=True, action="always") as said:
+            sender.send(delay, number)
             found = run()
-        back = time.monotonic()
-        sent = sender.sent()
+            back = time.monotonic()
+            sent = sender.sent()
     except KeyboardInterrupt:
         back = time.monotonic()
         sent = sender.sent()
@@ -350,12 +352,15 @@ def campaign(count, seed=0, commands=True, told=print):
         begun = Begun()
         with Sender() as sender:
             for i in range(count):
+                if i and i % 50 == 0:
+                    longest = max(map(max, waits.values()))
+                    told(f"{i} done, {len(failures)} failures, at most {longest:.3f} s")
                 names = [*MOTIONS] * 3 + [*REPORTS]
                 if commands and i % 20 == 19:
                     names = [*COMMANDS]
                 name = str(generator.choice(names))
                 number = signal.SIGTERM if generator.random() < 0.25 else signal.SIGINT
-                delay = float(generator.uniform(0, 0.5 if name in MOTIONS else 1.5))
+                delay = float(generator.uniform(0.002, 0.5 if name in MOTIONS else 1.5))
                 try:
                     if name in COMMANDS:
                         wait, done = interrupt_command(name, delay, number)
