@@ -25,7 +25,7 @@ def needs(package, extra):
 
 def test_every_benchmark_is_tested():
     there = {path.stem for path in BENCHMARKS.glob("*.py") if not path.stem.startswith("test_")}
-    there -= {"__init__", "command_line", "extreme_cases"}
+    there -= {"__init__", "command_line"}
     assert there == {name.removeprefix("test_") for name in globals() if name[:5] == "test_"} - {
         "every_benchmark_is_tested"
     }
@@ -54,10 +54,6 @@ def row(text, label, which=0):
     return [
         float(x) for x in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]\d+)?", lines[which][len(label) :])
     ]
-
-
-def test_extreme_suite(printed):
-    assert re.search(r"\d+ runs: [1-9].* 0 SILENT", printed("extreme_suite", "--quick --only bar"))
 
 
 def test_import_time(printed):

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy import long_run, predictability, stability_map
+from tenscontrol.accuracy import long_run, predictability, stability_map, suite
 from tenscontrol.accuracy.measured_run import Bench
 from tenscontrol.interrupt import InterruptionWarning
-from tests.benchmarks import extreme_suite
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
@@ -96,15 +95,15 @@ def test_stability_map(monkeypatch):
 
 
 def test_suite(monkeypatch):
-    press_at(3, monkeypatch, extreme_suite, "judge")
+    press_at(3, monkeypatch, suite, "judge")
     with pytest.warns(InterruptionWarning, match="2 runs are judged"):
-        found = extreme_suite.extreme_suite(quick=True, only="free bar")
+        found = suite.extreme_suite(quick=True, only="free bar")
     assert len(found.rows) == 2
     assert found.table()
 
 
 def test_the_command_of_the_suite_says_so(monkeypatch, capsys):
-    press_at(3, monkeypatch, extreme_suite, "judge")
+    press_at(3, monkeypatch, suite, "judge")
     with pytest.warns(InterruptionWarning):
-        assert extreme_suite.main(["--quick", "--only", "free bar"]) == 130
+        assert suite.main(["--quick", "--only", "free bar"]) == 130
     assert "free bar" in capsys.readouterr().out

@@ -19,7 +19,7 @@ import time
 import warnings
 from collections import defaultdict
 from contextlib import nullcontext, suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,9 +28,9 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.accuracy.measured_run import Bench
 from tenscontrol.accuracy.predictability import predictability
+from tenscontrol.accuracy.suite import extreme_suite
 from tenscontrol.interrupt import InterruptionWarning, interruptible
 from tenscontrol.simulation import loop
-from tests.benchmarks.extreme_suite import extreme_suite
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
 ROOT = Path(__file__).parents[2]
@@ -339,7 +339,7 @@ def interrupt_command(name, delay, number):
 # ---- the campaign ----
 
 
-def campaign(count, seed=0, commands=True, told=print):
+def campaign(count, seed=0, commands=True, told=partial(print, flush=True)):
     """Interrupt loops so many times; return the failures, and the longest wait of all, s."""
     generator = np.random.default_rng(seed)
     before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}

@@ -1,7 +1,7 @@
 """Stiff and extreme structures: every method on every one, none silently wrong.
 
-Run: ``python -m tests.benchmarks.extreme_suite``, some minutes. The true motion of a case is known
-in closed form or computed twice, each method is judged by it, and the result is a table.
+``python -m tenscontrol.accuracy.suite`` runs it. The true motion of a case is known in closed form
+or computed twice, each method is judged by it, and the result is a table.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.accuracy.case import state_change
+from tenscontrol.accuracy.extreme_cases import ASKED, TOLERANCE, Extreme, extremes, methods
 from tenscontrol.dynamics import unpack_states
 from tenscontrol.files import write_file
 from tenscontrol.integrate import CVODES, DOP853, EnergyMomentum, Integrator, Rattle6
@@ -33,7 +34,6 @@ from tenscontrol.simulation import (
 from tenscontrol.tables import aligned, markdown, write_csv
 from tenscontrol.validation import FloatArray, frozen
 from tenscontrol.validation import truth as checked_truth
-from tests.benchmarks.extreme_cases import ASKED, TOLERANCE, Extreme, extremes, methods
 
 #: What can come of a method; the last is what must not.
 VERDICTS = ("accurate", "in part", "warned", "stopped", "refused", "too long", "unknown", "SILENT")
@@ -348,7 +348,7 @@ def extreme_suite(quick: bool = False, only: str = "", progress: bool = False) -
     long; else it is silently wrong. ``quick`` runs a few cases, ``only`` those with this in their
     name.
 
-    >>> from tests.benchmarks.extreme_suite import extreme_suite
+    >>> from tenscontrol.accuracy.suite import extreme_suite
     >>> found = extreme_suite(quick=True, only="free bar")
     >>> len(found.silent), found.methods[:3]
     (0, ('rk4', 'rattle', 'rattle4'))
@@ -392,7 +392,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m tests.benchmarks.extreme_suite",
+        prog="python -m tenscontrol.accuracy.suite",
         description="Run every integration method on stiff and extreme structures, and print "
         "which is accurate, which warns, stops or is too long. Exit status 1 if a run is "
         "silently wrong.",

@@ -8,9 +8,9 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.accuracy.case import Case
+from tenscontrol.accuracy.extreme_cases import ASKED, Extreme, extremes, methods
+from tenscontrol.accuracy.suite import VERDICTS, Truth, extreme_suite, judge, main, truth
 from tenscontrol.integrate import METHODS
-from tests.benchmarks.extreme_cases import ASKED, Extreme, extremes, methods
-from tests.benchmarks.extreme_suite import VERDICTS, Truth, extreme_suite, judge, main, truth
 
 GAMMA = np.repeat([10.0, 10.0, 0.9 * np.sqrt(3) * 10.0], 3)
 
@@ -159,7 +159,7 @@ def test_command_prints_the_table_and_saves_it(capsys, tmp_path):
 
 
 def test_command_fails_where_a_run_is_silent(monkeypatch, capsys):
-    monkeypatch.setattr("tests.benchmarks.extreme_suite.ASKED", 1e-30)
+    monkeypatch.setattr("tenscontrol.accuracy.suite.ASKED", 1e-30)
     assert main(["--quick", "--only", "free bar"]) == 1
     assert "SILENT: free bar" in capsys.readouterr().out
 
