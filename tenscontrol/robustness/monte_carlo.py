@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tenscontrol._version import __version__
+from tenscontrol.interrupt import interruptible
 from tenscontrol.limits import LARGEST_SEED, MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import store
@@ -141,6 +142,7 @@ def sweep(
         beyond = sum(run >= count for run in records)  # the file may be that of a longer sweep
         try:
             with (
+                interruptible(whole=True),
                 progress_bar(count, progress, label="sweep", unit="runs") as report,
                 workers(executor, processes, in_flight) as pool,
             ):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import pickle
 import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -16,14 +15,14 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
-from types import FrameType
 from typing import Any, final
 
 import numpy as np
 
+from tenscontrol.interrupt import at_once
 from tenscontrol.processes import begin_work
 from tenscontrol.robustness.closed_loop_case import Outcome
 from tenscontrol.robustness.distributions import CASE, Distribution, draw_run, generator
@@ -49,7 +48,9 @@ class Workers:
         """Hand out a run."""
         if self._own is None:
             return self._executor.submit(function, *arguments)
-        with _interrupts_held_back():
+        # This may start a process. It inherits the mask: Ctrl-C, which the terminal sends to all
+        # processes, would else end it before it can ignore that.
+        with _interrupts_blocked():
             return self._executor.submit(function, *arguments)
 
     def give_up(self, pending: Iterable[Future[Record]]) -> None:
@@ -81,25 +82,16 @@ class _Remembering(SpawnContext):
 
 
 @contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """Hold Ctrl-C back while processes are started.
-
-    They inherit the mask: Ctrl-C, which the terminal sends to all processes, would else end them
-    before they can ignore that. Here it would leave an executor that is half begun.
-    """
-    caught: list[tuple[int, FrameType | None]] = []
-    before = signal.getsignal(signal.SIGINT)
-    is_main = threading.current_thread() is threading.main_thread()
-    with ExitStack() as stack:
-        if is_main and callable(before):
-            signal.signal(signal.SIGINT, lambda *found: caught.append(found))
-            stack.callback(signal.signal, signal.SIGINT, before)
-        if hasattr(signal, "pthread_sigmask"):  # not on Windows
-            mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-            stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
+def _interrupts_blocked() -> Iterator[None]:
+    """Hold Ctrl-C back, where the system can: on Windows it cannot."""
+    if not hasattr(signal, "pthread_sigmask"):
         yield
-    if caught and callable(before):
-        before(*caught[0])
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -137,7 +129,8 @@ def spread(
             if not pending:
                 over = True
                 return
-            done, _ = wait(pending, return_when=FIRST_COMPLETED)
+            with at_once():
+                done, _ = wait(pending, return_when=FIRST_COMPLETED)
             # Records first: what is done is kept, whatever became of the others.
             for future in sorted(done, key=lambda each: (_error(each) is not None, pending[each])):
                 error = _error(future)

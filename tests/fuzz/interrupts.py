@@ -19,7 +19,7 @@ import time
 import warnings
 from collections import defaultdict
 from contextlib import nullcontext, suppress
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -339,7 +339,7 @@ def interrupt_command(name, delay, number):
 # ---- the campaign ----
 
 
-def campaign(count, seed=0, commands=True, told=partial(print, flush=True)):
+def campaign(count, seed=0, commands=True, told=print):
     """Interrupt loops so many times; return the failures, and the longest wait of all, s."""
     generator = np.random.default_rng(seed)
     before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
