@@ -229,7 +229,7 @@ class Evaluator:
         self._buffer, self._run = function.buffer()
         self._inputs: list[FloatArray] = []
         self._outputs: list[FloatArray] = []
-        self._in_use = Exclusive(f"the evaluator of {function.name()!r}")
+        self._in_use = Exclusive("this Evaluator")
         self.calls = 0
         for i in range(function.n_in()):
             self._inputs.append(_dense(function.sparsity_in(i)))

@@ -242,7 +242,7 @@ class TestMemory:
 
         class Slow:
             def __array__(self, dtype=None, copy=None):
-                with pytest.raises(RuntimeError, match=f"the evaluator of 'f' is {REFUSED}"):
+                with pytest.raises(RuntimeError, match=f"this Evaluator is {REFUSED}"):
                     elsewhere(lambda: evaluator(2.0))
                 return np.array(3.0)
 
