@@ -28,9 +28,6 @@ from tenscontrol.validation import (
     shaped,
 )
 
-# A command and the move of the winches, but for their numbers.
-_SAMPLE_BYTES = 1500
-
 _NONE = frozen(np.zeros(0, dtype=np.int64))
 
 
@@ -49,7 +46,7 @@ def run_closed_loop(
     ``estimation`` is the estimator, the sensors and the seed.
     """
     sample = _sample_time(controller, sample_time, loop.step)
-    kept = _SAMPLE_BYTES + 48 * len(controller.plant.commanded.strings)
+    kept = 1500 + 48 * len(controller.plant.commanded.strings)  # bytes of objects and numbers
     refuse_memory(f"sample_time is {sample:g} s", duration / sample, "samples", kept)
     actuators = Actuators(loop, controller, winches, rest_length, sample)
     controller.reset()
