@@ -462,7 +462,7 @@ def _worker(arguments):
     loading.build_structure = announced
     tc.load_scene(SHIPPED[0])  # what takes time and memory once
     print("ready", flush=True)
-    with tempfile.TemporaryDirectory() as folder:
+    with suppress(BrokenPipeError), tempfile.TemporaryDirectory() as folder:  # it ends early
         file = Path(folder, "scene.toml")
         for line in sys.stdin:
             number = int(line)
