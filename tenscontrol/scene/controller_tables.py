@@ -223,9 +223,6 @@ def build_estimator(
 ) -> KalmanFilter | None:
     """Return the Kalman filter on whole strings, for the input of the actuators, or None."""
     sensors, estimator = document.table("sensors"), document.table("estimator")
-    for name, other in (("sensors", "estimator"), ("estimator", "sensors")):
-        if document.has(name) and not document.has(other):
-            raise document.error((name,), f"[{name}] goes with a table [{other}]")
     if not document.has("estimator"):
         return None
     estimator.choice("kind", ("kalman",))

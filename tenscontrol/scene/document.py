@@ -138,7 +138,7 @@ class Table:
             yield
         except SceneError:
             raise
-        except (TypeError, ValueError, OverflowError) as error:
+        except (TypeError, ValueError, ArithmeticError) as error:
             message = str(error)
             words = re.match(r"\w+", message)
             first = words.group() if words else ""

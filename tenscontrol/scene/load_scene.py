@@ -32,6 +32,9 @@ from tenscontrol.validation import positive_number, wrong_kind
 # With strings whose law is known, rest lengths are the input if nothing else is said.
 _INPUTS = ("force_density", "rest_length")
 
+_GO_WITH = (*((name, "controller") for name in ("winches", "sensors", "estimator")),
+    ("sensors", "estimator"), ("estimator", "sensors"))  # fmt: skip
+
 
 def load_scene(file: str | Path) -> Scene:
     """Return the scene that a TOML file describes.
@@ -159,7 +162,7 @@ def load_scene(file: str | Path) -> Scene:
         structure, force_density = rest.structure, rest.force_density
         model = Model(structure, strings=law, external_force=load, gravity=gravity)
     winches = build_winches(document, structure)
-    _refuse_without_controller(document)
+    _refuse_alone(document)
     controller = estimator = None
     if document.has("controller"):
         design, rest = build_design(document, structure, whole_law, gravity, forces, force_density)
@@ -210,14 +213,12 @@ def _settings(run: Table) -> dict[str, Any]:
     return settings
 
 
-def _refuse_without_controller(document: Document) -> None:
-    """Raise if the scene has no controller, but something that only a controller uses."""
-    if document.has("controller"):
-        return
-    for name in ("winches", "sensors", "estimator"):
-        if document.has(name):
-            raise document.error((name,), f"[{name}] goes with a table [controller]")
-    if "sample_time" in document.table("run"):
+def _refuse_alone(document: Document) -> None:
+    """Raise if the scene has a table, but not one that uses it."""
+    for name, other in _GO_WITH:
+        if document.has(name) and not document.has(other):
+            raise document.error((name,), f"[{name}] goes with a table [{other}]")
+    if "sample_time" in document.table("run") and not document.has("controller"):
         raise document.error(
             ("run", "sample_time"), "in [run], sample_time goes with a table [controller]"
         )

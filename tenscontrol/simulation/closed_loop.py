@@ -29,9 +29,6 @@ from tenscontrol.validation import (
     shaped,
 )
 
-# A command and the move of the winches, but for their numbers.
-_SAMPLE_BYTES = 1500
-
 _NONE = frozen(np.zeros(0, dtype=np.int64))
 
 
@@ -51,7 +48,7 @@ def run_closed_loop(
     ``estimation`` is the estimator, the sensors and the seed; ``start`` the run to go on from.
     """
     sample = _sample_time(controller, sample_time, loop.step)
-    kept = _SAMPLE_BYTES + 48 * len(controller.plant.commanded.strings)
+    kept = 1500 + 48 * len(controller.plant.commanded.strings)  # bytes of objects and numbers
     refuse_memory(f"sample_time is {sample:g} s", duration / sample, "samples", kept)
     # In samples; whole, so that the same numbers are multiplied as in a run of one part.
     begin = round(loop.now / sample)

@@ -40,9 +40,6 @@ from tenscontrol.validation import (
 # States kept of an adaptive run, unless the user says otherwise.
 _OUTPUTS = 1000
 
-# A step of the smallest scene in machine code, s.
-_STEP = 1e-6
-
 # A start whose bars are off by this part of their length, and stretching by this part of the
 # largest speed, is taken as it is; up to the second, at which a run counts as inaccurate, it is
 # projected. Near rest the speed is what forces and stiffness can give a structure of this size:
@@ -341,7 +338,7 @@ def _output_step(loop: Loop, output_step: float | None, duration: float) -> floa
     else:
         return duration / _OUTPUTS
     if loop.step is not None:
-        refuse_time(f"step is {loop.step:g} s", duration / loop.step, "steps", _STEP)
+        refuse_time(f"step is {loop.step:g} s", duration / loop.step, "steps", 1e-6)
     size = 8 * 6 * loop.model.structure.nodes.shape[1]
     keep = ". A longer output_step keeps fewer"
     refuse_memory(f"{name} is {value:g} s", duration / value, "states", size, keep)

@@ -45,8 +45,8 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     moved = structure.checked_nodes("nodes", nodes).copy()
-    largest = float(np.abs(moved[:, structure.bar_nodes]).max(initial=0.0))
-    most = float(_TOLERANCE / np.finfo(float).eps * structure.bar_length.min(initial=np.inf))
+    largest = np.abs(moved[:, structure.bar_nodes]).max(initial=0.0)
+    most = _TOLERANCE / np.finfo(float).eps * structure.bar_length.min(initial=np.inf)
     if largest > most:
         raise ValueError(
             f"nodes has entries up to {largest:g} m, expected at most {most:g} m: farther off, "

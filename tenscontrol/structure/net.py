@@ -67,9 +67,8 @@ def net(
     """
     count_rows = whole_number("rows", rows, least=2)
     count_columns = whole_number("columns", columns, least=2)
-    refuse_many_members(
-        f"rows is {count_rows} and columns is {count_columns}", 2 * count_rows * count_columns
-    )
+    asked = f"rows is {count_rows} and columns is {count_columns}"
+    refuse_many_members(asked, 2 * count_rows * count_columns)
     step = positive_number("spacing", spacing, "m")
     mass = positive_number("node_mass", node_mass, "kg")
     knots = np.arange(count_rows * count_columns).reshape(count_rows, count_columns)

@@ -28,9 +28,6 @@ _PLANAR = 1e-4
 # Lengths and areas below this fraction of the panel's are none.
 _ZERO = 1e-9
 
-# Far more than fit in memory: each makes three times as many strings.
-_MOST_ITERATIONS = 500
-
 Loop = tuple[int, ...]
 
 
@@ -119,7 +116,7 @@ def skin(
     array([0.05])
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
-    count = whole_number("iterations", iterations, 0, _MOST_ITERATIONS)
+    count = whole_number("iterations", iterations, 0, 500)  # 3^500 is a number yet
     identifier("group", group)
     loops = _loops(structure, panels)
     density = _density(loops, structure.nodes, node_mass, panel_mass, areal_density)

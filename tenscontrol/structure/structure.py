@@ -30,9 +30,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from scipy.sparse import csr_array
 
-# What a bar or a string with its nodes takes while it is checked.
-_MEMBER_BYTES = 800
-
 # A bar shorter than this fraction of the structure's size has no direction in double precision.
 _ZERO_LENGTH = 1e-12
 
@@ -386,8 +383,8 @@ def _members(name: str, pairs: Any, count: int) -> IntArray:
 
 
 def refuse_many_members(asked: str, count: float) -> None:
-    """Raise if a structure of so many bars and strings does not fit in memory."""
-    refuse_memory(asked, count, "bars and strings", _MEMBER_BYTES)
+    """Raise if so many members do not fit in memory: to be checked, each takes 800 bytes."""
+    refuse_memory(asked, count, "bars and strings", 800)
 
 
 def _fixed_nodes(nodes: Any, count: int) -> IntArray:

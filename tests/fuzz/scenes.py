@@ -462,16 +462,16 @@ def _worker(arguments):
     loading.build_structure = announced
     tc.load_scene(SHIPPED[0])  # what takes time and memory once
     print("ready", flush=True)
-    with tempfile.TemporaryDirectory() as folder:
+    with suppress(BrokenPipeError), tempfile.TemporaryDirectory() as folder:  # it ends early
         file = Path(folder, "scene.toml")
         for line in sys.stdin:
             number = int(line)
             file.write_bytes(spoilt(number, arguments.seed))
             _reset_peak()
             print(0, flush=True)
-            began = time.perf_counter()
+            began = time.process_time()  # that of others on the machine does not count
             kind, message, size = outcome(file, run=number % 10 == 0)
-            seconds = time.perf_counter() - began
+            seconds = time.process_time() - began
             found = number, kind, message[:300], size, seconds, _peak(), file.stat().st_size
             print(json.dumps(found), flush=True)
 

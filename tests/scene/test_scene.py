@@ -1,6 +1,7 @@
 """Scene files: what they give, and what is said of broken ones."""
 
 import os
+import sys
 import tomllib
 from dataclasses import replace
 from inspect import signature
@@ -1078,6 +1079,15 @@ def test_a_file_that_is_not_there(tmp_path):
         tc.load_scene(tmp_path)
     with pytest.raises(TypeError, match="file is a int, expected a path"):
         tc.load_scene(5)
+
+
+def test_a_solver_that_fails_is_told_by_line(load, monkeypatch):
+    def failing(*_):
+        raise ArithmeticError("the linear program of the prestress failed")
+
+    monkeypatch.setattr(sys.modules["tenscontrol.scene.structure_tables"], "prestress", failing)
+    with pytest.raises(SceneError, match=r"scene\.toml:7: in \[prestress\], the linear program"):
+        load(PRISM)
 
 
 # ---- files that are no scenes ----
