@@ -11,7 +11,6 @@ import numpy as np
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
-    choice,
     float_array,
     frozen,
     identifier,
@@ -21,6 +20,7 @@ from tenscontrol.validation import (
     per_member,
     positive,
     shaped,
+    text,
 )
 
 if TYPE_CHECKING:
@@ -301,8 +301,12 @@ class Structure:
         group : str
             A name from ``string_groups``.
         """
-        choice("group", group, dict.fromkeys(self.string_groups))
-        return np.array([i for i, name in enumerate(self.string_groups) if name == group])
+        text("group", group, "a name from string_groups")
+        found = np.array([i for i, name in enumerate(self.string_groups) if name == group])
+        if len(found) == 0:
+            known = ", ".join(repr(name) for name in dict.fromkeys(self.string_groups)) or "none"
+            raise ValueError(f"there is no string group {group!r}; the groups are: {known}")
+        return found
 
     def checked_nodes(self, name: str, nodes: object) -> FloatArray:
         """Return positions or velocities as an array, shape (3, n), or raise naming the argument.

@@ -49,7 +49,8 @@ LEFT_OUT = {("sweep", "executor", "None")}
 # Numbers that ask for a long motion, or for one so fast that it takes many steps, as a million
 # segments and compiling do: it takes its time, and can be interrupted. That is no hang.
 LONG = ("1", "2", "7", "100", "1e6", "1e15", "2**31", "2**63", "uint64", "float32 max", "times 1e6")
-FAST = ("1e6", "1e15", "2**31", "2**63", "uint64", "float32 max", "times 1e6", "plus 1e9")
+FAST = ("1e6", "1e15", "1e100", "-1e100", "2**31", "2**63", "-2**63", "uint64", "float32 max")
+FAST += ("times 1e6", "plus 1e9")
 IN_MOTION = ("state", "held", "velocities", "external_force", "force_density", "rest_length")
 
 # Functions that raise when they are called: that is their own error.

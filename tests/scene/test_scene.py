@@ -645,7 +645,7 @@ BROKEN = {
     ),
     "reference": (
         changed("17.3205", "17.3205\nreference = 'side'"),
-        r":8: in \[prestress\], group is 'side'",
+        r":8: in \[prestress\], there is no string group 'side'",
     ),
     "reference beside table": (
         changed("17.3205", "{top=1,bottom=1,vertical=1}\nreference = 'top'"),

@@ -167,7 +167,7 @@ TARGETS = [
         ValueError,
         "without load γ = 0 balances",
     ),
-    refused("group", lambda: target(reference="side"), ValueError, "group is 'side'"),
+    refused("group", lambda: target(reference="side"), ValueError, "no string group 'side'"),
     refused(
         "group alone",
         lambda: target(force_density=None, reference="top"),
