@@ -48,9 +48,26 @@ LEFT_OUT = {("sweep", "executor", "None")}
 
 # Numbers that ask for a long motion, or for one so fast that it takes many steps, as a million
 # segments and compiling do: it takes its time, and can be interrupted. That is no hang.
-LONG = ("1", "2", "7", "100", "1e6", "1e15", "2**31", "2**63", "uint64", "float32 max", "times 1e6")
-FAST = ("1e6", "1e15", "2**31", "2**63", "uint64", "float32 max", "times 1e6", "plus 1e9")
+LONG = (
+    "1",
+    "2",
+    "7",
+    "int8",
+    "100",
+    "1e6",
+    "1e15",
+    "2**31",
+    "2**63",
+    "uint64",
+    "float32 max",
+    "times 1e6",
+)
+FAST = ("1e6", "1e15", "1e100", "-1e100", "2**31", "2**63", "-2**63", "uint64", "float32 max")
+FAST += ("times 1e6", "plus 1e9")
 IN_MOTION = ("state", "held", "velocities", "external_force", "force_density", "rest_length")
+
+# So many errors, times or nodes are each answered.
+MANY = ("huge list", "array of a million")
 
 # Functions that raise when they are called: that is their own error.
 OWN_FUNCTIONS = ("class", "our class", "class of it", "lambda of it", "method")
@@ -153,7 +170,8 @@ def _is_meant(name, argument, spoiler):
         or (argument == "segments" and spoiler in ("1e6", "times 1e6"))
         or (name == "shape_path" and argument == "step" and spoiler == "1e-6")
         or (argument == "machine_code" and "True" in spoiler)
-        or (argument == "report" and spoiler in OWN_FUNCTIONS)
+        or (argument in ("errors", "times", "nodes") and spoiler in MANY)
+        or (argument in ("report", "case") and spoiler in OWN_FUNCTIONS)
     )
 
 
