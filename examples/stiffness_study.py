@@ -26,7 +26,7 @@ from matplotlib.lines import Line2D
 
 import tenscontrol as tc
 from tenscontrol.control import Controller, HeldLoop, Status, held_loop
-from tenscontrol.interrupt import keeping
+from tenscontrol.interrupt import check, interruptible, keeping
 from tenscontrol.plant import INPUTS, LinearPlant
 from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import farthest_node
@@ -321,7 +321,9 @@ def stiffness_report(
     )
     tolerance = positive_number("tolerance", tolerance, "m")
     truth("progress", progress, "whether to show a progress bar")
-    designs = [task.design(each, _damping(damping, each)) for each in k]
+    with interruptible():  # CasADi may lose a key while it builds
+        designs = [task.design(each, _damping(damping, each)) for each in k]
+        check()
     if reference is not None:
         _refuse_other_end(reference, designs[0].controllers[0].plant, tolerance)
     rows: list[StiffnessRow] = []

@@ -327,7 +327,9 @@ def interrupt_command(name, delay, number):
             raise LostError("a process of the command is left")
         if process.returncode == 0:
             return 0.0, False  # it was over
-        if process.returncode != 128 + number:
+        # Python ends itself by SIGINT, 130 to a shell as well, if KeyboardInterrupt has passed
+        # through the exec of a text, as dataclasses are made: whoever has caught it.
+        if process.returncode not in (128 + number, -signal.SIGINT):
             raise LostError(f"status {process.returncode}, said {error!r}")
         if error != "tenscontrol: interrupted; what is above was done by then\n":
             raise LostError(f"said {error!r}")
