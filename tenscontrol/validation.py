@@ -207,7 +207,7 @@ def choice(name: str, value: object, options: Iterable[str]) -> str:
     allowed = tuple(options)
     if not isinstance(value, str) or value not in allowed:
         quoted = ", ".join(repr(option) for option in allowed) or "none"
-        near = get_close_matches(str(value)[:99], allowed, n=1)
+        near = get_close_matches(value, allowed, n=1) if isinstance(value, str) else ()
         meant = f"; did you mean {near[0]!r}?" if near else ""
         raise ValueError(f"{name} is {_brief(value)}, expected one of {quoted}{meant}")
     return value

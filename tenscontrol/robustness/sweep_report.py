@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from dataclasses import dataclass
-from pathlib import Path
 from typing import final
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from tenscontrol.robustness import store
 from tenscontrol.robustness.store import Record
 from tenscontrol.tables import aligned
-from tenscontrol.validation import FloatArray, IntArray, choice, frozen, positive_number
+from tenscontrol.validation import FloatArray, IntArray, choice, file_path, frozen, positive_number
 
 _QUANTILES = (0.05, 0.5, 0.95)
 
@@ -101,7 +100,7 @@ class SweepReport:
         RuntimeWarning
             If the last line is torn; that run is left out.
         """
-        header, records, _ = store.read(Path(file))
+        header, records, _ = store.read(file_path("file", file))
         return cls(header.case, header.seed, header.count, tuple(records.values()))
 
     def __len__(self) -> int:

@@ -80,7 +80,7 @@ class TestColumns:
         assert found.rank_correlation("first") == {}
         with pytest.raises(ValueError, match="'y' has 2 values in 2 completed runs"):
             of(1, 2).rank_correlation("y")
-        with pytest.raises(ValueError, match="no figure 'z'; the figures are: 'y'"):
+        with pytest.raises(ValueError, match="name is 'z', expected one of 'y'"):
             of(1, 2).figure("z")
 
 

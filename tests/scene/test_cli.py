@@ -177,7 +177,7 @@ def test_accuracy_prints_and_saves_the_comparison(tmp_path, capsys, scene):
 
 def test_accuracy_of_an_unknown_method(tmp_path, capsys, scene):
     err = refused(capsys, "accuracy", scene, "--methods", "rk4,euler", "--output", tmp_path / "n")
-    assert "rest.toml: method is 'euler', expected one of" in err
+    assert "rest.toml: methods[1] is 'euler', expected one of" in err
     assert not (tmp_path / "n").exists()
 
 
