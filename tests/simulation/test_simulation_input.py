@@ -58,7 +58,7 @@ class Stubborn(tc.control.Controller):
 OPEN_LOOP = [
     refused("simulate a structure", lambda: run(model=prism()), TypeError,
             r"model is a Structure, expected Model"),
-    refused("duration zero", lambda: run(duration=0.0), ValueError, r"duration is 0\.0, .* s, between"),
+    refused("duration zero", lambda: run(duration=0.0), ValueError, r"duration is 0\.0, .* in s"),
     refused("duration nan", lambda: run(duration=NAN), ValueError, r"duration is nan"),
     refused("duration text", lambda: run(duration="1"), TypeError, r"duration is '1'"),
     refused("duration none", lambda: run(duration=None), TypeError, r"duration is None"),
