@@ -68,7 +68,7 @@ def off_target(run, after=-np.inf):
 
 controllers = {
     "LQR": tc.lqr(plant, Q, 0.1 * R, sample_time=SAMPLE, max_force_density=90.0),
-    "MPC": tc.MPC(plant, horizon=20, sample_time=SAMPLE, max_force_density=80.0),
+    "MPC": tc.MPC(plant, horizon=10, sample_time=SAMPLE, max_force_density=80.0),
 }
 cases = [(1, 0.0)] + [(s, share) for s in (2, 4, 8) for share in (0.001, 0.01, 0.05, 0.2)]
 left = {name: [] for name in controllers}
