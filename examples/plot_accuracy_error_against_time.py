@@ -34,7 +34,7 @@ compared = tc.work_precision(
     list(settings),
     settings,
     peers=[SciPy("DOP853", settings=tolerances), MuJoCo("rk4", settings=steps)],
-    repeats=2,
+    repeats=1,
     outputs=30,
 )
 print(compared.table())

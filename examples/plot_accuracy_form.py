@@ -63,7 +63,7 @@ for case in cases:
         dict.fromkeys(["rk4", "rattle6"], STEPS),
         peers=[MuJoCo("rk4", settings=STEPS)],
         reference=reference,
-        repeats=2,
+        repeats=1,
     )
     print(compared.table(), end="\n\n")
     distances = [across_switches(case, step) - reference.nodes for step in STEPS]

@@ -54,7 +54,7 @@ if __name__ != "__mp_main__":
     mpc = tc.MPC(plant, horizon=8, sample_time=0.04, max_force_density=65.0, load_gain=0.1)
     for name, estimator in estimators(plant).items():
         case = tc.ClosedLoopCase(
-            prism, strings, mpc, duration=2.4, step=1e-2, tolerance=TOLERANCE, estimator=estimator
+            prism, strings, mpc, duration=2.0, step=1e-2, tolerance=TOLERANCE, estimator=estimator
         )
         reports[name] = tc.sweep(case, drawn, counts[name], seed=0)
         print(f"{name}: {reports[name].summary()}\n")

@@ -56,7 +56,7 @@ runs = {
         nodes=start,
         controller=controller,
         input=hold,
-        step=1e-3,
+        step=2e-3,
         output_step=0.02,
         **actuators,
     )

@@ -33,6 +33,7 @@ report = stiffness_report(
     damping=lambda k: 0.02 * np.sqrt(k),  # N s/m
     reference=path.reference(),
     duration=2.0,
+    horizon=15,
 )
 print(report.summary())
 

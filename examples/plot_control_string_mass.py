@@ -40,9 +40,9 @@ def plant_with_mass(segments, share):
 
 
 def step_for(model):
-    """Return a step within which the fastest string turns by one radian at most."""
+    """Return a step within which the fastest string turns by two radians at most."""
     fastest = np.abs(np.linalg.eigvals(tc.linearize(model, at_rest(model), "rest_length").A)).max()
-    return min(1e-3, 1.0 / fastest)
+    return min(1e-3, 2.0 / fastest)
 
 
 def at_rest(model):
@@ -68,7 +68,7 @@ def off_target(run, after=-np.inf):
 
 controllers = {
     "LQR": tc.lqr(plant, Q, 0.1 * R, sample_time=SAMPLE, max_force_density=90.0),
-    "MPC": tc.MPC(plant, horizon=20, sample_time=SAMPLE, max_force_density=80.0),
+    "MPC": tc.MPC(plant, horizon=10, sample_time=SAMPLE, max_force_density=80.0),
 }
 cases = [(1, 0.0)] + [(s, share) for s in (2, 4, 8) for share in (0.001, 0.01, 0.05, 0.2)]
 left = {name: [] for name in controllers}
@@ -108,7 +108,7 @@ full = tc.plant.command_parents(tc.linearize(heavy, at_rest(heavy), input="rest_
 weights = tc.energy_weights(full)
 regulator = tc.lqr(full, weights[0], 0.1 * weights[1])
 run = tc.simulate(
-    heavy, DURATION, nodes, controller=regulator, sample_time=0.002, step=1e-3, output_step=SAMPLE
+    heavy, DURATION, nodes, controller=regulator, sample_time=0.005, step=1e-3, output_step=SAMPLE
 )
 left_with_full = off_target(run, DURATION - 0.5).max()
 print(f"{full.degrees_of_freedom} internal coordinates with strings, 9 without")

@@ -4,6 +4,7 @@ import ast
 import dataclasses
 import inspect
 import re
+from functools import cache
 
 import pytest
 from numpydoc.docscrape import get_doc_object
@@ -120,15 +121,20 @@ def _attributes(cls):
     for base in cls.__mro__:
         names |= set(vars(base)) | set(vars(base).get("__annotations__", {}))
         if base.__module__.startswith("tenscontrol"):
-            source = inspect.cleandoc("\n" + inspect.getsource(base))
-            names |= {
-                node.attr
-                for node in ast.walk(ast.parse(source))
-                if isinstance(node, ast.Attribute)
-                and isinstance(node.ctx, ast.Store)
-                and ast.unparse(node.value) == "self"
-            }
+            names |= _set_on_self(base)
     return names
+
+
+@cache
+def _set_on_self(cls):
+    source = inspect.cleandoc("\n" + inspect.getsource(cls))
+    return {
+        node.attr
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.ctx, ast.Store)
+        and ast.unparse(node.value) == "self"
+    }
 
 
 @pytest.mark.parametrize("name", public_classes())
@@ -142,7 +148,8 @@ def test_classes_document_what_they_hold(name):
     own = inspect.cleandoc(cls.__doc__)
     # numpydoc lists properties by itself; what is written counts.
     listed = [entry for entry in listed if re.search(rf"^[\w, ]*\b{entry}\b[\w, ]* :", own, re.M)]
-    assert [entry for entry in listed if entry not in _attributes(cls)] == []
+    held = _attributes(cls)
+    assert [entry for entry in listed if entry not in held] == []
     if dataclasses.is_dataclass(cls) and "Parameters" not in sections(cls):
         fields = [field.name for field in dataclasses.fields(cls)]
         assert {field for field in fields if not field.startswith("_")} - set(listed) == set()

@@ -265,10 +265,10 @@ def _is_mutable(value):
     return False
 
 
-def _module_containers(path):
+def _module_containers(tree):
     """Names bound at module level to something that can change, with their lines."""
     names = {}
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for node in tree.body:
         targets = node.targets if isinstance(node, ast.Assign) else []
         if isinstance(node, ast.AnnAssign) and node.value is not None:
             targets = [node.target]
@@ -287,14 +287,15 @@ def _root(node):
 def test_modules_hold_no_settings_that_change():
     faults = []
     for path in sorted(PACKAGE.rglob("*.py")):
-        containers = _module_containers(path)
+        tree, file = ast.parse(path.read_text(encoding="utf-8")), str(path.relative_to(PACKAGE))
+        containers = _module_containers(tree)
         faults += [
-            f"{path.relative_to(PACKAGE)}:{line} {name} is public and mutable"
+            f"{file}:{line} {name} is public and mutable"
             for name, line in containers.items()
             if not name.startswith("_")
         ]
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            where = f"{path.relative_to(PACKAGE)}:{getattr(node, 'lineno', 0)}"
+        for node in ast.walk(tree):
+            where = f"{file}:{getattr(node, 'lineno', 0)}"
             if isinstance(node, ast.Global):
                 faults.append(f"{where} global {', '.join(node.names)}")
             changed = []

@@ -10,9 +10,9 @@ from types import MappingProxyType
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, fastest_rate
-from tenscontrol.accuracy.measured_run import checked_settings, invariants, method_named
+from tenscontrol.accuracy.measured_run import checked_settings, method_named
 from tenscontrol.actuation import to_rest_length
-from tenscontrol.dynamics import LinearStrings, Model
+from tenscontrol.dynamics import LinearStrings, Model, evaluate_columns
 from tenscontrol.integrate import IntegrationError, Method
 from tenscontrol.interrupt import keeping
 from tenscontrol.limits import MOST_RUNS
@@ -225,7 +225,8 @@ class _Probe:
             except IntegrationError:
                 return float("inf")
             with np.errstate(over="ignore", invalid="ignore"):
-                largest = max(largest, float(invariants(self._case, span.states).kinetic.max()))
+                (kinetic,) = evaluate_columns(self._case.model.kinetic_energy, span.states)
+                largest = max(largest, float(kinetic.max()))
             if not largest <= self._allowed:
                 return float("inf")
             state = span.states[:, -1]

@@ -55,7 +55,6 @@ def write_gif(path: Path, canvas: Any, pictures: Iterable[None], count: int, rat
     frames: list[Image.Image] = []
     palette: Image.Image | None = None
     for _ in pictures:
-        canvas.draw()
         picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
         if palette is None:
             palette = _palette(picture)
@@ -186,11 +185,22 @@ def animate(
     ax.view_init(elev=float(eye[0]), azim=float(eye[1]))
     figure.legend(handles=samples, loc="upper left", frameon=False, fontsize="small")
     clock = figure.text(0.97, 0.96, "", ha="right", va="top")
+    # Axes and legend stand still: they are drawn once, and what moves upon a copy of them.
+    moving = [*sorted((*ax.collections, *ax.lines), key=lambda each: each.get_zorder()), clock]
+    for artist in moving:
+        artist.set_animated(True)
+    canvas.draw()
+    still = canvas.copy_from_bbox(figure.bbox)
 
     def pictures() -> Iterator[None]:
         for time, shape, gamma in zip(times, np.moveaxis(shapes, 2, 0), gammas.T, strict=True):
             drawing.update(shape, gamma)
             clock.set_text(f"t = {time:.2f} s")
+            canvas.restore_region(still)
+            for members in ax.collections:
+                members.do_3d_projection()
+            for artist in moving:
+                artist.draw(canvas.get_renderer())
             yield
 
     write_gif(place, canvas, pictures(), len(times), rate)

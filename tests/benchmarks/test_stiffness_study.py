@@ -5,6 +5,7 @@ import os
 import signal
 import warnings
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ def damping(stiffness):
     return 0.02 * np.sqrt(stiffness)
 
 
+@cache
 def model_of(stiffness):
     return tc.Model(TARGET, strings=tc.LinearStrings(stiffness, damping=damping(stiffness)))
 
@@ -63,6 +65,7 @@ def push(plant, speed):
     return velocities * (speed / np.linalg.norm(velocities, axis=0).max())
 
 
+@cache
 def fastest(stiffness):
     plant = tc.linearize(model_of(stiffness), REST, input="rest_length")
     return np.abs(np.linalg.eigvals(plant.A)).max()
@@ -102,7 +105,8 @@ def report():
 @pytest.mark.parametrize("held", ["force_density", "rest_length"])
 def test_rows_are_what_loops_made_by_hand_give(report, held):
     row = report.rows[1]
-    for name, controller in laws(1e4, held, reference=RAMP).items():
+    made = laws(1e4, held, reference=RAMP)
+    for name, controller in made.items():
         plant = controller.plant
         start = (RAMP.nodes[:, :, 0], None) if name == "MPC" else (TARGET.nodes, push(plant, 0.02))
         run = tc.simulate(
@@ -117,7 +121,7 @@ def test_rows_are_what_loops_made_by_hand_give(report, held):
         assert found.slackened == (run.work.switches > 0)
         assert found.commands_not_ok == sum(status != "ok" for status in run.control.status)
         assert found.failure is None
-    law = laws(1e4, held)["LQR"]
+    law = made["LQR"]
     if held == "force_density":
         loop = tc.control.held_loop(law.plant, law.gain, sample_time=SAMPLE)
         assert (row.held.radius, row.held.designed_radius) == (loop.radius, loop.designed_radius)
