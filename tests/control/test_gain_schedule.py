@@ -106,7 +106,7 @@ def test_a_schedule_goes_there_and_back():
     ]
     run = tc.simulate(
         path().model, reference.time[-1] + 0.7, controller=tc.GainSchedule(controllers),
-        winches=winches, rest_length=path().rest_length[:, 0], step=1e-3, output_step=SAMPLE,
+        winches=winches, rest_length=path().rest_length[:, 0], step=1e-3,
     )  # fmt: skip
     height = run.nodes[2, TOP].mean(axis=0) - run.nodes[2, BOTTOM].mean(axis=0)
     assert abs(height[-1] - 1.0) < 1e-4

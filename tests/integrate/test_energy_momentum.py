@@ -208,7 +208,7 @@ def test_a_hundred_thousand_steps_keep_energy_and_bars_through_slack_and_taut():
     lengths = np.array([0.9, 0.9, 1.2])
     start = pack_state(structure, structure.nodes, np.zeros_like(structure.nodes))
     method = EnergyMomentum(model.equation("rest_length"), step=2e-3)
-    span = method.advance(start, lengths, duration=200.0, outputs=1_000)
+    span = method.advance(start, lengths, duration=200.0, outputs=4_000)
     assert span.work.steps == 100_000
     taut = np.array(
         [structure.string_length(n) > lengths for n in all_nodes(structure, span.states)]

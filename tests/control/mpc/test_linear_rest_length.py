@@ -99,7 +99,7 @@ def test_new_height_is_reached_by_winches(stiffness, damped, ramp):
     wound = tc.to_rest_length(plant.model, prism.nodes, rest.force_density).rest_length
     run = tc.simulate(
         plant.model, ramp + 1.0, prism.nodes, controller=mpc, winches=winches, rest_length=wound,
-        step=step_for(plant), output_step=SAMPLE,
+        step=step_for(plant),
     )  # fmt: skip
     height = demo.height_of(run.nodes[:, :, run.time > ramp + 0.5])
     assert np.abs(height - demo.TARGET).max() < 1e-3
