@@ -22,9 +22,12 @@ from tenscontrol.dynamics.machine_code import compiler
 from tests.benchmarks.command_line import options
 from tests.deploy import scenes
 
+SAMPLES = 500
+SPOILT, ABSURD = (57, 120, 121, 122, 400), (180, 181, 300)
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__doc__, arguments, samples=scenes.SAMPLES, controllers=7)
+    given = options(__doc__, arguments, samples=SAMPLES, controllers=7)
     found = compiler()
     if found is None:
         print("there is no C compiler")
@@ -49,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name, (controller, held) in islice(controllers.items(), given.controllers):
         with tempfile.TemporaryDirectory() as folder:
             made = tc.generate_c(controller, folder)
-            pair = scenes.Pair(controller, made.compile())
+            pair = scenes.Pair(controller, made.compile(), SPOILT, ABSURD)
             scenes.closed_loop(pair, samples=given.samples, **held)
             one, other = pair.statuses
             assert one == other  # what the table is about

@@ -20,17 +20,22 @@ def path():
     return tc.shape_path(model, start, goal, duration=2.5, step=SAMPLE)
 
 
+@cache
+def plants_of(count):
+    return path().plants(count, "rest_length")
+
+
 def mpc_of(plant, **options):
     return tc.MPC(plant, horizon=8, sample_time=SAMPLE, reference=path().reference(), **options)
 
 
 @cache
 def schedule(count=4):
-    return tc.GainSchedule([mpc_of(plant) for plant in path().plants(count, "rest_length")])
+    return tc.GainSchedule([mpc_of(plant) for plant in plants_of(count)])
 
 
 def test_plants_lie_along_the_path_evenly():
-    plants = path().plants(4, "rest_length")
+    plants = plants_of(4)
     np.testing.assert_allclose(plants[0].nodes, path().nodes[:, :, 0])
     np.testing.assert_allclose(plants[-1].nodes, path().nodes[:, :, -1])
     for plant in plants:
@@ -68,7 +73,7 @@ def test_the_nearest_acts_and_gives_its_own_command():
 
 def test_limits_of_change_hold_across_a_switch():
     winches = tc.Winches(rate=0.05)
-    plants = path().plants(2, "rest_length")
+    plants = plants_of(2)
     found = tc.GainSchedule([mpc_of(plant, winches=winches) for plant in plants])
     last = found.command(0.0, plants[0].nodes, STILL).value
     for k in range(1, 6):
@@ -94,7 +99,7 @@ def test_a_schedule_goes_there_and_back():
     there = path().reference()
     reference = there.then(there.reversed(), pause=0.3)
     winches = tc.Winches(rate=0.5, substeps=10)
-    plants = path().plants(6, "rest_length")
+    plants = plants_of(6)
     controllers = [
         tc.MPC(plant, horizon=8, sample_time=SAMPLE, reference=reference, winches=winches)
         for plant in plants
@@ -110,15 +115,20 @@ def test_a_schedule_goes_there_and_back():
     assert set(run.control.status_count) == {"ok"}
 
 
+@cache
+def with_load(number):
+    winches = tc.Winches(substeps=10)
+    return mpc_of(plants_of(6)[number], winches=winches, load_gain=1.0)
+
+
 @pytest.mark.parametrize(("push", "gained"), [(1e-4, 5.0), (1e-3, 40.0)])
 def test_the_nearest_plant_predicts_where_a_far_one_does_not(push, gained):
     """By what the shape does otherwise than predicted, as accelerations, near the start."""
     winches = tc.Winches(substeps=10)
-    plants = path().plants(6, "rest_length")
-    start = plants[0].to_nodes(push * np.random.default_rng(0).normal(size=9))
+    start = plants_of(6)[0].to_nodes(push * np.random.default_rng(0).normal(size=9))
     left = {}
-    for name, chosen in (("far", plants[-1:]), ("middle", plants[2:3]), ("nearest", plants)):
-        found = tc.GainSchedule([mpc_of(plant, winches=winches, load_gain=1.0) for plant in chosen])
+    for name, chosen in (("far", [5]), ("middle", [2]), ("nearest", range(6))):
+        found = tc.GainSchedule([with_load(number) for number in chosen])
         tc.simulate(
             path().model, 5 * SAMPLE, start, controller=found, winches=winches, step=1e-4,
             rest_length=path().rest_length[:, 0],
@@ -154,7 +164,7 @@ def test_bars_may_be_turned_beyond_the_coordinates():
 
 
 def test_a_regulator_can_be_scheduled():
-    plants = path().plants(2, "rest_length")
+    plants = plants_of(2)
     laws = []
     for plant in plants:
         Q, R = tc.energy_weights(plant, by_mode=True)
@@ -168,7 +178,7 @@ def test_a_regulator_can_be_scheduled():
 def test_the_change_counts_from_what_winches_hold_across_a_switch():
     """A stuck winch stands elsewhere than was commanded; the next controller is told."""
     winches = tc.Winches(rate=0.05)
-    plants = path().plants(2, "rest_length")
+    plants = plants_of(2)
     found = tc.GainSchedule([mpc_of(plant, winches=winches, load_gain=0.5) for plant in plants])
     stands = plants[0].rest_length
     found.applied(stands)
@@ -192,7 +202,7 @@ def test_the_change_counts_from_what_winches_hold_across_a_switch():
 
 
 def test_each_command_is_counted_once_by_the_schedule_and_once_by_its_controller():
-    plants = path().plants(2, "rest_length")
+    plants = plants_of(2)
     found = tc.GainSchedule([mpc_of(plant) for plant in plants])
     absurd = plants[1].nodes + 20 * np.eye(3, 6)  # bars far too long
     for nodes in (plants[0].nodes, plants[1].nodes, np.nan * STILL, absurd, plants[1].nodes):
@@ -213,7 +223,7 @@ def test_each_command_is_counted_once_by_the_schedule_and_once_by_its_controller
 
 
 def test_each_controller_keeps_its_own_bounds():
-    plants = path().plants(2, "rest_length")
+    plants = plants_of(2)
     lows = [0.95 * plant.rest_length for plant in plants]
     found = tc.GainSchedule(
         [
@@ -233,7 +243,7 @@ def test_each_controller_keeps_its_own_bounds():
 
 
 def test_a_schedule_in_a_run_with_faults():
-    plants = path().plants(3, "rest_length")
+    plants = plants_of(3)
     winches = tc.Winches(rate=0.5, substeps=5)
     found = tc.GainSchedule([mpc_of(plant, winches=winches, load_gain=0.2) for plant in plants])
     stuck, lost = tc.StuckWinch(2, time=0.4, until=0.7), tc.LostMeasurement(time=1.0, until=1.06)

@@ -8,11 +8,11 @@ import tenscontrol as tc
 from tenscontrol.demo import tour as demo
 
 SAMPLE = 0.02
-SAMPLES = 500
+SAMPLES = 200
 
 # Samples whose measurement is spoilt: one alone, three in a row, and one again.
-SPOILT = (57, 120, 121, 122, 400)
-ABSURD = (180, 181, 300)
+SPOILT = (57, 120, 121, 122, 160)
+ABSURD = (80, 81, 140)
 
 WINCHES = tc.Winches(rate=0.5, shortest=0.1)
 WINDING = tc.Winches(rate=0.5, shortest=0.1, substeps=10)
@@ -21,13 +21,13 @@ WINDING = tc.Winches(rate=0.5, shortest=0.1, substeps=10)
 class Pair(tc.control.Controller):
     """Obeys one controller, and asks another for the same command.
 
-    Every measurement in ``SPOILT`` is handed to both with one entry that is not a number, every
-    one in ``ABSURD`` with a bar twice as long.
+    Every measurement in ``spoilt`` is handed to both with one entry that is not a number, every
+    one in ``absurd`` with a bar twice as long.
     """
 
-    def __init__(self, one, other):
+    def __init__(self, one, other, spoilt=SPOILT, absurd=ABSURD):
         super().__init__(one.plant, one.sample_time, *one.bounds)
-        self.one, self.other = one, other
+        self.one, self.other, self.spoilt, self.absurd = one, other, spoilt, absurd
         self.reset()
 
     def reset(self):
@@ -37,9 +37,9 @@ class Pair(tc.control.Controller):
 
     def command(self, time, nodes, velocities):
         nodes, velocities = np.array(nodes), np.array(velocities)
-        if len(self.answers) in SPOILT:
+        if len(self.answers) in self.spoilt:
             velocities[1, 2] = np.nan
-        if len(self.answers) in ABSURD:
+        if len(self.answers) in self.absurd:
             start, end = self.plant.model.structure.bars[0]
             nodes[:, end] += nodes[:, end] - nodes[:, start]
         self.asked.append(np.r_[time, nodes.ravel(order="F"), velocities.ravel(order="F")])

@@ -15,7 +15,7 @@ def test_force_density_along_a_moving_reference(tmp_path):
     run = scenes.closed_loop(pair)
     scenes.check(pair)
     # Within 2 mm of the new height, although eight samples were spoilt.
-    assert np.abs(demo.height_of(run.nodes)[run.time > 9.0] - demo.TARGET).max() < 2e-3
+    assert np.abs(demo.height_of(run.nodes)[run.time > 3.5] - demo.TARGET).max() < 2e-3
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def test_unknown_load_is_estimated_alike(loaded):
     scenes.check(loaded)
     assert np.linalg.norm(loaded.one.load) > 0.1
     # Without the estimate 2 N leave the height off by 5 mm.
-    assert np.abs(demo.height_of(run.nodes)[run.time > 9.0] - demo.TARGET).max() < 1.5e-3
+    assert np.abs(demo.height_of(run.nodes)[run.time > 3.5] - demo.TARGET).max() < 1.5e-3
 
 
 def test_motions_that_no_load_explains(loaded):

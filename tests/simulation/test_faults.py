@@ -167,6 +167,7 @@ def plant(held):
     return tc.linearize(model(0.5), rest(), held)
 
 
+@cache
 def controller(kind, held, **changes):
     limits = {"max_force_density": 60.0, "max_change": 6.0}
     if held == "rest_length":

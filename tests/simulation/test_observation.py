@@ -101,8 +101,9 @@ def test_the_prism_comes_to_rest_by_any_kind_of_reading(
 ):
     estimator = tc.kalman(held, sensors_of(model, *kinds), sample_time=STEP, prediction=prediction)
     run = tc.simulate(
-        model, 3.0, start, controller=regulator, step=2e-3, rest_length=wound, estimator=estimator
-    )
+        model, 3.0, start, controller=regulator, step=2e-3, output_step=STEP, rest_length=wound,
+        estimator=estimator,
+    )  # fmt: skip
     off, left = errors(held, run, kept=100)
     assert left[0] > 0.02
     assert 1e3 * left[-50:].max() < left_at_most
@@ -129,7 +130,7 @@ def test_delay_losses_and_corrupt_readings_are_borne(model, held, regulator, sta
         model, "string_length", "bar_direction", delay=2, drop_rate=0.1, outlier_rate=0.02
     )
     run = tc.simulate(
-        model, 4.0, start, controller=regulator, step=2e-3, rest_length=wound,
+        model, 4.0, start, controller=regulator, step=2e-3, output_step=STEP, rest_length=wound,
         estimator=tc.kalman(held, sensors, sample_time=STEP), seed=3,
     )  # fmt: skip
     off, left = errors(held, run, kept=100)
@@ -273,8 +274,8 @@ def test_large_motions_need_the_nonlinear_prediction(model, lowered, needs):
             held, sensors, sample_time=STEP, prediction=prediction, start=prism.nodes
         )
         run = tc.simulate(
-            model, 2.0, controller=mpc, step=2e-3, rest_length=wound, estimator=estimator,
-            winches=tc.Winches(rate=0.5),
+            model, 2.0, controller=mpc, step=2e-3, output_step=STEP, rest_length=wound,
+            estimator=estimator, winches=tc.Winches(rate=0.5),
         )  # fmt: skip
         off[prediction] = errors(held, run)[0].max()
         restarts[prediction] = run.control.estimate.statistics.restarts

@@ -10,11 +10,11 @@ from tests.control.mpc.test_linear import kkt_residual
 class IpoptNMPC(Controller):
     """Multiple shooting with the prediction model, weights and bounds of an ``NMPC``.
 
-    Started from its last solution, moved on by a sample, and from its multipliers; but for the
-    first sample the barrier starts small, since the bounds that matter hardly change from one
-    sample to the next. Where winches wind, the input before
-    matters to the motion, and is weighed at the end. Second derivatives are exact, or those of
-    BFGS: the former take long to write where steps are implicit.
+    Started from its last solution and its multipliers, moved on by a sample; but for the first
+    sample the barrier starts small, since the bounds that matter hardly change from one sample to
+    the next. Where winches wind, the input before matters to the motion, and is weighed at the end.
+    Second derivatives are exact, or those of BFGS: the former take long to write where steps are
+    implicit.
     """
 
     def __init__(self, nmpc, tolerance=1e-8, hessian="exact"):
@@ -73,13 +73,17 @@ class IpoptNMPC(Controller):
         solver = self._warm if self._multipliers else self._cold
         answer = solver(x0=self._x, p=parameters, **self._multipliers, **self._bounds)
         assert solver.stats()["success"], solver.stats()["return_status"]
-        self._multipliers = {"lam_x0": answer["lam_x"], "lam_g0": answer["lam_g"]}
-        x = np.array(answer["x"]).ravel()
+        x, of_x, of_gaps = (np.array(answer[name]).ravel() for name in ("x", "lam_x", "lam_g"))
+        self._multipliers = {"lam_x0": self._moved_on(of_x), "lam_g0": self._moved_on(of_gaps)}
         self.cost = float(answer["f"])
-        Z, U = (part.reshape(self._N, -1) for part in np.split(x, [self._split]))
-        self.inputs = self._level * U
-        self._x = np.r_[np.vstack([Z[1:], Z[-1:]]).ravel(), np.vstack([U[1:], U[-1:]]).ravel()]
+        self.inputs = self._level * x[self._split :].reshape(self._N, -1)
+        self._x = self._moved_on(x)
         return Command(self.inputs[0])
+
+    def _moved_on(self, values):
+        """Return what belongs to states, and to inputs where there are any, a sample later."""
+        parts = (part.reshape(self._N, -1) for part in np.split(values, [self._split]))
+        return np.concatenate([np.r_[part[1:], part[-1:]].ravel() for part in parts])
 
     def _fall_back(self, reason):
         raise AssertionError(reason)
