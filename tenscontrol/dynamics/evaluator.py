@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from functools import cached_property, wraps
 from queue import SimpleQueue
 from threading import Lock, RLock, get_ident
+from traceback import clear_frames
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import casadi as ca
@@ -39,9 +40,9 @@ _SOLVING = Lock()
 _dropped: SimpleQueue[Any] = SimpleQueue()
 
 
-def _free() -> None:
-    while not _dropped.empty():
-        _dropped.get()
+def _free(dropped: SimpleQueue[Any] = _dropped) -> None:
+    while not dropped.empty():
+        dropped.get()
 
 
 def builds(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Value]:
@@ -51,7 +52,12 @@ def builds(function: Callable[_Arguments, _Value]) -> Callable[_Arguments, _Valu
     def locked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
         with BUILDING:
             _free()
-            return function(*args, **kwargs)
+            try:
+                return function(*args, **kwargs)
+            except BaseException as error:
+                # Expressions of a build that failed must end under the lock as well.
+                clear_frames(error.__traceback__)
+                raise
 
     return locked
 
@@ -84,18 +90,26 @@ class built(cached_property[_Value]):  # noqa: N801, as cached_property
             return super().__get__(instance, owner)
 
 
-def _drop(self: Any) -> None:
-    """Free an object of CasADi here if no other thread builds, else leave it to that thread."""
-    if not _is_mine():
-        _dropped.put(self.this)
-        if BUILDING.acquire(blocking=False):
+def _drop(
+    self: Any, mine: Any = _is_mine, put: Any = _dropped.put, lock: Any = BUILDING,
+    free: Any = _free,
+) -> None:  # fmt: skip
+    """Free an object of CasADi here if no other thread builds, else leave it to that thread.
+
+    What it needs are its defaults: at the end of the process, names of modules are gone before it.
+    """
+    if not mine():
+        put(self.this)
+        if lock.acquire(blocking=False):
             try:
-                _free()
+                free()
             finally:
-                BUILDING.release()
+                lock.release()
 
 
-for _class in (ca.SX, ca.MX, ca.Function, ca.FunctionBuffer):
+# Not of expressions, though they are counted without a lock too: those of a build end with it, and
+# Ctrl-C in a ``__del__`` is lost, so there must be few.
+for _class in (ca.Function, ca.FunctionBuffer):
     _class.__del__ = _drop
 
 

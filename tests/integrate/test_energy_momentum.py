@@ -391,8 +391,10 @@ def test_nonsense_is_never_a_result(prism, options):
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     start = pack_state(prism, prism.nodes, np.zeros((3, 6)))
     method = EnergyMomentum(model.equation("rest_length"), **options)
-    with pytest.raises(IntegrationError) as info:
+    with pytest.raises(ValueError, match=r"held\[0\] is nan"):
         method.advance(start, np.full(9, np.nan), 1.0, 10)
+    with pytest.raises(IntegrationError) as info:
+        method.advance(start, np.full(9, -1e70), 1.0, 10)
     assert info.value.time == 0
     assert info.value.span.states.shape == (36, 0)
     assert info.value.span.work.steps == 0
