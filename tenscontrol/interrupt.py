@@ -72,6 +72,9 @@ def _main_thread() -> int:
 
 @contextmanager
 def _set(name: str, value: bool = True) -> Iterator[Interruption]:
+    if _thread.get_ident() != _main_thread():  # signals are no concern of other threads
+        yield _STATE
+        return
     before = getattr(_STATE, name)
     try:
         setattr(_STATE, name, value)

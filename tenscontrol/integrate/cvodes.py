@@ -139,6 +139,7 @@ class CVODES(Integrator):
             with interruptible(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 motion.begin(state / scale)
                 while motion.now < duration:
+                    check()
                     window = motion.next_window()
                     reached = int(np.searchsorted(times, motion.now, side="right"))
                     if reached > done:

@@ -18,6 +18,7 @@ from tenscontrol.simulation.observation import Observation
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
 from tenscontrol.structure import same_members, to_segments, to_strings
 from tenscontrol.validation import (
+    LARGEST,
     FloatArray,
     IntArray,
     frozen,
@@ -88,6 +89,8 @@ def run_closed_loop(
     until = loop.now + duration
     for k in range(max(1, ceil(duration / sample - 1e-9))):
         loop.now = (begin + k) * sample
+        if np.abs(state).max() > LARGEST:
+            raise loop.stopped(f"the motion has run away, beyond {LARGEST:g} in m and m/s")
         N, V = (part[:, :, 0] for part in unpack_states(loop.model.structure, state[:, None]))
         moment = loop.now + 1e-9 * sample  # a fault that begins at the sample is there
         lost = loop.faults.lost(moment)

@@ -194,13 +194,13 @@ ESTIMATION = [
             r"run has no estimate"),
     refused("plot.estimate of a string that is not",
             lambda: tc.plot.estimate(closed(estimator=estimator()), strings=(9,)), ValueError,
-            r"strings names 9, expected 0 to 8"),
+            r"strings\[0\] is 9, expected 0 to 8"),
     refused("plot.estimate of no strings",
-            lambda: tc.plot.estimate(closed(estimator=estimator()), strings=()), ValueError,
-            r"strings is empty, expected at least one index"),
+            lambda: tc.plot.estimate(closed(estimator=estimator()), strings=()), TypeError,
+            r"strings is \(\), expected a sequence of string indices"),
     refused("plot.estimate of strings by name",
             lambda: tc.plot.estimate(closed(estimator=estimator()), strings="top"), TypeError,
-            r"strings is 'top', expected a sequence"),
+            r"strings must be an array of real numbers; found 'top'"),
 ]
 
 # fmt: on

@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.sparse import csc_array
 import tenscontrol as tc
 from tenscontrol.control import Command, Controller, Status
 from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
-from tenscontrol.interrupt import InterruptionWarning, interruptible
+from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
 from tenscontrol.simulation import loop
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 
@@ -183,3 +184,24 @@ def test_before_the_first_step_there_is_no_motion(example, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         tc.simulate(example.model, 1.0, rest_length=example.lengths, step=1e-3)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_results_put_together_in_other_threads_leave_signals_alone():
+    begun, over = threading.Event(), threading.Event()
+
+    def other():
+        with finishing():
+            begun.set()
+            over.wait(60)
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    begun.wait(60)
+    try:
+        with interruptible():
+            signal.raise_signal(signal.SIGINT)
+            with pytest.raises(KeyboardInterrupt):
+                time.sleep(60)  # nothing checks, so it is ended
+    finally:
+        over.set()
+        thread.join()
