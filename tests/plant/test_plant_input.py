@@ -106,7 +106,7 @@ PLANT = [
     refused("in_coordinates unknown", lambda: tc.plant.in_coordinates(plant(), "modal"), ValueError,
             r"is 'modal', expected one of 'nodes', 'minimal', 'internal'"),
     refused("step zero", lambda: plant().discretize(0.0), ValueError,
-            r"sample_time is 0\.0, .* s$"),
+            r"sample_time is 0\.0, .* in s"),
     refused("step negative", lambda: plant().discretize(-0.1), ValueError, r"sample_time is -0\.1"),
     refused("step nan", lambda: plant().discretize(NAN), ValueError, r"sample_time is nan"),
     refused("step text", lambda: plant().discretize("0.1"), TypeError, r"sample_time is '0\.1'"),
