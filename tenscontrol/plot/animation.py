@@ -171,7 +171,7 @@ def animate(
     times = np.linspace(run.time[0], run.time[-1], max(2, round(length * rate)))
     shapes, gammas = _sampled(run, motion, times)
     figure = Figure(figsize=SIZE, dpi=dots)
-    canvas = FigureCanvasAgg(figure)
+    canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
     figure.subplots_adjust(**FILLED)
     ax = new_space(figure)
     samples = legend_samples(run.structure, any(is_slack(gamma).any() for gamma in gammas.T))
