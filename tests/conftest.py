@@ -1,5 +1,6 @@
 """What all tests share."""
 
+import signal
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,10 @@ from tests.oracle import HeldRestLength, RigidBars
 # Property tests draw the same examples on every run, so that a failure can be repeated.
 settings.register_profile("tenscontrol", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("tenscontrol")
+
+# A shell starts what runs in its background with Ctrl-C ignored, and tests of it would fail there.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
