@@ -38,6 +38,9 @@ from tenscontrol.validation import (
 
 PREDICTIONS = ("linear", "nonlinear")
 
+# Part of the size by which string lengths at the start may be off in the coordinates.
+_START_TOLERANCE = 1e-3
+
 # Standard deviation of the load at the start, as a part of the pull of a string.
 _LOAD_START = 0.3
 
@@ -235,7 +238,7 @@ def _start_state(plant: LinearPlant, nodes: object) -> FloatArray:
     structure = plant.model.structure
     shape = structure.checked_nodes("start", nodes)
     refuse_wrong_bar_lengths("start", structure, shape)
-    q = reduced_shape(plant, "start", shape)
+    q = reduced_shape(plant, "start", shape, _START_TOLERANCE)
     return np.concatenate([q, np.zeros_like(q)])
 
 

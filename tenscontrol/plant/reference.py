@@ -371,7 +371,9 @@ def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
     for each, N in zip(names, shapes, strict=True):
         refuse_wrong_bar_lengths(each, structure, N, _OFF)
         refuse_moved_supports(each, structure, N, _OFF)
-    q = np.array([reduced_shape(plant, *each) for each in zip(names, shapes, strict=True)])
+    q = np.array(
+        [reduced_shape(plant, *each, 2 * _OFF) for each in zip(names, shapes, strict=True)]
+    )
     # A mirror image keeps all lengths, but bars would have to pass through one another on the way:
     # from the operating point to the nearest shape, and from each shape to the next.
     apart = [bar_distances(structure, N) for N in (plant.nodes, *shapes)]
@@ -391,18 +393,21 @@ def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
     return q
 
 
-def reduced_shape(plant: LinearPlant, name: str, nodes: FloatArray) -> FloatArray:
-    """Return q of a shape, shape (r,), or raise where the coordinates of the plant end before."""
+def reduced_shape(plant: LinearPlant, name: str, nodes: FloatArray, off: float) -> FloatArray:
+    """Return q of a shape, shape (r,), or raise where the coordinates of the plant end before.
+
+    Strings may then be ``off`` in their lengths, as a part of the size.
+    """
     q = plant.measure(nodes, np.zeros_like(nodes))[: plant.degrees_of_freedom]
     try:
         found = plant.to_nodes(q)
-    except ValueError as error:
-        raise ValueError(f"{name} is out of reach of the operating point: {error}") from error
+    except ValueError as cause:
+        raise ValueError(f"{name} is out of reach of the operating point: {cause}") from cause
     length = plant.model.structure.string_length
-    off = float(np.abs(length(found) - length(nodes)).max(initial=0.0))
-    if off > 2 * _OFF * float(np.ptp(plant.nodes, axis=1).max()):
+    error = float(np.abs(length(found) - length(nodes)).max(initial=0.0))
+    if error > off * float(np.ptp(plant.nodes, axis=1).max()):
         raise ValueError(
-            f"{name} is a shape that these coordinates give with strings {off:.3g} m off: it is "
+            f"{name} is a shape that these coordinates give with strings {error:.3g} m off: it is "
             "out of reach of the operating point; linearize about a shape nearer to it"
         )
     return q

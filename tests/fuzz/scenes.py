@@ -27,6 +27,8 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from tests.scene.limits import limits
+
 PROJECT = Path(__file__).parent.parent.parent
 SHIPPED = sorted((PROJECT / "examples" / "scenes").glob("*.toml"))
 
@@ -133,7 +135,7 @@ kind = "cut_string"
 string = 8
 time = 0.1
 """
-PREDICTIVE = """\
+PREDICTIVE = f"""\
 [structure]
 generator = "prism"
 [strings]
@@ -149,20 +151,8 @@ kind = "nmpc"
 input = "rest_length"
 horizon = 2
 sample_time = 0.02
-min_force_density = {top = 1.0, bottom = 1.0, vertical = 2.0}
-max_tension = 90.0
-string_penalty = 50.0
 max_iterations = 100
-load_gain = 0.5
-[[controller.tracked]]
-node = 0
-relative_to = 3
-axis = "z"
-[[controller.outputs]]
-node = 1
-axis = "x"
-high = 0.9
-"""
+{limits(0.9)[0]}"""
 SHAPE = """\
 [structure]
 generator = "prism"

@@ -143,30 +143,34 @@ def test_osqp_gives_the_key_back():
     assert found.status is Status.INTERRUPTED
 
 
-def test_a_key_while_energies_are_computed(example, monkeypatch):
+@pytest.fixture
+def pressed_in(monkeypatch):
+    """A key is pressed when a function of the loop is called, once."""
+
+    def press(name):
+        original = getattr(loop, name)
+
+        def pressed(*arguments):
+            monkeypatch.setattr(loop, name, original)
+            signal.raise_signal(signal.SIGINT)
+            return original(*arguments)
+
+        monkeypatch.setattr(loop, name, pressed)
+
+    return press
+
+
+def test_a_key_while_energies_are_computed(example, pressed_in):
     """The motion is complete, and is finished."""
-    original = loop.evaluate_columns
-
-    def pressed(*arguments):
-        monkeypatch.setattr(loop, "evaluate_columns", original)
-        signal.raise_signal(signal.SIGINT)
-        return original(*arguments)
-
-    monkeypatch.setattr(loop, "evaluate_columns", pressed)
+    pressed_in("evaluate_columns")
     with pytest.warns(InterruptionWarning, match="complete"):
         run = tc.simulate(example.model, 1.0, rest_length=example.lengths, step=1e-3)
     assert run.time[-1] == 1.0
     assert run.stopped is None
 
 
-def test_a_key_while_the_error_is_estimated(example, monkeypatch):
-    original = loop.step_doubling_error
-
-    def pressed(*arguments):
-        signal.raise_signal(signal.SIGINT)
-        return original(*arguments)
-
-    monkeypatch.setattr(loop, "step_doubling_error", pressed)
+def test_a_key_while_the_error_is_estimated(example, pressed_in):
+    pressed_in("step_doubling_error")
     with pytest.warns(InterruptionWarning, match="complete"):
         run = tc.simulate(example.model, 1.0, rest_length=example.lengths, step=1e-3)
     assert run.time[-1] == 1.0
