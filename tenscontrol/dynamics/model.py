@@ -13,7 +13,7 @@ from tenscontrol.dynamics.evaluator import Prepared, built
 from tenscontrol.dynamics.forms import loops_functions, mapped_functions
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.string_laws import StringLaw
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, node_mass
 from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped, truth
 
 if TYPE_CHECKING:
@@ -167,17 +167,7 @@ class Model:
         array([[2., 1.],
                [1., 2.]])
         """
-        from scipy.sparse import csr_array
-
-        structure = self._structure
-        start, end = structure.bars.T
-        points = structure.string_nodes
-        rows = np.concatenate([start, end, start, end, points])
-        columns = np.concatenate([start, end, end, start, points])
-        m = structure.bar_mass
-        values = np.concatenate([m / 3, m / 3, m / 6, m / 6, structure.string_node_mass])
-        n = structure.nodes.shape[1]
-        return csr_array((values, (rows, columns)), shape=(n, n))
+        return node_mass(self._structure)
 
     # ---- functions of the state ----
 

@@ -8,6 +8,7 @@ from tenscontrol.structure.bar_geometry import (
     refuse_wrong_bar_lengths,
     restore_bar_lengths,
 )
+from tenscontrol.structure.blocks import Block, bar_rows, node_mass
 from tenscontrol.structure.net import net
 from tenscontrol.structure.prism import prism, prism_radius
 from tenscontrol.structure.segments import (
@@ -34,14 +35,17 @@ from tenscontrol.structure.tower import prism_tower
 
 __all__ = [
     "BarDistances",
+    "Block",
     "Structure",
     "affine_motions",
     "bar_distances",
+    "bar_rows",
     "crossing",
     "free_coordinates",
     "is_movable",
     "left_by_supports",
     "net",
+    "node_mass",
     "prism",
     "prism_radius",
     "prism_tower",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tenscontrol.structure.blocks import restore_block
 from tenscontrol.structure.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray, instance
 
@@ -16,24 +17,26 @@ _TOLERANCE = 1e-8
 def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     """Return the nodes with every bar stretched to its true length.
 
-    A bar is stretched about its centre, or about its fixed end.
+    A bar is stretched about its centre, or about its fixed end. Bars that share nodes are moved
+    together, as little as can be in the metric of their mass.
 
     Parameters
     ----------
     structure : Structure
         Gives the bar lengths.
-    nodes : array_like, shape (3, n)
+    nodes : array_like, shape (d, n)
         Node positions, m, for example a disturbed shape.
 
     Returns
     -------
-    ndarray, shape (3, n)
-        Node positions, m. Bar directions and string nodes are unchanged.
+    ndarray, shape (d, n)
+        Node positions, m. String nodes and the directions of bars that share no node are unchanged.
 
     Raises
     ------
     ValueError
-        If the shape does not fit or a bar has no direction left.
+        If the shape does not fit, a bar has no direction left, or bars that share nodes cannot be
+        given their lengths near by.
 
     Examples
     --------
@@ -59,10 +62,14 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
         raise ValueError(
             f"in nodes, the ends of bar {lost[0]} are at the same place: it has no direction"
         )
-    change = vectors * (structure.bar_length / length - 1)
-    share = structure.end_share
-    moved[:, structure.bars[:, 0]] -= share[:, 0] * change
-    moved[:, structure.bars[:, 1]] += share[:, 1] * change
+    alone = np.concatenate([structure.free_bars, structure.swinging_bars])
+    change = (vectors * (structure.bar_length / length - 1))[:, alone]
+    share = structure.end_share[alone]
+    start, end = structure.bars[alone].T
+    moved[:, start] -= share[:, 0] * change
+    moved[:, end] += share[:, 1] * change
+    for block in structure.blocks:
+        moved = restore_block(structure, block, moved)
     return moved
 
 
@@ -83,23 +90,24 @@ def refuse_wrong_bar_lengths(
 
 def refuse_strings_without_length(name: str, structure: Structure, nodes: FloatArray) -> None:
     """Raise if the ends of a string are at the same place: its force has no direction."""
-    length = structure.string_length(nodes)
+    length = np.linalg.norm(structure.string_vectors(nodes), axis=0)
     short = np.flatnonzero(length <= 1e-12 * length.max(initial=0.0))
     if len(short):
-        start, end = structure.strings[short[0]]
+        start, end = structure.segments[short[0]]
         raise ValueError(
-            f"in {name}, strings[{short[0]}] has no length: nodes {start} and {end} are at the "
-            "same place, so that its force has no direction"
+            f"in {name}, strings[{structure.segment_string[short[0]]}] has no length: nodes "
+            f"{start} and {end} are at the same place, so that its force has no direction"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class BarDistances:
-    """Distances between the axes of all p pairs of bars.
+    """Distances between the axes of all p pairs of bars that share no node.
 
     ``side`` is the sign of the volume that two bars span; 0 where they are nearest at an end, so
-    that one can go around the other. ``nearest`` is where along its length each of two lines is
-    nearest to the other, 0 at the start of the bar and 1 at its end; of parallel bars, anywhere.
+    that one can go around the other, and in the plane, where bars lie in layers. ``nearest`` is
+    where along its length each of two lines is nearest to the other, 0 at the start of the bar and
+    1 at its end; of parallel bars, anywhere.
     """
 
     pairs: IntArray  # (p, 2)
@@ -115,8 +123,10 @@ class BarDistances:
 
 def bar_distances(structure: Structure, nodes: FloatArray) -> BarDistances:
     """Return how far the bars are from one another in a shape."""
-    count = len(structure.bars)
-    first, second = np.triu_indices(count, 1)
+    first, second = np.triu_indices(len(structure.bars), 1)
+    ends = structure.bars
+    joined = (ends[first][:, :, None] == ends[second][:, None, :]).any(axis=(1, 2))
+    first, second = first[~joined], second[~joined]
     starts, vectors = nodes[:, structure.bars[:, 0]], structure.bar_vectors(nodes)
     u, v = vectors[:, first], vectors[:, second]
     w = starts[:, first] - starts[:, second]
@@ -135,8 +145,10 @@ def bar_distances(structure: Structure, nodes: FloatArray) -> BarDistances:
     for t_end in (0.0, 1.0):
         s_near = np.clip((t_end * uv - uw) / uu, 0.0, 1.0)
         apart.append(np.linalg.norm(w + s_near * u - t_end * v, axis=0))
-    volume = (np.cross(u.T, v.T) * w.T).sum(axis=1)
-    side = np.where(inside, np.sign(volume), 0.0)
+    side = np.zeros(len(first))
+    if structure.dimension == 3:
+        volume = (np.cross(u.T, v.T) * w.T).sum(axis=1)
+        side = np.where(inside, np.sign(volume), 0.0)
     return BarDistances(
         pairs=np.column_stack([first, second]),
         distance=np.min(apart, axis=0),

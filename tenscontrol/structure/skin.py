@@ -116,6 +116,8 @@ def skin(
     array([0.05])
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    if structure.dimension != 3:
+        raise ValueError("structure is planar, nodes of shape (2, n); a skin needs one in space")
     count = whole_number("iterations", iterations, 0, 500)  # 3^500 is a number yet
     identifier("group", group)
     loops = _loops(structure, panels)
@@ -129,7 +131,7 @@ def skin(
     places = list(structure.nodes.T)
     mass: list[float] = []
     strings: list[tuple[int, int]] = []
-    joined = {frozenset(pair) for pair in [*structure.bars.tolist(), *structure.strings.tolist()]}
+    joined = {frozenset(pair) for pair in [*structure.bars.tolist(), *structure.segments.tolist()]}
     for loop, per_area in zip(loops.values(), density, strict=True):
         for edge in _edges(loop):
             if frozenset(edge) not in joined:
@@ -154,11 +156,12 @@ def skin(
     return Structure(
         nodes=np.column_stack(places),
         bars=structure.bars,
-        strings=np.vstack([structure.strings, strings]),
+        strings=[*(structure.paths or structure.strings.tolist()), *strings],
         bar_mass=structure.bar_mass,
-        string_node_mass=np.concatenate([structure.string_node_mass, mass]),
+        point_mass=np.concatenate([structure.point_mass, mass]),
         string_groups=[*structure.string_groups, *[group] * len(strings)],
         fixed=structure.fixed,
+        rollers=structure.rollers,
         parent=structure,
     )
 

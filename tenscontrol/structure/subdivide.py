@@ -88,6 +88,11 @@ def subdivide(
     >>> strings = tc.LinearStrings(stiffness=100.0 * tc.structure.segment_counts(massive))
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    if structure.has_clusters:
+        raise ValueError(
+            "structure has clustered strings, which run over their inner nodes: they cannot be cut "
+            "into segments with a mass"
+        )
     counts = _counts(segments, len(structure.strings))
     mass = _point_masses(counts, node_mass, string_mass)
     if len(mass):
@@ -113,9 +118,10 @@ def subdivide(
         bars=structure.bars,
         strings=np.vstack(pairs) if pairs else structure.strings,
         bar_mass=structure.bar_mass,
-        string_node_mass=np.concatenate([structure.string_node_mass, mass]),
+        point_mass=np.concatenate([structure.point_mass, mass]),
         string_groups=[structure.string_groups[i] for i in string_parent],
         fixed=structure.fixed,
+        rollers=structure.rollers,
         parent=structure,
         string_parent=string_parent,
     )

@@ -19,34 +19,41 @@ _TOLERANCE = 1e-8
 
 
 def free_coordinates(structure: Structure, nodes: FloatArray) -> FloatArray:
-    """Return the free coordinates, shape (f,), of positions, velocities or forces, shape (3, n)."""
+    """Return the free coordinates, shape (f,), of positions, velocities or forces, shape (d, n)."""
     return np.asarray(nodes.ravel(order="F")[structure.free_rows])
 
 
 def is_movable(structure: Structure, pairs: IntArray) -> np.ndarray:
     """Return which members have a free end, shape (k,); those that have none are support."""
-    held = np.bincount(structure.fixed_rows // 3, minlength=structure.nodes.shape[1])
-    return np.asarray(~(held[pairs] == 3).all(axis=1))
+    return np.asarray(~np.isin(pairs, structure.fixed).all(axis=1))
 
 
 def rigid_motions(nodes: FloatArray) -> FloatArray:
-    """Return the displacement fields of 3 translations and 3 rotations, shape (3n, 6)."""
+    """Return the displacement fields of d translations, then d (d − 1)/2 rotations, shape (d n, ·).
+
+    In space the rotations are about x, y and z.
+    """
+    d, n = nodes.shape
     centred = nodes - nodes.mean(axis=1, keepdims=True)
-    turns = [np.cross(axis, centred.T).ravel() for axis in np.eye(3)]
-    shifts = [np.tile(axis, nodes.shape[1]) for axis in np.eye(3)]
-    return np.column_stack([*shifts, *turns])
+    planes = [(1, 2), (2, 0), (0, 1)] if d == 3 else [(0, 1)]
+    turns = np.zeros((len(planes), n, d))
+    for turn, (i, j) in zip(turns, planes, strict=True):
+        turn[:, i], turn[:, j] = -centred[j], centred[i]
+    shifts = [np.tile(axis, n) for axis in np.eye(d)]
+    return np.column_stack([*shifts, *turns.reshape(len(planes), -1)])
 
 
 def affine_motions(nodes: FloatArray) -> FloatArray:
-    """Return the displacement fields δn = G n + c, shape (3n, 12)."""
+    """Return the displacement fields δn = G n + c, shape (d n, d + d²)."""
+    d, n = nodes.shape
     centred = nodes - nodes.mean(axis=1, keepdims=True)
-    shifts = [np.tile(axis, nodes.shape[1]) for axis in np.eye(3)]
-    fields = [np.outer(centred[j], axis).ravel() for axis in np.eye(3) for j in range(3)]
+    shifts = [np.tile(axis, n) for axis in np.eye(d)]
+    fields = [np.outer(centred[j], axis).ravel() for axis in np.eye(d) for j in range(d)]
     return np.column_stack([*shifts, *fields])
 
 
 def left_by_supports(structure: Structure, fields: FloatArray) -> FloatArray:
-    """Return the combinations of fields, shape (3n, k), that leave the supports in place."""
+    """Return the combinations of fields, shape (d n, k), that leave the supports in place."""
     if len(structure.fixed_rows) == 0:
         return fields
     _, sizes, Vt = np.linalg.svd(fields[structure.fixed_rows])
@@ -67,21 +74,24 @@ def refuse_moved_supports(
     name: str, structure: Structure, nodes: FloatArray, tolerance: float = _TOLERANCE
 ) -> None:
     """Raise if a fixed node is not where the structure has it."""
-    off = np.linalg.norm(nodes - structure.nodes, axis=0)[structure.fixed]
+    rows, d = structure.fixed_rows, structure.dimension
+    off = np.abs(nodes - structure.nodes).ravel(order="F")[rows]
     size = float(np.ptp(structure.nodes, axis=1).max())
     if off.size and off.max() > tolerance * size:
-        node = int(structure.fixed[off.argmax()])
+        node = int(rows[off.argmax()]) // d
+        moved = float(np.linalg.norm((nodes - structure.nodes)[:, node]))
+        held = "the fixed node" if node in structure.fixed else "on its roller, node"
         raise ValueError(
-            f"in {name}, the fixed node {node} is {off.max():.3g} m from its place "
-            f"{structure.nodes[:, node]} m"
+            f"in {name}, {held} {node} is {moved:.3g} m from its place {structure.nodes[:, node]} m"
         )
 
 
 def refuse_load_without_support(structure: Structure, load: FloatArray) -> None:
-    """Raise if nothing holds the structure against the resultant of a load, N, shape (3, n)."""
+    """Raise if nothing holds the structure against the resultant of a load, N, shape (d, n)."""
     resultant = load.sum(axis=1)
-    if len(structure.fixed_rows) == 0 and np.abs(resultant).max() > 1e-9 * np.abs(load).sum():
+    resultant[np.unique(structure.fixed_rows % structure.dimension)] = 0.0  # something holds it
+    if np.abs(resultant).max() > 1e-9 * np.abs(load).sum():
         raise ValueError(
             f"no equilibrium: nothing holds the structure, and its weights and loads add up to "
-            f"{resultant} N. Fix some nodes, Structure(..., fixed=[...])"
+            f"{load.sum(axis=1)} N. Fix some nodes, Structure(..., fixed=[...])"
         )

@@ -352,32 +352,16 @@ def test_a_member_from_a_node_to_itself_is_refused(name, data):
         tc.Structure(**given_arguments)
 
 
-@pytest.mark.parametrize("name", MEMBERS)
 @given(data=st.data())
-def test_a_member_that_repeats_another_is_refused(name, data):
-    given_arguments, i = data.draw(some_members(name))
-    again = given_arguments[name][i]
+def test_a_bar_that_repeats_another_is_refused(data):
+    given_arguments, i = data.draw(some_members("bars"))
+    again = given_arguments["bars"][i]
     pair = again[::-1] if data.draw(st.booleans()) else again
-    given_arguments["strings"] = np.vstack([given_arguments["strings"], pair])
-    last = len(given_arguments["strings"]) - 1
-    message = rf"strings\[{last}\] joins nodes {min(pair)} and {max(pair)}, as {name}\[{i}\] does"
+    given_arguments["bars"] = np.vstack([given_arguments["bars"], pair])
+    last = len(given_arguments["bars"]) - 1
+    message = rf"bars\[{last}\] joins nodes {min(pair)} and {max(pair)}, as bars\[{i}\] does"
     with pytest.raises(ValueError, match=message):
         tc.Structure(**given_arguments)
-
-
-@given(data=st.data())
-def test_a_node_on_two_bars_is_refused(data):
-    given_arguments, i = data.draw(some_members("bars"))
-    bars, strings = given_arguments["bars"], given_arguments["strings"]
-    count = given_arguments["nodes"].shape[1]
-    start = bars[i, data.draw(st.integers(0, 1))]
-    joined = {frozenset(pair) for pair in [*bars.tolist(), *strings.tolist()]}
-    ends = [k for k in range(count) if k != start and frozenset((start, k)) not in joined]
-    assume(ends)
-    extra = [start, data.draw(st.sampled_from(ends))]
-    spoiled = given_arguments | {"bars": np.vstack([bars, extra])}
-    with pytest.raises(ValueError, match=rf"node {start} is on bars \[{i}, {len(bars)}\]"):
-        tc.Structure(**spoiled)
 
 
 @given(arguments(), st.integers(1, 3))
@@ -412,7 +396,7 @@ def test_a_place_that_is_not_finite_is_refused(value, data):
 @given(arguments())
 def test_transposed_nodes_are_refused(given_arguments):
     transposed = given_arguments["nodes"].T
-    assume(transposed.shape != (3, 3))  # which no one can tell
+    assume(len(transposed) not in (2, 3))  # which no one can tell
     with pytest.raises(ValueError, match=rf"nodes has shape \({len(transposed)}, 3\), .*transpose"):
         tc.Structure(**(given_arguments | {"nodes": transposed}))
 

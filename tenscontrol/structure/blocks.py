@@ -1,0 +1,244 @@
+"""Blocks: bars that hang together by nodes that move, and which of them determine the motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tenscontrol.validation import FloatArray, IntArray, frozen
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+    from tenscontrol.structure.structure import Structure
+
+# Added to the constraints of bars, in units of their inverse mass, so that dependent ones show:
+# they are left with little more than it. Bars count as dependent below the second number.
+_SHIFT, _DEPENDENT = 1e-13, 1e-11
+
+# Length of a step along a mechanism, in lengths of the longest bar, and by how much of its length
+# a redundant bar may then be off.
+_STEP, _OFF = 1e-3, 1e-8
+
+# Below this, nothing moves.
+_STILL = 1e-9
+
+# Newton's steps at most, and squared lengths that may be called restored when they get no better.
+_MOST, _EXACT = 30, 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Bars that are joined to one another, to point masses or to rollers.
+
+    Nodes and bars are in an order in which the equations of motion can be solved one after the
+    other (see ``order``) with little fill-in and no pivoting.
+
+    Attributes
+    ----------
+    nodes : ndarray of int, shape (k,)
+        The nodes that move.
+    rows : ndarray of int, shape (r,)
+        Rows of ``vec(N)`` of these nodes that supports leave free, in the order of ``nodes``.
+    bars : ndarray of int, shape (b,)
+        All bars, ascending.
+    independent : ndarray of int, shape (c,)
+        Bars whose lengths determine those of the others: all of them, unless the block has
+        redundant bars.
+    order : ndarray of int, shape (r + c,)
+        The rows, 0 to r − 1, and the independent bars, r to r + c − 1, in order of elimination:
+        each bar after both of its ends.
+    """
+
+    nodes: IntArray
+    rows: IntArray
+    bars: IntArray
+    independent: IntArray
+    order: IntArray
+
+    @property
+    def is_redundant(self) -> bool:
+        """Whether it has more bars than hold its motion: their forces are not unique."""
+        return len(self.independent) < len(self.bars)
+
+
+def find_blocks(structure: Structure) -> tuple[Block, ...]:
+    """Return the blocks of the coupled bars, or raise where they are in a dead centre."""
+    if len(structure.coupled_bars) == 0:
+        return ()
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = structure.nodes.shape[1]
+    pairs = structure.bars[structure.coupled_bars]
+    inner = pairs[~np.isin(pairs, structure.fixed).any(axis=1)]
+    joined = csr_array((np.ones(len(inner)), inner.T), shape=(count, count))
+    _, of_node = connected_components(joined, directed=False)
+    # A bar belongs to the block of an end that moves.
+    moving_end = np.where(np.isin(pairs[:, 0], structure.fixed), pairs[:, 1], pairs[:, 0])
+    of_bar = of_node[moving_end]
+    free = np.zeros(count, bool)
+    free[structure.free] = True
+    return tuple(
+        _block(
+            structure, structure.coupled_bars[of_bar == k], np.flatnonzero((of_node == k) & free)
+        )
+        for k in dict.fromkeys(of_bar.tolist())
+    )
+
+
+def bar_rows(structure: Structure, bars: IntArray, nodes: FloatArray) -> csr_array:
+    """Return J of some bars, shape (b, d n): half the derivatives of their squared lengths, m."""
+    from scipy.sparse import csr_array
+
+    d, count = nodes.shape
+    start, end = structure.bars[bars].T
+    vectors = (nodes[:, end] - nodes[:, start]).T
+    columns = [d * ends[:, None] + np.arange(d) for ends in (end, start)]
+    rows = np.repeat(np.arange(len(bars)), d)
+    values = np.concatenate([vectors.ravel(), -vectors.ravel()])
+    places = np.tile(rows, 2), np.concatenate([each.ravel() for each in columns])
+    return csr_array((values, places), shape=(len(bars), d * count))
+
+
+def node_mass(structure: Structure) -> csr_array:
+    """Return M = C_bᵀ m̂_b C_b/12 + C_rᵀ m̂_b C_r + point masses, shape (n, n), kg."""
+    from scipy.sparse import csr_array
+
+    start, end = structure.bars.T
+    points = np.flatnonzero(structure.point_mass)
+    rows = np.concatenate([start, end, start, end, points])
+    columns = np.concatenate([start, end, end, start, points])
+    m = structure.bar_mass
+    values = np.concatenate([m / 3, m / 3, m / 6, m / 6, structure.point_mass[points]])
+    n = structure.nodes.shape[1]
+    return csr_array((values, (rows, columns)), shape=(n, n))
+
+
+def _block(structure: Structure, bars: IntArray, nodes: IntArray) -> Block:
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    count, d = structure.nodes.shape[1], structure.dimension
+    place = np.full(count, -1)
+    place[nodes] = np.arange(len(nodes))
+    ends = place[structure.bars[bars]]
+    inner = ends[(ends >= 0).all(axis=1)]
+    graph = csr_array((np.ones(2 * len(inner)), np.vstack([inner, inner[:, ::-1]]).T),
+                      shape=(len(nodes), len(nodes)))  # fmt: skip
+    nodes = nodes[reverse_cuthill_mckee(graph, symmetric_mode=True)]
+    place[nodes] = np.arange(len(nodes))
+    rows = (d * nodes[:, None] + np.arange(d)).ravel()
+    rows = rows[np.isin(rows, structure.free_rows)]
+    found = _ordered(structure, place, nodes, rows, bars, bars)
+    independent = _independent(structure, found)
+    if len(independent) < len(bars):
+        found = _ordered(structure, place, nodes, rows, bars, independent)
+        _refuse_dead_centre(structure, found)
+    return found
+
+
+def _ordered(
+    structure: Structure, place: IntArray, nodes: IntArray, rows: IntArray, bars: IntArray,
+    independent: IntArray,
+) -> Block:  # fmt: skip
+    later = place[structure.bars[independent]].max(axis=1)
+    independent = independent[np.argsort(later, kind="stable")]
+    steps = np.concatenate([place[rows // structure.dimension], np.sort(later)])
+    order = np.argsort(steps, kind="stable")  # rows come before the bars of the same step
+    return Block(*(frozen(part) for part in (nodes, rows, bars, independent, order)))
+
+
+def _independent(structure: Structure, block: Block) -> IntArray:
+    """Return bars of which none depends on those that are eliminated before."""
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import splu
+
+    r, rows, bars = len(block.rows), block.rows, block.independent
+    mass = _row_mass(structure, rows)
+    J = bar_rows(structure, bars, structure.nodes)[:, rows]
+    # Scaled so that J M⁻¹ Jᵀ is of order one.
+    weights = 1 / np.sqrt((J * J) @ (1 / mass.diagonal()) + np.finfo(float).tiny)
+    matrix = csc_array(_saddle(mass, J * weights[:, None], _SHIFT))
+    factors = splu(
+        matrix[block.order][:, block.order], permc_spec="NATURAL", diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )  # fmt: skip
+    pivots = np.empty(len(block.order))
+    pivots[block.order] = factors.U.diagonal()
+    return np.asarray(bars[-pivots[r:] > _DEPENDENT])
+
+
+def restore_block(structure: Structure, block: Block, nodes: FloatArray) -> FloatArray:
+    """Return nodes, shape (d, n), with the bars of a block at their lengths.
+
+    By Newton's iteration to round-off, each change the least in the metric of the mass. Raises
+    ValueError if it does not converge: the shape is too far off.
+    """
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import splu
+
+    rows, bars = block.rows, block.independent
+    flat, mass = nodes.ravel(order="F"), _row_mass(structure, rows)
+    length = structure.bar_length[bars]
+    best = np.inf
+    for _ in range(_MOST):
+        nodes = flat.reshape(nodes.shape, order="F")
+        vectors = nodes[:, structure.bars[bars, 1]] - nodes[:, structure.bars[bars, 0]]
+        excess = ((vectors**2).sum(axis=0) - length**2) / 2
+        off = float(np.abs(excess / length**2).max())
+        if off < _EXACT and off >= best:
+            return nodes
+        best = min(best, off)
+        try:
+            factors = splu(csc_array(_saddle(mass, bar_rows(structure, bars, nodes)[:, rows])))
+        except RuntimeError:  # exactly singular
+            break
+        change = factors.solve(np.concatenate([np.zeros(len(rows)), excess]))[: len(rows)]
+        if not np.isfinite(change).all():
+            break
+        flat = flat.copy()
+        flat[rows] -= change
+    raise ValueError(
+        f"in nodes, bars {sorted(block.bars.tolist())}, which are joined to one another, cannot "
+        f"all be given their lengths near by: they are off by up to {best:.1e} of their squares "
+        "after the best of Newton's steps; start from a shape that is nearer"
+    )
+
+
+def _saddle(mass: csr_array, J: csr_array, shift: float = 0.0) -> csr_array:
+    from scipy.sparse import block_array, eye_array
+
+    return block_array([[mass, J.T], [J, -shift * eye_array(J.shape[0])]], format="csr")
+
+
+def _row_mass(structure: Structure, rows: IntArray) -> csr_array:
+    """Return the mass matrix of some rows of ``vec(N)``."""
+    from scipy.sparse import eye_array, kron
+
+    mass = kron(node_mass(structure), eye_array(structure.dimension), format="csr")
+    return mass[rows][:, rows]
+
+
+def _refuse_dead_centre(structure: Structure, block: Block) -> None:
+    """Raise if redundant bars are not so in a shape close by."""
+    rows, nodes = block.rows, structure.nodes
+    kept = bar_rows(structure, block.independent, nodes)[:, rows].toarray()
+    motion = np.cos(np.arange(1.0, len(rows) + 1) ** 2)  # any direction
+    motion -= np.linalg.pinv(kept) @ (kept @ motion)
+    if np.abs(motion).max() < _STILL:
+        return
+    length = structure.bar_length
+    flat = nodes.ravel(order="F").copy()
+    flat[rows] += _STEP * length[block.bars].max() / np.abs(motion).max() * motion
+    moved = restore_block(structure, block, flat.reshape(nodes.shape, order="F"))
+    off = np.abs(np.linalg.norm(structure.bar_vectors(moved), axis=0) / length - 1)[block.bars]
+    if off.max() > _OFF:
+        worst = block.bars[off.argmax()]
+        raise ValueError(
+            f"bars {sorted(block.bars.tolist())} hold one another in this shape, but not in shapes "
+            f"next to it, where bar {worst} changes its length: a dead centre, in which their "
+            "forces are not determined. Change the nodes a little, or remove a bar"
+        )
