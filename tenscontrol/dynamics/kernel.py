@@ -1,7 +1,8 @@
 """The equations of motion, member by member, in CasADi expressions.
 
 Every function takes and returns symbolic matrices, SX or MX, with one column
-per node or member. Work and memory grow linearly with the members; nothing is
+per node or member. Work and memory grow linearly with the members. Bars that share
+nodes are solved for together, block by block; for all others nothing is
 factorised. The functions of columns below hold for any number of members, so
 also for one: the loops in C (:mod:`tenscontrol.dynamics.forms.loops`) are made of them.
 
@@ -19,7 +20,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Block, Structure, node_mass
 from tenscontrol.validation import FloatArray, IntArray
 
 # A string shorter than this part of its rest length has no direction to pull in.
@@ -30,22 +31,40 @@ Symbolic = Any
 
 
 def all_nodes(structure: Structure, free: Symbolic, fixed: FloatArray | None = None) -> Symbolic:
-    """Return the columns of all nodes, shape (3, n), from those of the free ones.
+    """Return the columns of all nodes, shape (d, n), from those of the nodes that are not fixed.
 
-    The only place where supports are put into symbols: fixed nodes are constants, columns of
-    ``fixed`` of shape (3, n), or nothing (velocities, loads).
+    The only place where supports are put into symbols: what is fixed or held by a roller is a
+    constant, from columns of ``fixed`` of shape (d, n), or nothing (velocities, loads).
     """
-    if len(structure.fixed) == 0:
+    if len(structure.fixed_rows) == 0:
         return free
+    places = np.zeros_like(structure.nodes) if fixed is None else fixed
     if isinstance(free, ca.MX):
-        rest = np.zeros((3, len(structure.fixed))) if fixed is None else fixed[:, structure.fixed]
+        rest = ca.DM(places[:, structure.fixed])
         order = np.argsort(np.concatenate([structure.free, structure.fixed]))
-        return ca.horzcat(free, ca.DM(rest))[:, order.tolist()]
-    columns = type(free)(3, structure.nodes.shape[1])
+        columns = ca.horzcat(free, rest)[:, order.tolist()]
+        if structure.rollers:
+            held = np.zeros(structure.nodes.size)
+            held[structure.fixed_rows] = 1.0
+            held = held.reshape(structure.nodes.shape, order="F")
+            columns = columns * ca.DM(1 - held) + ca.sparsify(ca.DM(places * held))
+        return columns
+    columns = type(free)(*structure.nodes.shape)
     if fixed is not None:
         columns[:, structure.fixed.tolist()] = ca.DM(fixed[:, structure.fixed])
     columns[:, structure.free.tolist()] = free
+    for node, axis in structure.rollers:
+        columns["xyz".index(axis), node] = places["xyz".index(axis), node]
     return columns
+
+
+def free_entries(structure: Structure, free: Symbolic) -> Symbolic:
+    """Return the column of what supports leave free, in columns of the nodes that are not fixed."""
+    if not structure.rollers:
+        return ca.vec(free)
+    d = structure.dimension
+    rows = (d * structure.free[:, None] + np.arange(d)).ravel()
+    return ca.vec(free)[np.flatnonzero(np.isin(rows, structure.free_rows)).tolist()]
 
 
 def differences(columns: Symbolic, pairs: IntArray) -> Symbolic:
@@ -54,44 +73,87 @@ def differences(columns: Symbolic, pairs: IntArray) -> Symbolic:
 
 
 def dots(a: Symbolic, b: Symbolic) -> Symbolic:
-    """Return the dot products of the columns of two (3, k) matrices, shape (1, k)."""
+    """Return the dot products of the columns of two (d, k) matrices, shape (1, k)."""
     return ca.sum1(a * b)
 
 
 def scale_columns(columns: Symbolic, factors: Symbolic) -> Symbolic:
-    """Multiply column i of a (3, k) matrix by entry i of a (1, k) row."""
-    return columns * ca.repmat(factors, 3, 1)
+    """Multiply column i of a (d, k) matrix by entry i of a (1, k) row."""
+    return columns * ca.repmat(factors, columns.shape[0], 1)
 
 
 def node_forces(structure: Structure, N: Symbolic, gamma: Symbolic, W: Symbolic | None) -> Symbolic:
-    """Return F = W − N C_sᵀ γ̂ C_s, shape (3, n), N (eq. 2). Without load W is None."""
+    """Return F = W − N C_sᵀ γ̂ C_s, shape (d, n), N (eq. 2). Without load W is None."""
     n = N.shape[1]
     if len(structure.strings) == 0:
-        return type(N)(3, n) if W is None else W
-    pull = string_pull(differences(N, structure.strings), gamma.T)
-    F = ca.mtimes(pull, _gather(structure.strings, n))
+        return type(N)(*N.shape) if W is None else W
+    S = differences(N, structure.segments)
+    pull = string_pull(S, segment_force_density(structure, S, gamma.T))
+    F = ca.mtimes(pull, _gather(structure.segments, n))
     return F if W is None else W + F
+
+
+def segment_force_density(structure: Structure, S: Symbolic, gamma: Symbolic) -> Symbolic:
+    """Return γ of each segment, shape (1, s), from γ = T/L of each string, shape (1, α).
+
+    A clustered string has one tension: its segments have ``T/l = γ L/l``.
+    """
+    if not structure.has_clusters:
+        return gamma
+    each = string_length(structure, S)
+    tension = gamma * _string_sums(structure, each)
+    return tension[:, structure.segment_string.tolist()] / each
+
+
+def string_motion(
+    structure: Structure, N: Symbolic, Nd: Symbolic, rest_length: Symbolic | None = None
+) -> tuple[Symbolic, Symbolic]:
+    """Return length and rate of each string, m and m/s, shape (1, α).
+
+    With rest lengths, shape (1, α), lengths are those at which a string can pull.
+    """
+    S, Sd = differences(N, structure.segments), differences(Nd, structure.segments)
+    if not structure.has_clusters:
+        each = length(S) if rest_length is None else pulling_length(S, rest_length)
+        return each, length_rate(S, Sd, each)
+    each = string_length(structure, S)
+    rate = length_rate(S, Sd, each)
+    return _string_sums(structure, each), _string_sums(structure, rate)
+
+
+def string_lengths(structure: Structure, N: Symbolic) -> Symbolic:
+    """Return the length of each string, m, shape (1, α)."""
+    each = string_length(structure, differences(N, structure.segments))
+    return _string_sums(structure, each) if structure.has_clusters else each
 
 
 def bar_force_density(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic) -> Symbolic:
     """Return λ, shape (1, β), N/m, positive in compression.
 
-    A bar with both ends fixed is part of the support; its entry is zero.
+    A bar with both ends fixed is part of the support; its entry is zero. Of redundant bars, whose
+    forces are not unique, those of least norm.
     """
     lam = type(N)(1, len(structure.bars))
     if len(structure.free_bars):
         *_, lam[:, structure.free_bars.tolist()] = _free_bars(structure, N, Nd, F)
     if len(structure.swinging_bars):
         _, lam[:, structure.swinging_bars.tolist()] = _swinging_bars(structure, N, Nd, F)
+    for block in structure.blocks:
+        _, found = block_motion(structure, block, N, Nd, F)
+        if block.is_redundant:
+            found = _least_norm(structure, block, N, found)
+            lam[:, block.bars.tolist()] = found.T
+        else:
+            lam[:, block.independent.tolist()] = found.T
     return lam
 
 
 def accelerations(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic) -> Symbolic:
-    """Return N̈, shape (3, n), m/s², from eq. (7), with M_s inverted in closed form.
+    """Return N̈, shape (d, n), m/s², from eq. (7), with M_s inverted in closed form.
 
-    Columns of fixed nodes are left empty.
+    What supports hold is left empty.
     """
-    Ndd = type(N)(3, structure.nodes.shape[1])
+    Ndd = type(N)(*structure.nodes.shape)
     if len(structure.free_bars):
         start, end = structure.bars[structure.free_bars].T.tolist()
         Ndd[:, start], Ndd[:, end], _ = _free_bars(structure, N, Nd, F)
@@ -102,20 +164,96 @@ def accelerations(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic) 
         # No string nodes, no block: a scene pays only for what it has.
         points = structure.string_nodes.tolist()
         Ndd[:, points] = point_acceleration(F[:, points], _row(structure.string_node_mass))
+    for block in structure.blocks:
+        Ndd[block.rows.tolist()], _ = block_motion(structure, block, N, Nd, F)
     return Ndd
+
+
+# ---- bars that hang together ----
+
+
+def block_motion(
+    structure: Structure, block: Block, N: Symbolic, Nd: Symbolic, F: Symbolic
+) -> tuple[Symbolic, Symbolic]:
+    """Return the accelerations of a block's rows, shape (r, 1), and λ of its independent bars.
+
+    ``M a − Jᵀ λ = f`` and ``J a = −|ḃ|²``, from ``bᵀ b̈ + |ḃ|² = 0`` (Lagrange's equations of the
+    first kind). With the nodes ordered by the block, the factors of the matrix are sparse, and no
+    pivot vanishes.
+    """
+    J = block_rows(structure, block.independent, block.rows, N)
+    Bd = differences(Nd, structure.bars[block.independent])
+    force = ca.vec(F)[block.rows.tolist()]
+    found = SaddlePoint(structure, block, J).solve(force, -dots(Bd, Bd).T)
+    rows = len(block.rows)
+    return found[:rows], -found[rows:]
+
+
+def block_rows(structure: Structure, bars: IntArray, rows: IntArray, N: Symbolic) -> Symbolic:
+    """Return J, shape (b, r), m: half the derivatives of the squared lengths of bars by rows."""
+    d, count = structure.nodes.shape
+    place = np.full(d * count, -1)
+    place[rows] = np.arange(len(rows))
+    B = differences(N, structure.bars[bars])
+    J = type(N)(len(bars), len(rows))
+    for sign, ends in ((-1.0, structure.bars[bars, 0]), (1.0, structure.bars[bars, 1])):
+        column = place[d * ends[:, None] + np.arange(d)]  # (b, d)
+        bar, axis = np.nonzero(column >= 0)
+        if len(bar):
+            values = sign * ca.vec(B)[(d * bar + axis).tolist()]
+            J += type(N).triplet(
+                bar.tolist(), column[bar, axis].tolist(), values, len(bars), len(rows)
+            )
+    return J
+
+
+class SaddlePoint:
+    """The system ``[[M, Jᵀ], [J, 0]]`` of a block, factorized symbolically without pivoting."""
+
+    def __init__(self, structure: Structure, block: Block, J: Symbolic) -> None:
+        rows = block.rows
+        d = structure.dimension
+        mass = ca.kron(_sparse(node_mass(structure)), ca.DM.eye(d))[rows.tolist(), rows.tolist()]
+        matrix = ca.blockcat([[mass, J.T], [J, ca.SX(J.shape[0], J.shape[0])]])
+        self._order = block.order.tolist()
+        self._back = np.argsort(block.order).tolist()
+        self._factors = ca.ldl(matrix[self._order, self._order], False)
+
+    def solve(self, upper: Symbolic, lower: Symbolic) -> Symbolic:
+        """Return ``[a; −λ]`` of the right-hand sides of the two equations, columns."""
+        right = ca.vertcat(upper, lower)[self._order]
+        return ca.ldl_solve(right, *self._factors)[self._back]
+
+
+def _least_norm(structure: Structure, block: Block, N: Symbolic, lam: Symbolic) -> Symbolic:
+    """Return λ of all bars, of least norm, with the forces of λ of the independent ones."""
+    every = block_rows(structure, block.bars, block.rows, N)
+    few = block_rows(structure, block.independent, block.rows, N)
+    # λ_all = J_all Jᵀ z has the least norm, and J_allᵀ λ_all = Jᵀ λ.
+    shared = ca.mtimes(every, few.T)
+    z = ca.solve(ca.mtimes(shared.T, shared), ca.mtimes([few, few.T, lam]))
+    return ca.mtimes(shared, z)
 
 
 # ---- one member, or any number of them ----
 
 
 def string_pull(S: Symbolic, gamma: Symbolic) -> Symbolic:
-    """Return the force on the start node, N, shape (3, k); the end node gets the opposite."""
+    """Return the force on the start node, N, shape (d, k); the end node gets the opposite."""
     return scale_columns(S, gamma)
 
 
 def length(S: Symbolic) -> Symbolic:
     """Return l, m, shape (1, k)."""
     return ca.sqrt(dots(S, S))
+
+
+def string_length(structure: Structure, S: Symbolic) -> Symbolic:
+    """Return the lengths of segments, m, shape (1, s); those of clusters are never zero."""
+    if not structure.has_clusters:
+        return length(S)
+    size = float(np.ptp(structure.nodes, axis=1).max())
+    return ca.sqrt(ca.fmax(dots(S, S), (_NO_LENGTH * size) ** 2))
 
 
 def length_rate(S: Symbolic, Sd: Symbolic, length: Symbolic) -> Symbolic:
@@ -137,7 +275,7 @@ def free_bar(
 ) -> tuple[Symbolic, Symbolic, Symbolic]:
     """Return the accelerations of start and end node and λ of bars with two free ends.
 
-    From the forces on the two nodes, N, shape (3, k). ``b̈ = 6/m f + 12/m λ b``
+    From the forces on the two nodes, N, shape (d, k). ``b̈ = 6/m f + 12/m λ b``
     (eq. 5) with f the end force less the start force, and ``r̈ = (f_start +
     f_end)/m`` (eq. 4); the ends move with ``r̈ ∓ b̈/2``.
 
@@ -165,7 +303,7 @@ def swinging_bar(
 
 
 def point_acceleration(force: Symbolic, mass: Symbolic) -> Symbolic:
-    """Return the acceleration of point masses, m/s², shape (3, k)."""
+    """Return the acceleration of point masses, m/s², shape (d, k)."""
     return scale_columns(force, 1 / mass)
 
 
@@ -187,8 +325,10 @@ def _swinging_bars(
 
 
 def mass_product(structure: Structure, V: Symbolic) -> Symbolic:
-    """Return V M_s, shape (3, n): M_s is m/6 [[2, 1], [1, 2]] a bar and m_s a string node."""
-    product = type(V)(3, structure.nodes.shape[1])
+    """Return V M_s, shape (d, n): M_s is m/6 [[2, 1], [1, 2]] a bar and m_s a string node."""
+    if structure.blocks:
+        return ca.mtimes(V, _sparse(node_mass(structure)))
+    product = type(V)(*structure.nodes.shape)
     if len(structure.bars):
         sixth = _row(structure.bar_mass / 6)
         start, end = structure.bars[:, 0].tolist(), structure.bars[:, 1].tolist()
@@ -202,11 +342,11 @@ def mass_product(structure: Structure, V: Symbolic) -> Symbolic:
 
 
 def stiffness(structure: Structure, gamma: Symbolic, lam: Symbolic) -> Symbolic:
-    """Return K_s, shape (n, n), sparse, in the order of the nodes (eq. 9)."""
+    """Return K_s, shape (n, n), sparse, in the order of the nodes (eq. 9); γ of segments."""
     n = structure.nodes.shape[1]
     K = ca.SX(n, n)
     if len(structure.strings):
-        C_s = _gather(structure.strings, n)
+        C_s = _gather(structure.segments, n)
         K += ca.mtimes([C_s.T, ca.diag(gamma), C_s])
     if len(structure.bars):
         C_bar = _gather(structure.bars, n)
@@ -216,6 +356,23 @@ def stiffness(structure: Structure, gamma: Symbolic, lam: Symbolic) -> Symbolic:
 
 def _row(values: FloatArray) -> ca.DM:
     return ca.DM(values).T
+
+
+def _sparse(matrix: Any) -> ca.DM:
+    """Return a SciPy matrix as one of CasADi's."""
+    found = matrix.tocoo()
+    found.sum_duplicates()
+    rows, columns = found.row.tolist(), found.col.tolist()
+    return ca.DM.triplet(rows, columns, ca.DM(found.data), *found.shape)
+
+
+def _string_sums(structure: Structure, each: Symbolic) -> Symbolic:
+    """Return sums over the segments of each string, shape (1, α)."""
+    of = structure.segment_string.tolist()
+    ones = ca.DM.triplet(
+        list(range(len(of))), of, ca.DM.ones(len(of)), len(of), len(structure.strings)
+    )
+    return ca.mtimes(each, ones)
 
 
 def _gather(pairs: IntArray, n: int) -> ca.DM:

@@ -13,7 +13,7 @@ from tenscontrol.dynamics.evaluator import Prepared, built
 from tenscontrol.dynamics.forms import loops_functions, mapped_functions
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.string_laws import StringLaw
-from tenscontrol.structure import Structure, node_mass
+from tenscontrol.structure import Structure, free_coordinates, node_mass
 from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped, truth
 
 if TYPE_CHECKING:
@@ -40,12 +40,12 @@ class Model:
     strings : StringLaw, optional
         :class:`LinearStrings` or :class:`ElasticStrings`. Needed only where
         the rest length is an input.
-    external_force : bool or array_like, shape (3, n)
+    external_force : bool or array_like, shape (d, n)
         True: the functions take a load W on the free nodes, N, as a further
         input. An array: that load is built in.
-    gravity : float or array_like, shape (3,), optional
-        Acceleration of free fall, m/s²; a number is downward, along −z. The
-        weight of a bar acts half at each end.
+    gravity : float or array_like, shape (d,), optional
+        Acceleration of free fall, m/s²; a number is downward, along −z, in the plane
+        along −y. The weight of a bar acts half at each end.
 
     Raises
     ------
@@ -88,14 +88,14 @@ class Model:
         constant = np.zeros(shape)
         takes_load = False
         if external_force is None or isinstance(external_force, bool | np.bool_):
-            meaning = "whether the functions take a load W; or a built-in load, shape (3, n)"
+            meaning = "whether the functions take a load W; or a built-in load, shape (d, n)"
             takes_load = external_force is not None and truth(
                 "external_force", external_force, meaning
             )
         else:
             constant += shaped("external_force", external_force, shape, "one force per node, N")
         if gravity is not None:
-            constant += _weights(structure, _gravity_vector(gravity))
+            constant += _weights(structure, _gravity_vector(gravity, structure.dimension))
         self._structure = structure
         self._strings = strings
         self._external_force = takes_load
@@ -119,7 +119,7 @@ class Model:
 
     @property
     def constant_force(self) -> FloatArray:
-        """Weights and built-in load on the nodes, N, shape (3, n), all nodes."""
+        """Weights and built-in load on the nodes, N, shape (d, n), all nodes."""
         return self._constant_force
 
     @property
@@ -135,7 +135,7 @@ class Model:
 
     @built
     def acceleration(self) -> ca.Function:
-        """``(N, Nd, gamma[, W]) -> Ndd``: node accelerations, shape (3, n), m/s²."""
+        """``(N, Nd, gamma[, W]) -> Ndd``: node accelerations, shape (d, n), m/s²."""
         s = self._symbols()
         return self._function("acceleration", s, "N Nd gamma W", Ndd=self._ndd(s, s["gamma"]))
 
@@ -154,7 +154,9 @@ class Model:
         paper, ``[N_b N_s]``, that is eq. (9) letter by letter.
         """
         s = self._symbols()
-        K_s = kernel.stiffness(self._structure, s["gamma"], self._lambda(s))
+        S = kernel.differences(s["nodes"], self._structure.segments)
+        gamma = kernel.segment_force_density(self._structure, S, s["gamma"].T).T
+        K_s = kernel.stiffness(self._structure, gamma, self._lambda(s))
         return self._function("stiffness_matrix", s, "N Nd gamma W", K_s=K_s)
 
     def mass_matrix(self) -> csr_array:
@@ -219,7 +221,7 @@ class Model:
         Parameters
         ----------
         input : {"force_density", "rest_length"}
-        external_force : ndarray, shape (3, n), optional
+        external_force : ndarray, shape (d, n), optional
             Load that acts all the time, N, beside what is built in; for a
             model built with ``external_force=True``.
         form : {"auto", "flat", "mapped", "loops"}
@@ -269,14 +271,14 @@ class Model:
         taut, gap, rate = ca.SX.sym("taut", 0), ca.SX(0, 1), ca.SX(0, 1)
         gamma = u
         if law is not None:
-            S, Sd = self._string_vectors(s)
-            length = kernel.pulling_length(S, u.T).T
-            rate = kernel.length_rate(S, Sd, length.T).T
+            rows = kernel.string_motion(structure, s["nodes"], s["velocities"], u.T)
+            length, rate = (row.T for row in rows)
             taut = ca.SX.sym("taut", len(structure.strings))
             gap = law.gap(length, u, rate)
             gamma = taut * law.taut_force_density(length, u, rate)
-        forces = ca.vec(ca.densify(self._forces(s, gamma)[:, structure.free.tolist()]))
-        q, v = ca.vec(s["N"]), ca.vec(s["Nd"])
+        on_free = ca.densify(self._forces(s, gamma)[:, structure.free.tolist()])
+        forces = kernel.free_entries(structure, on_free)
+        q, v = (kernel.free_entries(structure, s[name]) for name in ("N", "Nd"))
         return (
             ca.Function("slope", [s["x"], u, taut], [self._xdot(s, gamma)]),
             ca.Function("gap", [s["x"], u], [ca.densify(gap), ca.densify(rate)]),
@@ -302,8 +304,12 @@ class Model:
     def potential_energy(self) -> ca.Function:
         """``(x, gamma) -> energy``: ½ Σ γ l², J: what strings store whose γ is held."""
         s = self._symbols()
-        S = kernel.differences(s["nodes"], self._structure.strings)
-        energy = ca.densify(ca.mtimes(kernel.dots(S, S), s["gamma"]) / 2)
+        if self._structure.has_clusters:
+            square = kernel.string_lengths(self._structure, s["nodes"]) ** 2
+        else:
+            S = kernel.differences(s["nodes"], self._structure.strings)
+            square = kernel.dots(S, S)
+        energy = ca.densify(ca.mtimes(square, s["gamma"]) / 2)
         return self._function("potential_energy", s, "x gamma", energy=energy)
 
     @built
@@ -311,20 +317,26 @@ class Model:
         """``(x, rest_length) -> energy``: what strings store whose rest length is held, J."""
         s = self._symbols()
         law = self._needed_strings()
-        length = kernel.length(self._string_vectors(s)[0]).T
+        length = kernel.string_lengths(self._structure, s["nodes"]).T
         stored = law.as_expressions().stored_energy(length, s["rest_length"])
         energy = ca.densify(ca.sum1(stored))
         return self._function("elastic_energy", s, "x rest_length", energy=energy)
 
     @built
     def momentum(self) -> ca.Function:
-        """``(x) -> (linear, angular)``: kg m/s, and kg m²/s about the origin, shape (3,) each."""
+        """``(x) -> (linear, angular)``: kg m/s, and kg m²/s about the origin.
+
+        Shape (3,) each in space; (2,) and (1,) in the plane.
+        """
         s = self._symbols()
-        momenta = kernel.mass_product(self._structure, s["velocities"])
-        angular = sum(
-            (ca.cross(s["nodes"][:, i], momenta[:, i]) for i in range(momenta.shape[1])),
-            ca.SX(3, 1),
-        )
+        momenta, nodes = kernel.mass_product(self._structure, s["velocities"]), s["nodes"]
+        if self._structure.dimension == 2:
+            angular = ca.sum2(nodes[0, :] * momenta[1, :] - nodes[1, :] * momenta[0, :])
+        else:
+            angular = sum(
+                (ca.cross(nodes[:, i], momenta[:, i]) for i in range(momenta.shape[1])),
+                ca.SX(3, 1),
+            )
         return self._function("momentum", s, "x", linear=ca.sum2(momenta), angular=angular)
 
     # ---- expressions ----
@@ -333,8 +345,9 @@ class Model:
         """Return fresh symbols, with N and Nd as parts of x."""
         structure = self._structure
         free, alpha = len(structure.free), len(structure.strings)
-        N, Nd, W = (ca.SX.sym(name, 3, free) for name in ("N", "Nd", "W"))
-        load = ca.SX(3, structure.nodes.shape[1])
+        d = structure.dimension
+        N, Nd, W = (ca.SX.sym(name, d, free) for name in ("N", "Nd", "W"))
+        load = ca.SX(*structure.nodes.shape)
         if self._external_force:
             load = kernel.all_nodes(structure, W)
         if self._constant_force.any():
@@ -343,7 +356,7 @@ class Model:
             "N": N,
             "Nd": Nd,
             "W": W,
-            "x": ca.vertcat(ca.vec(N), ca.vec(Nd)),
+            "x": ca.vertcat(*(kernel.free_entries(structure, part) for part in (N, Nd))),
             "gamma": ca.SX.sym("gamma", alpha),
             "rest_length": ca.SX.sym("rest_length", alpha),
             # All nodes, the fixed ones as constants.
@@ -367,22 +380,16 @@ class Model:
         return ca.densify(Ndd[:, self._structure.free.tolist()])
 
     def _xdot(self, s: dict[str, Any], gamma: Any) -> Any:
-        return ca.vertcat(ca.vec(s["Nd"]), ca.vec(self._ndd(s, gamma)))
+        rates = s["Nd"], self._ndd(s, gamma)
+        return ca.vertcat(*(kernel.free_entries(self._structure, part) for part in rates))
 
     def _lambda(self, s: dict[str, Any]) -> Any:
         forces = self._forces(s, s["gamma"])
         return kernel.bar_force_density(self._structure, s["nodes"], s["velocities"], forces)
 
-    def _string_vectors(self, s: dict[str, Any]) -> tuple[Any, Any]:
-        """Return S and its rate, (3, α) each."""
-        strings = self._structure.strings
-        return kernel.differences(s["nodes"], strings), kernel.differences(s["velocities"], strings)
-
     def _law_force_density(self, s: dict[str, Any]) -> Any:
         law = self._needed_strings()
-        S, Sd = self._string_vectors(s)
-        length = kernel.length(S)
-        rate = kernel.length_rate(S, Sd, length)
+        length, rate = kernel.string_motion(self._structure, s["nodes"], s["velocities"])
         return law.symbolic_force_density(length.T, s["rest_length"], rate.T)
 
     def _needed_strings(self) -> StringLaw:
@@ -395,20 +402,18 @@ class Model:
 
 
 def pack_state(structure: Structure, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
-    """Return ``x = [vec(N); vec(Ṅ)]`` of the free nodes, shape (6n,), from two (3, ·) arrays."""
-    parts = (nodes[:, structure.free], velocities[:, structure.free])
-    return np.concatenate([part.ravel(order="F") for part in parts])
+    """Return ``x = [vec(N); vec(Ṅ)]`` of what is free, from two arrays of shape (d, n)."""
+    return np.concatenate([free_coordinates(structure, part) for part in (nodes, velocities)])
 
 
 def unpack_states(structure: Structure, states: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return all nodes and velocities, shape (3, ·, T) each, from states of shape (6n, T)."""
-    shape = (*structure.nodes.shape, states.shape[1])
-    nodes, velocities = np.zeros(shape), np.zeros(shape)
-    nodes[:] = structure.nodes[:, :, None]
-    halves = np.split(states, [states.shape[0] // 2])
-    for target, half in zip((nodes, velocities), halves, strict=True):
-        target[:, structure.free] = half.reshape(-1, 3, states.shape[1]).swapaxes(0, 1)
-    return nodes, velocities
+    """Return all nodes and velocities, shape (d, n, T) each, from states, one a column."""
+    d, n = structure.nodes.shape
+    nodes, velocities = np.zeros((2, n * d, states.shape[1]))
+    nodes[:] = structure.nodes.ravel(order="F")[:, None]
+    nodes[structure.free_rows], velocities[structure.free_rows] = np.split(states, 2)
+    shape = (n, d, -1)
+    return nodes.reshape(shape).swapaxes(0, 1), velocities.reshape(shape).swapaxes(0, 1)
 
 
 def _suitable_form(structure: Structure) -> str:
@@ -418,20 +423,20 @@ def _suitable_form(structure: Structure) -> str:
     return "mapped" if compiler() is None else "loops"
 
 
-def _gravity_vector(gravity: object) -> FloatArray:
+def _gravity_vector(gravity: object, dimension: int) -> FloatArray:
     vector = float_array("gravity", gravity)
     if vector.ndim == 0:
-        return np.array([0.0, 0.0, -float(vector)])
-    if vector.shape != (3,):
+        return np.append(np.zeros(dimension - 1), -float(vector))
+    if vector.shape != (dimension,):
         raise ValueError(
-            f"gravity has shape {vector.shape}, expected () or (3,): m/s² downward, or a vector"
+            f"gravity has shape {vector.shape}, expected () or ({dimension},): m/s² downward, or a "
+            "vector"
         )
     return vector
 
 
 def _weights(structure: Structure, gravity: FloatArray) -> FloatArray:
-    """Return the weights at the nodes, N, shape (3, n): half a bar's at each of its ends."""
-    mass = np.zeros(structure.nodes.shape[1])
-    mass[structure.bars] = structure.bar_mass[:, None] / 2
-    mass[structure.string_nodes] = structure.string_node_mass
-    return np.outer(gravity, mass)
+    """Return the weights at the nodes, N, shape (d, n): half a bar's at each of its ends."""
+    mass = structure.point_mass.copy()
+    np.add.at(mass, structure.bars, structure.bar_mass[:, None] / 2)
+    return np.asarray(np.outer(gravity, mass))

@@ -172,7 +172,7 @@ _MEANINGS: Keys = {
         (NUMBER, "kg", "node_mass"),
         (NUMBER, "", "tolerance regularization string_penalty load_gain drop_rate outlier_rate"),
         (NUMBER, "", "process_noise load_noise gate start_spread"),
-        (NUMBERS, "kg", "bar_mass string_node_mass panel_mass"),
+        (NUMBERS, "kg", "bar_mass string_node_mass point_mass panel_mass"),
         (NUMBERS, "kg/m²", "areal_density"),
         (NUMBERS, "m", "node_position string_length"),
         (NUMBERS, "N", "string_tension"),
@@ -201,7 +201,7 @@ _MEANINGS: Keys = {
 }
 
 # Arguments that come from another table or from the scene itself.
-_ELSEWHERE = "structure parent string_parent plant sensors winches machine_code matrix"
+_ELSEWHERE = "structure parent string_parent rollers paths plant sensors winches machine_code matrix"
 
 
 def arguments(function: Callable[..., object]) -> dict[str, Parameter]:
