@@ -44,9 +44,8 @@ def all_nodes(structure: Structure, free: Symbolic, fixed: FloatArray | None = N
         order = np.argsort(np.concatenate([structure.free, structure.fixed]))
         columns = ca.horzcat(free, rest)[:, order.tolist()]
         if structure.rollers:
-            held = np.zeros(structure.nodes.size)
-            held[structure.fixed_rows] = 1.0
-            held = held.reshape(structure.nodes.shape, order="F")
+            is_held = np.isin(np.arange(structure.nodes.size), structure.fixed_rows)
+            held = is_held.astype(float).reshape(structure.nodes.shape, order="F")
             columns = columns * ca.DM(1 - held) + ca.sparsify(ca.DM(places * held))
         return columns
     columns = type(free)(*structure.nodes.shape)

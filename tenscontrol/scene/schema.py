@@ -201,7 +201,9 @@ _MEANINGS: Keys = {
 }
 
 # Arguments that come from another table or from the scene itself.
-_ELSEWHERE = "structure parent string_parent rollers paths plant sensors winches machine_code matrix"
+_ELSEWHERE = (
+    "structure parent string_parent rollers paths plant sensors winches machine_code matrix"
+)
 
 
 def arguments(function: Callable[..., object]) -> dict[str, Parameter]:
