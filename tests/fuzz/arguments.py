@@ -24,6 +24,7 @@ import threading
 import time
 import traceback
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 OUTCOMES = (
@@ -487,11 +488,9 @@ def run(count, seed=0, only="", processes=1, least_share=0.0, show=None, limit=L
         finally:
             worker.stop()
 
-    threads = [threading.Thread(target=serve) for _ in range(processes)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(processes) as pool:
+        for served in [pool.submit(serve) for _ in range(processes)]:
+            served.result()
     return sorted(finds)
 
 
@@ -530,7 +529,8 @@ def main():
     given = parser.parse_args()
     if given.repeat:
         repeat(given.repeat)
-        return
+        return 0
+    sys.stdout.reconfigure(errors="backslashreplace")  # for surrogates in what is found
 
     def show(find, done):
         key, outcome, text, _ = find
@@ -547,6 +547,7 @@ def main():
         spent[key.split("|")[0]] += seconds
     slowest = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in spent.most_common(6))
     print(f"{len(finds)} calls, {time.perf_counter() - start:.0f} s; most time: {slowest}")
+    return int(any(outcome not in OUTCOMES[:3] for _, outcome, *_ in finds))
 
 
 def repeat(key):
@@ -569,4 +570,4 @@ def repeat(key):
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
