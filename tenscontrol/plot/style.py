@@ -162,6 +162,8 @@ def checked_indices(name: str, given: object, count: int, things: str, example: 
     if array.ndim != 1 or len(array) == 0:
         raise TypeError(f"{name} is {given!r}, expected a sequence of {things}, like {example}")
     of = f"there are {count} {things.split()[0]}s"
+    if len(array) > count:
+        raise ValueError(f"{name} has {len(array)} entries, expected at most {count}: {of}")
     return [int(index) for index in indices(name, array, count, of)]
 
 

@@ -67,7 +67,7 @@ FAST = ("1e6", "1e15", "1e100", "-1e100", "2**31", "2**63", "-2**63", "uint64", 
 FAST += ("times 1e6", "plus 1e9")
 IN_MOTION = ("state", "held", "velocities", "external_force", "force_density", "rest_length")
 
-# So many errors, times or nodes are each answered.
+# So many errors or times are each answered.
 MANY = ("huge list", "array of a million")
 
 # Functions that raise when they are called: that is their own error.
@@ -171,7 +171,7 @@ def _is_meant(name, argument, spoiler):
         or (argument == "segments" and spoiler in ("1e6", "times 1e6"))
         or (name == "shape_path" and argument == "step" and spoiler == "1e-6")
         or (argument == "machine_code" and "True" in spoiler)
-        or (argument in ("errors", "times", "nodes") and spoiler in MANY)
+        or (argument in ("errors", "times") and spoiler in MANY)
         or (argument in ("report", "case") and spoiler in OWN_FUNCTIONS)
     )
 
