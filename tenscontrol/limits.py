@@ -16,8 +16,10 @@ MOST_SAMPLES = 10_000
 #: Plants and controllers that one call designs.
 MOST_DESIGNS = 1_000
 
+#: Seconds that a call may take, or wait for a program: a day.
+LONGEST_WAIT = 86_400.0
+
 _MOST_BYTES = 4e9
-_MOST_SECONDS = 86_400.0
 
 
 def refuse_memory(asked: str, count: float, things: str, each: float, hint: str = "") -> None:
@@ -31,8 +33,8 @@ def refuse_memory(asked: str, count: float, things: str, each: float, hint: str 
 
 def refuse_time(asked: str, count: float, things: str, each: float, hint: str = "") -> None:
     """Raise if ``count`` things of ``each`` seconds are not done in a day."""
-    if not count * each <= _MOST_SECONDS:
+    if not count * each <= LONGEST_WAIT:
         raise ValueError(
             f"{asked}, which makes {count:.3g} {things}, about {count * each / 86_400:.3g} days; "
-            f"expected at most {_MOST_SECONDS / each:.2g}, a day{hint}"
+            f"expected at most {LONGEST_WAIT / each:.2g}, a day{hint}"
         )

@@ -172,8 +172,8 @@ def non_negative(name: str, array: FloatArray, why: str) -> FloatArray:
     return array
 
 
-def positive_number(name: str, value: object, unit: str) -> float:
-    """Return a positive finite number."""
+def positive_number(name: str, value: object, unit: str, most: float = LARGEST) -> float:
+    """Return a positive finite number of at most ``most``."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     kinds = int | float | np.integer | np.floating
@@ -183,10 +183,10 @@ def positive_number(name: str, value: object, unit: str) -> float:
         number = float(value)
     except OverflowError:
         number = np.inf
-    if not 1 / LARGEST <= number <= LARGEST:
+    if not 1 / LARGEST <= number <= most:
         raise ValueError(
             f"{name} is {_brief(value)}, expected a positive finite number in {unit}, between "
-            f"{1 / LARGEST:g} and {LARGEST:g}, so that squares stay within double precision"
+            f"{1 / LARGEST:g} and {most:g}"
         )
     return number
 

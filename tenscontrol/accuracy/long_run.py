@@ -20,7 +20,15 @@ from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, shown
-from tenscontrol.validation import FloatArray, choice, frozen, positive_number, truth, whole_number
+from tenscontrol.validation import (
+    LARGEST,
+    FloatArray,
+    choice,
+    frozen,
+    positive_number,
+    truth,
+    whole_number,
+)
 
 # States that are integrated, judged and dropped at once.
 _PART = 50
@@ -221,7 +229,9 @@ def long_run(
                 # The message counts time from the start of the part.
                 failure = f"at {reached:.6g} s; within its last {spacing * count:.6g} s, {error}"
             work += span.work
-            recorder.add(span.states)
+            if recorder.add(span.states) < span.states.shape[1] and not failure:
+                reached = spacing * recorder.count
+                failure = f"after {reached:.6g} s the motion runs away, beyond {LARGEST:g} m or m/s"
             if failure:
                 break
             state = span.states[:, -1]
@@ -253,10 +263,12 @@ class _Recorder:
         self.count = 0
         self._has_energy, self._has_momentum = conserves_energy(case), conserves_momentum(case)
 
-    def add(self, states: FloatArray) -> None:
-        if not states.shape[1]:
-            return
-        found, start = invariants(self._case, states), self._start
+    def add(self, states: FloatArray) -> int:
+        """Keep the states before the first that is beyond ``LARGEST``; return how many."""
+        good = int((np.abs(states) <= LARGEST).all(axis=0).cumprod().sum())
+        if not good:
+            return 0
+        found, start = invariants(self._case, states[:, :good]), self._start
         rows = {}
         if self._has_energy:
             rows["energy", "J"] = found.energy - start.energy
@@ -270,7 +282,8 @@ class _Recorder:
             self._rows.setdefault(key, []).append(values)
         change = float(np.abs(found.potential - start.potential).max())
         self.energy_scale = max(self.energy_scale, float(found.kinetic.max()), change)
-        self.count += states.shape[1]
+        self.count += good
+        return good
 
     def drifts(self, spacing: float) -> tuple[Drift, ...]:
         found = []

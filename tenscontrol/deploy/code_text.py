@@ -6,11 +6,11 @@ import errno
 import os
 import re
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from textwrap import shorten
 
 import casadi as ca
 import numpy as np
@@ -153,15 +153,18 @@ def _written(write: Callable[[str], object]) -> dict[str, str]:
     then does not end as it should. What is below is copied, and that says so.
     """
     with TemporaryDirectory(prefix="tenscontrol-") as above:
-        folder, texts = Path(above) / "code", {}
-        with suppress(OSError, AssertionError):  # the latter by OSQP
+        folder, number, said = Path(above) / "code", errno.EIO, "a file of it is cut short"
+        try:
             write(str(folder))
             texts = {path.name: path.read_text("utf-8") for path in folder.rglob("*.[ch]")}
-        made = [texts.get(path.name, "") for path in folder.glob("*.[ch]")] or [""]
-        if all(text.count("{") == text.count("}") and _END.search(text) for text in made):
-            return texts
-    advice = "free some space there, or set TMPDIR"
-    raise OSError(errno.ENOSPC, f"cannot write C code; {advice}", str(folder))
+            made = [texts[path.name] for path in folder.glob("*.[ch]")] or [""]
+            if all(text.count("{") == text.count("}") and _END.search(text) for text in made):
+                return texts
+        except (OSError, AssertionError) as error:  # the latter by OSQP
+            number = getattr(error, "errno", None) or number
+            said = getattr(error, "strerror", None) or shorten(str(error), 300)
+    advice = "make TMPDIR a folder that can be written and has space"
+    raise OSError(number, f"cannot write C code: {said}; {advice}", str(folder))
 
 
 def _licence() -> str:

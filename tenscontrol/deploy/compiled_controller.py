@@ -13,6 +13,7 @@ import numpy as np
 
 from tenscontrol.control import Command, Controller, Fallback, Status
 from tenscontrol.dynamics import CompilerError, compiler
+from tenscontrol.limits import LONGEST_WAIT
 from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray, positive_number
 
@@ -64,7 +65,7 @@ class CompiledController(Controller):
         timeout: float,
     ) -> None:
         super().__init__(plant, sample_time, *bounds)
-        timeout = positive_number("timeout", timeout, "s")
+        timeout = positive_number("timeout", timeout, "s", LONGEST_WAIT)
         found = compiler()
         if found is None:
             raise FileNotFoundError(

@@ -63,7 +63,7 @@ class GeneratedController:
         Parameters
         ----------
         timeout : float
-            Longest time that the compiler may take, s.
+            Longest time that the compiler may take, s; at most a day.
 
         Returns
         -------
@@ -76,7 +76,7 @@ class GeneratedController:
         CompilerError
             If the compiler fails, or its library cannot be loaded.
         ValueError
-            If the timeout is not positive.
+            If the timeout is not positive, or longer than a day.
         """
         sources = [file for file in self.files if file.endswith(".c") and file != "main.c"]
         return CompiledController(

@@ -27,6 +27,8 @@ import casadi as ca
 
 from tenscontrol import processes
 from tenscontrol.dynamics.evaluator import builds, paused
+from tenscontrol.files import write_file
+from tenscontrol.limits import LONGEST_WAIT
 from tenscontrol.validation import instance, positive_number
 
 #: Environment variable that names the compiler, before ``CC``; ``none`` switches compiling off.
@@ -350,7 +352,7 @@ def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
         Of SX or MX, with all that it calls. What CasADi cannot write as C code,
         such as a callback into Python, cannot be compiled.
     timeout : float
-        Longest time that the compiler may take, s.
+        Longest time that the compiler may take, s; at most a day.
 
     Returns
     -------
@@ -387,7 +389,7 @@ def compiled(function: ca.Function, timeout: float = 600.0) -> Compiled | None:
     9.0
     """
     instance("function", function, ca.Function, "make one by casadi.Function(...)")
-    timeout = positive_number("timeout", timeout, "s")
+    timeout = positive_number("timeout", timeout, "s", LONGEST_WAIT)
     for part in (function, *function.find_functions()):
         if part.class_name() == "External":
             raise ValueError(
@@ -439,7 +441,7 @@ def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, 
     if library is None:
         with _new_folder(kept.folder) as folder:
             # Names without a folder: the library must not depend on where it was made.
-            (folder / "function.c").write_text(source, encoding="utf-8")
+            write_file(folder / "function.c", source, flush=False)
             made = found.link([Path("function.c")], folder, "function", timeout)
             library = kept.add(key, made)
     return library, cached, kept

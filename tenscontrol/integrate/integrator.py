@@ -12,6 +12,7 @@ import numpy as np
 
 from tenscontrol.dynamics import Equation, Evaluator, compiled
 from tenscontrol.validation import (
+    LARGEST,
     FloatArray,
     function,
     instance,
@@ -178,12 +179,16 @@ class Integrator(ABC):
         size = self._equation.states
         if report is not None:
             function("report", report, "it is told the time reached, s")
-        return (
-            measured("state", state, (size,), "positions, then velocities"),  # may have run away
+        found = (
+            measured("state", state, (size,), "positions, then velocities"),
             shaped("held", held, (self._equation.inputs,), "one number per input"),
             positive_number("duration", duration, "s"),
             whole_number("outputs", outputs, 1, int(_MOST_NUMBERS / max(size, 1))),
         )
+        if not (np.abs(found[0]) <= LARGEST).all():
+            nothing = Span(np.empty((size, 0)), Work())
+            raise IntegrationError(f"the state has run away, beyond {LARGEST:g}", 0.0, nothing)
+        return found
 
     def _kept(self, build: Callable[[], _Built], *settings: Hashable) -> _Built:
         """Return what is built once for the equation, this class and these settings."""

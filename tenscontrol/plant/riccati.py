@@ -140,11 +140,13 @@ def _solve(
     from scipy import linalg
 
     try:
-        P = (linalg.solve_discrete_are if discrete else linalg.solve_continuous_are)(A, B, Q, R)
-        sides = (B.T @ P @ B + R, B.T @ P @ A) if discrete else (R, B.T @ P)
-        K = np.linalg.solve(*sides)
-        return K, P, np.linalg.eigvals(A - B @ K)
+        with np.errstate(all="ignore"):  # numbers beyond double precision: the checks judge
+            P = (linalg.solve_discrete_are if discrete else linalg.solve_continuous_are)(A, B, Q, R)
+            sides = (B.T @ P @ B + R, B.T @ P @ A) if discrete else (R, B.T @ P)
+            K = np.linalg.solve(*sides)
+            return K, P, np.linalg.eigvals(A - B @ K)
     except (np.linalg.LinAlgError, ValueError) as error:
+        why = str(error).rstrip(".")
         raise ValueError(
-            f"{messages.equation} has no stabilizing solution: {error}. {messages.no_solution}"
+            f"{messages.equation} has no stabilizing solution: {why}. {messages.no_solution}"
         ) from error

@@ -8,13 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from tenscontrol.plot.histories import Curves, draw_curves, mark_statuses
-from tenscontrol.plot.style import (
-    PALETTE,
-    checked_indices,
-    curve_style,
-    legend_above,
-    panel_axes,
-)
+from tenscontrol.plot.style import PALETTE, checked_indices, curve_style, legend_above, panel_axes
 from tenscontrol.simulation import Trajectory
 from tenscontrol.validation import FloatArray, IntArray, instance
 

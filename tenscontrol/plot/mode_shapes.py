@@ -12,12 +12,7 @@ import numpy as np
 
 from tenscontrol.plant import LinearPlant, Modes
 from tenscontrol.plot.structure_drawing import Drawing, draw, frame, new_space
-from tenscontrol.plot.style import (
-    SMALL,
-    SMALL_FAINT,
-    checked_indices,
-    given_axes,
-)
+from tenscontrol.plot.style import SMALL, SMALL_FAINT, checked_indices, given_axes
 from tenscontrol.validation import FloatArray, instance, positive_number
 
 _COLUMNS = 3

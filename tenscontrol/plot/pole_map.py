@@ -195,7 +195,8 @@ def _distinct(values: np.ndarray, tolerance: float) -> tuple[np.ndarray, list[in
 
 def _checked(name: str, values: object) -> np.ndarray:
     try:
-        array = np.array(values, dtype=complex)
+        with np.errstate(over="ignore"):  # of a longer kind of float: infinite
+            array = np.array(values, dtype=complex)
     except (TypeError, ValueError, OverflowError) as error:
         raise TypeError(f"{name} must be an array of complex numbers: {error}") from None
     if array.ndim != 1 or len(array) == 0:

@@ -23,7 +23,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from tenscontrol.files import write_file
-from tenscontrol.validation import file_path, float_array, indices, instance
+from tenscontrol.validation import file_path, float_array, indices, instance, wrong_kind
 
 # Okabe & Ito (2008), without the yellow, which is lost on white paper.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
@@ -131,7 +131,10 @@ def panel_axes(axes: Sequence[Axes] | None, names: Sequence[str]) -> list[Axes]:
 
 def given_axes(axes: Sequence[Any], count: int, which: str, kind: str) -> list[Any]:
     """Return the axes that the user gives, or raise if their number or kind is wrong."""
-    given = list(np.ravel(np.array(axes, dtype=object)))
+    try:
+        given = list(np.ravel(np.array(axes, dtype=object)))
+    except (TypeError, ValueError):  # of what says that it is an array
+        raise wrong_kind("axes", axes, f"a sequence of {count} matplotlib Axes: {which}") from None
     if len(given) != count:
         raise ValueError(
             f"axes has {len(given)} entries, expected {count}: {which}; "
@@ -159,6 +162,8 @@ def checked_indices(name: str, given: object, count: int, things: str, example: 
     if array.ndim != 1 or len(array) == 0:
         raise TypeError(f"{name} is {given!r}, expected a sequence of {things}, like {example}")
     of = f"there are {count} {things.split()[0]}s"
+    if len(array) > count:
+        raise ValueError(f"{name} has {len(array)} entries, expected at most {count}: {of}")
     return [int(index) for index in indices(name, array, count, of)]
 
 

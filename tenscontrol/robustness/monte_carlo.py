@@ -7,7 +7,6 @@ import pickle
 import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from pathlib import Path
 from typing import Any
 
 from tenscontrol._version import __version__
@@ -20,7 +19,7 @@ from tenscontrol.robustness.distributions import Distribution
 from tenscontrol.robustness.pool import run_one, spread, workers
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError, SweepReport, collected
-from tenscontrol.validation import instance, truth, whole_number, wrong_kind
+from tenscontrol.validation import file_path, instance, truth, whole_number, wrong_kind
 
 
 def sweep(
@@ -134,9 +133,7 @@ def sweep(
     name = str(getattr(case, "__qualname__", type(case).__qualname__))
     settings = {name: each.settings() for name, each in distributions.items()}
     header = store.Header(__version__, name, seed, count, settings)
-    if file is not None and not isinstance(file, str | os.PathLike):
-        raise TypeError(f"file is {file!r}, expected a path, or None for no file")
-    path = None if file is None else Path(file)
+    path = None if file is None else file_path("file", file)
 
     with store.opened(path, header, distributions) as (known_count, records, write):
         beyond = sum(run >= count for run in records)  # the file may be that of a longer sweep

@@ -22,7 +22,7 @@ from typing import Any, final
 
 import numpy as np
 
-from tenscontrol.interrupt import at_once
+from tenscontrol.interrupt import check, finishing
 from tenscontrol.processes import begin_work
 from tenscontrol.robustness.closed_loop_case import Outcome
 from tenscontrol.robustness.distributions import CASE, Distribution, draw_run, generator
@@ -35,6 +35,8 @@ _PER_PROCESS = 2
 
 # Runs in flight on an executor whose width is not known, unless the user says otherwise.
 _IN_FLIGHT = 64
+
+_POLL = 0.05  # s until an interrupt is looked for
 
 
 @final
@@ -125,19 +127,21 @@ def spread(
     over = False
     try:
         while True:
+            check()
             _fill(pool, start, todo, pending)
             if not pending:
                 over = True
                 return
-            with at_once():
-                done, _ = wait(pending, return_when=FIRST_COMPLETED)
+            # Ctrl-C must not raise within: the locks that it takes would be kept for ever.
+            done, _ = wait(pending, _POLL, FIRST_COMPLETED)
             # Records first: what is done is kept, whatever became of the others.
             for future in sorted(done, key=lambda each: (_error(each) is not None, pending[each])):
                 error = _error(future)
                 if error is not None:
                     raise _stopped(error, pending[future], pending.values()) from error
                 del pending[future]
-                keep(future.result())
+                with finishing():  # in file and report, or in neither
+                    keep(future.result())
     except KeyboardInterrupt:
         for future in sorted(pending, key=pending.__getitem__):
             if future.done() and _error(future) is None:

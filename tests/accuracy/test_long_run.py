@@ -108,3 +108,8 @@ def test_bad_input_is_named(options, message):
 def test_a_step_that_is_far_too_long_is_told():
     with pytest.raises(ValueError, match="rk4 ends too early to judge"):
         tc.long_run(paper_case(1.0), "rk4", 10.0, steps=100, outputs=50)
+
+
+def test_a_motion_beyond_what_can_be_squared_is_not_judged():
+    with pytest.raises(ValueError, match=r"too early to judge: after 9 s the motion runs away"):
+        tc.long_run(paper_case(1.0), "rk4", 0.6, steps=30, outputs=30)

@@ -137,6 +137,11 @@ def test_the_fixed_steps_of_casadi_are_those_of_our_own_method():
     np.testing.assert_allclose(x, span.states[:18], rtol=0, atol=1e-12)
 
 
+def test_more_steps_than_are_done_in_a_day_are_refused():
+    with pytest.raises(ValueError, match=r"times end at 3e\+38 s, which makes 3e\+41 steps.* day"):
+        CasADiRK().prepare(prism_case(), 1e-3, np.array([3e38]))
+
+
 def test_scipy_counts_every_evaluation_and_jacobians_beside():
     case = prism_case(duration=0.1)
     kinked = case.equation().kinked_slope

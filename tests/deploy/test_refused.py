@@ -1,5 +1,9 @@
 """What cannot be written or compiled, and what the refusal says."""
 
+import errno
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -108,11 +112,30 @@ def test_no_compiler(tmp_path, monkeypatch):
         made.compile()
 
 
-@pytest.mark.parametrize("timeout", [0.0, -1.0, np.nan, None])
-def test_timeout(timeout, tmp_path):
+@pytest.mark.parametrize(
+    ("timeout", "expected"),
+    [(bad, "positive") for bad in (0.0, -1.0, np.nan, None)] + [(2**31, "between 1e-70 and 86400")],
+)
+def test_timeout(timeout, expected, tmp_path):
     made = tc.generate_c(regulator(), tmp_path)
-    with pytest.raises((TypeError, ValueError), match=r"timeout is .*positive"):
+    with pytest.raises((TypeError, ValueError), match=f"timeout is .*{expected}"):
         made.compile(timeout)
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.ENOSPC])
+def test_what_keeps_the_code_from_being_written_is_said(number, tmp_path, monkeypatch):
+    mkdir = os.mkdir
+
+    def fail(path, *arguments, **options):
+        if Path(path).name == "code":
+            raise OSError(number, os.strerror(number))
+        mkdir(path, *arguments, **options)
+
+    monkeypatch.setattr(os, "mkdir", fail)
+    with pytest.raises(OSError, match=f"cannot write C code: {os.strerror(number)}") as raised:
+        tc.generate_c(regulator(), tmp_path)
+    assert raised.value.errno == number
+    assert not list(tmp_path.iterdir())
 
 
 def test_generating_leaves_the_controller_as_it_was(tmp_path):

@@ -207,6 +207,8 @@ def test_arguments_are_checked():
         compiled("f")
     with pytest.raises(ValueError, match="timeout is -1, expected a positive"):
         compiled(square(), timeout=-1)
+    with pytest.raises(ValueError, match=r"timeout is 10+\.0, .* in s, between 1e-70 and 86400"):
+        compiled(square(), timeout=1e15)
 
 
 # ---- the compiler ----

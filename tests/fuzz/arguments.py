@@ -24,6 +24,7 @@ import threading
 import time
 import traceback
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 OUTCOMES = (
@@ -66,7 +67,7 @@ FAST = ("1e6", "1e15", "1e100", "-1e100", "2**31", "2**63", "-2**63", "uint64", 
 FAST += ("times 1e6", "plus 1e9")
 IN_MOTION = ("state", "held", "velocities", "external_force", "force_density", "rest_length")
 
-# So many errors, times or nodes are each answered.
+# So many errors or times are each answered.
 MANY = ("huge list", "array of a million")
 
 # Functions that raise when they are called: that is their own error.
@@ -170,7 +171,7 @@ def _is_meant(name, argument, spoiler):
         or (argument == "segments" and spoiler in ("1e6", "times 1e6"))
         or (name == "shape_path" and argument == "step" and spoiler == "1e-6")
         or (argument == "machine_code" and "True" in spoiler)
-        or (argument in ("errors", "times", "nodes") and spoiler in MANY)
+        or (argument in ("errors", "times") and spoiler in MANY)
         or (argument in ("report", "case") and spoiler in OWN_FUNCTIONS)
     )
 
@@ -487,11 +488,9 @@ def run(count, seed=0, only="", processes=1, least_share=0.0, show=None, limit=L
         finally:
             worker.stop()
 
-    threads = [threading.Thread(target=serve) for _ in range(processes)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(processes) as pool:
+        for served in [pool.submit(serve) for _ in range(processes)]:
+            served.result()
     return sorted(finds)
 
 
@@ -530,7 +529,8 @@ def main():
     given = parser.parse_args()
     if given.repeat:
         repeat(given.repeat)
-        return
+        return 0
+    sys.stdout.reconfigure(errors="backslashreplace")  # for surrogates in what is found
 
     def show(find, done):
         key, outcome, text, _ = find
@@ -547,6 +547,7 @@ def main():
         spent[key.split("|")[0]] += seconds
     slowest = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in spent.most_common(6))
     print(f"{len(finds)} calls, {time.perf_counter() - start:.0f} s; most time: {slowest}")
+    return int(any(outcome not in OUTCOMES[:3] for _, outcome, *_ in finds))
 
 
 def repeat(key):
@@ -569,4 +570,4 @@ def repeat(key):
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -10,6 +10,7 @@ within the time allowed. POSIX only.
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -18,6 +19,7 @@ import tempfile
 import time
 import warnings
 from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from functools import cache
 from pathlib import Path
@@ -30,8 +32,10 @@ from tenscontrol.accuracy.measured_run import Bench
 from tenscontrol.accuracy.predictability import predictability
 from tenscontrol.accuracy.suite import extreme_suite
 from tenscontrol.interrupt import InterruptionWarning, interruptible
+from tenscontrol.robustness import store
 from tenscontrol.simulation import loop
 from tests.dynamics.scenes import paper_force_density, rest_lengths
+from tests.robustness.cases import PARAMETERS, Inline, brief
 
 ROOT = Path(__file__).parents[2]
 SCENES = ROOT / "examples" / "scenes"
@@ -152,6 +156,13 @@ REPORTS = {
     "stiffness_report": stiffness,
 }
 
+# Where the runs of a sweep are done, and until when the signal comes, s.
+SWEEPS = {
+    "sweep on threads": (lambda: ThreadPoolExecutor(2), 0.5),
+    "sweep on processes": (lambda: nullcontext(None), 4.0),
+}
+FIRST = 10  # runs of a sweep that are done again
+
 # The command, what tells that it has begun, and whether it draws figures after the signal.
 COMMANDS = {
     "demo": (["demo", "--no-figures", "--output", "out"], "tenscontrol", False),
@@ -248,7 +259,30 @@ def go_on(name, run):
 def interrupt(name, sender, begun, delay, number):
     """Interrupt one loop once; return the wait for control, s, and whether anything was done."""
     run = {**MOTIONS, **REPORTS}[name]
-    begun.count, found, said = 0, None, []
+    begun.count = 0
+    back, found, said = signalled(run, sender, delay, number)
+    if found is None:
+        if name in MOTIONS and begun.count:
+            raise LostError("there was a motion, and KeyboardInterrupt came in its place")
+        if name in ("work_precision", "convergence_order") and begun.count:
+            raise LostError(
+                f"{begun.count} rows were done, and KeyboardInterrupt came in their place"
+            )
+        return back, False
+    if InterruptionWarning not in said:
+        raise LostError(f"no warning tells of it: {said}")
+    if name in MOTIONS:
+        check_motion(found)
+        with warnings.catch_warnings(action="ignore"):
+            go_on(name, found)
+    else:
+        (getattr(found, "table", None) or found.summary)()
+    return back, True
+
+
+def signalled(run, sender, delay, number):
+    """Run, with a signal on the way; return the wait for control, s, what came, and warnings."""
+    found, said = None, []
     # SIGTERM outside of a loop would end this process.
     guard = interruptible() if number == signal.SIGTERM else nullcontext()
     try:
@@ -275,23 +309,45 @@ def interrupt(name, sender, begun, delay, number):
     ):
         if signal.getsignal(each) is not usual:
             raise LostError(f"the handler of {each} is {signal.getsignal(each)}")
-    if found is None:
-        if name in MOTIONS and begun.count:
-            raise LostError("there was a motion, and KeyboardInterrupt came in its place")
-        if name in ("work_precision", "convergence_order") and begun.count:
-            raise LostError(
-                f"{begun.count} rows were done, and KeyboardInterrupt came in their place"
-            )
-        return back - sent, False
-    if not any(issubclass(each.category, InterruptionWarning) for each in said):
-        raise LostError(f"no warning tells of it: {[str(each.message) for each in said]}")
-    if name in MOTIONS:
-        check_motion(found)
-        with warnings.catch_warnings(action="ignore"):
-            go_on(name, found)
-    else:
-        (getattr(found, "table", None) or found.summary)()
-    return back - sent, True
+    return back - sent, found, [each.category for each in said]
+
+
+@cache
+def alone():
+    """Return the first runs of the sweep, which nobody interrupts."""
+    return numbers(tc.sweep(brief, PARAMETERS, FIRST, seed=0, executor=Inline()))
+
+
+def numbers(report):
+    return [record.line() for record in report._records]
+
+
+def interrupt_sweep(name, sender, delay, number):
+    """Interrupt a sweep once; return the wait for control, s, and whether any run was done."""
+    make, _ = SWEEPS[name]
+    alone()
+    with tempfile.TemporaryDirectory() as folder, make() as executor:
+        file = Path(folder) / "runs.jsonl"
+        where = {"processes": 2} if executor is None else {"executor": executor}
+        wait, found, said = signalled(
+            lambda: tc.sweep(brief, PARAMETERS, 1_000_000, seed=0, file=file, **where),
+            sender, delay, number,
+        )  # fmt: skip
+        if multiprocessing.active_children():
+            raise LostError("a worker is left")
+        done = [each.line() for each in store.read(file)[1].values()] if file.exists() else []
+        if found is None:
+            if done:
+                raise LostError(f"{len(done)} runs were done, and KeyboardInterrupt came instead")
+        elif said != [RuntimeWarning]:
+            raise LostError(f"no warning tells of it, or others too: {said}")
+        elif numbers(found) != done:
+            raise LostError(f"the report has {len(found)} runs, its file {len(done)}")
+        if numbers(tc.sweep(brief, PARAMETERS, FIRST, seed=0, file=file, executor=Inline())) != (
+            alone()
+        ):
+            raise LostError("other numbers after it went on")
+    return wait, found is not None
 
 
 def interrupt_command(name, delay, number):
@@ -358,14 +414,17 @@ def campaign(count, seed=0, commands=True, told=print):
                     longest = max(map(max, waits.values()))
                     told(f"{i} done, {len(failures)} failures, at most {longest:.3f} s")
                 names = [*MOTIONS] * 3 + [*REPORTS]
-                if commands and i % 20 == 19:
-                    names = [*COMMANDS]
+                if commands and i % 20 in (9, 19):
+                    names = [*COMMANDS] if i % 20 == 19 else [*SWEEPS]
                 name = str(generator.choice(names))
                 number = signal.SIGTERM if generator.random() < 0.25 else signal.SIGINT
-                delay = float(generator.uniform(0.002, 0.5 if name in MOTIONS else 1.5))
+                latest = SWEEPS[name][1] if name in SWEEPS else 0.5 if name in MOTIONS else 1.5
+                delay = float(generator.uniform(0.002, latest))
                 try:
                     if name in COMMANDS:
                         wait, done = interrupt_command(name, delay, number)
+                    elif name in SWEEPS:
+                        wait, done = interrupt_sweep(name, sender, delay, number)
                     else:
                         wait, done = interrupt(name, sender, begun, delay, number)
                 except LostError as error:

@@ -5,7 +5,7 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics import smooth_equation
-from tenscontrol.integrate import DOP853, IntegrationError
+from tenscontrol.integrate import CVODES, DOP853, EnergyMomentum, IntegrationError, Rattle
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 from tests.integrate.test_rk4 import explosion, oscillator
 from tests.oracle import HeldRestLength, RigidBars
@@ -85,3 +85,13 @@ def test_a_singularity_stops_with_what_was_good():
     assert info.value.time == pytest.approx(1.0, abs=1e-3)
     assert good.shape[1] in (19, 20)
     np.testing.assert_allclose(good[0, :19], 1 / (1 - 0.05 * np.arange(1, 20)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("entry", [np.inf, np.nan, 1e308])
+@pytest.mark.parametrize("method", [DOP853, CVODES, EnergyMomentum, Rattle])
+def test_a_state_that_has_run_away_is_told_without_a_warning(prism, method, entry):
+    equation = tc.Model(prism).equation("force_density")
+    state = np.concatenate([prism.nodes.ravel(order="F"), np.zeros(18)])
+    state[6] = entry
+    with pytest.raises(IntegrationError, match="the state has run away"):
+        method(equation, 1e-2).advance(state, np.full(9, 20.0), 1.0, 2)

@@ -54,6 +54,11 @@ def test_what_no_reading_tells_of_is_named_a_problem_of_the_filter():
         filter_riccati(np.diag([1.0, 0.5]), np.eye(2), np.array([[0.0, 1.0]]), NOISE)
 
 
+def test_numbers_beyond_double_precision_are_refused_without_a_warning():
+    with pytest.raises(ValueError, match=r"no stabilizing solution: [^.]*[^.]\. .* process_noise"):
+        filter_riccati(TRANSITION, 1e60 * DRIVE, OUTPUT, NOISE)
+
+
 def test_weights_of_any_size_are_symmetric_to_the_solver():
     plant = tc.linearize(tc.Model(tc.prism()), tc.prestress(tc.prism(), force_density=17.3205))
     half = np.random.default_rng(0).normal(size=(18, 18))

@@ -93,3 +93,8 @@ def test_wrong_poles_are_named(poles, error, message):
 def test_space_axes_are_refused(space):
     with pytest.raises(TypeError, match="ax is three-dimensional, expected flat"):
         tc.plot.poles([1.0], ax=space)
+
+
+def test_poles_beyond_double_precision_are_refused():
+    with pytest.raises(ValueError, match=r"poles\[1\] is .*inf.*, expected a finite number"):
+        tc.plot.poles(np.array([-1.0, np.longdouble("1e4000")]))

@@ -1,6 +1,7 @@
 """Cases that workers can import, and an executor that counts."""
 
 import os
+import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 import tenscontrol as tc
@@ -51,6 +52,12 @@ def noisy(parameters, rng):
     return tc.robustness.Outcome(
         success=fate < 0.8, figures={"value": value, "first_mass": parameters["mass"][0]}
     )
+
+
+def brief(parameters, rng):
+    """A run of a few milliseconds."""
+    time.sleep(0.003)
+    return tc.robustness.Outcome(success=True, figures={"value": rng.random()})
 
 
 def first_of_the_stream(parameters, rng):

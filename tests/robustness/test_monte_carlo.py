@@ -1,6 +1,9 @@
 """Sweeps: the same numbers from any executor, from a file, and after a failure."""
 
 import json
+import os
+import signal
+import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 
@@ -9,7 +12,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.robustness import store
+from tenscontrol.robustness import pool, store
 from tests.robustness import cases
 from tests.robustness.cases import PARAMETERS, Inline, Waiting
 
@@ -189,6 +192,34 @@ class TestFailuresAreData:
         whole, runs = inline(file=file)
         assert lines(whole) == lines(report)
         assert runs == [0, *range(len(part), COUNT)]
+
+    def test_ctrl_c_raises_nothing_while_locks_are_taken(self, monkeypatch):
+        waited, wait = [], pool.wait
+
+        def interrupted(*arguments):
+            signal.raise_signal(signal.SIGINT)
+            waited.append(arguments)
+            return wait(*arguments)
+
+        monkeypatch.setattr(pool, "wait", interrupted)
+        with pytest.warns(RuntimeWarning, match="interrupted with 1 of 24 runs"):
+            inline(in_flight=1)
+        assert len(waited) == 1
+
+    def test_ctrl_c_leaves_a_run_in_file_and_report_or_in_neither(self, tmp_path, monkeypatch):
+        file, synced, fsync = tmp_path / "runs.jsonl", [], os.fsync
+
+        def interrupted(descriptor):
+            synced.append(descriptor)
+            if len(synced) == 4:  # the header was the first
+                signal.raise_signal(signal.SIGINT)
+                time.sleep(1)  # a slow disk
+            fsync(descriptor)
+
+        monkeypatch.setattr(os, "fsync", interrupted)
+        with pytest.warns(RuntimeWarning, match="interrupted with 3 of 24 runs"):
+            part, _ = inline(file=file, in_flight=1)
+        assert lines(part) == file.read_text("utf-8").splitlines()[1:]
 
 
 def other_outcome(line):

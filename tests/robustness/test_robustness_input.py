@@ -158,6 +158,7 @@ ROBUSTNESS = [
     refused("sweep in_flight zero", lambda: sweep(in_flight=0), ValueError, r"in_flight is 0"),
     refused("sweep progress text", lambda: sweep(progress="no"), TypeError, r"progress is 'no'"),
     refused("sweep file number", lambda: sweep(file=3), TypeError, r"file is 3"),
+    refused("sweep file name", lambda: sweep(file="\ud800"), ValueError, r"file is '.ud800', .* a"),
     refused("sweep file folder", lambda: sweep(file="."), OSError, r"directory|denied"),
     refused("uniform nan", lambda: tc.Uniform(NAN, 1), ValueError, r"low is nan"),
     refused("uniform falling", lambda: tc.Uniform(1, 1), ValueError, r"low is 1 and high is 1"),

@@ -10,13 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
-from tenscontrol.accuracy.peers.peer import (
-    Peer,
-    Solution,
-    checked_run,
-    peer_settings,
-    steps_between,
-)
+from tenscontrol.accuracy.peers.peer import Peer, Solution, checked_run, peer_settings, spaced
 from tenscontrol.dynamics import Evaluator, builds, unpack_states
 from tenscontrol.integrate import jacobian_weight, state_jacobian
 from tenscontrol.validation import FloatArray, choice
@@ -150,8 +144,7 @@ class CasADiRK(Peer):
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         setting, times = checked_run(case, setting, times)
-        spacing = float(times[-1]) / len(times)
-        inner = steps_between(spacing, setting)
+        spacing, inner = spaced(times, setting)
         # One grid interval repeated: on a grid of decimals CasADi may round to a step more.
         solver = _solver(
             "rk",

@@ -10,6 +10,7 @@ from math import ceil
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
+from tenscontrol.limits import refuse_time
 from tenscontrol.validation import (
     FloatArray,
     float_array,
@@ -92,6 +93,15 @@ class Peer(ABC):
 def steps_between(spacing: float, step: float) -> int:
     """Return how many steps, shortened to fit, there are between outputs; round-off allowed for."""
     return max(1, ceil(spacing / step - 1e-9))
+
+
+def spaced(times: FloatArray, step: float) -> tuple[float, int]:
+    """Return spacing of outputs, s, and steps between them; refuse more than are done in a day."""
+    spacing = float(times[-1]) / len(times)
+    inner = steps_between(spacing, step)
+    asked = f"setting is {step:g} s and times end at {times[-1]:g} s"
+    refuse_time(asked, inner * len(times), "steps", 5e-5)
+    return spacing, inner
 
 
 def peer_settings(settings: object) -> tuple[float, ...]:

@@ -10,13 +10,7 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
-from tenscontrol.accuracy.peers.peer import (
-    Peer,
-    Solution,
-    checked_run,
-    peer_settings,
-    steps_between,
-)
+from tenscontrol.accuracy.peers.peer import Peer, Solution, checked_run, peer_settings, spaced
 from tenscontrol.dynamics import ElasticStrings, LinearStrings
 from tenscontrol.validation import FloatArray, choice
 
@@ -78,8 +72,7 @@ class MuJoCo(Peer):
         scene = RigidScene(case)
         model = mujoco.MjModel.from_xml_string(scene.xml)
         model.opt.integrator = getattr(mujoco.mjtIntegrator, name)
-        spacing = float(times[-1]) / len(times)
-        inner = steps_between(spacing, setting)
+        spacing, inner = spaced(times, setting)
         model.opt.timestep = spacing / inner
         data = mujoco.MjData(model)
 
