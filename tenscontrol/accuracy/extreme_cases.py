@@ -52,7 +52,7 @@ class Extreme:
     Fixed steps are ``longer`` times too long. Motions are compared at ``outputs`` times. Steps must
     also follow ``turning``, the largest speed of turning, rad/s. A run that costs more than
     ``budget`` evaluations of a prism by explicit methods is not run. ``closed_form`` returns nodes,
-    m, shape (3, n, T), over time where the motion is known.
+    m, shape (d, n, T), over time where the motion is known.
     """
 
     group: str

@@ -100,9 +100,9 @@ class Demand(ABC):
         if self._dimension not in (None, structure.dimension):
             where = {2: "in the plane", 3: "in space"}
             raise ValueError(
-                f"{name} is for nodes {where[self._dimension or 3]}, but those of the structure are "
-                f"{where[structure.dimension]}: give as many coordinates, or name those asked for "
-                "by directions"
+                f"{name} is for nodes {where[self._dimension or 3]}, but those of the structure "
+                f"are {where[structure.dimension]}: give as many coordinates, or name those asked "
+                "for by directions"
             )
 
 
