@@ -28,6 +28,9 @@ _TIE = 1e-10
 # Bars whose lengths change less than this, relatively, when others keep theirs depend on them.
 _DEPENDENT = 1e-9
 
+# How far off a bar that depends on others may be, less than in a mirror image.
+MIRRORED = 1e-3
+
 # A string with less than this fraction of the largest γ is slack.
 _SLACK = 1e-9
 
@@ -85,12 +88,26 @@ class ShapeProblem:
             F[:, j] += body[:d] + _turned(body[d:], arms[:, j])
         unbalanced = ca.vec(F)[structure.free_rows.tolist()]
         moving = self._bars.argmax(axis=0)
-        B = kernel.differences(at, structure.bars[moving])
-        lengths = ca.DM(structure.bar_length[moving] ** 2)
-        stretch = (ca.sum1(B * B).T - lengths) / (2 * self.size**2)
+        stretch = self._stretch(moving)
         # Equations that the symmetry makes equal are written once.
         self.equations = ca.vertcat(ca.mtimes(_sparse(red.basis.T), unbalanced), stretch)
         self._parts = ca.Function("parts", [self.unknowns], [ca.densify(at), self.gamma])
+
+    @property
+    def dependent_stretch(self) -> Any:
+        """Expression of the stretch of the bars that depend on others, in units of the size.
+
+        It is zero where those keep their lengths, but in a mirror image of a part of the bars.
+        """
+        structure = self.model.structure
+        free = np.flatnonzero(is_movable(structure, structure.bars))
+        return self._stretch(free[~self._bars.any(axis=1)[free]])
+
+    def _stretch(self, bars: IntArray) -> Any:
+        """Return half the excess of squared lengths, in units of the size, one a row."""
+        B = kernel.differences(self.nodes, self.model.structure.bars[bars])
+        lengths = ca.DM(self.model.structure.bar_length[bars] ** 2)
+        return (ca.sum1(B * B).T - lengths) / (2 * self.size**2)
 
     def start(self, nodes: FloatArray, gamma: FloatArray) -> FloatArray:
         """Return unknowns at or near this shape, with the λ that balances best."""
@@ -291,8 +308,9 @@ def _bar_push(bars: Any, at: Any, lam: Any) -> Any:
     F = ca.SX(*at.shape)
     if len(bars):
         push = kernel.scale_columns(kernel.differences(at, bars), lam.T)
-        F[:, bars[:, 1].tolist()] += push
-        F[:, bars[:, 0].tolist()] -= push
+        for (start, end), each in zip(bars.tolist(), ca.horzsplit(push), strict=True):
+            F[:, end] += each
+            F[:, start] -= each
     return F
 
 

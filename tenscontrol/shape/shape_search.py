@@ -12,7 +12,7 @@ import numpy as np
 from tenscontrol.dynamics import Model, builds, kernel
 from tenscontrol.shape.demands import Demand
 from tenscontrol.shape.force_bounds import ForceLimits, choose_force_density
-from tenscontrol.shape.nonlinear_program import EXACT, ShapeProblem
+from tenscontrol.shape.nonlinear_program import EXACT, MIRRORED, ShapeProblem
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics import Prestress, prestress
 from tenscontrol.structure import Structure, bar_distances
@@ -164,7 +164,10 @@ def solve_shape(
     segment_length = np.linalg.norm(model.structure.string_vectors(start), axis=0)
     shortest = (_SHORT * segment_length / problem.size) ** 2
     e = ca.SX.sym("e", demanded.rows.numel())
+    stretch = problem.dependent_stretch
+    off = np.full(stretch.numel(), MIRRORED)
     bounds = [
+        (stretch, -off, off),
         (demanded.rows - e, demanded.low, demanded.high),
         (level, np.zeros(level.numel()), np.zeros(level.numel())),
         (squares, shortest, np.full(len(shortest), np.inf)),
