@@ -144,9 +144,9 @@ def indices(name: str, value: FloatArray, count: int, of: str, noun: str = "") -
     return value.astype(np.int64)
 
 
-def direction(name: str, value: object) -> FloatArray:
-    """Return a direction in space as a vector of length 1, shape (3,)."""
-    vector = shaped(name, value, (3,), "a direction")
+def direction(name: str, value: object, dimension: int = 3) -> FloatArray:
+    """Return a direction, in space or in the plane, as a vector of length 1, shape (d,)."""
+    vector = shaped(name, value, (dimension,), "a direction")
     size = np.abs(vector).max()
     if size == 0:
         raise ValueError(f"{name} is 0, expected a direction")

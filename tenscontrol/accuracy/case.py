@@ -12,7 +12,7 @@ from tenscontrol.dynamics import Equation, Model, builds, pack_state
 from tenscontrol.plant import held_value
 from tenscontrol.scene import Scene
 from tenscontrol.simulation import checked_load, initial_state
-from tenscontrol.structure import Structure, restore_bar_lengths
+from tenscontrol.structure import Structure, free_coordinates, restore_bar_lengths
 from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number, text
 
 
@@ -27,14 +27,14 @@ class Case:
     model : Model
     duration : float
         s.
-    nodes, velocities : array_like, shape (3, n), optional
+    nodes, velocities : array_like, shape (d, n), optional
         Motion at the start, m and m/s; the reference shape at rest if not given.
         Bars must have their lengths, and must not be stretching.
     input : {"rest_length", "force_density"}
         What the actuators hold.
     value : float or array_like, shape (α,)
         What they hold it at: rest lengths, m, or γ, N/m.
-    external_force : array_like, shape (3, n), optional
+    external_force : array_like, shape (d, n), optional
         Constant load W, N, for a model built with ``external_force=True``.
     name : str
         For titles.
@@ -104,7 +104,7 @@ class Case:
 
     @property
     def load(self) -> FloatArray:
-        """All that acts on the nodes from outside, N, shape (3, n): weights and loads."""
+        """All that acts on the nodes from outside, N, shape (d, n): weights and loads."""
         return checked_load(self.model, self.external_force)
 
     @property
@@ -156,8 +156,15 @@ def as_case(scene: object) -> Case:
     )
 
 
+def only_free(structure: Structure, moves: FloatArray) -> FloatArray:
+    """Return moves of nodes, shape (d, n), with zeros where supports hold."""
+    free = np.zeros(moves.size)
+    free[structure.free_rows] = free_coordinates(structure, moves)
+    return free.reshape(moves.shape, order="F")
+
+
 def state_change(case: Case, moves: FloatArray) -> FloatArray:
-    """Return the change of the state where nodes are moved, m, shape (3, n), and no bar stretches.
+    """Return the change of the state where nodes are moved, m, shape (d, n), and no bar stretches.
 
     Both shapes are restored: a bar off by round-off does not count as perturbed.
     """

@@ -46,7 +46,7 @@ class ConvergedMotion:
     ----------
     time : ndarray, shape (T,)
         s, equally spaced, without the start.
-    nodes, velocities : ndarray, shape (3, n, T)
+    nodes, velocities : ndarray, shape (d, n, T)
         m and m/s.
     states : ndarray, shape (6n, T)
         The same of the free nodes, as integrators have them.
@@ -138,7 +138,7 @@ def converged_motion(
 
 
 def largest_distance(nodes: FloatArray, others: FloatArray) -> float:
-    """Return the largest distance of a node between two motions, shape (3, n, T), m."""
+    """Return the largest distance of a node between two motions, shape (d, n, T), m."""
     return float(np.linalg.norm(nodes - others, axis=0).max())
 
 

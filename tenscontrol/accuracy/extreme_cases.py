@@ -52,7 +52,7 @@ class Extreme:
     Fixed steps are ``longer`` times too long. Motions are compared at ``outputs`` times. Steps must
     also follow ``turning``, the largest speed of turning, rad/s. A run that costs more than
     ``budget`` evaluations of a prism by explicit methods is not run. ``closed_form`` returns nodes,
-    m, shape (3, n, T), over time where the motion is known.
+    m, shape (d, n, T), over time where the motion is known.
     """
 
     group: str
@@ -300,9 +300,85 @@ def _damped() -> Iterator[Extreme]:
         yield Extreme("damped", label, case, longer, 10 if longer > 1 else 100)
 
 
+def _class_2_tower(stiffnesses: tuple[float, ...] = (1e2, 1e4, 1e6)) -> Iterator[Extreme]:
+    """Two twisted prisms, the upper on the nodes of the lower, let go as :func:`_let_go`."""
+    ring = np.arange(3)
+    angles = [2 * np.pi * ring / 3 + np.pi / 6 * (level % 2) for level in range(3)]
+    nodes = np.hstack(
+        [0.5 * np.array([np.cos(a), np.sin(a), 2.0 * k + 0 * a]) for k, a in enumerate(angles)]
+    )
+    bars = [(i, 3 + (i + 1) % 3) for i in ring] + [(3 + i, 6 + (i - 1) % 3) for i in ring]
+    around = [(3 * k + i, 3 * k + (i + 1) % 3) for k in range(3) for i in ring]
+    along = [(3 * k + i, 3 * k + 3 + i) for k in range(2) for i in ring]
+    tower = Structure(nodes, bars, along + around, bar_mass=1.0)
+    # At rest as two prisms are; the ring in between belongs to both.
+    gamma = 10.0 * np.repeat([np.sqrt(3) * _LET_GO, 1.0, 2.0, 1.0], [6, 3, 3, 3])
+    for k in stiffnesses:
+        model = Model(tower, strings=LinearStrings(stiffness=k))
+        lengths = to_rest_length(model, nodes, gamma).rest_length
+        case = Case(model, 1.0, input="rest_length", value=lengths)
+        yield Extreme("class-2 tower", f"{k:g} N/m", case)
+
+
+def _spine() -> Iterator[Extreme]:
+    """Vertebrae of five nodes and ten bars, one more than hold them, on one that is fixed."""
+    tips = np.array([[1, -1, 0, 0, 0], [0, 0, 1, -1, 0], [-1, -1, 1, 1, 0]]) * 0.15
+    nodes = np.hstack([tips + np.array([[0.0], [0.0], [0.2 * k]]) for k in range(3)])
+    bars = [(5 * k + i, 5 * k + j) for k in range(3) for i in range(5) for j in range(i + 1, 5)]
+    joints = [(i, 5 + i) for i in range(4)] + [(i, 5 + j) for i in (2, 3) for j in (0, 1)]
+    strings = [(5 * k + i, 5 * k + j) for k in range(2) for i, j in joints]
+    spine = Structure(nodes, bars, strings, bar_mass=0.02, fixed=np.arange(5))
+    for k in (1e2, 1e5):
+        model = Model(spine, strings=LinearStrings(stiffness=k), gravity=9.81)
+        value = (1 - 5 / k) * spine.string_length()
+        case = Case(model, 1.0, input="rest_length", value=value)
+        yield Extreme("spine of redundant bars", f"{k:g} N/m", case)
+
+
+def _chain() -> Iterator[Extreme]:
+    """Return a chain in the plane that falls from the level, held at one end."""
+    count = 20
+    nodes = np.vstack([np.linspace(0.0, 1.0, count + 1), np.zeros(count + 1)])
+    bars = np.column_stack([np.arange(count), np.arange(1, count + 1)])
+    no_strings = np.zeros((0, 2), int)
+    for light in (1.0, 1e-6):
+        mass = np.where(np.arange(count) % 2, 1.0, light)
+        chain = Structure(nodes, bars, no_strings, bar_mass=mass, fixed=[0])
+        case = Case(Model(chain, gravity=9.81), 0.3, input="force_density", value=np.zeros(0))
+        yield Extreme("chain of 20 bars", f"{light:g} beside 1 kg", case)
+
+
+def _short_segment() -> Iterator[Extreme]:
+    """Return a string over three nodes, two of which are close and part."""
+    for gap in (1e-3, 1e-6):
+        nodes = np.array([[0.0, 1.0, 0.0, -1.0], [0.0, 0.0, 0.0, 0.2], [0.0, 0.0, gap, 0.0]])
+        paths = [(0, 2, 1), (1, 3)]
+        crossing = Structure(nodes, bars=[[0, 1], [2, 3]], strings=paths, bar_mass=1.0)
+        model = Model(crossing, strings=LinearStrings(stiffness=[50.0, 1.0]))
+        # Across the bar of the node, but for what the gap turns it.
+        b = nodes[:, 2] - nodes[:, 3]
+        up = np.array([0.0, 0.0, 1.0]) - b[2] / (b @ b) * b
+        parting = np.outer(up, [0.0, 0.0, 0.5, 0.0])
+        case = Case(model, 1.0, velocities=parting, input="rest_length", value=np.array([0.9, 1.5]))
+        yield Extreme("segment of a string", f"{gap:g} m", case)
+
+
+def _d_bar() -> Iterator[Extreme]:
+    """Return a rhombus in the plane: one string is slack while the other pulls, by turns."""
+    nodes = np.array([[0.0, 0.6, 0.0, -0.6], [-0.8, 0.0, 0.8, 0.0]])
+    bars = [[0, 1], [1, 2], [2, 3], [3, 0]]
+    d_bar = Structure(nodes, bars, strings=[[1, 3], [0, 2]], bar_mass=1.0)
+    for k in (1e2, 1e4):
+        model = Model(d_bar, strings=LinearStrings(stiffness=k))
+        value = np.array([1.2 - 10 / k, 1.6 + 1 / k])
+        case = Case(model, 2.0, input="rest_length", value=value)
+        yield Extreme("D-bar through slack", f"{k:g} N/m", case)
+
+
 _ALL = (
     _stiffness, _node_mass, _bar_mass, _segments, _free_bar, _spun_prism, _prestress, _slack,
-    _zero_length, _aspect, _long_steps, _damped, _many_steps, _scale,
+    _zero_length, _aspect, _long_steps, _damped, _many_steps, _scale, _class_2_tower, _spine,
+    _chain, _short_segment, _d_bar,
 )  # fmt: skip
 
 
@@ -312,3 +388,4 @@ def _few() -> Iterator[Extreme]:
     yield next(_prestress((1e-6,)))
     yield next(_long_steps((30.0,)))
     yield next(_zero_length())
+    yield next(_d_bar())

@@ -69,8 +69,8 @@ def as_taken(method: Method, settings: Iterable[float], spacing: float) -> tuple
 class Invariants:
     """What a motion should conserve, at T times.
 
-    Energies, J, (T,); momenta, kg m/s and, about the origin, kg m²/s, (3, T); ``stretch``, (T,),
-    the largest difference of a bar from its length, m.
+    Energies, J, (T,); momenta, kg m/s and, about the origin, kg m²/s, (3, T) each, in the plane
+    (2, T) and (1, T); ``stretch``, (T,), the largest difference of a bar from its length, m.
     """
 
     kinetic: FloatArray
@@ -86,7 +86,7 @@ class Invariants:
 
 
 def invariants(case: Case, states: FloatArray) -> Invariants:
-    """Return energies, momenta and bar-length errors of states, shape (6n, T)."""
+    """Return energies, momenta and bar-length errors of states, one a column."""
     model, structure = case.model, case.structure
     held = np.tile(case.value[:, None], (1, states.shape[1]))
     of_strings = model.potential_energy if case.input == "force_density" else model.elastic_energy
@@ -107,7 +107,7 @@ def conserves_energy(case: Case) -> bool:
 
 def conserves_momentum(case: Case) -> bool:
     """Return whether the motion conserves momentum: nothing acts from outside."""
-    return not case.load.any() and not len(case.structure.fixed)
+    return not case.load.any() and not len(case.structure.fixed_rows)
 
 
 def deviations(

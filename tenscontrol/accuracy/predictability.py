@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case, as_case, state_change
+from tenscontrol.accuracy.case import Case, as_case, only_free, state_change
 from tenscontrol.integrate import DOP853
 from tenscontrol.interrupt import keeping
 from tenscontrol.limits import LARGEST_SEED, MOST_RUNS
 from tenscontrol.scene import Scene
+from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, frozen, function, positive_number, whole_number
 
 # Size of the perturbation, m: far above round-off, far below what the motion is sensitive to.
@@ -159,19 +160,21 @@ def _offset(case: Case, random: np.random.Generator) -> FloatArray:
     """Return a change of the state that moves every node at random and stretches no bar."""
     structure = case.structure
     moves = np.zeros_like(case.nodes)
-    moves[:, structure.free] = random.normal(size=(3, len(structure.free)))
-    return state_change(case, _PERTURBATION * moves)
+    moves[:, structure.free] = random.normal(size=(structure.dimension, len(structure.free)))
+    return state_change(case, _PERTURBATION * only_free(structure, moves))
 
 
 def _growths(case: Case, times: FloatArray, offsets: list[FloatArray]) -> Iterator[float]:
     """Yield the growth of the perturbation that has grown most, at each time."""
-    start = [_largest_move(offset) for offset in offsets]
+    structure = case.structure
+    start = [_largest_move(structure, offset) for offset in offsets]
     integrator = DOP853(case.equation(), _TOLERANCE)
     still = np.zeros_like(offsets[0])
     motions = [_states(integrator, case, len(times), offset) for offset in (still, *offsets)]
     for state, *others in zip(*motions, strict=True):
         yield max(
-            _largest_move(other - state) / size for other, size in zip(others, start, strict=True)
+            _largest_move(structure, other - state) / size
+            for other, size in zip(others, start, strict=True)
         )
 
 
@@ -185,10 +188,11 @@ def _states(integrator: DOP853, case: Case, count: int, offset: FloatArray) -> I
         state = span.states[:, -1]
 
 
-def _largest_move(change: FloatArray) -> float:
+def _largest_move(structure: Structure, change: FloatArray) -> float:
     """Return how far the node that moves most is moved by a change of the state, m."""
-    moves = change[: len(change) // 2].reshape(-1, 3)
-    return float(np.linalg.norm(moves, axis=1).max())
+    moves = np.zeros(structure.nodes.size)
+    moves[structure.free_rows] = change[: len(change) // 2]
+    return float(np.linalg.norm(moves.reshape(-1, structure.dimension), axis=1).max())
 
 
 def _judged(

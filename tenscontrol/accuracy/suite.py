@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.accuracy.case import state_change
+from tenscontrol.accuracy.case import only_free, state_change
 from tenscontrol.accuracy.extreme_cases import ASKED, TOLERANCE, Extreme, extremes, methods
 from tenscontrol.dynamics import unpack_states
 from tenscontrol.files import write_file
@@ -64,7 +64,7 @@ _EXPLICIT = 2.1e4
 class Truth:
     """The true motion, by a closed form or computed twice.
 
-    ``nodes``, m, shape (3, n, T), are those at the times of the case. ``error`` is the largest
+    ``nodes``, m, shape (d, n, T), are those at the times of the case. ``error`` is the largest
     distance between the two computations, by the size, for ``outputs`` times; ``growth``, shape
     (T,), that of a perturbation of the start; ``how`` says where the motion is from.
     """
@@ -135,8 +135,7 @@ def _apart(extreme: Extreme, nodes: FloatArray, others: FloatArray) -> FloatArra
 def _perturbation(extreme: Extreme) -> FloatArray:
     """Return a small change of the state that stretches no bar."""
     case = extreme.case
-    moves = np.random.default_rng(0).standard_normal(case.nodes.shape)
-    moves[:, case.structure.fixed] = 0.0
+    moves = only_free(case.structure, np.random.default_rng(0).standard_normal(case.nodes.shape))
     moves *= _PERTURBATION * case.size / np.linalg.norm(moves, axis=0).max()
     return state_change(case, moves)
 

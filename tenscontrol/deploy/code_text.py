@@ -42,6 +42,7 @@ def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str
     words = {
         "UNIT": _UNIT[controller.input],
         "SIZES": f"{sizes}\n#define {prefix}_STEP {controller.sample_time!r} /* sample time, s */",
+        "AXES": ", ".join("xyz"[: plant.nodes.shape[0]]),
         "NODES": str(plant.nodes.shape[1]),
         "COMMANDS": str(count),
         "STEP": f"{controller.sample_time:g}",
@@ -81,6 +82,7 @@ def _data(controller: Controller, law: LawCode, functions: list[ca.Function]) ->
     }
     change, check = controller.largest_change, controller.measurement_check
     constants: dict[str, float | int] = {
+        "DIMENSION": controller.plant.nodes.shape[0],
         "STATES": 2 * controller.plant.degrees_of_freedom,
         "HOLDS_PREVIOUS_INPUT": int(controller.input == "rest_length"),
         "BARS": check.bars.shape[1],

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
 from tenscontrol.plant import LinearPlant
+from tenscontrol.structure import rigid_basis, rigid_motions
+from tenscontrol.validation import FloatArray
 
 # Sweeps of Jacobi's method. It converges quadratically: four give all digits of a 4 x 4 matrix,
 # and two more cost little.
 _SWEEPS = 6
+
+# Steps of the method of Gauss and Newton. An error shrinks by the size of the deformation, relative
+# to that of the structure, in each.
+_STEPS = 20
+
+# Motions as one body that move a support by less than this fraction of what they move leave it.
+_RANK = 1e-9
 
 
 def measurement(plant: LinearPlant) -> ca.Function:
@@ -18,12 +29,17 @@ def measurement(plant: LinearPlant) -> ca.Function:
     In internal coordinates the shape is laid over the reference by the rotation of
     Horn (1987), doi:10.1364/JOSAA.4.000629: that of the unit quaternion that
     belongs to the largest eigenvalue of a 4 x 4 matrix. Unlike a singular value
-    decomposition, that can be written as C code by CasADi. Dense vectors of 3n, 3n and 2r entries.
+    decomposition, that can be written as C code by CasADi. On rollers, by steps of Gauss and Newton
+    along them. Dense vectors of d n, d n and 2r entries.
     """
-    structure, count = plant.model.structure, plant.nodes.shape[1]
-    positions, rates = ca.MX.sym("N", 3 * count), ca.MX.sym("V", 3 * count)
-    N, V = (ca.reshape(part, 3, count) for part in (positions, rates))
-    if plant.coordinates.kind == "internal" and len(structure.fixed) < 2:
+    structure, (d, count) = plant.model.structure, plant.nodes.shape
+    positions, rates = ca.MX.sym("N", d * count), ca.MX.sym("V", d * count)
+    N, V = (ca.reshape(part, d, count) for part in (positions, rates))
+    is_internal = plant.coordinates.kind == "internal"
+    if is_internal and structure.rollers and rigid_basis(structure).shape[1]:
+        both = _along_supports(plant).fold(_STEPS)(ca.horzcat(N, ca.MX(np.eye(d))))
+        N, V = both[:, :count], ca.mtimes(both[:, count:], V)
+    elif is_internal and not structure.rollers and len(structure.fixed) < 2:
         mass = plant.model.mass_matrix().toarray()
         weights = mass.sum(axis=1) / mass.sum()
         if len(structure.fixed):
@@ -32,13 +48,76 @@ def measurement(plant: LinearPlant) -> ca.Function:
         reference = plant.nodes @ weights
         from_centre = N - ca.repmat(ca.mtimes(N, ca.DM(weights)), 1, count)
         spread = ca.mtimes(ca.DM(mass @ (plant.nodes - reference[:, None]).T).T, from_centre.T)
-        turn = _alignment()(spread)
+        turn = (_alignment() if d == 3 else _planar_alignment())(spread)
         N = ca.mtimes(turn, from_centre) + ca.DM(np.tile(reference[:, None], count))
         V = ca.mtimes(turn, V)
     project = ca.DM(plant.coordinates.project(np.eye(plant.nodes.size)))
     displacement = ca.vec(N) - ca.DM(plant.nodes.ravel(order="F"))
     z = ca.vertcat(ca.mtimes(project, displacement), ca.mtimes(project, ca.vec(V)))
     return ca.Function("measure", [positions, rates], [ca.densify(z)], ["N", "V"], ["z"])
+
+
+def _along_supports(plant: LinearPlant) -> ca.Function:
+    """Return ``[N, R] -> [N', R']``: a step of a shape along the supports towards the reference.
+
+    The displacement is then M-orthogonal to the motions as one body that the supports leave, and
+    what they hold is at its place. R is the turn up to here.
+    """
+    structure, (d, count) = plant.model.structure, plant.nodes.shape
+    mass = plant.model.mass_matrix().toarray()
+    both = ca.SX.sym("both", d, count + d)
+    N, turn = both[:, :count], both[:, count:]
+    planes = [(1, 2), (2, 0), (0, 1)] if d == 3 else [(0, 1)]
+    centre = ca.sum2(N) / count
+    arms = N - ca.repmat(centre, 1, count)
+    fields = [ca.repmat(axis, 1, count) for axis in ca.horzsplit(ca.SX.eye(d))]
+    for i, j in planes:
+        field = ca.SX.zeros(d, count)
+        field[i, :], field[j, :] = -arms[j, :], arms[i, :]
+        fields.append(field)
+    off = N - ca.DM(plant.nodes)
+    held = _independent_rows(rigid_motions(plant.nodes)[structure.fixed_rows])
+    held = structure.fixed_rows[held].tolist()
+    moved = ca.horzcat(*(ca.vec(field) for field in fields))
+    momenta = ca.horzcat(*(ca.vec(ca.mtimes(field, ca.DM(mass))) for field in fields))
+    by_supports = moved[held, :]
+    matrix = ca.blockcat(
+        [
+            [ca.mtimes(momenta.T, moved), by_supports.T],
+            [by_supports, ca.SX(len(held), len(held))],
+        ]
+    )
+    right = -ca.vertcat(ca.mtimes(momenta.T, ca.vec(off)), ca.vec(off)[held])
+    move = ca.solve(matrix, right)[: len(fields)]
+    by_turn = _rotation(move[d:])
+    back = ca.mtimes(by_turn, arms) + ca.repmat(centre + move[:d], 1, count)
+    found = ca.horzcat(back, ca.mtimes(by_turn, turn))
+    return ca.Function("along_supports", [both], [ca.densify(found)])
+
+
+def _independent_rows(rows: FloatArray) -> list[int]:
+    """Return rows, ascending, that determine all others."""
+    from scipy.linalg import qr
+
+    R, order = qr(rows.T, mode="r", pivoting=True)
+    sizes = np.abs(np.diagonal(R))
+    return np.sort(order[: np.count_nonzero(sizes > _RANK * sizes[0])]).tolist()
+
+
+def _rotation(turn: Any) -> Any:
+    """Return the rotation about a vector by its length, or by an angle in the plane."""
+    if turn.numel() == 1:
+        return ca.blockcat([[ca.cos(turn), -ca.sin(turn)], [ca.sin(turn), ca.cos(turn)]])
+    angle = ca.norm_2(turn) + np.finfo(float).tiny
+    cross = ca.skew(turn / angle)
+    return ca.SX.eye(3) + ca.sin(angle) * cross + (1 - ca.cos(angle)) * ca.mtimes(cross, cross)
+
+
+def _planar_alignment() -> ca.Function:
+    """Return ``S -> R``: the rotation in the plane that makes ``trace(Rᵀ S)`` largest."""
+    S = ca.SX.sym("S", 2, 2)
+    turn = _rotation(ca.atan2(S[1, 0] - S[0, 1], S[0, 0] + S[1, 1]))
+    return ca.Function("alignment", [S], [turn])
 
 
 def _alignment() -> ca.Function:

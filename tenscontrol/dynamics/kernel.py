@@ -66,6 +66,20 @@ def free_entries(structure: Structure, free: Symbolic) -> Symbolic:
     return ca.vec(free)[np.flatnonzero(np.isin(rows, structure.free_rows)).tolist()]
 
 
+def free_columns(structure: Structure, entries: Symbolic) -> Symbolic:
+    """Return columns of the nodes that are not fixed, shape (d, k), from those entries.
+
+    The inverse of :func:`free_entries`: what rollers hold is left empty.
+    """
+    d = structure.dimension
+    if not structure.rollers:
+        return ca.reshape(entries, d, -1)
+    columns = type(entries)(d * len(structure.free), 1)
+    rows = (d * structure.free[:, None] + np.arange(d)).ravel()
+    columns[np.flatnonzero(np.isin(rows, structure.free_rows)).tolist()] = entries
+    return ca.reshape(columns, d, -1)
+
+
 def differences(columns: Symbolic, pairs: IntArray) -> Symbolic:
     """Return end minus start column of each pair: B, S, or their rates."""
     return columns[:, pairs[:, 1].tolist()] - columns[:, pairs[:, 0].tolist()]

@@ -30,7 +30,9 @@ from tenscontrol.validation import (
     wrong_kind,
 )
 
-_PARAMETERS = ("bar_mass", "string_node_mass", "stiffness", "damping", "start", "noise", "delay")
+_PARAMETERS = (
+    "bar_mass", "string_node_mass", "point_mass", "stiffness", "damping", "start", "noise", "delay",
+)  # fmt: skip
 
 # What a factor on the stiffness acts on, by the law.
 _STIFFNESS = ("stiffness", "axial_rigidity")
@@ -92,11 +94,12 @@ class ClosedLoopCase:
     """A closed loop whose plant varies, while the controller keeps its nominal design.
 
     For :func:`sweep`. The parameters it knows: ``"bar_mass"``, ``"string_node_mass"``,
-    ``"stiffness"`` and ``"damping"`` are factors on the nominal values, one for all or one a
-    member; ``"start"`` is where the structure starts, coordinates q of the controller's plant, m
-    √kg. With an estimator, ``"noise"`` is a factor on the standard deviations of all readings, and
-    ``"delay"`` how many samples late they come: draw it by :class:`OneOf`. The estimator is not
-    told, as the controller is not. The noise itself is drawn from the run's generator.
+    ``"point_mass"``, ``"stiffness"`` and ``"damping"`` are factors on the nominal values, one for
+    all or one a member, of point masses one a node; ``"start"`` is where the structure starts,
+    coordinates q of the controller's plant, m √kg. With an estimator, ``"noise"`` is a factor on
+    the standard deviations of all readings, and ``"delay"`` how many samples late they come: draw
+    it by :class:`OneOf`. The estimator is not told, as the controller is not. The noise itself is
+    drawn from the run's generator.
 
     The figures of a run: ``final_error``, m, the largest distance of a node from
     its place in the last tenth of the run, motion of the structure as one body
@@ -118,11 +121,11 @@ class ClosedLoopCase:
         Step of the integrator, s.
     tolerance : float
         Largest ``final_error`` of a success, m.
-    nodes : array_like, shape (3, n), optional
+    nodes : array_like, shape (d, n), optional
         Start of each run, m, where ``"start"`` is not drawn; the reference shape if not given.
-    target : array_like, shape (3, n), optional
+    target : array_like, shape (d, n), optional
         Where the nodes are to be, m; at the operating point if not given.
-    gravity : float or array_like, shape (3,), optional
+    gravity : float or array_like, shape (d,), optional
         As in :class:`Model`. Weights go with the masses.
     rest_length, input, winches, sample_time, estimator, sensors, faults : optional
         As in :func:`simulate`.
@@ -242,11 +245,20 @@ class ClosedLoopCase:
 
     def _model(self, parameters: Mapping[str, object]) -> Model:
         structure, strings = self.structure, self.strings
-        for name in ("bar_mass", "string_node_mass"):
-            if name in parameters:
-                nominal = getattr(structure, name)
-                factor = per_member(name, parameters[name], len(nominal), name)
-                structure = replace(structure, **{name: factor * nominal})
+        if "bar_mass" in parameters:
+            nominal = structure.bar_mass
+            factor = per_member("bar_mass", parameters["bar_mass"], len(nominal), "bar")
+            structure = replace(structure, bar_mass=factor * nominal)
+        mass, points = structure.point_mass.copy(), structure.string_nodes
+        if "point_mass" in parameters:
+            if not mass.any():
+                raise SweepError("point_mass is drawn, but no node has one")
+            mass *= per_member("point_mass", parameters["point_mass"], len(mass), "node")
+        if "string_node_mass" in parameters:
+            given = parameters["string_node_mass"]
+            mass[points] *= per_member("string_node_mass", given, len(points), "string node")
+        if (mass != structure.point_mass).any():
+            structure = replace(structure, point_mass=mass, string_node_mass=None)
         for name, of_law in (("stiffness", _STIFFNESS), ("damping", ("damping",))):
             if name in parameters:
                 strings = _varied_strings(
@@ -328,9 +340,9 @@ def farthest_node(plant: LinearPlant, nodes: FloatArray, target: FloatArray) -> 
     Parameters
     ----------
     plant : LinearPlant
-    nodes : ndarray, shape (3, n, T)
+    nodes : ndarray, shape (d, n, T)
         m.
-    target : ndarray, shape (3, n)
+    target : ndarray, shape (d, n)
         m.
 
     Examples

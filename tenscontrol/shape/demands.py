@@ -45,6 +45,7 @@ class Demand(ABC):
 
     tolerance: float
     unit: ClassVar[str] = "m"
+    _dimension: int | None = None  # of the structures that it fits, None for any
     _node_lists: ClassVar[tuple[str, ...]]  # the fields that name nodes
     _numbers: ClassVar[str]  # the field that holds the demanded numbers
 
@@ -79,12 +80,12 @@ class Demand(ABC):
 
         Parameters
         ----------
-        N : casadi.SX, shape (3, n)
+        N : casadi.SX, shape (d, n)
             Node positions, m.
         """
 
     def refuse_other_nodes(self, name: str, structure: Structure) -> None:
-        """Raise if a node that is named is not one of the structure.
+        """Raise if a node that is named is not one of the structure, or a direction is not.
 
         Parameters
         ----------
@@ -96,6 +97,13 @@ class Demand(ABC):
         count = structure.nodes.shape[1]
         for field in self._node_lists:
             indices(f"{name}.{field}", getattr(self, field), count, f"there are {count} nodes")
+        if self._dimension not in (None, structure.dimension):
+            where = {2: "in the plane", 3: "in space"}
+            raise ValueError(
+                f"{name} is for nodes {where[self._dimension or 3]}, but those of the structure "
+                f"are {where[structure.dimension]}: give as many coordinates, or name those asked "
+                "for by directions"
+            )
 
 
 @final
@@ -109,8 +117,9 @@ class NodesAt(Demand):
         The nodes.
     positions : array_like, shape (d, k)
         Where they are to be, m: a row for each of the directions.
-    directions : str
-        Which coordinates are asked for: letters out of ``"xyz"``.
+    directions : str, optional
+        Which coordinates are asked for: letters out of ``"xyz"``. All of them if not given, "xy" in
+        the plane.
     tolerance : float
         How far off each coordinate may be, m.
 
@@ -130,7 +139,7 @@ class NodesAt(Demand):
 
     nodes: IntArray
     positions: FloatArray
-    directions: str = "xyz"
+    directions: str = None  # type: ignore[assignment]  # replaced in __post_init__
     tolerance: float = 0.0
     _node_lists = ("nodes",)
     _numbers = "positions"
@@ -141,14 +150,19 @@ class NodesAt(Demand):
             self,
             nodes: Sequence[int],
             positions: ArrayLike,
-            directions: str = "xyz",
+            directions: str | None = None,
             tolerance: float = 0.0,
         ) -> None: ...
 
     def _checked(self) -> dict[str, object]:
-        shape = (len(_axis_rows(self.directions)), len(self.nodes))
+        positions = float_array("positions", self.positions)
+        directions, dimension = _directions(self.directions, positions)
+        shape = (len(directions), len(self.nodes))
         meaning = "a row for each of directions, a column for each of nodes"
-        return {"positions": frozen(shaped("positions", self.positions, shape, meaning))}
+        positions = shaped("positions", positions, shape, meaning)
+        return {
+            "positions": frozen(positions), "directions": directions, "_dimension": dimension
+        }  # fmt: skip
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -175,8 +189,9 @@ class PointAt(Demand):
         Where it is to be, m.
     weights : array_like, shape (k,), optional
         Weight of each node; equal if not given. Their sum must not be 0.
-    directions : str
-        Which coordinates are asked for: letters out of ``"xyz"``.
+    directions : str, optional
+        Which coordinates are asked for: letters out of ``"xyz"``. All of them if not given, "xy" in
+        the plane.
     tolerance : float
         How far off each coordinate may be, m.
 
@@ -195,7 +210,7 @@ class PointAt(Demand):
     nodes: IntArray
     position: FloatArray
     weights: FloatArray = None  # type: ignore[assignment]  # replaced in __post_init__
-    directions: str = "xyz"
+    directions: str = None  # type: ignore[assignment]  # replaced in __post_init__
     tolerance: float = 0.0
     _node_lists = ("nodes",)
     _numbers = "position"
@@ -207,19 +222,23 @@ class PointAt(Demand):
             nodes: Sequence[int],
             position: ArrayLike,
             weights: ArrayLike | None = None,
-            directions: str = "xyz",
+            directions: str | None = None,
             tolerance: float = 0.0,
         ) -> None: ...
 
     def _checked(self) -> dict[str, object]:
-        shape = (len(_axis_rows(self.directions)),)
-        place = shaped("position", self.position, shape, "one for each of directions")
+        place = float_array("position", self.position)
+        directions, dimension = _directions(self.directions, place)
+        place = shaped("position", place, (len(directions),), "one for each of directions")
         given: Any = self.weights
         weights = np.ones(len(self.nodes)) if given is None else given
         weights = shaped("weights", weights, (len(self.nodes),), "one for each of nodes")
         if abs(weights.sum()) <= 1e-12 * np.abs(weights).sum():
             raise ValueError(f"weights add up to {weights.sum():g}, expected another sum than 0")
-        return {"position": frozen(place), "weights": frozen(weights / weights.sum())}
+        return {
+            "position": frozen(place), "weights": frozen(weights / weights.sum()),
+            "directions": directions, "_dimension": dimension,
+        }  # fmt: skip
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -243,8 +262,8 @@ class Height(Demand):
         m; from ``bottom`` to ``top`` along the axis.
     top, bottom : sequence of int
         The nodes whose means are the centres.
-    axis : array_like, shape (3,)
-        Direction; its length plays no part.
+    axis : array_like, shape (d,), optional
+        Direction; its length plays no part. Upwards if not given: z, or y in the plane.
     tolerance : float
         m.
 
@@ -265,7 +284,7 @@ class Height(Demand):
     height: float
     top: IntArray
     bottom: IntArray
-    axis: FloatArray = (0.0, 0.0, 1.0)  # type: ignore[assignment]  # replaced in __post_init__
+    axis: FloatArray | None = None
     tolerance: float = 0.0
     _node_lists = ("top", "bottom")
     _numbers = "height"
@@ -277,15 +296,17 @@ class Height(Demand):
             height: float,
             top: Sequence[int],
             bottom: Sequence[int],
-            axis: ArrayLike = (0.0, 0.0, 1.0),
+            axis: ArrayLike | None = None,
             tolerance: float = 0.0,
         ) -> None: ...
 
     def _checked(self) -> dict[str, object]:
-        return {
-            "height": number("height", self.height, "m"),
-            "axis": frozen(direction("axis", self.axis)),
-        }
+        height = number("height", self.height, "m")
+        if self.axis is None:
+            return {"height": height}
+        axis = float_array("axis", self.axis)
+        axis = direction("axis", axis, 2 if axis.shape == (2,) else 3)
+        return {"height": height, "axis": frozen(axis), "_dimension": len(axis)}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -295,6 +316,8 @@ class Height(Demand):
     def miss(self, N: Any) -> Any:
         """Return found less wanted height."""
         apart = _centre(N, self.top) - _centre(N, self.bottom)
+        if self.axis is None:
+            return apart[-1] - ca.DM(self.height)
         return ca.dot(ca.DM(self.axis), apart) - ca.DM(self.height)
 
 
@@ -305,7 +328,7 @@ class Twist(Demand):
 
     Positive as a right-handed screw, whichever set is called top:
     :func:`prism` has ``π/2 − π/q`` if right-handed, and the opposite if
-    left-handed.
+    left-handed. In the plane, the turn from bottom to top, positive counterclockwise.
 
     Parameters
     ----------
@@ -360,7 +383,12 @@ class Twist(Demand):
     def miss(self, N: Any) -> Any:
         """Return found less wanted angle, between −π and π."""
         upper, lower = _centre(N, self.top), _centre(N, self.bottom)
-        line = (upper - lower) / ca.norm_2(upper - lower)
+        if N.shape[0] == 2:
+            line, zero = ca.DM([0, 0, 1]), ca.DM.zeros(1)
+            N = ca.vertcat(N, ca.repmat(zero, 1, N.shape[1]))
+            upper, lower = ca.vertcat(upper, zero), ca.vertcat(lower, zero)
+        else:
+            line = (upper - lower) / ca.norm_2(upper - lower)
         sine, cosine = ca.SX(0), ca.SX(0)
         for i, j in zip(self.top.tolist(), self.bottom.tolist(), strict=True):
             t, b = N[:, i] - upper, N[:, j] - lower
@@ -386,6 +414,18 @@ def node_list(name: str, nodes: object) -> IntArray:
     if (counts > 1).any():
         raise ValueError(f"{name} has node {known[counts.argmax()]:g} twice")
     return frozen(array.astype(np.int64))
+
+
+def _directions(directions: Any, places: FloatArray) -> tuple[str, int | None]:
+    """Return the letters, and the dimension of the structures that they fit, None for any.
+
+    If none are given, those of a place in space or in the plane, by the rows of places.
+    """
+    if directions is None:
+        d = 2 if len(np.atleast_1d(places)) == 2 else 3
+        return "xyz"[:d], d
+    _axis_rows(directions)
+    return directions, 3 if "z" in directions else None
 
 
 def _axis_rows(directions: str) -> list[int]:

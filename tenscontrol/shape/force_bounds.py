@@ -111,12 +111,18 @@ def checked_limits(
     clearance = 0.0
     if min_clearance is not None:
         clearance = positive_number("min_clearance", min_clearance, "m")
+        if structure.dimension == 2:
+            raise ValueError(
+                f"min_clearance is {clearance:g} m, but the structure is in the plane, where bars "
+                "lie in layers and pass one another; leave it out"
+            )
     group = structure.string_groups[0]
     if reference is not None:
         group = choice("reference", reference, dict.fromkeys(structure.string_groups))
     strings = structure.strings_in(group)
     # A string between two fixed nodes is part of the support.
-    strings = strings[is_movable(structure, structure.strings[strings])]
+    movable = is_movable(structure, structure.segments).astype(float)
+    strings = strings[np.bincount(structure.segment_string, movable)[strings] > 0]
     if len(strings) == 0:
         raise ValueError(
             f"the {group!r} strings are held at both ends, so that their γ says nothing; "

@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Model, builds, built, kernel, solving
-from tenscontrol.shape.symmetry import RotationalSymmetry, reduction
+from tenscontrol.shape.symmetry import Reduction, RotationalSymmetry, reduction
 from tenscontrol.statics import Prestress, equilibrium_matrix, null_space
-from tenscontrol.structure import free_coordinates
-from tenscontrol.validation import FloatArray
+from tenscontrol.structure import Structure, bar_rows, free_coordinates, is_movable
+from tenscontrol.validation import FloatArray, IntArray
 
 # Newton steps onto the equations; each doubles the digits, unless they are singular.
 _STEPS = 30
@@ -25,6 +25,12 @@ _FLAT = 1e-10
 # Weight of a cost of γ that makes the solution unique where several force densities balance.
 _TIE = 1e-10
 
+# Bars whose lengths change less than this, relatively, when others keep theirs depend on them.
+_DEPENDENT = 1e-9
+
+# How far off a bar that depends on others may be, less than in a mirror image.
+MIRRORED = 1e-3
+
 # A string with less than this fraction of the largest γ is slack.
 _SLACK = 1e-9
 
@@ -35,13 +41,14 @@ class ShapeProblem:
     The unknowns are ``v = [y; g; l; w]``: positions in units of the size, γ and λ
     in units of the level, and a motion w as one body. The equations are::
 
-        F(N, γ, λ) + w₁ + w₂ × (n − c) = 0     at the free nodes
+        F(N, γ, λ) + w₁ + w₂ × (n − c) = 0     in the free coordinates
         (‖b‖² − l²)/2 = 0                      for the bars that move
 
     Forces between nodes have no resultant, so that w is zero. It makes up for the
-    redundant equations and keeps the Jacobian regular.
+    redundant equations and keeps the Jacobian regular. Of redundant bars, a set is taken that
+    determines the lengths and forces of the others.
 
-    The nodes of ``start``, shape (3, n), give the size; ``level`` is the scale of the
+    The nodes of ``start``, shape (d, n), give the size; ``level`` is the scale of the
     force densities, N/m. With a ``symmetry``, only shapes that have it are solutions.
     """
 
@@ -54,21 +61,19 @@ class ShapeProblem:
         symmetry: RotationalSymmetry | None = None,
     ) -> None:
         structure, load = model.structure, model.constant_force
+        d = structure.dimension
         self.model, self.level = model, level
         self.size = float(np.ptp(start, axis=1).max())
         self._reduced = red = reduction(structure, load, symmetry)
         self.neutral = self._neutral_motions(red.rigid)
-        # Bars between two fixed nodes are part of the support.
-        moves = np.zeros(len(structure.bars), bool)
-        moves[structure.free_bars], moves[structure.swinging_bars] = True, True
-        self._bars = red.bars[:, red.bars[moves].any(axis=0)]
+        self._bars = red.bars[:, _determining(structure, red)]
 
         y = ca.SX.sym("y", red.basis.shape[1])
         g = ca.SX.sym("g", red.strings.shape[1])
         lam = ca.SX.sym("l", self._bars.shape[1])
         w = ca.SX.sym("w", self.neutral.shape[1])
         places = ca.mtimes(_sparse(red.basis), self.size * y) + ca.DM(red.offset)
-        at = kernel.all_nodes(structure, ca.reshape(places, 3, -1), structure.nodes)
+        at = kernel.all_nodes(structure, kernel.free_columns(structure, places), structure.nodes)
         self.unknowns = ca.vertcat(y, g, lam, w)
         self.positions, self.tensions, self.nodes = y, g, at
         self.gamma = level * ca.mtimes(_sparse(red.strings), g)
@@ -80,15 +85,29 @@ class ShapeProblem:
         arms = (at - ca.repmat(ca.DM(red.centre), 1, at.shape[1])) / self.size
         F = F / (level * self.size)
         for j in structure.free.tolist():
-            F[:, j] += body[:3] + ca.cross(body[3:], arms[:, j])
+            F[:, j] += body[:d] + _turned(body[d:], arms[:, j])
         unbalanced = ca.vec(F)[structure.free_rows.tolist()]
         moving = self._bars.argmax(axis=0)
-        B = kernel.differences(at, structure.bars[moving])
-        lengths = ca.DM(structure.bar_length[moving] ** 2)
-        stretch = (ca.sum1(B * B).T - lengths) / (2 * self.size**2)
+        stretch = self._stretch(moving)
         # Equations that the symmetry makes equal are written once.
         self.equations = ca.vertcat(ca.mtimes(_sparse(red.basis.T), unbalanced), stretch)
         self._parts = ca.Function("parts", [self.unknowns], [ca.densify(at), self.gamma])
+
+    @property
+    def dependent_stretch(self) -> Any:
+        """Expression of the stretch of the bars that depend on others, in units of the size.
+
+        It is zero where those keep their lengths, but in a mirror image of a part of the bars.
+        """
+        structure = self.model.structure
+        free = np.flatnonzero(is_movable(structure, structure.bars))
+        return self._stretch(free[~self._bars.any(axis=1)[free]])
+
+    def _stretch(self, bars: IntArray) -> Any:
+        """Return half the excess of squared lengths, in units of the size, one a row."""
+        B = kernel.differences(self.nodes, self.model.structure.bars[bars])
+        lengths = ca.DM(self.model.structure.bar_length[bars] ** 2)
+        return (ca.sum1(B * B).T - lengths) / (2 * self.size**2)
 
     def start(self, nodes: FloatArray, gamma: FloatArray) -> FloatArray:
         """Return unknowns at or near this shape, with the λ that balances best."""
@@ -96,7 +115,9 @@ class ShapeProblem:
         E = equilibrium_matrix(structure, nodes)[structure.free_rows]
         alpha = len(structure.strings)
         load = free_coordinates(structure, self.model.constant_force)
-        lam = np.linalg.lstsq(E[:, alpha:], load - E[:, :alpha] @ gamma, rcond=None)[0]
+        pushes = E[:, alpha:]
+        pushes[:, ~self._bars.any(axis=1)] = 0.0
+        lam = np.linalg.lstsq(pushes, load - E[:, :alpha] @ gamma, rcond=None)[0]
         return np.concatenate(
             [
                 red.basis.T @ (free_coordinates(structure, nodes) - red.offset) / self.size,
@@ -118,7 +139,8 @@ class ShapeProblem:
 
     def neutral_fields(self, nodes: FloatArray) -> FloatArray:
         """Return displacements, (f, m), in all rigid motions that nothing resists."""
-        motions = self._neutral_motions(np.eye(6))
+        d = self.model.structure.dimension
+        motions = self._neutral_motions(np.eye(d * (d + 1) // 2))
         if motions.shape[1] == 0:
             return np.zeros((len(self.model.structure.free_rows), 0))
         return self._fields(nodes, motions)[self.model.structure.free_rows]
@@ -214,7 +236,7 @@ class ShapeProblem:
         q = ca.SX.sym("q", len(structure.free_rows))
         lam = ca.SX.sym("lambda", len(structure.bars))
         rest_length = ca.SX.sym("rest_length", len(structure.strings))
-        nodes = kernel.all_nodes(structure, ca.reshape(q, 3, -1), structure.nodes)
+        nodes = kernel.all_nodes(structure, kernel.free_columns(structure, q), structure.nodes)
         B = kernel.differences(nodes, structure.bars)
         squares = kernel.dots(B, B).T / 2
         state = ca.vertcat(q, ca.SX.zeros(q.numel()))
@@ -224,7 +246,7 @@ class ShapeProblem:
         return ca.Function("stiffness", [q, rest_length, lam], results)
 
     def _neutral_motions(self, motions: FloatArray) -> FloatArray:
-        """Return the rigid motions, shape (6, m), that supports permit and that take no work."""
+        """Return the rigid motions, (d (d + 1)/2, m), that supports permit and that do no work."""
         red, structure = self._reduced, self.model.structure
         if len(structure.fixed_rows):
             held = self._fields(structure.nodes, motions)[structure.fixed_rows]
@@ -238,24 +260,57 @@ class ShapeProblem:
         for _ in range(len(load) + 3):
             y = random.normal(size=red.basis.shape[1])
             places[structure.free_rows] = red.offset + red.basis @ (self.size * y)
-            fields = self._fields(places.reshape(3, -1, order="F"), motions)
+            fields = self._fields(places.reshape(structure.nodes.shape, order="F"), motions)
             powers.append(load @ fields[structure.free_rows])
         return np.asarray(motions @ null_space(np.array(powers)))
 
     def _fields(self, nodes: FloatArray, motions: FloatArray) -> FloatArray:
-        """Return the displacements of nodes in motions as one body, shape (3k, m)."""
+        """Return the displacements of nodes in motions as one body, shape (d k, m)."""
         arms = (nodes - self._reduced.centre[:, None]) / self.size
-        moved = [(m[:3, None] + np.cross(m[3:], arms.T).T).ravel(order="F") for m in motions.T]
+        d = len(arms)
+        if d == 3:
+            turns = [np.cross(m[3:], arms.T).T for m in motions.T]
+        else:
+            turns = [m[2] * np.vstack([-arms[1], arms[0]]) for m in motions.T]
+        moved = [
+            (m[:d, None] + turn).ravel(order="F") for m, turn in zip(motions.T, turns, strict=True)
+        ]
         return np.column_stack(moved)
+
+
+def _determining(structure: Structure, red: Reduction) -> IntArray:
+    """Return sets of bars that share one λ, of which none depends on others.
+
+    Bars between two fixed nodes are part of the support.
+    """
+    moves = is_movable(structure, structure.bars)
+    orbits = np.flatnonzero(red.bars[moves].any(axis=0))
+    if not any(block.is_redundant for block in structure.blocks):
+        return orbits
+    from scipy.linalg import qr
+
+    every = np.arange(len(structure.bars))
+    J = bar_rows(structure, every, structure.nodes)[:, structure.free_rows] @ red.basis
+    R, order = qr((red.bars[:, orbits].T @ J).T, mode="r", pivoting=True)
+    sizes = np.abs(np.diagonal(R))
+    return np.sort(orbits[order[: np.count_nonzero(sizes > _DEPENDENT * sizes[0])]])
+
+
+def _turned(turn: Any, arm: Any) -> Any:
+    """Return the velocity at an arm in a turn: ``w × r``."""
+    if arm.numel() == 3:
+        return ca.cross(turn, arm)
+    return ca.vertcat(-turn * arm[1], turn * arm[0])
 
 
 def _bar_push(bars: Any, at: Any, lam: Any) -> Any:
     """Return the forces of the bars on the nodes: each pushes its ends apart."""
-    F = ca.SX(3, at.shape[1])
+    F = ca.SX(*at.shape)
     if len(bars):
         push = kernel.scale_columns(kernel.differences(at, bars), lam.T)
-        F[:, bars[:, 1].tolist()] += push
-        F[:, bars[:, 0].tolist()] -= push
+        for (start, end), each in zip(bars.tolist(), ca.horzsplit(push), strict=True):
+            F[:, end] += each
+            F[:, start] -= each
     return F
 
 

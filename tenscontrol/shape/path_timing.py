@@ -169,8 +169,7 @@ class PathMotion:
         N, gamma = problem.nodes, problem.gamma
         rows = [ca.vec(ca.densify(N)), gamma]
         if model.strings is not None:
-            S = kernel.differences(N, model.structure.strings)
-            length = ca.sqrt(kernel.dots(S, S)).T
+            length = kernel.string_lengths(model.structure, N).T
             rows.append(model.strings.taut_rest_length(length, gamma))
         rates = [ca.densify(ca.jtimes(row, v, dv)) for row in rows]
         self._read = ca.Function("read", [v, dv], [*rows, *rates])
@@ -180,7 +179,8 @@ class PathMotion:
         """Return nodes, velocities, γ, and rest lengths with their rates, at ds/dt."""
         parts = [np.array(part.full()).ravel() for part in self._read(point.values, point.slope)]
         half = len(parts) // 2
-        nodes, moves = (part.reshape(3, -1, order="F") for part in (parts[0], parts[half]))
+        shape = self._problem.model.structure.nodes.shape
+        nodes, moves = (part.reshape(shape, order="F") for part in (parts[0], parts[half]))
         found = [nodes, speed * moves, parts[1]]
         if half == 3:
             found += [parts[2], speed * parts[5]]

@@ -47,7 +47,7 @@ class ShapePath:
     model : Model
     time : ndarray, shape (T,)
         s, from 0, evenly spaced.
-    nodes, velocities : ndarray, shape (3, n, T)
+    nodes, velocities : ndarray, shape (d, n, T)
         m and m/s; each shape is an equilibrium, the motion is at rest at both ends.
     force_density : ndarray, shape (α, T)
         γ, N/m.
@@ -160,7 +160,7 @@ class ShapePath:
 def plants_along(
     model: Model, nodes: FloatArray, force_density: FloatArray, count: int, input: str
 ) -> tuple[LinearPlant, ...]:
-    """Return plants at some of T equilibria, (3, n, T) and (α, T); see ShapePath.plants."""
+    """Return plants at some of T equilibria, (d, n, T) and (α, T); see ShapePath.plants."""
     count = whole_number("count", count, 1, MOST_DESIGNS)
     travel = np.linalg.norm(np.diff(nodes, axis=2), axis=(0, 1))
     gone = np.concatenate([[0.0], np.cumsum(travel)])

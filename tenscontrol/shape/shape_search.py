@@ -12,7 +12,7 @@ import numpy as np
 from tenscontrol.dynamics import Model, builds, kernel
 from tenscontrol.shape.demands import Demand
 from tenscontrol.shape.force_bounds import ForceLimits, choose_force_density
-from tenscontrol.shape.nonlinear_program import EXACT, ShapeProblem
+from tenscontrol.shape.nonlinear_program import EXACT, MIRRORED, ShapeProblem
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics import Prestress, prestress
 from tenscontrol.structure import Structure, bar_distances
@@ -92,8 +92,7 @@ class _DemandRows:
             parts.append((gamma, np.full(len(capped), -np.inf), most))
         if bounds.rest_length is not None:
             assert model.strings is not None  # checked with the winches
-            S = kernel.differences(problem.nodes, model.structure.strings)
-            length = ca.sqrt(kernel.dots(S, S)).T
+            length = kernel.string_lengths(model.structure, problem.nodes).T
             rest_length = model.strings.taut_rest_length(length, problem.gamma)
             shortest, longest = bounds.rest_length
             parts.append((rest_length / size, shortest / size, longest / size))
@@ -160,11 +159,15 @@ def solve_shape(
     low, high = _orbit_bounds(problem, limits)
     gamma = np.clip(limits.scale, limits.bounds.low, limits.bounds.high)
     forces = ca.SX(0) if level.numel() else _FORCES * _prestress_cost(problem, limits, kind)
-    S = kernel.differences(problem.nodes, model.structure.strings)
+    S = kernel.differences(problem.nodes, model.structure.segments)
     squares = kernel.dots(S, S).T / problem.size**2
-    shortest = (_SHORT * model.structure.string_length(start) / problem.size) ** 2
+    segment_length = np.linalg.norm(model.structure.string_vectors(start), axis=0)
+    shortest = (_SHORT * segment_length / problem.size) ** 2
     e = ca.SX.sym("e", demanded.rows.numel())
+    stretch = problem.dependent_stretch
+    off = np.full(stretch.numel(), MIRRORED)
     bounds = [
+        (stretch, -off, off),
         (demanded.rows - e, demanded.low, demanded.high),
         (level, np.zeros(level.numel()), np.zeros(level.numel())),
         (squares, shortest, np.full(len(shortest), np.inf)),

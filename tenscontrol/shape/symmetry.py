@@ -13,6 +13,7 @@ from tenscontrol.validation import (
     FloatArray,
     IntArray,
     direction,
+    float_array,
     frozen,
     items,
     shaped,
@@ -39,8 +40,8 @@ class RotationalSymmetry:
         The turn takes each node of a cycle to the next, and the last to the
         first. Nodes on no cycle stay on the axis.
     axis : array_like, shape (3,)
-        Direction of the axis.
-    centre : array_like, shape (3,)
+        Direction of the axis; z in the plane.
+    centre : array_like, shape (3,), or (2,) if the axis is z
         A point on the axis, m.
     turns : int
         The turn is ``2π turns / q``, counterclockwise about the axis; -1 where
@@ -89,7 +90,10 @@ class RotationalSymmetry:
         node_list("cycles", np.concatenate(cycles))
         put(self, "cycles", cycles)
         put(self, "axis", frozen(direction("axis", self.axis)))
-        put(self, "centre", frozen(shaped("centre", self.centre, (3,), "a point")))
+        centre = float_array("centre", self.centre)
+        if centre.shape == (2,) and not self.axis[:2].any():
+            centre = np.append(centre, 0.0)
+        put(self, "centre", frozen(shaped("centre", centre, (3,), "a point")))
         whole_number("turns", self.turns, least=1 - self.order)
         if self.turns % self.order == 0:
             raise ValueError(f"turns is {self.turns}, expected a turn that is not a whole one")
@@ -135,69 +139,109 @@ class Reduction:
     offset: FloatArray  # (f,)
     strings: FloatArray  # (α, ·): which of them share one unknown, a 1 in each row
     bars: FloatArray  # (β, ·)
-    rigid: FloatArray  # (6, m): translations and rotations about the centre that are allowed
-    centre: FloatArray  # (3,)
+    rigid: FloatArray  # translations and rotations about the centre that are allowed, a column each
+    centre: FloatArray  # (d,)
 
 
 def reduction(
     structure: Structure, load: FloatArray, symmetry: RotationalSymmetry | None
 ) -> Reduction:
-    """Return the coordinates, or raise if structure or load, N, (3, n), have not the symmetry."""
-    count, rows = structure.nodes.shape[1], structure.free_rows
+    """Return the coordinates, or raise if structure or load, N, (d, n), have not the symmetry."""
+    (d, count), rows = structure.nodes.shape, structure.free_rows
     if symmetry is None:
         nothing = np.zeros(len(rows))
         centre = structure.nodes.mean(axis=1)
         strings, bars = np.eye(len(structure.strings)), np.eye(len(structure.bars))
-        return Reduction(np.eye(len(rows)), nothing, strings, bars, np.eye(6), centre)
+        rigid = np.eye(d * (d + 1) // 2)
+        return Reduction(np.eye(len(rows)), nothing, strings, bars, rigid, centre)
     for i, cycle in enumerate(symmetry.cycles):
         if cycle.max() >= count:
             raise ValueError(
                 f"symmetry.cycles[{i}] names node {cycle.max()}, expected 0 to {count - 1}"
             )
-    to, turn = symmetry.permutation(count), symmetry.rotation()
-    strings = _orbits("string", structure.strings, to, None)
-    bars = _orbits("bar", structure.bars, to, structure.bar_length)
-    moved = turn @ (structure.nodes - symmetry.centre[:, None]) + symmetry.centre[:, None]
-    size = np.ptp(structure.nodes, axis=1).max()
-    for node in structure.fixed.tolist():
-        off = np.abs(moved[:, node] - structure.nodes[:, to[node]]).max()
-        if to[node] not in structure.fixed or off > _TOLERANCE * size:
-            raise ValueError(f"symmetry does not take the fixed node {node} to a fixed node")
+    if d == 2 and symmetry.axis[:2].any():
+        raise ValueError(
+            f"symmetry.axis is {symmetry.axis.tolist()}, expected [0, 0, 1]: a structure in the "
+            "plane turns about z"
+        )
+    to, turn, centre = symmetry.permutation(count), symmetry.rotation()[:d, :d], symmetry.centre[:d]
+    paths = structure.paths or structure.strings.tolist()
+    strings = _orbits("string", paths, to, None)
+    bars = _orbits("bar", structure.bars.tolist(), to, structure.bar_length)
+    _refuse_other_supports(structure, to, turn, centre)
     if np.abs(turn @ load - load[:, to]).max() > _TOLERANCE * np.abs(load).max(initial=1e-300):
         raise ValueError("symmetry does not map the loads and weights onto themselves")
     # n_to(i) − c = R (n_i − c) for every node: a linear subspace.
     turned = np.kron(np.eye(count), turn)
-    shift = np.zeros((3 * count, 3 * count))
-    for node, image in enumerate(to.tolist()):
-        shift[3 * node : 3 * node + 3, 3 * image : 3 * image + 3] = np.eye(3)
+    shift = np.kron(np.eye(count)[to], np.eye(d))
     _, sizes, Vt = np.linalg.svd((shift - turned)[:, rows])
     basis = Vt[np.count_nonzero(sizes > _TOLERANCE) :].T
-    # Fixed nodes hold by themselves, so that the offset is the centre for all free ones.
-    offset = np.tile(symmetry.centre, count)[rows]
-    d = symmetry.axis
-    rigid = np.column_stack([np.r_[d, np.zeros(3)], np.r_[np.zeros(3), d]])
-    return Reduction(basis, offset, strings, bars, rigid, symmetry.centre)
+    # What supports hold is taken to what they hold, so that the offset is the centre for the rest.
+    offset = np.tile(centre, count)[rows]
+    axis = symmetry.axis
+    if d == 3:
+        rigid = np.column_stack([np.r_[axis, np.zeros(3)], np.r_[np.zeros(3), axis]])
+    else:
+        rigid = np.array([[0.0], [0.0], [1.0]])
+    return Reduction(basis, offset, strings, bars, rigid, centre)
 
 
-def _orbits(kind: str, pairs: IntArray, to: IntArray, length: FloatArray | None) -> FloatArray:
+def _refuse_other_supports(
+    structure: Structure, to: IntArray, turn: FloatArray, centre: FloatArray
+) -> None:
+    """Raise if a support is not taken to one that holds the same, at its place."""
+    d, count = structure.nodes.shape
+    held = np.isin(np.arange(d * count), structure.fixed_rows).reshape(count, d).astype(float)
+    size = np.ptp(structure.nodes, axis=1).max()
+    off = turn @ (structure.nodes - centre[:, None]) + centre[:, None] - structure.nodes[:, to]
+    for node in np.flatnonzero(held.any(axis=1)).tolist():
+        image = int(to[node])
+        apart = turn @ np.diag(held[node]) @ turn.T - np.diag(held[image])
+        miss = np.abs(held[image] * off[:, node]).max()
+        if np.abs(apart).max() > _TOLERANCE or miss > _TOLERANCE * size:
+            one, other = ("fixed node", "fixed node")
+            if not held[node].all():
+                one, other = "roller at node", "roller that holds the same"
+            raise ValueError(f"symmetry does not take the {one} {node} to a {other}")
+
+
+def _ends(path: Sequence[int]) -> tuple[int, ...]:
+    """Return the nodes of a member, the same whichever way it is run through."""
+    nodes = list(path)
+    if nodes[0] == nodes[-1]:
+        first = nodes.index(min(nodes))
+        around = nodes[first:-1] + nodes[:first]
+        return min(tuple(around), (around[0], *around[:0:-1]))
+    return min(tuple(nodes), tuple(nodes[::-1]))
+
+
+def _orbits(
+    kind: str, paths: Sequence[Sequence[int]], to: IntArray, length: FloatArray | None
+) -> FloatArray:
     """Return which members are mapped onto one another, a column for each orbit."""
-    place = {frozenset(pair): i for i, pair in enumerate(pairs.tolist())}
+    # Members between the same nodes are taken to one another in their order.
+    places: dict[tuple[int, ...], list[int]] = {}
+    for i, path in enumerate(paths):
+        places.setdefault(_ends(path), []).append(i)
     image = []
-    for i, pair in enumerate(pairs.tolist()):
-        found = place.get(frozenset(to[pair].tolist()))
-        if found is None:
+    for i, path in enumerate(paths):
+        alike = places[_ends(path)]
+        taken = to[list(path)].tolist()
+        there = places.get(_ends(taken), [])
+        if len(there) != len(alike):
             raise ValueError(
-                f"symmetry takes {kind} {i}, nodes {pair}, to nodes {to[pair].tolist()}, where "
+                f"symmetry takes {kind} {i}, nodes {list(path)}, to nodes {taken}, where "
                 f"there is no {kind}"
             )
+        found = there[alike.index(i)]
         if length is not None and abs(length[found] / length[i] - 1) > _TOLERANCE:
             raise ValueError(f"symmetry takes bar {i} to bar {found}, which has another length")
         image.append(found)
-    columns, seen = [], np.zeros(len(pairs), bool)
-    for i in range(len(pairs)):
+    columns, seen = [], np.zeros(len(paths), bool)
+    for i in range(len(paths)):
         if not seen[i]:
-            column, at = np.zeros(len(pairs)), i
+            column, at = np.zeros(len(paths)), i
             while not seen[at]:
                 seen[at], column[at], at = True, 1.0, image[at]
             columns.append(column)
-    return np.column_stack(columns) if columns else np.zeros((len(pairs), 0))
+    return np.column_stack(columns) if columns else np.zeros((len(paths), 0))

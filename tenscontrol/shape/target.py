@@ -68,7 +68,7 @@ class ShapeTarget:
     model : Model
     prestress : Prestress
         The structure in this shape with its forces: what :func:`linearize` takes.
-    nodes : ndarray, shape (3, n)
+    nodes : ndarray, shape (d, n)
         m.
     force_density : ndarray, shape (α,)
         γ, N/m.
@@ -83,7 +83,7 @@ class ShapeTarget:
         model has a string law; else with strings rigid, of what the prestress
         adds on the mechanisms (infinite if there are none).
     clearance : float
-        Smallest distance between the axes of two bars, m.
+        Smallest distance between the axes of two bars that share no node, m.
     demands : tuple of DemandCheck
         One for each demanded number.
     """
@@ -174,10 +174,10 @@ def shape_target(
         Their ``shortest`` and ``longest`` bound the rest lengths.
     min_clearance : float, optional
         Least distance between the axes of two bars, m. Bars that pass one another in
-        ``start`` stay on their side.
+        ``start`` stay on their side. Not in the plane, where bars lie in layers.
     symmetry : RotationalSymmetry, optional
         Only shapes that have it.
-    start : array_like, shape (3, n), optional
+    start : array_like, shape (d, n), optional
         Where the search starts, m; the reference shape if not given.
     require_stable : bool
         Whether a shape that buckles is refused.

@@ -62,9 +62,9 @@ DEMANDS = [
     ),
     refused(
         "positions shape",
-        lambda: NodesAt([0, 1], np.zeros((2, 3))),
+        lambda: NodesAt([0, 1], np.zeros((4, 2))),
         ValueError,
-        r"positions has shape \(2, 3\), expected \(3, 2\)",
+        r"positions has shape \(4, 2\), expected \(3, 2\)",
     ),
     refused(
         "positions nan",
@@ -83,9 +83,9 @@ DEMANDS = [
     ),
     refused(
         "directions none",
-        lambda: NodesAt([0], [[1]], directions=None),
+        lambda: NodesAt([0], [[1]]),
         ValueError,
-        "directions is None",
+        r"positions has shape \(1, 1\), expected \(3, 1\)",
     ),
     refused(
         "tolerance",
@@ -95,9 +95,9 @@ DEMANDS = [
     ),
     refused(
         "position",
-        lambda: PointAt([0], [0, 1]),
+        lambda: PointAt([0], [0, 1, 2, 3]),
         ValueError,
-        r"position has shape \(2,\), expected \(3,\)",
+        r"position has shape \(4,\), expected \(3,\)",
     ),
     refused(
         "weights",

@@ -27,9 +27,9 @@ class Solution:
 
     Attributes
     ----------
-    nodes : ndarray, shape (3, n, T)
+    nodes : ndarray, shape (d, n, T)
         Positions of all nodes at the output times, m.
-    velocities : ndarray, shape (3, n, T), or None
+    velocities : ndarray, shape (d, n, T), or None
         m/s; None where the package does not give them.
     evaluations : int
         Evaluations of the forces; 0 where the package does not count them.

@@ -32,8 +32,10 @@ class MuJoCo(Peer):
 
     Bars are rigid bodies in minimal coordinates (six velocities, a quaternion),
     so that they keep their lengths exactly; nodes on no bar are points on three
-    slides. The loop over steps runs in C between outputs. Contact and
-    constraints are off. Slack/taut switches are not located: MuJoCo does not.
+    slides. Bars that share nodes, carry point masses or roll, and structures in the plane are
+    refused: MuJoCo's joints between bodies in a loop are springs. The loop over steps runs in C
+    between outputs. Contact and constraints are off. Slack/taut switches are not located: MuJoCo
+    does not.
 
     Parameters
     ----------
@@ -61,6 +63,14 @@ class MuJoCo(Peer):
         law = case.model.strings
         if case.input == "rest_length" and not isinstance(law, LinearStrings | ElasticStrings):
             return f"MuJoCo's tendons are springs of constant stiffness, not {type(law).__name__}"
+        structure = case.structure
+        if structure.dimension == 2:
+            return "the structure is in the plane, and MuJoCo's bodies move in space"
+        if structure.blocks or structure.rollers:
+            found = "a roller"
+            if structure.blocks:
+                found = f"bar {structure.coupled_bars[0]} joined to a bar, a point mass or a roller"
+            return f"bars must be apart, with both ends free or one fixed; there is {found}"
         return None
 
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
@@ -183,11 +193,12 @@ class RigidScene:
         )
 
     def _tendons(self) -> str:
+        structure = self._case.structure
         stiffness, rest, damping = self._springs()
         return "".join(
             f'<spatial stiffness="{stiffness[k]:.17g}" damping="{damping[k]:.17g}" '
-            f'springlength="0 {rest[k]:.17g}"><site site="n{i}"/><site site="n{j}"/></spatial>'
-            for k, (i, j) in enumerate(self._case.structure.strings)
+            f'springlength="0 {rest[k]:.17g}">{_run_over(path)}</spatial>'
+            for k, path in enumerate(structure.paths or structure.strings)
         )
 
     def _springs(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -230,11 +241,16 @@ class RigidScene:
         stiffness, rest, damping = self._springs()
         if not damping.any():
             return
-        start, end = self._case.structure.strings.T
+        structure = self._case.structure
+        start, end = structure.segments.T
         S, Sd = nodes[:, end] - nodes[:, start], velocities[:, end] - velocities[:, start]
-        length = np.sqrt((S * S).sum(axis=0))
+        each = np.sqrt((S * S).sum(axis=0))
+        first = np.unique(structure.segment_string, return_index=True)[1]
+        length, rate = (
+            np.add.reduceat(part, first, axis=0) for part in (each, (S * Sd).sum(axis=0) / each)
+        )
         stretch = length - rest[:, None]
-        tension = stiffness[:, None] * stretch + damping[:, None] * (S * Sd).sum(axis=0) / length
+        tension = stiffness[:, None] * stretch + damping[:, None] * rate
         room = np.minimum(stretch, tension / stiffness[:, None])
         slack = (room < -_SLACK * rest[:, None]) & (damping[:, None] > 0)
         if slack.any():
@@ -249,6 +265,11 @@ _AXES = ("1 0 0", "0 1 0", "0 0 1")
 
 def _text(vector: FloatArray) -> str:
     return " ".join(f"{x:.17g}" for x in vector)
+
+
+def _run_over(path: Sequence[int]) -> str:
+    """Return the nodes that a tendon runs over without friction."""
+    return "".join(f'<site site="n{node}"/>' for node in path)
 
 
 def _site(node: int, at: FloatArray) -> str:

@@ -90,9 +90,9 @@ static void measure(const double *nodes, const double *velocities, double *state
 static int within_spread(const double *values, double largest, double spread)
 {
     int axis, i;
-    for (axis = 0; axis < 3; axis++) {
+    for (axis = 0; axis < DIMENSION; axis++) {
         double least = values[axis], most = values[axis];
-        for (i = axis; i < CONTROLLER_COORDINATES; i += 3) {
+        for (i = axis; i < CONTROLLER_COORDINATES; i += DIMENSION) {
             if (!(fabs(values[i]) <= largest))
                 return 0;
             least = fmin(least, values[i]);
@@ -106,8 +106,11 @@ static int within_spread(const double *values, double largest, double spread)
 
 static double squared_distance(const double *one, const double *other)
 {
-    double x = one[0] - other[0], y = one[1] - other[1], z = one[2] - other[2];
-    return x * x + y * y + z * z;
+    double sum = 0.0;
+    int axis;
+    for (axis = 0; axis < DIMENSION; axis++)
+        sum += (one[axis] - other[axis]) * (one[axis] - other[axis]);
+    return sum;
 }
 
 /* What is wrong with a measurement; CONTROLLER_OK if nothing is. */
@@ -121,12 +124,13 @@ static int fault_of(double time, const double *nodes, const double *velocities)
         !within_spread(velocities, LARGEST_VELOCITY, FASTEST))
         return CONTROLLER_NOT_PLAUSIBLE;
     for (i = 0; i < BARS; i++) {
-        double square = squared_distance(nodes + 3 * bar_start[i], nodes + 3 * bar_end[i]);
+        double square = squared_distance(nodes + DIMENSION * bar_start[i],
+                                         nodes + DIMENSION * bar_end[i]);
         if (!(square >= shortest_square[i] && square <= longest_square[i]))
             return CONTROLLER_NOT_PLAUSIBLE;
     }
     for (i = 0; i < FIXED; i++)
-        if (!(sqrt(squared_distance(nodes + 3 * fixed_node[i], place + 3 * i)) <=
+        if (!(sqrt(squared_distance(nodes + DIMENSION * fixed_node[i], place + DIMENSION * i)) <=
               SUPPORT_DISTANCE))
             return CONTROLLER_NOT_PLAUSIBLE;
     return CONTROLLER_OK;

@@ -1,7 +1,7 @@
 /*
  * A controller of a tensegrity structure: one command from each measured motion.
  *
- * All numbers are doubles in SI units. Arrays of nodes hold x, y, z of the first node, then of the
+ * All numbers are doubles in SI units. Arrays of nodes hold @AXES@ of the first node, then of the
  * second, and so on: CONTROLLER_COORDINATES numbers. The code allocates no memory and holds one
  * controller: call it from one thread.
  */
