@@ -469,15 +469,15 @@ def _infeasible(
     if not loaded and len(stuck):
         return (
             f"strings {_listed(stuck)} cannot be taut while no other is in compression: in this "
-            f"shape no state of self-stress has them taut, and the other {count - len(stuck)} "
-            "strings at γ ≥ 0. Change the shape or the strings, or give 0 for them in "
-            "min_force_density, an array"
+            "shape no state of self-stress with γ ≥ 0 has them taut. Change the shape or the "
+            "strings, or give 0 for them in min_force_density, an array"
         )
-    if np.isfinite(share) and share < 1 and low.any():
+    unbounded = np.full(count, np.inf)
+    if share < 1 and largest_share(D[:count], offset[:count], low, unbounded) >= 1 - _ROUND_OFF:
+        level = f"; with it, strings have at most {share:.4g} times min_force_density"
         return (
-            "no force densities balance within the bounds: with the largest γ and the level asked "
-            f"for, strings can have at most {share:.4g} times min_force_density, at most "
-            f"{share * low.max():.4g} N/m"
+            "max_force_density is too low: without it, there are force densities that balance"
+            + (level if np.isfinite(share) and low.any() else "")
         )
     slack = strings[~can] if can is not None else strings
     which = f" (strings {_listed(slack)} cannot be taut)" if len(slack) else ""

@@ -149,9 +149,15 @@ def tangent_stiffness(
 
 
 def _taut(structure: Structure, force_density: FloatArray) -> np.ndarray:
-    """Return which strings pull, beyond round-off in γ or in tension."""
-    tension = force_density * structure.string_length()
-    parts = (force_density, tension)
+    """Return which strings pull, beyond round-off in γ or in tension.
+
+    The tension is that of the affine picture: strings of a short part of a long shape count.
+    """
+    axes, sizes = picture_axes(structure)
+    vectors = (axes / sizes[:, None]) @ structure.string_vectors(structure.nodes)
+    each = np.linalg.norm(vectors, axis=0)
+    length = np.bincount(structure.segment_string, each, minlength=len(structure.strings))
+    parts = (force_density, force_density * length)
     pulls = [part > _TOLERANCE * part.max(initial=0.0) for part in parts]
     return np.asarray(np.any(pulls, axis=0))
 
