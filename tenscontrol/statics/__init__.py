@@ -3,11 +3,12 @@
 from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, member_forces, null_space
 from tenscontrol.statics.least_distance import least_distance
 from tenscontrol.statics.prestress import Prestress, balanced, prestress, prism_force_density
-from tenscontrol.statics.stability import Stability, stress_matrix
+from tenscontrol.statics.stability import Stability, TangentStiffness, stress_matrix
 
 __all__ = [
     "Prestress",
     "Stability",
+    "TangentStiffness",
     "balanced",
     "equilibrium_matrix",
     "least_distance",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,9 +11,15 @@ from tenscontrol.limits import refuse_memory
 from tenscontrol.structure import Structure, is_movable
 from tenscontrol.validation import FloatArray, instance
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 # Singular values below this fraction of the largest count as zero: far above round-off, far below
 # what a real member contributes.
 _RANK_TOLERANCE = 1e-9
+
+# A segment shorter than this part of its string has no direction to pull in.
+_NO_LENGTH = 1e-12
 
 
 def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray:
@@ -21,15 +28,16 @@ def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray
     Parameters
     ----------
     structure : Structure
-    nodes : array_like, shape (3, n), optional
+    nodes : array_like, shape (d, n), optional
         Node positions, m; the reference shape if not given.
 
     Returns
     -------
-    ndarray, shape (3n, α + β)
+    ndarray, shape (d n, α + β)
         Columns are the strings (γ, tension positive), then the bars (λ,
         compression positive), m. Rows are node by node: x1 y1 z1 x2 …. The
-        members are at rest under a load W when ``E [γ; λ] = vec(W)``.
+        members are at rest under a load W when ``E [γ; λ] = vec(W)``. The column of a clustered
+        string is the sum of those of its segments, each by L/l: γ is T/L.
 
     Raises
     ------
@@ -53,48 +61,91 @@ def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     alpha, beta = len(structure.strings), len(structure.bars)
-    size = f"structure has {N.shape[1]} nodes and {alpha + beta} members"
+    d, n = N.shape
+    size = f"structure has {n} nodes and {alpha + beta} members"
     refuse_memory(size, N.size * (alpha + beta), "numbers in its equilibrium matrix", 8)
-    E = np.zeros((N.shape[1], 3, alpha + beta))
+    E = np.zeros((n, d, alpha + beta))
     # A string pulls its ends together, a bar pushes them apart.
-    vectors = np.hstack([-structure.string_vectors(N), structure.bar_vectors(N)]).T
-    start, end = np.vstack([structure.strings, structure.bars]).T
-    members = np.arange(alpha + beta)
-    E[start, :, members] += vectors
-    E[end, :, members] -= vectors
+    pulls = -structure.string_vectors(N) * segment_share(structure, N)
+    vectors = np.hstack([pulls, structure.bar_vectors(N)]).T
+    start, end = np.vstack([structure.segments, structure.bars]).T
+    members = np.concatenate([structure.segment_string, alpha + np.arange(beta)])
+    if structure.has_clusters:  # a string may have several segments at a node
+        axes = np.arange(d)
+        np.add.at(E, (start[:, None], axes, members[:, None]), vectors)
+        np.add.at(E, (end[:, None], axes, members[:, None]), -vectors)
+    else:
+        E[start, :, members] += vectors
+        E[end, :, members] -= vectors
     return E.reshape(-1, alpha + beta)
+
+
+def segment_share(structure: Structure, nodes: FloatArray) -> FloatArray:
+    """Return γ of each segment per γ = T/L of its string, shape (s,): L/l, 1 if not clustered."""
+    if not structure.has_clusters:
+        return np.ones(len(structure.strings))
+    length = np.linalg.norm(structure.string_vectors(nodes), axis=0)
+    total = structure.string_length(nodes)[structure.segment_string]
+    # A segment without length pulls nowhere.
+    return np.asarray(total / np.maximum(length, _NO_LENGTH * total))
 
 
 def null_space(matrix: FloatArray, rank: int | None = None) -> FloatArray:
     """Return an orthonormal basis of the null space, shape (columns, nullity)."""
     _, sizes, Vt = np.linalg.svd(matrix)
-    return np.asarray(Vt[_rank(sizes) if rank is None else rank :].T)
+    return np.asarray(Vt[matrix_rank(sizes) if rank is None else rank :].T)
 
 
-def _rank(sizes: FloatArray) -> int:
+def matrix_rank(sizes: FloatArray) -> int:
+    """Return the number of singular values above round-off."""
     return int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
 
 
 def principal_axes(structure: Structure, tolerance: float) -> tuple[FloatArray, FloatArray]:
-    """Return directions in which the structure extends, shape (3, d), and how far, m, (d,)."""
+    """Return directions in which the structure extends, shape (d, e), and how far, m, (e,)."""
     centred = structure.nodes - structure.nodes.mean(axis=1, keepdims=True)
     axes, sizes, _ = np.linalg.svd(centred, full_matrices=False)
     extends = sizes > tolerance * sizes[0]
     return axes[:, extends], sizes[extends]
 
 
-def member_rank(structure: Structure, E: FloatArray) -> int:
-    """Return the rank of columns of the equilibrium matrix, for the free coordinates.
+def picture_axes(structure: Structure) -> tuple[FloatArray, FloatArray]:
+    """Return the axes of the affine picture, one a row, and how far the shape extends, m, (d,)."""
+    d = structure.dimension
+    centred = structure.nodes - structure.nodes.mean(axis=1, keepdims=True)
+    axes = np.eye(d)
+    if not structure.rollers:
+        axes = np.linalg.svd(np.linalg.qr(centred.T, mode="r"))[2]
+    sizes = np.linalg.norm(axes @ centred, axis=1)
+    return axes, np.where(sizes > _RANK_TOLERANCE * sizes.max(), sizes, sizes.max() or 1.0)
 
-    It is the same in every affine picture of the shape, so it is counted in one that is as long in
-    all directions, with members of length 1: a flat or slender shape loses no digits.
+
+def affine_picture(structure: Structure) -> csr_array:
+    """Return P, shape (f, f): ``P E`` is E of an affine picture as long in all directions.
+
+    A flat or slender shape loses no digits in it. Forces F are pictured as ``P F``, and motions of
+    the picture are those of the shape by ``Pᵀ``. With rollers, the directions are x, y and z.
     """
-    axes, sizes = principal_axes(structure, _RANK_TOLERANCE)
-    parts = E.reshape(-1, 3, E.shape[1])
-    pictured = np.einsum("ij,njk->nik", axes.T / sizes[:, None], parts).reshape(-1, E.shape[1])
+    from scipy.sparse import csr_array, eye_array, kron
+
+    axes, sizes = picture_axes(structure)
+    rows, n = structure.free_rows, structure.nodes.shape[1]
+    return csr_array(kron(eye_array(n), axes / sizes[:, None], format="csr")[rows][:, rows])
+
+
+def member_basis(
+    structure: Structure, E: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return U, sizes and Vᵀ of columns of the equilibrium matrix, and the lengths of columns.
+
+    E has the rows of the free coordinates. The rank is the same in every affine picture of the
+    shape, so it is counted in one that is as long in all directions, with members of length 1.
+    """
+    pictured = affine_picture(structure) @ E
     length = np.linalg.norm(pictured, axis=0)
-    pictured /= np.where(length > 0, length, 1.0)
-    return _rank(np.linalg.svd(pictured, compute_uv=False))
+    length = np.where(length > 0, length, 1.0)
+    U, sizes, Vt = np.linalg.svd(pictured / length)
+    return U, sizes, Vt, length
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +157,7 @@ class MemberForces:
 
     live: np.ndarray  # (α + β,), which members are movable
     matrix: FloatArray  # (f, k), E of these members and the free coordinates
-    sizes: FloatArray  # its singular values
+    sizes: FloatArray  # its singular values, in the picture
     states: FloatArray  # (k, ·), orthonormal states of self-stress
     particular: FloatArray  # (k,), the least γ and λ that balance the load best
 
@@ -116,14 +167,24 @@ class MemberForces:
         return int(self.matrix.shape[1] - self.states.shape[1])
 
 
+def movable_members(structure: Structure) -> np.ndarray:
+    """Return which strings, then bars, have a free end, shape (α + β,)."""
+    pieces = is_movable(structure, structure.segments)
+    strings = np.bincount(structure.segment_string, pieces, minlength=len(structure.strings)) > 0
+    return np.concatenate([strings, is_movable(structure, structure.bars)])
+
+
 def member_forces(structure: Structure, load: FloatArray) -> MemberForces:
     """Return the force densities that balance a load on the free coordinates, shape (f,)."""
-    live = is_movable(structure, np.vstack([structure.strings, structure.bars]))
+    live = movable_members(structure)
     rows, count = len(structure.free_rows), int(live.sum())
     size = f"structure has {rows} free coordinates and {count} members"
     refuse_memory(size, (rows + count) ** 2, "numbers in E and its singular vectors", 8)
     E = equilibrium_matrix(structure)[structure.free_rows][:, live]
-    U, sizes, Vt = np.linalg.svd(E)
-    rank = member_rank(structure, E)
-    particular = Vt[:rank].T @ ((U[:, :rank].T @ load) / sizes[:rank])
-    return MemberForces(live, E, sizes, Vt[rank:].T, particular)
+    U, sizes, Vt, length = member_basis(structure, E)
+    rank = matrix_rank(sizes)
+    states = np.linalg.qr(Vt[rank:].T / length[:, None])[0]
+    pictured = affine_picture(structure) @ load
+    particular = Vt[:rank].T @ ((U[:, :rank].T @ pictured) / sizes[:rank]) / length
+    particular -= states @ (states.T @ particular)
+    return MemberForces(live, E, sizes, states, particular)

@@ -11,6 +11,9 @@ from tenscontrol.validation import FloatArray
 _TOLERANCE = 1e-9
 _ROUND_OFF = 1e-12
 
+# A bound above this many lower bounds and offsets is none.
+_NO_BOUND = 1e9
+
 
 def least_distance(G: FloatArray, h: FloatArray) -> FloatArray | None:
     """Return the y of least norm with ``G y ≥ h``, shape (k,), or None if there is none.
@@ -30,47 +33,64 @@ def least_distance(G: FloatArray, h: FloatArray) -> FloatArray | None:
     return np.asarray(-slack[:-1] / slack[-1])
 
 
-def nearest_in_cone(
-    directions: FloatArray, offset: FloatArray, target: FloatArray
+def nearest_between(
+    directions: FloatArray,
+    offset: FloatArray,
+    target: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
 ) -> FloatArray | None:
-    """Return x, shape (k,), that minimizes ``‖D x + o − target‖`` subject to ``D x + o ≥ 0``.
+    """Return x, shape (k,), that minimizes ``‖D x + o − target‖``, ``lower ≤ D x + o ≤ upper``.
 
     ``D x`` is unique, so that a symmetric structure gets a symmetric answer. None if there is none.
     """
-    scale = max(float(np.abs(offset).max()), float(np.abs(target).max()))
-    best = _nearest(directions, offset / scale, target / scale)
-    return None if best is None else np.asarray(scale * best)
+    scale = max(float(np.abs(part).max(initial=0.0)) for part in (offset, target, lower)) or 1.0
+    off, rows, limits = (offset - target) / scale, directions, (offset - lower) / scale
+    capped = np.zeros(len(offset), bool)
+    while True:
+        best = _nearest(directions, off, rows, limits)
+        if best is None:
+            return None
+        best = scale * best
+        over = offset + directions @ best - upper
+        beyond = ~capped & (over > _TOLERANCE * scale)
+        if not beyond.any():
+            return best
+        # Upper bounds take part once they are passed.
+        capped |= beyond
+        rows = np.vstack([rows, -directions[beyond]])
+        limits = np.concatenate([limits, (upper - offset)[beyond] / scale])
 
 
-def _nearest(D: FloatArray, offset: FloatArray, target: FloatArray) -> FloatArray | None:
-    """Solve the problem scaled to order one."""
+def _nearest(D: FloatArray, off: FloatArray, C: FloatArray, c: FloatArray) -> FloatArray | None:
+    """Minimize ``‖D x + off‖`` subject to ``C x + c ≥ 0``, scaled to order one; C has rows ±D."""
     # Round-off must not look like an equation.
-    D, offset = (np.where(np.abs(part) > _ROUND_OFF, part, 0.0) for part in (D, offset))
-    best = _least_squares(D, target - offset)
-    if (offset + D @ best >= -_TOLERANCE).all():
+    D, off, C, c = (np.where(np.abs(part) > _ROUND_OFF, part, 0.0) for part in (D, off, C, c))
+    best = _least_squares(D, -off)
+    if (c + C @ best >= -_TOLERANCE).all():
         return best
-    free = _can_be_positive(D, offset)
+    free = can_be_positive(C, c)
     if free is None:
         return None
     if not free.all():
         # Entries that are zero everywhere become equations: what is left has an interior.
-        start = _least_squares(D[~free], -offset[~free])
-        if np.abs(offset[~free] + D[~free] @ start).max() > _TOLERANCE:
+        start = _least_squares(C[~free], -c[~free])
+        if np.abs(c[~free] + C[~free] @ start).max() > _TOLERANCE:
             return None
-        along = null_space(D[~free])
-        moved = offset + D @ start
-        rest = _nearest(D[free] @ along, moved[free], target[free])
+        along = null_space(C[~free])
+        rest = _nearest(D @ along, off + D @ start, C[free] @ along, c[free] + C[free] @ start)
         return None if rest is None else np.asarray(start + along @ rest)
     # The feasible set has an interior.
     U, sizes, Vt = np.linalg.svd(D, full_matrices=False)
     keep = sizes > _TOLERANCE
-    U, sizes, Vt = U[:, keep], sizes[keep], Vt[keep]
-    best = U.T @ (target - offset)
-    step = least_distance(U, -(offset + U @ best))  # from the optimum without bounds
-    return None if step is None else np.asarray(Vt.T @ ((best + step) / sizes))
+    U, back = U[:, keep], Vt[keep].T / sizes[keep]
+    best = -U.T @ off
+    G = C @ back
+    step = least_distance(G, -(c + G @ best))  # from the optimum without bounds
+    return None if step is None else np.asarray(back @ (best + step))
 
 
-def _can_be_positive(D: FloatArray, offset: FloatArray) -> np.ndarray | None:
+def can_be_positive(D: FloatArray, offset: FloatArray) -> np.ndarray | None:
     """Return which entries of ``D x + o`` can be positive, or None if the set is empty."""
     from scipy.optimize import linprog
 
@@ -88,6 +108,25 @@ def _can_be_positive(D: FloatArray, offset: FloatArray) -> np.ndarray | None:
     if answer.status != 0:
         raise ArithmeticError(f"the linear program of the prestress failed: {answer.message}")
     return np.asarray(answer.x[k + 1 :] > 0.5)
+
+
+def largest_share(D: FloatArray, offset: FloatArray, lower: FloatArray, upper: FloatArray) -> float:
+    """Return the largest t with ``t lower ≤ D x + o ≤ upper`` for some x; −∞ if there is none."""
+    from scipy.optimize import linprog
+
+    scale = max(float(np.abs(part).max(initial=0.0)) for part in (offset, lower)) or 1.0
+    capped = upper < _NO_BOUND * scale
+    k = D.shape[1]
+    answer = linprog(
+        c=np.append(np.zeros(k), -1.0),
+        A_ub=np.vstack(
+            [np.column_stack([-D, lower / scale]), np.column_stack([D, np.zeros(len(D))])[capped]]
+        ),
+        b_ub=np.concatenate([offset, (upper - offset)[capped]]) / scale,
+        bounds=[(None, None)] * k + [(None, 1.0)],
+        method="highs",
+    )
+    return float(answer.x[-1]) if answer.status == 0 else -np.inf
 
 
 def _least_squares(A: FloatArray, b: FloatArray) -> FloatArray:

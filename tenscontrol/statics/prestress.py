@@ -9,8 +9,13 @@ import numpy as np
 
 from tenscontrol.limits import MOST_RUNS
 from tenscontrol.statics.equilibrium_matrix import MemberForces, member_forces
-from tenscontrol.statics.least_distance import nearest_in_cone
-from tenscontrol.statics.stability import Stability, stability
+from tenscontrol.statics.least_distance import can_be_positive, largest_share, nearest_between
+from tenscontrol.statics.stability import (
+    Stability,
+    TangentStiffness,
+    stability,
+    tangent_stiffness,
+)
 from tenscontrol.structure import Structure, free_coordinates, rigid_basis
 from tenscontrol.validation import (
     FloatArray,
@@ -20,6 +25,8 @@ from tenscontrol.validation import (
     frozen,
     instance,
     non_negative,
+    per_member,
+    positive,
     positive_number,
     shaped,
     whole_number,
@@ -47,8 +54,9 @@ class Prestress:
     force_density : ndarray, shape (α,)
         γ of each string = tension / length, N/m, at least 0.
     bar_force_density : ndarray, shape (β,)
-        λ of each bar = compression / length, N/m, positive in compression.
-    external_force : ndarray, shape (3, n)
+        λ of each bar = compression / length, N/m, positive in compression, negative in tension. Of
+        a body with redundant bars, the least λ that balance: they are not unique.
+    external_force : ndarray, shape (d, n)
         W, the load on the nodes, N.
     residual : float
         Largest unbalanced force on a node, ``max |N K_s − W|``, N.
@@ -67,49 +75,123 @@ class Prestress:
     self_stress_states: int
     mechanisms: int
 
+    @property
+    def slack_strings(self) -> IntArray:
+        """Indices of the strings without force, γ = 0."""
+        return frozen(np.flatnonzero(self.force_density == 0))
+
+    @property
+    def bars_in_tension(self) -> IntArray:
+        """Indices of the bars that pull their ends together, λ < 0 beyond round-off."""
+        structure = self.structure
+        pull = -self.bar_force_density * structure.bar_length
+        pushes = np.abs(pull).max(initial=0.0)
+        largest = max((self.force_density * structure.string_length()).max(initial=0.0), pushes)
+        return frozen(np.flatnonzero(pull > _RESIDUAL_TOLERANCE * largest))
+
     @cached_property
     def stability(self) -> Stability:
         """What the prestress makes of the mechanisms; see :class:`Stability`."""
-        return stability(self.structure, self.force_density, self.bar_force_density)
+        return stability(
+            self.structure, self.force_density, self.bar_force_density, self._is_loaded
+        )
+
+    @property
+    def _is_loaded(self) -> bool:
+        return bool(free_coordinates(self.structure, self.external_force).any())
 
     @property
     def is_stable(self) -> bool:
-        """Whether the prestress stiffens every mechanism (prestress stability)."""
+        """Whether the prestress stiffens every mechanism; see :class:`Stability`.
+
+        Strings must be stiff enough as well: :meth:`tangent_stiffness` says whether given ones are.
+        """
         return self.stability.is_stable
 
     @property
     def is_super_stable(self) -> bool:
-        """Whether it stays stable at any level of prestress (super-stability)."""
+        """Whether it is stable at any level of prestress; see :class:`Stability`."""
         return self.stability.is_super_stable
 
+    def tangent_stiffness(self, stiffness: object) -> TangentStiffness:
+        """Return the stiffness of the structure with strings of this stiffness, rest lengths held.
+
+        It decides whether the structure stays where it is when it is pushed.
+
+        Parameters
+        ----------
+        stiffness : float or array_like, shape (α,)
+            dT/dL of each string, N/m: k of linear strings, EA/l0 of elastic ones. What has no force
+            here (γ = 0) is taken as slack, and adds none.
+
+        Returns
+        -------
+        TangentStiffness
+
+        Raises
+        ------
+        TypeError, ValueError
+            If ``stiffness`` does not fit or is not positive.
+
+        Examples
+        --------
+        The prism is super-stable: any strings do, and stiff ones leave the stiffness of the twist:
+
+        >>> import tenscontrol as tc
+        >>> rest = tc.prestress(tc.prism(), force_density=17.3205)
+        >>> [round(float(rest.tangent_stiffness(k).eigenvalues[0]), 1) for k in (31, 1e2, 1e4)]
+        [15.7, 89.8, 97.8]
+        """
+        k = per_member("stiffness", stiffness, len(self.force_density), "string")
+        positive("stiffness", k, "stiffness in N/m")
+        return tangent_stiffness(
+            self.structure, self.force_density, self.bar_force_density, k,
+            self._is_loaded,
+        )  # fmt: skip
+
     def __repr__(self) -> str:
+        slack = len(self.slack_strings)
         return (
             f"Prestress({self.structure!r}, residual {self.residual:.1e} N, "
-            f"{self.self_stress_states} self-stress states, {self.mechanisms} mechanisms)"
+            f"{self.self_stress_states} self-stress states, {self.mechanisms} mechanisms"
+            + (f", {slack} slack strings)" if slack else ")")
         )
 
 
 def prestress(
     structure: Structure,
-    force_density: object,
+    force_density: object = None,
     reference: str | None = None,
     external_force: object = None,
+    *,
+    min_force_density: object = None,
+    max_force_density: object = None,
 ) -> Prestress:
     """Return the force densities at which a structure rests in its reference shape.
+
+    Bars may push or pull; ``bars_in_tension`` of the result says which ones pull.
 
     Parameters
     ----------
     structure : Structure
-    force_density : float or array_like, shape (α,)
+    force_density : float or array_like, shape (α,), optional
         A number: the mean force density that the ``reference`` strings get,
         N/m. Where the structure has several states of self-stress, the one
-        nearest to a uniform γ of this value is taken. An array: γ of every
-        string, N/m; it is checked, and refused when it does not balance.
+        nearest to a uniform γ of this value is taken; in it, strings may be slack. An array: γ of
+        every string, N/m; it is checked, and refused when it does not balance.
     reference : str, optional
         The string group that a single number refers to; the group of the
         first string if not given (for :func:`prism` the top strings).
-    external_force : array_like, shape (3, n), optional
+    external_force : array_like, shape (d, n), optional
         Load W on the nodes, N.
+    min_force_density : float or array_like, shape (α,), optional
+        Least γ of each string, N/m: a positive number makes every string taut. Without
+        ``force_density``, the level is the least that this takes: among all γ that balance
+        within the bounds, the one nearest (least sum of squares) to a uniform γ of the largest
+        entry. With 0 for all, the least γ that carry the load. Strings between fixed nodes move
+        nothing, and get their entry.
+    max_force_density : float or array_like, shape (α,), optional
+        Largest γ of each string, N/m. It goes with ``min_force_density`` or with a single number.
 
     Returns
     -------
@@ -119,13 +201,15 @@ def prestress(
     ------
     TypeError, ValueError
         If an argument does not fit; if a given γ is negative or does not
-        balance (the message says by how much and where); if no γ ≥ 0 balances.
+        balance (the message says by how much and where); if no γ within the bounds balances (the
+        message names the strings that cannot be taut, or the largest level that can be had).
 
     Notes
     -----
     Equilibrium is ``N K_s = W``, Goyal & Skelton eq. (7) with N̈ = 0. The
     states of self-stress are the null space of the equilibrium matrix
-    (Pellegrino & Calladine 1986, doi:10.1016/0020-7683(86)90014-4).
+    (Pellegrino & Calladine 1986, doi:10.1016/0020-7683(86)90014-4). Which strings can be taut, and
+    how much, is found by linear programs (HiGHS); the nearest γ by least distance programming.
 
     Examples
     --------
@@ -137,47 +221,131 @@ def prestress(
     (array([17.3205, 17.3205, 30.    ]), 30.0)
     >>> rest.self_stress_states, rest.mechanisms, rest.is_stable, rest.is_super_stable
     (1, 1, True, True)
+
+    With every string at 10 N/m at least:
+
+    >>> tc.prestress(tc.prism(), min_force_density=10.0).force_density[[0, 3, 6]].round(4)
+    array([10.    , 10.    , 17.3205])
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
-    n, alpha = structure.nodes.shape[1], len(structure.strings)
-    given = float_array("force_density", force_density)
-    if alpha == 0 and given.ndim == 0:
+    alpha = len(structure.strings)
+    is_bounded = min_force_density is not None or max_force_density is not None
+    if force_density is None and min_force_density is None:
+        raise TypeError(
+            "force_density is None, expected a number or an array in N/m, or min_force_density"
+        )
+    given = None if force_density is None else float_array("force_density", force_density)
+    if alpha == 0 and (given is None or given.ndim == 0):
         raise ValueError("the structure has no strings, so there is nothing to prestress")
-    load = np.zeros((3, n))
+    load = np.zeros(structure.nodes.shape)
     if external_force is not None:
-        load = shaped("external_force", external_force, (3, n), "one force per node, N")
-    w = free_coordinates(structure, load)
-    forces = member_forces(structure, w)
-    live, E, states, particular = forces.live, forces.matrix, forces.states, forces.particular
-    live_strings = live[:alpha]
-    count = int(live_strings.sum())
-
-    if given.ndim == 0:
-        level = positive_number("force_density", float(given), "N/m")
-        _refuse_unbalanced(
-            structure, E, particular, w, "no member forces balance external_force",
-            "In this shape the load meets a mechanism; equilibrium(model, ...) lets the shape give",
-        )  # fmt: skip
-        groups = dict.fromkeys(structure.string_groups)
-        group = next(iter(groups)) if reference is None else choice("reference", reference, groups)
-        strings = np.flatnonzero(np.isin(np.flatnonzero(live_strings), structure.strings_in(group)))
-        if len(strings) == 0:
+        load = shaped("external_force", external_force, load.shape, "one force per node, N")
+    if reference is not None and (given is None or given.ndim > 0):
+        instead = "not with an array" if given is not None else "which is not given"
+        raise ValueError(f"reference goes with a single force_density, {instead}")
+    if given is not None and given.ndim > 0:
+        if is_bounded:
             raise ValueError(
-                f"reference is {group!r}, whose strings all run between fixed nodes: no force of "
-                "theirs moves anything; give a group with a free end as reference"
+                "force_density gives γ of every string, which leaves nothing to "
+                "min_force_density and max_force_density; leave them out, or give one number"
             )
-        densities = _nearest_to_uniform(particular, states, strings, level, count)
-        if densities is None:
-            raise ValueError(_infeasible(states, forces.sizes, bool(w.any())))
-    else:
-        if reference is not None:
-            raise ValueError("reference goes with a single force_density, not with an array")
         gamma = shaped("force_density", given, (alpha,), "one per string")
         non_negative("force_density", gamma, "a string can only pull")
+        forces = member_forces(structure, free_coordinates(structure, load))
         hint = "prestress(structure, force_density=<one number>) finds force densities that balance"
         return balanced(structure, forces, gamma, load, "force_density does not balance", hint)
-    _refuse_unbalanced(structure, E, densities, w, "no force_density balances", "Change the shape")
-    return _at_rest(structure, forces, np.zeros(alpha), densities, load)
+    level = None if given is None else positive_number("force_density", float(given), "N/m")
+    low, high = _bounds(alpha, min_force_density, max_force_density)
+    return _found(structure, load, level, reference, low, high)
+
+
+def _bounds(alpha: int, least: object, most: object) -> tuple[FloatArray, FloatArray]:
+    """Return the least and the largest γ of each string, N/m."""
+    low, high = np.zeros(alpha), np.full(alpha, np.inf)
+    if least is not None:
+        low = per_member("min_force_density", least, alpha, "string")
+        non_negative("min_force_density", low, "a string can only pull")
+    if most is not None:
+        high = per_member("max_force_density", most, alpha, "string")
+        non_negative("max_force_density", high, "a string can only pull")
+    crossed = np.flatnonzero(low > high)
+    if len(crossed):
+        i = crossed[0]
+        raise ValueError(
+            f"max_force_density[{i}] is {high[i]:g}, expected at least {low[i]:g}: "
+            f"min_force_density[{i}]"
+        )
+    return low, high
+
+
+def _found(
+    structure: Structure, load: FloatArray, level: float | None, reference: str | None,
+    low: FloatArray, high: FloatArray,
+) -> Prestress:  # fmt: skip
+    """Return the balanced γ within bounds nearest to uniform, or raise and say why there is none.
+
+    Uniform is ``level``, which is then the mean of the reference strings too, or the highest of the
+    lower bounds.
+    """
+    w = free_coordinates(structure, load)
+    forces = member_forces(structure, w)
+    strings = np.flatnonzero(forces.live[: len(low)])
+    D, offset, gamma = forces.states, forces.particular, low
+    low, high = low[strings], high[strings]
+    count = len(strings)
+    _refuse_unbalanced(
+        structure, forces.matrix, offset, w, "no member forces balance external_force",
+        "In this shape the load meets a mechanism; equilibrium(model, ...) lets the shape give",
+    )  # fmt: skip
+    goal = float(low.max(initial=0.0)) if level is None else level
+    if goal == 0 and not w.any():
+        raise ValueError(
+            "min_force_density is 0 for every string with a free end, and without a load no force "
+            "balances that; give a positive number, or a force_density"
+        )
+    if level is not None:
+        kept = _at_level(structure, D, offset, strings, level, reference)
+        if kept is None:
+            raise ValueError(_infeasible(forces, strings, low, high, bool(w.any())))
+        D, offset = kept
+    target = np.full(count, goal)
+    x = nearest_between(D[:count], offset[:count], target, low, high)
+    if x is None:
+        raise ValueError(_infeasible(forces, strings, low, high, bool(w.any()), (D, offset)))
+    densities = np.asarray(offset + D @ x)
+    # What round-off leaves below zero is zero; the residual is checked afterwards.
+    found = densities[:count]
+    found[found < _ROUND_OFF * np.abs(densities).max()] = 0.0
+    if any(block.is_redundant for block in structure.blocks):
+        densities[count:] = _least_bars(forces, found, w)
+    _refuse_unbalanced(
+        structure, forces.matrix, densities, w, "no force_density balances", "Change the shape"
+    )
+    return _at_rest(structure, forces, gamma, densities, load)
+
+
+def _at_level(
+    structure: Structure, states: FloatArray, particular: FloatArray, strings: IntArray,
+    level: float, reference: str | None,
+) -> tuple[FloatArray, FloatArray] | None:  # fmt: skip
+    """Return directions and offset of the force densities whose reference has the mean ``level``.
+
+    None if no state of self-stress changes that mean.
+    """
+    groups = dict.fromkeys(structure.string_groups)
+    group = next(iter(groups)) if reference is None else choice("reference", reference, groups)
+    chosen = np.flatnonzero(np.isin(strings, structure.strings_in(group)))
+    if len(chosen) == 0:
+        raise ValueError(
+            f"reference is {group!r}, whose strings all run between fixed nodes: no force of "
+            "theirs moves anything; give a group with a free end as reference"
+        )
+    mean = states[chosen].mean(axis=0)
+    weight = float(np.linalg.norm(mean))
+    if weight < _ROUND_OFF:
+        return None
+    start = mean * (level - particular[chosen].mean()) / weight**2
+    return states @ np.linalg.svd(mean[None, :])[2][1:].T, particular + states @ start
 
 
 def balanced(
@@ -189,11 +357,19 @@ def balanced(
     What is left on a node is judged against the largest force, N, or ``least`` if that is more.
     """
     pulls, E, w = forces.live[: len(gamma)], forces.matrix, free_coordinates(structure, load)
-    count = int(pulls.sum())
-    bars = np.linalg.lstsq(E[:, count:], w - E[:, :count] @ gamma[pulls], rcond=None)[0]
-    densities = np.concatenate([gamma[pulls], bars])
+    densities = np.concatenate([gamma[pulls], _least_bars(forces, gamma[pulls], w)])
     _refuse_unbalanced(structure, E, densities, w, what, hint, least)
     return _at_rest(structure, forces, gamma, densities, load)
+
+
+def _least_bars(forces: MemberForces, gamma: FloatArray, w: FloatArray) -> FloatArray:
+    """Return the least λ of movable bars that balance γ of movable strings best."""
+    count = len(gamma)
+    pushes, load = forces.matrix[:, count:], w - forces.matrix[:, :count] @ gamma
+    length = np.linalg.norm(pushes, axis=0)
+    length = length[length > 0]
+    ratio = length.min() / length.max() if len(length) else 1.0
+    return np.asarray(np.linalg.lstsq(pushes, load, rcond=_RANK_TOLERANCE * ratio)[0])
 
 
 def _at_rest(
@@ -263,32 +439,13 @@ def prism_force_density(
     return np.repeat([top, bottom, vertical], q), np.full(q, vertical)
 
 
-def _nearest_to_uniform(
-    particular: FloatArray, states: FloatArray, strings: IntArray, level: float, alpha: int
-) -> FloatArray | None:
-    """Return the balanced γ ≥ 0 nearest to ``level`` whose mean over ``strings`` is ``level``."""
-    # States that keep the mean: c = start + directions @ free.
-    mean = states[strings].mean(axis=0)
-    weight = float(np.linalg.norm(mean))
-    if weight < _RANK_TOLERANCE:
-        return None
-    start = mean * (level - particular[strings].mean()) / weight**2
-    directions = np.linalg.svd(mean[None, :])[2][1:].T
-    at = particular + states @ start
-    moves = states @ directions
-    free = nearest_in_cone(moves[:alpha], at[:alpha], target=np.full(alpha, level))
-    if free is None:
-        return None
-    densities = at + moves @ free
-    # What round-off leaves below zero is zero; the residual is checked afterwards.
-    gamma = densities[:alpha]
-    gamma[gamma < _ROUND_OFF * np.abs(densities).max()] = 0.0
-    return np.asarray(densities)
-
-
-def _infeasible(states: FloatArray, sizes: FloatArray, loaded: bool) -> str:
+def _infeasible(
+    forces: MemberForces, strings: IntArray, low: FloatArray, high: FloatArray, loaded: bool,
+    at_level: tuple[FloatArray, FloatArray] | None = None,
+) -> str:  # fmt: skip
     """Say why no force densities were found."""
-    if states.shape[1] == 0:
+    states, sizes, count = forces.states, forces.sizes, len(strings)
+    if states.shape[1] == 0 and not loaded:
         smallest = sizes[-1] / sizes[0]
         return (
             "the structure has no state of self-stress in this shape: no force densities balance. "
@@ -296,24 +453,58 @@ def _infeasible(states: FloatArray, sizes: FloatArray, loaded: bool) -> str:
             f"largest, against {_RANK_TOLERANCE:.0e} for a state of self-stress; if it is small, "
             "give the nodes with more digits"
         )
+    if states.shape[1] == 0:
+        gamma = forces.particular[:count]
+        i = int((gamma - low).argmin()) if (gamma < low).any() else int((gamma - high).argmax())
+        return (
+            "the structure has no state of self-stress in this shape, so that external_force "
+            f"alone determines the forces: string {strings[i]} would get γ = {gamma[i]:.6g} N/m, "
+            f"expected {low[i]:g} to {high[i]:g} N/m. Change the load, the shape or the bounds"
+        )
+    D, offset = (states, forces.particular) if at_level is None else at_level
+    share = largest_share(D[:count], offset[:count], low, high)
+    can = can_be_positive(states[:count], np.zeros(count))
+    stuck = strings[~can & (low > 0)] if can is not None else strings
     what = "external_force with" if loaded else "the structure with"
+    if not loaded and len(stuck):
+        return (
+            f"strings {_listed(stuck)} cannot be taut while no other is in compression: in this "
+            "shape no state of self-stress with γ ≥ 0 has them taut. Change the shape or the "
+            "strings, or give 0 for them in min_force_density, an array"
+        )
+    unbounded = np.full(count, np.inf)
+    if share < 1 and largest_share(D[:count], offset[:count], low, unbounded) >= 1 - _ROUND_OFF:
+        level = f"; with it, strings have at most {share:.4g} times min_force_density"
+        return (
+            "max_force_density is too low: without it, there are force densities that balance"
+            + (level if np.isfinite(share) and low.any() else "")
+        )
+    slack = strings[~can] if can is not None else strings
+    which = f" (strings {_listed(slack)} cannot be taut)" if len(slack) else ""
     return (
-        f"no force densities γ ≥ 0 balance {what} the reference strings at the wanted level: "
-        f"each of the {states.shape[1]} states of self-stress needs a string in compression, or "
-        "leaves the reference strings slack. Change the shape, the strings or the reference"
+        f"no force densities γ ≥ 0 balance {what} the reference strings at the wanted level, "
+        f"within the bounds: each of the {states.shape[1]} states of self-stress needs a string in "
+        f"compression, or leaves the reference strings slack{which}. Change the shape, the "
+        "strings, the reference or the bounds"
     )
+
+
+def _listed(members: IntArray) -> str:
+    """Return indices as text, the first ten."""
+    more = f" and {len(members) - 10} more" if len(members) > 10 else ""
+    return ", ".join(map(str, members[:10].tolist())) + more
 
 
 def _refuse_unbalanced(
     structure: Structure, E: FloatArray, densities: FloatArray, w: FloatArray,
     what: str, hint: str, least: float = 0.0,
 ) -> None:  # fmt: skip
-    unbalanced = (E @ densities - w).reshape(-1, 3)
-    size = np.linalg.norm(unbalanced, axis=1)
+    d, n = structure.nodes.shape
+    size = np.sqrt(np.bincount(structure.free_rows // d, (E @ densities - w) ** 2, minlength=n))
     scale = max([least, *(float(np.abs(x).max(initial=0.0)) for x in (E * densities, w))])
     if size.max() > _RESIDUAL_TOLERANCE * scale:
         worst = int(size.argmax())
         raise ValueError(
-            f"{what}: node {structure.free[worst]} is left with an unbalanced force of "
+            f"{what}: node {worst} is left with an unbalanced force of "
             f"{size[worst]:.3g} N, expected less than {_RESIDUAL_TOLERANCE * scale:.1e} N. {hint}"
         )

@@ -6,7 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from tenscontrol.statics.least_distance import nearest_in_cone
+from tenscontrol.statics.least_distance import nearest_between
+
+
+def nearest_in_cone(directions, offset, target):
+    """The nearest point with no entry below zero."""
+    nothing = np.zeros(len(offset))
+    return nearest_between(directions, offset, target, nothing, nothing + np.inf)
 
 
 @given(seed=st.integers(0, 10_000), rows=st.integers(2, 12), columns=st.integers(1, 4))

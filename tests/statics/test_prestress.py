@@ -251,20 +251,45 @@ def test_results_are_read_only(rest):
             getattr(rest, name)[...] = 0.0
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_prestress_refuses_exactly_where_a_linear_program_is_infeasible(seed):
+def prism_with_extra_strings(seed):
     """Four diagonals added to a square prism at random: many sets of γ have no interior."""
     prism = tc.prism(4)
     members = {frozenset(pair) for pair in np.vstack([prism.strings, prism.bars]).tolist()}
     free = [pair for pair in combinations(range(8), 2) if frozenset(pair) not in members]
     chosen = np.random.default_rng(seed).permutation(len(free))[:4]
-    structure = tc.Structure(
+    return tc.Structure(
         prism.nodes,
         prism.bars,
         np.vstack([prism.strings, np.array(free)[chosen]]),
         bar_mass=1.0,
         string_groups=prism.string_groups + ("extra",) * 4,
     )
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_every_string_is_taut_exactly_where_a_linear_program_says_so(seed):
+    structure = prism_with_extra_strings(seed)
+    E = tc.statics.equilibrium_matrix(structure)
+    bounds = [(3.0, None)] * 16 + [(None, None)] * 4
+    total = np.r_[np.ones(16), np.zeros(4)]
+    program = linprog(total, A_eq=E, b_eq=np.zeros(24), bounds=bounds)
+    if program.status == 2:
+        with pytest.raises(ValueError, match=r"^strings .* cannot be taut"):
+            tc.prestress(structure, min_force_density=3.0)
+        return
+    found = tc.prestress(structure, min_force_density=3.0)
+    assert found.force_density.min() == pytest.approx(3.0)
+    assert found.residual < 1e-9 * found.force_density.max()
+    # No other balance within the bounds is nearer to uniform: the way there goes up.
+    uphill = linprog(np.r_[found.force_density - 3.0, np.zeros(4)], A_eq=E, b_eq=np.zeros(24),
+                     bounds=bounds)  # fmt: skip
+    ahead = (found.force_density - 3.0) @ (uphill.x[:16] - found.force_density)
+    assert ahead > -1e-6 * found.force_density.max() ** 2
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_prestress_refuses_exactly_where_a_linear_program_is_infeasible(seed):
+    structure = prism_with_extra_strings(seed)
     E = tc.statics.equilibrium_matrix(structure)
     top = np.zeros(E.shape[1])
     top[:4] = 0.25

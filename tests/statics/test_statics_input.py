@@ -139,7 +139,38 @@ FOUND_IN_REVIEW = [
 # fmt: on
 
 
-CASES = [*STATICS, *FOUND_IN_REVIEW]
+# fmt: off
+BOUNDS = [
+    refused("no level at all", lambda: tc.prestress(prism()), TypeError,
+            r"^force_density is None, expected .* or min_force_density"),
+    refused("least negative", lambda: tc.prestress(prism(), min_force_density=-1.0), ValueError,
+            r"^min_force_density\[0\] is -1, .*can only pull"),
+    refused("least of too few", lambda: tc.prestress(prism(), min_force_density=[1.0]), ValueError,
+            r"^min_force_density has shape \(1,\), expected \(\) or \(9,\)"),
+    refused("least nothing", lambda: tc.prestress(prism(), min_force_density=0.0), ValueError,
+            r"^min_force_density is 0 for every string"),
+    refused("most nan", lambda: tc.prestress(prism(), 1.0, max_force_density=NAN), ValueError,
+            r"^max_force_density is nan"),
+    refused("most alone", lambda: tc.prestress(prism(), max_force_density=1.0), TypeError,
+            r"^force_density is None"),
+    refused("bounds crossed",
+            lambda: tc.prestress(prism(), min_force_density=2.0, max_force_density=1.0), ValueError,
+            r"^max_force_density\[0\] is 1, expected at least 2: min_force_density\[0\]"),
+    refused("bounds of given forces",
+            lambda: tc.prestress(prism(), gamma(), min_force_density=1.0), ValueError,
+            r"^force_density gives γ of every string"),
+    refused("reference without level",
+            lambda: tc.prestress(prism(), reference="top", min_force_density=1.0), ValueError,
+            r"^reference goes with a single force_density, which is not given"),
+    refused("stiffness zero", lambda: tc.prestress(prism(), 17.0).tangent_stiffness(0.0),
+            ValueError, r"^stiffness\[0\] is 0, expected a positive"),
+    refused("stiffness of too many",
+            lambda: tc.prestress(prism(), 17.0).tangent_stiffness(np.ones(3)), ValueError,
+            r"^stiffness has shape \(3,\), expected \(\) or \(9,\)"),
+]
+# fmt: on
+
+CASES = [*STATICS, *FOUND_IN_REVIEW, *BOUNDS]
 
 
 @pytest.mark.parametrize(("call", "exception", "message"), CASES)
