@@ -22,6 +22,9 @@ from . import (
     integrate as integrate,
 )
 from . import (
+    library as library,
+)
+from . import (
     plant as plant,
 )
 from . import (

@@ -19,7 +19,7 @@ from tenscontrol.structure.segments import (
     to_strings,
 )
 from tenscontrol.structure.skin import skin, skin_rest_length
-from tenscontrol.structure.structure import Structure, same_members
+from tenscontrol.structure.structure import Structure, refuse_many_members, same_members
 from tenscontrol.structure.subdivide import subdivide
 from tenscontrol.structure.supports import (
     affine_motions,
@@ -50,6 +50,7 @@ __all__ = [
     "prism_radius",
     "prism_tower",
     "refuse_load_without_support",
+    "refuse_many_members",
     "refuse_moved_supports",
     "refuse_strings_without_length",
     "refuse_wrong_bar_lengths",
