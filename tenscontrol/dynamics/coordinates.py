@@ -6,6 +6,7 @@ reduced ones the mass matrix is the identity.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -225,8 +226,8 @@ class Coordinates:
         ----------
         z : casadi.SX, shape (2r, 1)
         near : casadi.SX, optional
-            Symbol for :meth:`normal_displacement` of q, to be put in later: expressions and their
-            first derivatives are then exact, and much shorter where bars share nodes.
+            Symbol for :meth:`hidden`, to be put in later: expressions and their first derivatives
+            are then exact, and much shorter where bars share nodes.
         """
         structure, r = self.structure, self.count
         shape = structure.nodes.shape
@@ -248,58 +249,90 @@ class Coordinates:
                 V[:, node] += part * rate * axis
         if not self._normals:
             return N, V
-        near = self.normal_displacement(z[:r]) if near is None else near
-        first = 0
-        for block, normal in self._normals:
-            rows, size = block.rows.tolist(), normal.shape[1]
+        parts = ca.vertsplit(self.hidden(z) if near is None else near, self._hidden_parts)
+        for i, (block, _) in enumerate(self._normals):
+            rows = block.rows.tolist()
             places, speeds = ca.vec(N), ca.vec(V)
-            places[rows] += ca.mtimes(ca.DM(normal), near[first : first + size])
-            change, _ = self._newton_step(ca.reshape(places, *shape), block, normal)
-            places[rows] -= ca.mtimes(ca.DM(normal), change)
-            N = ca.reshape(places, *shape)
-            J = kernel.block_rows(structure, block.independent, block.rows, N)
-            lost = ca.solve(ca.mtimes(J, ca.DM(normal)), ca.mtimes(J, speeds[rows]))
-            speeds[rows] -= ca.mtimes(ca.DM(normal), lost)
-            V = ca.reshape(speeds, *shape)
-            first += size
+            there, displaced, faster = parts[3 * i : 3 * i + 3]
+            places[rows] += displaced
+            speeds[rows] += faster
+            if near is not None:
+                # Nothing is left of lengths to correct, but of their derivatives.
+                at = ca.SX(ca.DM(structure.nodes.ravel(order="F")))
+                at[rows] = there
+                towards = self._normal_steps(block, ca.reshape(at, *shape))
+                places[rows] -= towards(self._lengths(ca.reshape(places, *shape), block)[1])
+                J, _, _ = self._lengths(ca.reshape(places, *shape), block)
+                speeds[rows] -= towards(ca.mtimes(J, speeds[rows]))
+            N, V = ca.reshape(places, *shape), ca.reshape(speeds, *shape)
         return N, V
 
-    def normal_displacement(self, q: Any) -> Any:
-        """Return how far shapes of q are displaced along the forces of blocks' bars, SX, m².
+    def hidden(self, z: Any) -> Any:
+        """Return what keeps the lengths of bars that share nodes, SX: empty where none do.
 
-        Empty where no bars share nodes. By a fixed number of Newton's steps; no numbers where these
-        do not lead to the bar lengths.
+        For each block its places, and the displacements and velocities in its normal space, m and
+        m/s, of ``[q; q̇]``. By a fixed number of Newton's steps; no numbers where these do not lead
+        to the bar lengths.
 
         Parameters
         ----------
-        q : casadi.SX, shape (r, 1)
+        z : casadi.SX, shape (2r, 1)
         """
-        shape, found = self.structure.nodes.shape, [ca.SX(0, 1)]
+        r, shape, found = self.count, self.structure.nodes.shape, [ca.SX(0, 1)]
         T = ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
-        moved = ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(T, q)
-        for block, normal in self._normals:
-            places, rows, worst = ca.SX(moved), block.rows.tolist(), 0.0
-            total = ca.SX.zeros(normal.shape[1])
+        moved = ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(T, z[:r])
+        rates = ca.mtimes(T, z[r:])
+        for block, _ in self._normals:
+            places, rows = ca.SX(moved), block.rows.tolist()
             for _ in range(_STEPS):
-                change, worst = self._newton_step(ca.reshape(places, *shape), block, normal)
-                total -= change
-                places[rows] = moved[rows] + ca.mtimes(ca.DM(normal), total)
-            found.append(ca.if_else(worst <= _EXACT, total, np.nan))
+                N = ca.reshape(places, *shape)
+                places[rows] -= self._normal_steps(block, N)(self._lengths(N, block)[1])
+            N = ca.reshape(places, *shape)
+            J, _, worst = self._lengths(N, block)
+            speeds = -self._normal_steps(block, N)(ca.mtimes(J, rates[rows]))
+            there = ca.if_else(worst <= _EXACT, places[rows], np.nan)
+            found += [there, there - moved[rows], speeds]
         return ca.vertcat(*found)
 
-    @property
-    def normal_size(self) -> int:
-        """Number of entries of :meth:`normal_displacement`."""
-        return sum(normal.shape[1] for _, normal in self._normals)
+    @cached_property
+    def _hidden_parts(self) -> list[int]:
+        """Where the parts of :meth:`hidden` begin, and its size."""
+        sizes = [len(block.rows) for block, _ in self._normals for _ in range(3)]
+        return np.cumsum([0, *sizes]).tolist()
 
-    def _newton_step(self, N: Any, block: Block, normal: FloatArray) -> tuple[Any, Any]:
-        """Return the step towards the bar lengths of a block, and how far they are off, SX."""
+    @property
+    def hidden_size(self) -> int:
+        """Number of entries of :meth:`hidden`."""
+        return self._hidden_parts[-1]
+
+    def _lengths(self, N: Any, block: Block) -> tuple[Any, Any, Any]:
+        """Return J and half the excess of squared lengths of a block, and the worst part, SX."""
         structure, bars = self.structure, block.independent
         square = ca.DM(structure.bar_length[bars] ** 2)
-        J = kernel.block_rows(structure, bars, block.rows, N)
         B = kernel.differences(N, structure.bars[bars])
         excess = (kernel.dots(B, B).T - square) / 2
-        return ca.solve(ca.mtimes(J, ca.DM(normal)), excess), ca.norm_inf(excess / square)
+        J = kernel.block_rows(structure, bars, block.rows, N)
+        return J, excess, ca.norm_inf(excess / square)
+
+    def _normal_steps(self, block: Block, N: Any) -> Callable[[Any], Any]:
+        """Return what gives the displacement in the normal space of a block that J maps to a column.
+
+        ``M δ = J₀ᵀ μ`` and ``J δ = change``, with J in the shape N and J₀ of the reference, SX:
+        sparse, and without pivoting in the order of the block.
+        """
+        bars, rows = block.independent, block.rows
+        J = kernel.block_rows(self.structure, bars, rows, N)
+        J_0 = kernel.block_rows(self.structure, bars, rows, ca.SX(ca.DM(self.nodes)))
+        mass = ca.SX(ca.sparsify(ca.DM(_block_mass(self.structure, block))))
+        matrix = ca.blockcat([[mass, -J_0.T], [J, ca.SX(len(bars), len(bars))]])
+        order, back = block.order.tolist(), np.argsort(block.order).tolist()
+        solve = _eliminated(matrix[order, order])
+
+        def step(change: Any) -> Any:
+            right = ca.vertcat(ca.SX.zeros(len(rows)), change)
+            return solve(right[order])[back][: len(rows)]
+
+        return step
 
     def _with_lengths(self, nodes: FloatArray, block: Block, normal: FloatArray) -> FloatArray:
         """Return nodes displaced along the normal space until the bars of a block are exact."""
@@ -539,6 +572,39 @@ def _rows(nodes: IntArray, dimension: int) -> IntArray:
 def _across(vector: FloatArray) -> FloatArray:
     """Return orthonormal directions across a vector, shape (d, d − 1)."""
     return np.asarray(np.linalg.svd(vector[None, :])[2][1:].T)
+
+
+def _eliminated(matrix: Any) -> Callable[[Any], Any]:
+    """Return what solves a sparse system, SX, by Gaussian elimination without pivoting."""
+    size = matrix.shape[0]
+    rows: list[dict[int, Any]] = [{} for _ in range(size)]
+    below: list[set[int]] = [set() for _ in range(size)]
+    for i, j, value in zip(*matrix.sparsity().get_triplet(), matrix.nonzeros(), strict=True):
+        if not value.is_zero():
+            rows[i][j] = value
+            below[j].add(i)
+    factors: list[tuple[int, int, Any]] = []
+    for k, pivot in enumerate(rows):
+        for i in sorted(each for each in below[k] if each > k):
+            factor = rows[i].pop(k) / pivot[k]
+            factors.append((i, k, factor))
+            for j, value in pivot.items():
+                if j > k:
+                    rows[i][j] = rows[i].get(j, 0) - factor * value
+                    below[j].add(i)
+
+    def solve(right: Any) -> Any:
+        side = right.elements()
+        for i, k, factor in factors:
+            side[i] -= factor * side[k]
+        for k in reversed(range(size)):
+            for j, value in rows[k].items():
+                if j > k:
+                    side[k] -= value * side[j]
+            side[k] /= rows[k][k]
+        return ca.vertcat(*side)
+
+    return solve
 
 
 def _momenta(mass: object, basis: FloatArray) -> FloatArray:

@@ -190,14 +190,14 @@ def acceleration_slopes(plant: LinearPlant, *, taut: bool) -> ca.Function:
 
 def near_symbol(plant: LinearPlant) -> Any:
     """Return a symbol for ``near`` in :func:`reduced_motion`, empty where bars share no nodes."""
-    return ca.SX.sym("near", plant.coordinates.normal_size)
+    return ca.SX.sym("near", plant.coordinates.hidden_size)
 
 
 def settled(plant: LinearPlant, z: Any, near: Any, parts: list[Any]) -> list[Any]:
     """Return expressions, or their first derivatives, in z alone: the symbol near put in."""
     if near.numel() == 0:
         return parts
-    there = plant.coordinates.normal_displacement(z[: plant.degrees_of_freedom])
+    there = plant.coordinates.hidden(z[: len(plant.A)])
     return list(ca.substitute(parts, [near], [there]))
 
 
