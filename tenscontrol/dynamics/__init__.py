@@ -1,6 +1,6 @@
 """The equations of motion as CasADi functions."""
 
-from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates
+from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates, normal_basis
 from tenscontrol.dynamics.equation import Equation, smooth_equation
 from tenscontrol.dynamics.evaluator import (
     BUILDING,
@@ -49,6 +49,7 @@ __all__ = [
     "coordinates",
     "evaluate_columns",
     "exclusive",
+    "normal_basis",
     "pack_state",
     "smooth_equation",
     "solving",

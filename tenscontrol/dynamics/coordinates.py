@@ -6,22 +6,45 @@ reduced ones the mass matrix is the identity.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
+from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.model import Model
 from tenscontrol.structure import (
+    Block,
     Structure,
+    bar_rows,
     left_by_supports,
+    node_mass,
     refuse_wrong_bar_lengths,
+    rigid_basis,
     rigid_motions,
 )
-from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    choice,
+    float_array,
+    frozen,
+    instance,
+    shaped,
+)
 
 # Directions whose singular value is below this fraction of the largest do not exist.
 _RANK_TOLERANCE = 1e-9
+
+# Newton's steps at most; those in an expression, which reach about 70° from the reference; and how
+# far, relative to its square, a length may be off in the end.
+_MOST, _STEPS, _EXACT = 30, 6, 1e-10
+
+# A shape is laid over the reference when the next step is below this part of its size.
+_LAID = 1e-15
 
 KINDS = ("nodes", "minimal", "internal")
 
@@ -37,18 +60,18 @@ class Coordinates:
     structure : Structure
     kind : str
         ``"nodes"``, ``"minimal"`` or ``"internal"``.
-    nodes : ndarray, shape (3, n)
+    nodes : ndarray, shape (d, n)
         Reference shape, m.
-    basis : ndarray, shape (3n, r)
+    basis : ndarray, shape (d n, r)
         T: a displacement is ``vec(δN) = T q``. In reduced coordinates
-        ``Tᵀ M T = I``, so that q has the unit m √kg. Rows of fixed nodes are zero.
+        ``Tᵀ M T = I``, so that q has the unit m √kg. Rows that supports hold are zero.
     """
 
     structure: Structure
     kind: str
     nodes: FloatArray
     basis: FloatArray
-    _projection: FloatArray  # (r, 3n): q = projection @ vec(δN)
+    _projection: FloatArray  # (r, d n): q = projection @ vec(δN)
     _mass: FloatArray  # (n, n): M_s
 
     @property
@@ -61,7 +84,7 @@ class Coordinates:
 
         Parameters
         ----------
-        displacements : array_like, shape (3n,) or (3n, k)
+        displacements : array_like, shape (d n,) or (d n, k)
             Node by node, m; one displacement a column.
 
         Returns
@@ -78,7 +101,7 @@ class Coordinates:
         if fields.ndim not in (1, 2) or fields.shape[0] != rows:
             raise ValueError(
                 f"displacements has shape {fields.shape}, expected ({rows},) or ({rows}, k): "
-                "x, y, z node by node"
+                f"{', '.join('xyz'[: self.structure.dimension])} node by node"
             )
         return np.asarray(self._projection @ fields)
 
@@ -86,14 +109,14 @@ class Coordinates:
         """Return the reduced state ``z = [q; q̇]`` of a motion.
 
         In internal coordinates the shape is first laid over the reference as
-        well as a rigid motion can, so that a structure that has travelled or
-        turned is measured as one that has not.
+        well as a rigid motion that the supports leave can, so that a structure that has
+        travelled or turned is measured as one that has not.
 
         Parameters
         ----------
-        nodes : array_like, shape (3, n)
+        nodes : array_like, shape (d, n)
             Node positions, m.
-        velocities : array_like, shape (3, n)
+        velocities : array_like, shape (d, n)
             Node velocities, m/s.
 
         Returns
@@ -107,18 +130,22 @@ class Coordinates:
         """
         N = self.structure.checked_nodes("nodes", nodes)
         V = self.structure.checked_nodes("velocities", velocities)
-        if self.kind == "internal" and len(self.structure.fixed) < 2:
-            turn, centre = self._alignment(N)
-            N = turn @ (N - centre) + self._centre(self.nodes)
-            V = turn @ V
+        if self.kind == "internal":
+            if len(self.structure.fixed) < 2 and not self.structure.rollers:
+                turn, centre = self._alignment(N)
+                N, V = turn @ (N - centre) + self._centre(self.nodes), turn @ V
+            elif self._is_loose:
+                N, V = self._along_supports(N, V)
         q = self._projection @ (N - self.nodes).ravel(order="F")
         return np.concatenate([q, self._projection @ V.ravel(order="F")])
 
     def to_nodes(self, q: object) -> FloatArray:
         """Return node positions with exact bar lengths whose coordinates are q.
 
-        Across the bar, a bar vector moves as the basis says; along it, so that
-        its length stays. So ``measure(to_nodes(q), ...)`` gives q again. In
+        The displacement that the basis says is added, and one that q does not see, along the
+        forces of the bars in the reference shape, until all lengths are exact: so
+        ``measure(to_nodes(q), ...)`` gives q again. Across a bar on its own, its vector then moves
+        as the basis says; bars that share nodes are solved for together by Newton's method. In
         ``"nodes"`` coordinates the displacement is added as it is.
 
         Parameters
@@ -127,29 +154,33 @@ class Coordinates:
 
         Returns
         -------
-        ndarray, shape (3, n)
+        ndarray, shape (d, n)
             m.
 
         Raises
         ------
         ValueError
-            If q does not fit, or turns a bar by a right angle or more.
+            If q does not fit, or turns a bar by a right angle or more, or bars that share nodes
+            cannot keep their lengths.
         """
         q = shaped("q", q, (self.count,), f"one per {self.kind} coordinate")
-        nodes = self.nodes + (self.basis @ q).reshape(3, -1, order="F")
+        nodes = self.nodes + self._columns(self.basis @ q)
         if self.kind == "nodes":
             return nodes
-        length = self.structure.bar_length
-        vectors = self.structure.bar_vectors(nodes)
-        along = (vectors * self._axes).sum(axis=0)
-        across = vectors - along * self._axes
+        alone, axes = self._alone
+        length = self.structure.bar_length[alone]
+        vectors = self.structure.bar_vectors(nodes)[:, alone]
+        along = (vectors * axes).sum(axis=0)
+        across = vectors - along * axes
         room = length**2 - (across**2).sum(axis=0)
         if room.size and room.min() <= 0:
             raise ValueError(
-                f"q turns bar {int(room.argmin())} by a right angle or more from the reference "
-                "shape; these coordinates do not reach so far"
+                f"q turns bar {alone[int(room.argmin())]} by a right angle or more from the "
+                "reference shape; these coordinates do not reach so far"
             )
-        self._stretch(nodes, (np.sqrt(room) - along) * self._axes)
+        self._stretch(nodes, (np.sqrt(room) - along) * axes)
+        for block, normal in self._normals:
+            nodes = self._with_lengths(nodes, block, normal)
         return nodes
 
     def to_velocities(self, q: object, rates: object) -> FloatArray:
@@ -161,7 +192,7 @@ class Coordinates:
 
         Returns
         -------
-        ndarray, shape (3, n)
+        ndarray, shape (d, n)
             m/s.
 
         Raises
@@ -171,26 +202,192 @@ class Coordinates:
         """
         shape = self.to_nodes(q)
         rates = shaped("rates", rates, (self.count,), f"one per {self.kind} coordinate")
-        velocities = (self.basis @ rates).reshape(3, -1, order="F")
+        velocities = self._columns(self.basis @ rates)
         if self.kind == "nodes":
             return velocities
-        vectors = self.structure.bar_vectors(shape)
-        change = self.structure.bar_vectors(velocities)
-        along = (vectors * self._axes).sum(axis=0)
-        self._stretch(velocities, -(vectors * change).sum(axis=0) / along * self._axes)
+        alone, axes = self._alone
+        vectors = self.structure.bar_vectors(shape)[:, alone]
+        change = self.structure.bar_vectors(velocities)[:, alone]
+        along = (vectors * axes).sum(axis=0)
+        self._stretch(velocities, -(vectors * change).sum(axis=0) / along * axes)
+        for block, normal in self._normals:
+            flat = velocities.ravel(order="F")
+            J = bar_rows(self.structure, block.independent, shape).toarray()[:, block.rows]
+            flat[block.rows] -= normal @ np.linalg.solve(J @ normal, J @ flat[block.rows])
+            velocities = self._columns(flat)
         return velocities
 
-    def _stretch(self, columns: FloatArray, change: FloatArray) -> None:
-        """Add a change to each bar vector: half at each end, or all of it at the only free one."""
-        share = self.structure.end_share
-        columns[:, self.structure.bars[:, 0]] -= share[:, 0] * change
-        columns[:, self.structure.bars[:, 1]] += share[:, 1] * change
+    def expressions(self, z: Any, near: Any = None) -> tuple[Any, Any]:
+        """Return expressions of node positions and velocities, shape (d, n), of ``[q; q̇]``, SX.
+
+        As :meth:`to_nodes` and :meth:`to_velocities`; no numbers where those raise.
+
+        Parameters
+        ----------
+        z : casadi.SX, shape (2r, 1)
+        near : casadi.SX, optional
+            Symbol for :meth:`hidden`, to be put in later: expressions and their first derivatives
+            are then exact, and much shorter where bars share nodes.
+        """
+        structure, r = self.structure, self.count
+        shape = structure.nodes.shape
+        T = ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
+        N = ca.SX(ca.DM(self.nodes) + ca.reshape(ca.mtimes(T, z[:r]), *shape))
+        V = ca.SX(ca.reshape(ca.mtimes(T, z[r:]), *shape))
+        share = structure.end_share
+        for bar, column in zip(*self._alone[:1], self._alone[1].T, strict=True):
+            start, end = structure.bars[bar].tolist()
+            axis = ca.DM(column)
+            vector, change = N[:, end] - N[:, start], V[:, end] - V[:, start]
+            along = ca.dot(vector, axis)
+            across = vector - along * axis
+            reach = ca.sqrt(structure.bar_length[bar] ** 2 - ca.dot(across, across))
+            whole = across + reach * axis
+            stretch, rate = reach - along, -ca.dot(whole, change) / reach
+            for node, part in ((start, -share[bar, 0]), (end, share[bar, 1])):
+                N[:, node] += part * stretch * axis
+                V[:, node] += part * rate * axis
+        if not self._normals:
+            return N, V
+        parts = ca.vertsplit(self.hidden(z) if near is None else near, self._hidden_parts)
+        for i, (block, _) in enumerate(self._normals):
+            rows = block.rows.tolist()
+            places, speeds = ca.vec(N), ca.vec(V)
+            there, displaced, faster = parts[3 * i : 3 * i + 3]
+            places[rows] += displaced
+            speeds[rows] += faster
+            if near is not None:
+                # Nothing is left of lengths to correct, but of their derivatives.
+                at = ca.SX(ca.DM(structure.nodes.ravel(order="F")))
+                at[rows] = there
+                towards = self._normal_steps(block, ca.reshape(at, *shape))
+                places[rows] -= towards(self._lengths(ca.reshape(places, *shape), block)[1])
+                J, _, _ = self._lengths(ca.reshape(places, *shape), block)
+                speeds[rows] -= towards(ca.mtimes(J, speeds[rows]))
+            N, V = ca.reshape(places, *shape), ca.reshape(speeds, *shape)
+        return N, V
+
+    def hidden(self, z: Any) -> Any:
+        """Return what keeps the lengths of bars that share nodes, SX: empty where none do.
+
+        For each block its places, and the displacements and velocities in its normal space, m and
+        m/s, of ``[q; q̇]``. By a fixed number of Newton's steps; no numbers where these do not lead
+        to the bar lengths.
+
+        Parameters
+        ----------
+        z : casadi.SX, shape (2r, 1)
+        """
+        r, shape, found = self.count, self.structure.nodes.shape, [ca.SX(0, 1)]
+        T = ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
+        moved = ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(T, z[:r])
+        rates = ca.mtimes(T, z[r:])
+        for block, _ in self._normals:
+            places, rows = ca.SX(moved), block.rows.tolist()
+            for _ in range(_STEPS):
+                N = ca.reshape(places, *shape)
+                places[rows] -= self._normal_steps(block, N)(self._lengths(N, block)[1])
+            N = ca.reshape(places, *shape)
+            J, _, worst = self._lengths(N, block)
+            speeds = -self._normal_steps(block, N)(ca.mtimes(J, rates[rows]))
+            there = ca.if_else(worst <= _EXACT, places[rows], np.nan)
+            found += [there, there - moved[rows], speeds]
+        return ca.vertcat(*found)
 
     @cached_property
-    def _axes(self) -> FloatArray:
-        vectors = self.structure.bar_vectors(self.nodes)
-        return np.asarray(vectors / np.linalg.norm(vectors, axis=0))
+    def _hidden_parts(self) -> list[int]:
+        """Where the parts of :meth:`hidden` begin, and its size."""
+        sizes = [len(block.rows) for block, _ in self._normals for _ in range(3)]
+        return np.cumsum([0, *sizes]).tolist()
 
+    @property
+    def hidden_size(self) -> int:
+        """Number of entries of :meth:`hidden`."""
+        return self._hidden_parts[-1]
+
+    def _lengths(self, N: Any, block: Block) -> tuple[Any, Any, Any]:
+        """Return J and half the excess of squared lengths of a block, and the worst part, SX."""
+        structure, bars = self.structure, block.independent
+        square = ca.DM(structure.bar_length[bars] ** 2)
+        B = kernel.differences(N, structure.bars[bars])
+        excess = (kernel.dots(B, B).T - square) / 2
+        J = kernel.block_rows(structure, bars, block.rows, N)
+        return J, excess, ca.norm_inf(excess / square)
+
+    def _normal_steps(self, block: Block, N: Any) -> Callable[[Any], Any]:
+        """Return what gives the displacement in the normal space of a block that J maps to a column.
+
+        ``M δ = J₀ᵀ μ`` and ``J δ = change``, with J in the shape N and J₀ of the reference, SX:
+        sparse, and without pivoting in the order of the block.
+        """
+        bars, rows = block.independent, block.rows
+        J = kernel.block_rows(self.structure, bars, rows, N)
+        J_0 = kernel.block_rows(self.structure, bars, rows, ca.SX(ca.DM(self.nodes)))
+        mass = ca.SX(ca.sparsify(ca.DM(_block_mass(self.structure, block))))
+        matrix = ca.blockcat([[mass, -J_0.T], [J, ca.SX(len(bars), len(bars))]])
+        order, back = block.order.tolist(), np.argsort(block.order).tolist()
+        solve = _eliminated(matrix[order, order])
+
+        def step(change: Any) -> Any:
+            right = ca.vertcat(ca.SX.zeros(len(rows)), change)
+            return solve(right[order])[back][: len(rows)]
+
+        return step
+
+    def _with_lengths(self, nodes: FloatArray, block: Block, normal: FloatArray) -> FloatArray:
+        """Return nodes displaced along the normal space until the bars of a block are exact."""
+        structure, bars, rows = self.structure, block.independent, block.rows
+        square = structure.bar_length[bars] ** 2
+        start, flat = nodes.ravel(order="F")[rows], nodes.ravel(order="F")
+        total, best = np.zeros(len(bars)), np.inf
+        for _ in range(_MOST):
+            flat[rows] = start + normal @ total
+            nodes = self._columns(flat)
+            excess = ((structure.bar_vectors(nodes)[:, bars] ** 2).sum(axis=0) - square) / 2
+            off = float(np.abs(excess / square).max())
+            slope = bar_rows(structure, bars, nodes).toarray()[:, rows] @ normal
+            if off < _EXACT and off >= best:
+                if np.linalg.det(slope) > 0:
+                    return nodes
+                break
+            best = min(best, off)
+            if not off < 1 / _EXACT or np.linalg.cond(slope) > 1 / _EXACT:
+                break
+            total -= np.linalg.solve(slope, excess)
+        raise ValueError(
+            f"q is a shape in which bars {sorted(block.bars.tolist())}, which are joined to one "
+            "another, cannot keep their lengths, or would have to turn over; these coordinates do "
+            "not reach so far from the reference shape"
+        )
+
+    def _columns(self, flat: FloatArray) -> FloatArray:
+        """Return vec(N) as columns of nodes, shape (d, n)."""
+        return flat.reshape(self.structure.nodes.shape, order="F")
+
+    def _stretch(self, columns: FloatArray, change: FloatArray) -> None:
+        """Add a change to each bar on its own: half at each end, or all at the only free one."""
+        bars = self._alone[0]
+        share, ends = self.structure.end_share[bars], self.structure.bars[bars]
+        columns[:, ends[:, 0]] -= share[:, 0] * change
+        columns[:, ends[:, 1]] += share[:, 1] * change
+
+    @cached_property
+    def _alone(self) -> tuple[IntArray, FloatArray]:
+        """Bars that move on their own, ascending, and their axes in the reference, (d, ·)."""
+        bars = np.union1d(self.structure.free_bars, self.structure.swinging_bars)
+        vectors = self.structure.bar_vectors(self.nodes)[:, bars]
+        return bars, vectors / np.linalg.norm(vectors, axis=0)
+
+    @cached_property
+    def _normals(self) -> list[tuple[Block, FloatArray]]:
+        """Each block, with displacements along the forces of its bars in the reference shape."""
+        blocks = () if self.kind == "nodes" else self.structure.blocks
+        return [(block, normal_basis(self.structure, block, self.nodes)) for block in blocks]
+
+    @cached_property
+    def _is_loose(self) -> bool:
+        """Whether the supports leave a motion as one body."""
+        return rigid_basis(self.structure).shape[1] > 0
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
@@ -207,8 +404,41 @@ class Coordinates:
         centre = self._centre(nodes)
         spread = (self.nodes - self._centre(self.nodes)) @ self._mass @ (nodes - centre).T
         U, _, Vt = np.linalg.svd(spread)
-        U[:, 2] *= np.linalg.det(U @ Vt)
+        U[:, -1] *= np.linalg.det(U @ Vt)
         return U @ Vt, centre
+
+    def _along_supports(
+        self, nodes: FloatArray, velocities: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return shape and velocities laid over the reference by what the supports leave.
+
+        As :meth:`_alignment`, by Gauss-Newton steps along motions that keep fixed nodes and nodes
+        on rollers where they are held.
+        """
+        from scipy.linalg import expm, null_space
+
+        held, d = self.structure.fixed_rows, self.structure.dimension
+        turn = np.eye(d)
+        for _ in range(_MOST):
+            fields = rigid_motions(nodes)
+            off = (nodes - self.nodes).ravel(order="F")
+            size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)
+            left = null_space(fields[held] / size, _RANK_TOLERANCE) / size[:, None]
+            back = np.linalg.lstsq(fields[held], -off[held], _RANK_TOLERANCE)[0]
+            moves = fields @ left
+            momenta = _momenta(self._mass, moves).T
+            wanted = -momenta @ (off + fields @ back)
+            move = back + left @ np.linalg.lstsq(momenta @ moves, wanted, _RANK_TOLERANCE)[0]
+            screw = np.zeros((d + 1, d + 1))
+            screw[:d, d] = move[:d]
+            spin = np.concatenate([np.zeros(2), move[d:]]) if d == 2 else move[d:]
+            screw[:d, :d] = np.cross(spin, np.eye(3)).T[:d, :d]
+            whole, centre = expm(screw), nodes.mean(axis=1, keepdims=True)
+            nodes = whole[:d, :d] @ (nodes - centre) + whole[:d, d:] + centre
+            turn = whole[:d, :d] @ turn
+            if np.abs(fields @ move).max() <= _LAID * np.abs(nodes).max():
+                break
+        return nodes, turn @ velocities
 
 
 def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> Coordinates:
@@ -217,16 +447,19 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
     Parameters
     ----------
     model : Model
-    nodes : array_like, shape (3, n), optional
+    nodes : array_like, shape (d, n), optional
         Reference shape, m; that of the structure if not given.
     kind : {"internal", "minimal", "nodes"}
-        ``"nodes"``: 3n coordinates, the node positions themselves. ``"minimal"``: 5 a bar and 3 a
-        string node, without bar-length changes. ``"internal"``: minimal less rigid-body motion.
+        ``"nodes"``: the node positions themselves, as far as supports leave them free.
+        ``"minimal"``: without bar-length changes; in space 5 a bar and 3 a string node, in the
+        plane 3 and 2, and fewer where bars share nodes: those of the nodes less the rank of the
+        bar constraints. ``"internal"``: minimal less motion as one body that the supports leave.
 
     Raises
     ------
     ValueError
-        If ``nodes`` does not fit or ``kind`` is another word.
+        If ``nodes`` does not fit, ``kind`` is another word, or bars that share nodes are in a
+        dead centre.
 
     Examples
     --------
@@ -258,45 +491,125 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
 
 
 def bar_basis(structure: Structure, nodes: FloatArray) -> FloatArray:
-    """Return the mass-orthonormal basis of motions that keep bar lengths, shape (3n, r).
+    """Return the mass-orthonormal basis of motions that keep bar lengths, shape (d n, r).
 
-    In closed form, bar by bar: three translations ``e/√m`` and two rotations in which the ends
-    move by ``∓ t √(3/m)`` across the bar; for a bar that swings about a fixed end two rotations
-    ``t √(3/m)`` of the other; three translations ``e/√m_s`` for a string node.
+    In closed form for bars on their own, in space three translations ``e/√m`` and two rotations in
+    which the ends move by ``∓ t √(3/m)`` across the bar; for a bar that swings about a fixed end
+    the rotations ``t √(3/m)`` of the other; translations ``e/√m_s`` for a string node. For each
+    block the null space of its constraints in the metric of its mass.
     """
-    blocks: list[tuple[list[int], FloatArray]] = []
+    d = structure.dimension
+    parts: list[tuple[IntArray, FloatArray]] = []
     for i in structure.free_bars:
-        start, end = structure.bars[i].tolist()
+        ends = structure.bars[i]
         mass = structure.bar_mass[i]
-        across = _across(nodes[:, end] - nodes[:, start]) * np.sqrt(3 / mass)
-        shift = np.eye(3) / np.sqrt(mass)
-        blocks.append(
-            ([start, end], np.array([np.hstack([shift, part]) for part in (-across, across)]))
-        )
+        across = _across(nodes[:, ends[1]] - nodes[:, ends[0]]) * np.sqrt(3 / mass)
+        shift = np.eye(d) / np.sqrt(mass)
+        both = np.vstack([np.hstack([shift, part]) for part in (-across, across)])
+        parts.append((_rows(ends, d), both))
     for i, (hinge, tip) in zip(
         structure.swinging_bars, structure.hinged_pairs.tolist(), strict=True
     ):
         across = _across(nodes[:, tip] - nodes[:, hinge]) * np.sqrt(3 / structure.bar_mass[i])
-        blocks.append(([tip], across[None]))
+        parts.append((_rows(np.array([tip]), d), across))
     for point, mass in zip(structure.string_nodes, structure.string_node_mass, strict=True):
-        blocks.append(([int(point)], np.eye(3)[None] / np.sqrt(mass)))
-    count = sum(block.shape[2] for _, block in blocks)
-    basis = np.zeros((nodes.shape[1], 3, count))
+        rows = np.intersect1d(_rows(np.array([point]), d), structure.free_rows)
+        parts.append((rows, np.eye(len(rows)) / np.sqrt(mass)))
+    for block in structure.blocks:
+        # y = Lᵀ δ has the identity for a mass, where M = L Lᵀ.
+        L = np.linalg.cholesky(_block_mass(structure, block))
+        constraints = _scaled_rows(structure, block, nodes, L)
+        whole = np.linalg.qr(constraints.T, mode="complete")[0]
+        parts.append((block.rows, np.linalg.solve(L.T, whole[:, len(constraints) :])))
+    basis = np.zeros((nodes.size, sum(part.shape[1] for _, part in parts)))
     column = 0
-    for places, block in blocks:
-        basis[places, :, column : column + block.shape[2]] = block
-        column += block.shape[2]
-    return basis.reshape(3 * nodes.shape[1], -1)
+    for rows, part in parts:
+        basis[rows, column : column + part.shape[1]] = part
+        column += part.shape[1]
+    return basis
+
+
+def normal_basis(structure: Structure, block: Block, nodes: FloatArray) -> FloatArray:
+    """Return displacements of a block's rows along its bars' forces, shape (r, c), 1/m.
+
+    ``Z = M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹``: J Z = I, and Z is orthogonal in M to what keeps the lengths.
+    """
+    L = np.linalg.cholesky(_block_mass(structure, block))
+    constraints = _scaled_rows(structure, block, nodes, L)
+    scale = np.linalg.norm(bar_rows(structure, block.independent, nodes).toarray(), axis=1)
+    return np.asarray(np.linalg.solve(L.T, np.linalg.pinv(constraints)) / scale)
+
+
+def _scaled_rows(
+    structure: Structure, block: Block, nodes: FloatArray, L: FloatArray
+) -> FloatArray:
+    """Return ``J L⁻ᵀ``, rows of J of length one, of a block, or refuse a dead centre."""
+    J = bar_rows(structure, block.independent, nodes).toarray()
+    J = J[:, block.rows] / np.linalg.norm(J, axis=1, keepdims=True)
+    rows = np.linalg.solve(L, J.T).T
+    sizes = np.linalg.svd(rows, compute_uv=False)
+    if sizes.size and sizes.min() <= _RANK_TOLERANCE * sizes.max():
+        raise ValueError(
+            f"in nodes, bars {sorted(block.bars.tolist())}, which are joined to one another, are "
+            "in a dead centre: their lengths do not determine their motion. Change the nodes a "
+            "little"
+        )
+    return np.asarray(rows)
+
+
+def _block_mass(structure: Structure, block: Block) -> FloatArray:
+    """Return the mass matrix of a block's rows, shape (r, r)."""
+    d, rows = structure.dimension, block.rows
+    mass = node_mass(structure)[rows // d][:, rows // d].toarray()
+    return np.asarray(mass * (rows[:, None] % d == rows % d))
+
+
+def _rows(nodes: IntArray, dimension: int) -> IntArray:
+    """Return the rows of vec(N) of some nodes."""
+    return np.asarray((dimension * nodes[:, None] + np.arange(dimension)).ravel())
 
 
 def _across(vector: FloatArray) -> FloatArray:
-    """Return two orthonormal directions across a vector, shape (3, 2)."""
+    """Return orthonormal directions across a vector, shape (d, d − 1)."""
     return np.asarray(np.linalg.svd(vector[None, :])[2][1:].T)
+
+
+def _eliminated(matrix: Any) -> Callable[[Any], Any]:
+    """Return what solves a sparse system, SX, by Gaussian elimination without pivoting."""
+    size = matrix.shape[0]
+    rows: list[dict[int, Any]] = [{} for _ in range(size)]
+    below: list[set[int]] = [set() for _ in range(size)]
+    for i, j, value in zip(*matrix.sparsity().get_triplet(), matrix.nonzeros(), strict=True):
+        if not value.is_zero():
+            rows[i][j] = value
+            below[j].add(i)
+    factors: list[tuple[int, int, Any]] = []
+    for k, pivot in enumerate(rows):
+        for i in sorted(each for each in below[k] if each > k):
+            factor = rows[i].pop(k) / pivot[k]
+            factors.append((i, k, factor))
+            for j, value in pivot.items():
+                if j > k:
+                    rows[i][j] = rows[i].get(j, 0) - factor * value
+                    below[j].add(i)
+
+    def solve(right: Any) -> Any:
+        side = right.elements()
+        for i, k, factor in factors:
+            side[i] -= factor * side[k]
+        for k in reversed(range(size)):
+            for j, value in rows[k].items():
+                if j > k:
+                    side[k] -= value * side[j]
+            side[k] /= rows[k][k]
+        return ca.vertcat(*side)
+
+    return solve
 
 
 def _momenta(mass: object, basis: FloatArray) -> FloatArray:
     """Return M T: the mass matrix acts alike on x, y and z."""
-    n = basis.shape[0] // 3
+    n = mass.shape[0]  # type: ignore[attr-defined]
     return np.asarray(mass @ basis.reshape(n, -1)).reshape(basis.shape)  # type: ignore[operator]
 
 

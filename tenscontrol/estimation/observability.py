@@ -16,8 +16,10 @@ from tenscontrol.plant import (
     distinct_poles,
     in_coordinates,
     model_input,
+    near_symbol,
     reached_dimension,
     reduced_motion,
+    settled,
 )
 from tenscontrol.structure import left_by_supports, rigid_motions
 from tenscontrol.validation import FloatArray, frozen
@@ -41,12 +43,12 @@ def output_function(plant: LinearPlant, sensors: Sensors, more: int = 0) -> ca.F
 def _output_function(plant: LinearPlant, sensors: Sensors, more: int) -> ca.Function:
     structure = plant.model.structure
     z, u = ca.SX.sym("z", len(plant.A) + more), ca.SX.sym("u", plant.B.shape[1])
-    N, V = reduced_motion(plant, z[: len(plant.A)])
+    near = near_symbol(plant)
+    N, V = reduced_motion(plant, z[: len(plant.A)], near)
     parts = []
     if sensors.nodes is not None:
         parts.append(ca.vec(N[:, sensors.nodes.tolist()]))
-    S, Sd = (kernel.differences(part, structure.strings) for part in (N, V))
-    length = ca.sqrt(kernel.dots(S, S)).T
+    length, rate = (row.T for row in kernel.string_motion(structure, N, V))
     if sensors.strings is not None:
         parts.append(length[sensors.strings.tolist()])
     if sensors.bars is not None:
@@ -60,10 +62,10 @@ def _output_function(plant: LinearPlant, sensors: Sensors, more: int) -> ca.Func
         if plant.input == "rest_length":
             law = plant.model.strings
             assert law is not None  # linearize needs one for this input
-            gamma = law.symbolic_force_density(length, gamma, kernel.dots(S, Sd).T / length)
+            gamma = law.symbolic_force_density(length, gamma, rate)
         parts.append((gamma * length)[sensors.tension_strings.tolist()])
     y = ca.vertcat(*parts)
-    results = [ca.densify(y), ca.densify(ca.jacobian(y, z))]
+    results = settled(plant, z, near, [ca.densify(y), ca.densify(ca.jacobian(y, z))])
     return ca.Function("readings", [z, u], ca.cse(results))
 
 

@@ -23,9 +23,11 @@ from tenscontrol.plant.reduced_dynamics import (
     acceleration_slopes,
     checked_tracked,
     explicit_substeps,
+    near_symbol,
     reduced_acceleration,
     reduced_motion,
     sampled_dynamics,
+    settled,
     tracked_motion,
 )
 from tenscontrol.plant.reference import (
@@ -81,6 +83,7 @@ __all__ = [
     "lost_poles",
     "model_input",
     "modes",
+    "near_symbol",
     "reached_dimension",
     "reduced_acceleration",
     "reduced_motion",
@@ -91,6 +94,7 @@ __all__ = [
     "riccati_residual",
     "sampled",
     "sampled_dynamics",
+    "settled",
     "state_units",
     "string_forces",
     "string_map",

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 import numpy as np
 
 from tenscontrol.dynamics import Coordinates, Model, Prepared
-from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, freeze_arrays, frozen, positive_number
+from tenscontrol.structure import Structure, to_segments
+from tenscontrol.validation import FloatArray, IntArray, freeze_arrays, frozen, positive_number
 
 if TYPE_CHECKING:
     import control
@@ -51,7 +51,7 @@ class LinearPlant:
         γ of the commanded strings at the operating point, N/m.
     rest_length : ndarray, shape (α,), or None
         Their rest lengths at the operating point, m; None without a string law.
-    external_force : ndarray, shape (3, n)
+    external_force : ndarray, shape (d, n)
         W, N.
     invariance_residual : float
         How far the accelerations lead out of the space of the coordinates, or
@@ -72,12 +72,12 @@ class LinearPlant:
 
     @property
     def nodes(self) -> FloatArray:
-        """Node positions at the operating point, m, shape (3, n)."""
+        """Node positions at the operating point, m, shape (d, n)."""
         return self.coordinates.nodes
 
     @property
     def basis(self) -> FloatArray:
-        """T, shape (3n, r): node displacements are ``vec(δN) = T q``."""
+        """T, shape (d n, r): node displacements are ``vec(δN) = T q``."""
         return self.coordinates.basis
 
     @property
@@ -92,6 +92,19 @@ class LinearPlant:
             return self.force_density
         assert self.rest_length is not None  # linearize needs a string law for this input
         return self.rest_length
+
+    @cached_property
+    def slack(self) -> IntArray:
+        """Strings of the model that are slack at the operating point, by rest lengths; indices.
+
+        They move nothing there, and controllers take them to stay slack.
+        """
+        if self.input == "force_density":
+            return np.zeros(0, np.int64)
+        gamma = self.force_density
+        if self.commanded is not self.model.structure:
+            gamma = to_segments(self.model.structure, "force_density", gamma)
+        return np.flatnonzero(gamma == 0)
 
     @property
     def load_input(self) -> list[FloatArray]:
@@ -147,8 +160,8 @@ class LinearPlant:
         """Names of z: coordinates, then rates."""
         r = self.degrees_of_freedom
         if self.coordinates.kind == "nodes":
-            free = self.model.structure.free.tolist()
-            positions = [f"{axis}[{i}]" for i in free for axis in "xyz"]
+            d, rows = self.model.structure.dimension, self.model.structure.free_rows.tolist()
+            positions = [f"{'xyz'[row % d]}[{row // d}]" for row in rows]
         else:
             positions = [f"q[{i}]" for i in range(r)]
         return positions + [f"d{name}" for name in positions]
@@ -167,8 +180,8 @@ class LinearPlant:
     @property
     def output_names(self) -> list[str]:
         """Names of the node displacements, node by node."""
-        n = self.nodes.shape[1]
-        return [f"delta_{axis}[{i}]" for i in range(n) for axis in "xyz"]
+        d, n = self.nodes.shape
+        return [f"delta_{axis}[{i}]" for i in range(n) for axis in "xyz"[:d]]
 
     def to_statespace(self) -> control.StateSpace:
         """Return the plant as a ``control.StateSpace`` with named signals.

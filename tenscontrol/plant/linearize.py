@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import KINDS, Model, pack_state
+from tenscontrol.dynamics import KINDS, Model, StringLaw, pack_state
 from tenscontrol.dynamics import coordinates as frame_of
 from tenscontrol.plant.linear_plant import INPUTS, LinearPlant, load_arguments
 from tenscontrol.plant.string_outputs import to_model_strings
@@ -31,6 +31,7 @@ from tenscontrol.validation import (
     frozen,
     instance,
     non_negative,
+    positive,
     shaped,
     truth,
 )
@@ -45,6 +46,9 @@ _EQUILIBRIUM_TOLERANCE = 1e-8
 # Beyond this the coordinates do not close: without a load the residual is round-off.
 _INVARIANCE_TOLERANCE = 1e-8
 
+# Force densities may differ by this part of the largest from those of given rest lengths.
+_LAW_TOLERANCE = 1e-6
+
 # Asking for the linear model of a string this close to slack is asking for a kink.
 _SLACK_TOLERANCE = 1e-9
 
@@ -55,12 +59,15 @@ class OperatingPoint:
 
     Parameters
     ----------
-    nodes : array_like, shape (3, n)
+    nodes : array_like, shape (d, n)
         Node positions, m, with the bar lengths of the structure.
     force_density : array_like, shape (α,)
         γ, N/m, at least 0.
-    external_force : array_like, shape (3, n), optional
+    external_force : array_like, shape (d, n), optional
         W, N.
+    rest_length : array_like, shape (α,), optional
+        Rest lengths, m, that give these γ. They say how slack strings with γ = 0 are: without
+        them, just not taut.
 
     Raises
     ------
@@ -82,6 +89,7 @@ class OperatingPoint:
     nodes: FloatArray
     force_density: FloatArray
     external_force: FloatArray | None = None
+    rest_length: FloatArray | None = None
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
@@ -90,12 +98,16 @@ class OperatingPoint:
             nodes: ArrayLike,
             force_density: ArrayLike,
             external_force: ArrayLike | None = None,
+            rest_length: ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         nodes = float_array("nodes", self.nodes)
-        if nodes.ndim != 2 or nodes.shape[0] != 3:
-            raise ValueError(f"nodes has shape {nodes.shape}, expected (3, n): one column per node")
+        if nodes.ndim != 2 or nodes.shape[0] not in (2, 3):
+            raise ValueError(
+                f"nodes has shape {nodes.shape}, expected (3, n), or (2, n) in the plane: one "
+                "column per node"
+            )
         gamma = float_array("force_density", self.force_density)
         if gamma.ndim != 1:
             raise ValueError(
@@ -106,6 +118,10 @@ class OperatingPoint:
             load = frozen(
                 shaped("external_force", load, nodes.shape, "one force for each of nodes")
             )
+        if self.rest_length is not None:
+            rest = shaped("rest_length", self.rest_length, gamma.shape, "one per string")
+            positive("rest_length", rest, "length in m")
+            object.__setattr__(self, "rest_length", frozen(rest))
         object.__setattr__(self, "nodes", frozen(nodes))
         object.__setattr__(self, "force_density", frozen(gamma))
         object.__setattr__(self, "external_force", load)
@@ -144,7 +160,9 @@ def linearize(
         If an argument is of the wrong kind or does not fit, the shape is not
         an equilibrium (the message says by how much), the model lacks a string
         law or a load input that is needed, or with ``input="rest_length"`` a
-        string is at the border of slack, where no derivative exists.
+        string is at the border of slack, where no derivative exists. A string that is slack
+        beyond the border, by the rest length of the operating point, moves nothing: its column of
+        B is zero.
 
     Notes
     -----
@@ -171,7 +189,7 @@ def linearize(
     rest_length = None
     if model.strings is not None:
         refuse_strings_without_length("at.nodes", model.structure, nodes)
-        rest_length = model.strings.rest_length(model.structure.string_length(nodes), gamma)
+        rest_length = _rest_length(model.strings, model.structure.string_length(nodes), gamma, at)
     elif input == "rest_length":
         raise ValueError(
             "the model has no string law, so the rest length is no input; "
@@ -180,7 +198,8 @@ def linearize(
     if require_equilibrium:
         _refuse_unbalanced(model, nodes, gamma, load)
     if input == "rest_length":
-        _refuse_kink(model, gamma)
+        assert rest_length is not None  # there is a law
+        _refuse_kink(model, gamma, rest_length / model.structure.string_length(nodes))
     held = gamma if input == "force_density" else rest_length
     xdot, A_x, B_x = _derivatives(model, input, nodes, held, load)
     plant = _reduced(model, input, nodes, coordinates, (xdot, A_x, B_x), gamma, rest_length, load)
@@ -223,7 +242,10 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
 
     def build() -> LinearPlant:
         gamma = to_model_strings(plant, "force_density", plant.force_density)
-        at = OperatingPoint(plant.nodes, gamma, plant.external_force)
+        rest_length = plant.rest_length
+        if rest_length is not None:
+            rest_length = to_model_strings(plant, "rest_length", rest_length)
+        at = OperatingPoint(plant.nodes, gamma, plant.external_force, rest_length)
         other = linearize(plant.model, at, plant.input, kind, require_equilibrium=False)
         return other if plant.commanded is plant.model.structure else command_parents(other)
 
@@ -388,7 +410,9 @@ def _checked_point(
 
 
 def _refuse_other_structure(ours: Structure, theirs: Structure) -> None:
-    for what in ("bars", "strings", "bar_mass", "string_node_mass", "fixed"):
+    names = ("bars", "strings", "segments", "bar_mass", "string_node_mass", "point_mass", "fixed",
+             "fixed_rows")  # fmt: skip
+    for what in names:
         if not np.array_equal(getattr(ours, what), getattr(theirs, what)):
             raise ValueError(
                 f"the prestress and the model differ in their {what}; "
@@ -399,11 +423,14 @@ def _refuse_other_structure(ours: Structure, theirs: Structure) -> None:
 def _refuse_unbalanced(
     model: Model, nodes: FloatArray, gamma: FloatArray, load: FloatArray
 ) -> None:
-    free = model.structure.free
-    still = np.zeros((3, len(free)))
+    structure, free = model.structure, model.structure.free
+    still = np.zeros((structure.dimension, len(free)))
     found = model.acceleration(nodes[:, free], still, gamma, *load_arguments(model, load))
     mass = model.mass_matrix().toarray()[np.ix_(free, free)]
-    unbalanced = np.linalg.norm(np.array(found) @ mass, axis=0)
+    forces = np.array(found) @ mass
+    for node, axis in structure.rollers:  # what a roller holds is in balance
+        forces["xyz".index(axis), free == node] = 0.0
+    unbalanced = np.linalg.norm(forces, axis=0)
     strings = np.linalg.norm(model.structure.string_vectors(nodes), axis=0)
     scale = max(float((gamma * strings).max(initial=0.0)), float(np.abs(load).max()))
     if unbalanced.max() > _EQUILIBRIUM_TOLERANCE * scale:
@@ -432,13 +459,37 @@ def _refuse_other_load(model: Model, load: FloatArray) -> None:
         )
 
 
-def _refuse_kink(model: Model, gamma: FloatArray) -> None:
+def _rest_length(
+    law: StringLaw, length: FloatArray, gamma: FloatArray, at: Prestress | OperatingPoint
+) -> FloatArray:
+    """Return rest lengths, those of slack strings as the operating point says."""
+    found = law.rest_length(length, gamma)
+    given = at.rest_length if isinstance(at, OperatingPoint) else None
+    if given is None:
+        return found
+    given = shaped("at.rest_length", given, gamma.shape, "one per string")
+    off = np.abs(law.force_density(length, given) - gamma)
+    if off.size and off.max() > _LAW_TOLERANCE * gamma.max(initial=0.0):
+        i = int(off.argmax())
+        raise ValueError(
+            f"at.rest_length[{i}] is {given[i]:g} m, at which string {i} of {length[i]:g} m has "
+            f"another force density than at.force_density[{i}] = {gamma[i]:g} N/m; expected "
+            f"{found[i]:g} m" + ("" if gamma[i] else " or more")
+        )
+    return np.where(gamma > 0, found, given)
+
+
+def _refuse_kink(model: Model, gamma: FloatArray, share: FloatArray) -> None:
+    """Raise if a string is at the border of slack; ``share`` are rest lengths by lengths."""
     structure = model.structure
-    moving = is_movable(structure, structure.strings)
-    slack = np.flatnonzero(moving & (gamma <= _SLACK_TOLERANCE * gamma.max(initial=0.0)))
+    moving = np.zeros(len(gamma), bool)
+    moving[structure.segment_string[is_movable(structure, structure.segments)]] = True
+    loose = gamma <= _SLACK_TOLERANCE * gamma.max(initial=0.0)
+    slack = np.flatnonzero(moving & loose & (share < 1 + _SLACK_TOLERANCE))
     if len(slack):
         raise ValueError(
             f"string {slack[0]} has γ = {gamma[slack[0]]:g} N/m, at the border between taut and "
             "slack, where its force has no derivative by the rest length. Give it some "
-            "prestress, or use input='force_density'"
+            "prestress, say by OperatingPoint(..., rest_length=...) how slack it is, or use "
+            "input='force_density'"
         )

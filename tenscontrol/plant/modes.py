@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from tenscontrol.dynamics import normal_basis
 from tenscontrol.plant.linear_plant import LinearPlant
 from tenscontrol.plant.linearize import in_coordinates
 from tenscontrol.structure import affine_motions, left_by_supports, rigid_motions
@@ -21,6 +22,9 @@ _EQUAL = 1e-7
 
 # A stiffness matrix this far from symmetric, relative to its size, is not that of a rest.
 _SYMMETRIC = 1e-9
+
+# Affine motions leave in place what they move by less than this part.
+_KEPT = 1e-9
 
 # A mode is named after a kind of motion that has at least this share of its kinetic energy.
 _SHARE = 0.95
@@ -38,13 +42,14 @@ class Modes:
         Damping ratio ``−Re s/|s|``; 0 for a mode at zero frequency, −1 for one that runs away.
     pole : ndarray of complex, shape (k,)
         The pole s with Im s ≥ 0, 1/s.
-    shape : ndarray, shape (3, n, k)
+    shape : ndarray, shape (d, n, k)
         Node displacements, scaled so that the largest is 1. Complex where
         damping makes the nodes move out of step.
     label : tuple of str, length k
         The kind of motion that has at least 95 % of the kinetic energy.
         ``"rigid"``: the structure moves as one body. ``"affine"``: it is
-        stretched or sheared as a whole, at no cost when γ is held.
+        stretched or sheared as a whole, at no cost when γ is held (supports stay, and no load is
+        lifted or turned).
         ``"mechanism"``: no string changes its length to first order.
         ``"constraint"``: a bar changes its length (``"nodes"`` coordinates
         only; not a motion of the structure). ``"elastic"``: anything else.
@@ -129,7 +134,8 @@ def modes(plant: LinearPlant) -> Modes:
     order = np.lexsort([_rank(labels), np.round(np.abs(poles), 9)])
     poles, vectors = poles[order], vectors[:, order]
     size = np.abs(poles)
-    shape = (plant.basis @ vectors).reshape(-1, 3, len(order)).swapaxes(0, 1)
+    d, n = plant.nodes.shape
+    shape = (plant.basis @ vectors).reshape(n, d, len(order)).swapaxes(0, 1)
     shape = shape / np.linalg.norm(shape, axis=0).max(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         damping = np.where(size > 0, -poles.real / size, 0.0)
@@ -149,25 +155,45 @@ def _rank(labels: list[str]) -> IntArray:
 
 def _kinds(plant: LinearPlant) -> dict[str, FloatArray]:
     """Return orthonormal bases of the rigid, affine and mechanism motions in q."""
-    structure, tangent = plant.model.structure, plant.basis
-    S = structure.string_vectors(plant.nodes)
+    structure, nodes = plant.model.structure, plant.nodes
+    S = structure.string_vectors(nodes)
     along = S / np.maximum(np.linalg.norm(S, axis=0), 1e-300)
-    bar_axes = structure.bar_vectors(plant.nodes) / structure.bar_length
-    stretch = _stretch(structure.strings, along, tangent)
-    # Affine motions count only as far as they keep the bar lengths.
-    affine = left_by_supports(structure, affine_motions(plant.nodes))
-    affine_bars = _stretch(structure.bars, bar_axes, affine)
-    bar_stretch = _stretch(structure.bars, bar_axes, tangent)
+    each = _stretch(structure.segments, along, plant.basis)
+    stretch = np.zeros((len(structure.strings), each.shape[1]))
+    np.add.at(stretch, structure.segment_string, each)
+    bar_axes = structure.bar_vectors(nodes) / structure.bar_length
+    bar_stretch = _stretch(structure.bars, bar_axes, plant.basis)
+    rigid, affine = rigid_motions(nodes), affine_motions(nodes)
+    # Affine motions count only as far as they keep supports and bar lengths, and loads in balance.
+    kept = [affine[structure.fixed_rows], _stretch(structure.bars, bar_axes, affine)]
+    unhurt = affine @ _null(np.vstack([*kept, _turned_loads(plant)]), _KEPT)
     return {
-        "rigid": _span(plant, left_by_supports(structure, rigid_motions(plant.nodes))),
-        "affine": _span(plant, affine @ _null(affine_bars)),
+        "rigid": _span(plant, left_by_supports(structure, rigid), rigid),
+        "affine": _span(plant, unhurt, affine),
         "mechanism": _null(np.vstack([stretch, bar_stretch])),
     }
 
 
+def _turned_loads(plant: LinearPlant) -> FloatArray:
+    """Return the forces G w, in lengths, that affine motions δn = G n + c leave unbalanced.
+
+    Strings and bars hold the load w of a node. If their force densities stay, they hold
+    ``w + G w`` in the shape after the motion.
+    """
+    structure = plant.model.structure
+    d = structure.dimension
+    load = plant.external_force.ravel(order="F")
+    load = load * np.isin(np.arange(load.size), structure.free_rows)
+    largest = float(np.abs(load).max(initial=0.0))
+    load = load.reshape(-1, d) * float(np.ptp(plant.nodes)) / (largest or 1.0)
+    turned = [np.outer(load[:, j], axis).ravel() for axis in np.eye(d) for j in range(d)]
+    return np.column_stack([np.zeros((load.size, d)), *turned])[structure.free_rows]
+
+
 def _stretch(pairs: IntArray, axes: FloatArray, fields: FloatArray) -> FloatArray:
     """Return the changes of length of members under displacement fields, shape (count, k)."""
-    moves = fields.reshape(len(fields) // 3, 3, fields.shape[1])
+    d = len(axes)
+    moves = fields.reshape(len(fields) // d, d, fields.shape[1])
     return np.asarray(np.einsum("ib,bij->bj", axes, moves[pairs[:, 1]] - moves[pairs[:, 0]]))
 
 
@@ -212,20 +238,26 @@ def _general(
 def _node_modes(plant: LinearPlant) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Modes in node coordinates: those of the minimal ones, and one zero for each bar length."""
     inner = modes(in_coordinates(plant, "minimal"))
-    count = plant.nodes.shape[1]
-    shapes = inner.shape.swapaxes(0, 1).reshape(3 * count, -1)
+    d, count = plant.nodes.shape
+    shapes = inner.shape.swapaxes(0, 1).reshape(d * count, -1)
     structure = plant.model.structure
     moving = np.concatenate([structure.free_bars, structure.swinging_bars])
     bars = structure.bars[moving]
-    stretched = np.zeros((count, 3, len(bars)))
+    stretched = np.zeros((count, d, len(bars)))
     half = structure.bar_vectors(plant.nodes).T[moving] / 2
     stretched[bars[:, 0], :, np.arange(len(bars))] = -half
     stretched[bars[:, 1], :, np.arange(len(bars))] = half
     stretched[structure.fixed] = 0.0
+    parts = [stretched.reshape(d * count, -1)]
+    for block in structure.blocks:
+        parts.append(np.zeros((d * count, len(block.independent))))
+        parts[-1][block.rows] = normal_basis(structure, block, plant.nodes)
+    constraints = np.hstack(parts)
+    lengths = constraints.shape[1]
     return (
-        np.r_[np.zeros(len(bars), complex), inner.pole],
-        np.hstack([stretched.reshape(3 * count, -1), shapes]),
-        ["constraint"] * len(bars) + list(inner.label),
+        np.r_[np.zeros(lengths, complex), inner.pole],
+        np.hstack([constraints, shapes]),
+        ["constraint"] * lengths + list(inner.label),
     )
 
 
@@ -260,16 +292,16 @@ def _label(shape: np.ndarray, kinds: dict[str, FloatArray]) -> str:
     return "elastic"
 
 
-def _span(plant: LinearPlant, fields: FloatArray) -> FloatArray:
-    """Return an orthonormal basis, in q, of displacement fields."""
+def _span(plant: LinearPlant, fields: FloatArray, every: FloatArray) -> FloatArray:
+    """Return an orthonormal basis, in q, of displacement fields that are some of ``every``."""
     # What the coordinates leave out is round-off beside the fields themselves.
     if fields.shape[1] == 0:
         return np.zeros((plant.degrees_of_freedom, 0))
     U, sizes, _ = np.linalg.svd(plant.coordinates.project(fields), full_matrices=False)
-    whole = np.linalg.norm(fields, 2) * np.sqrt(plant.model.mass_matrix().sum())
+    whole = np.linalg.norm(every, 2) * np.sqrt(plant.model.mass_matrix().sum())
     return np.asarray(U[:, sizes > 1e-9 * whole])
 
 
-def _null(matrix: FloatArray) -> FloatArray:
+def _null(matrix: FloatArray, tolerance: float = _ZERO) -> FloatArray:
     _, sizes, Vt = np.linalg.svd(matrix)
-    return np.asarray(Vt[int(np.count_nonzero(sizes > _ZERO * sizes.max(initial=0.0))) :].T)
+    return np.asarray(Vt[int(np.count_nonzero(sizes > tolerance * sizes.max(initial=0.0))) :].T)

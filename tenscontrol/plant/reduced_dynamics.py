@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.dynamics import kernel
 from tenscontrol.plant.linear_plant import LinearPlant, kept
 from tenscontrol.plant.string_outputs import model_input, string_forces
 from tenscontrol.validation import FloatArray, float_array
@@ -29,12 +30,16 @@ def reduced_acceleration(plant: LinearPlant, *, taut: bool) -> ca.Function:
     plant: smooth, so that Newton's method converges however stiff they are.
     """
     z, u = (ca.SX.sym(name, size) for name, size in zip("zu", plant.B.shape, strict=True))
-    moved = _motion(plant, z, u, taut)[2]
+    acceleration = ca.densify(_acceleration(plant, z, u, taut))
+    return ca.Function("reduced", [z, u], [acceleration], ["z", "u"], ["qdd"])
+
+
+def _acceleration(plant: LinearPlant, z: Any, u: Any, taut: bool, near: Any = None) -> Any:
+    moved = _motion(plant, z, u, taut, near)[2]
     rows = plant.model.structure.free_rows
     project = plant.coordinates.project(np.eye(plant.nodes.size))[:, rows]
     project = np.where(np.abs(project) > 1e-14 * np.abs(project).max(), project, 0.0)
-    acceleration = ca.mtimes(ca.sparsify(ca.DM(project)), moved)
-    return ca.Function("reduced", [z, u], [ca.densify(acceleration)], ["z", "u"], ["qdd"])
+    return ca.mtimes(ca.sparsify(ca.DM(project)), moved)
 
 
 def tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
@@ -58,7 +63,7 @@ def _tracked_motion(plant: LinearPlant, matrix: FloatArray) -> ca.Function:
 
 
 def checked_tracked(plant: LinearPlant, tracked: object) -> FloatArray:
-    """Return combinations of node positions, shape (p, 3n), or raise naming the argument."""
+    """Return combinations of node positions, shape (p, d n), or raise naming the argument."""
     matrix = float_array("tracked", tracked)
     if matrix.ndim != 2 or matrix.shape[1] != plant.nodes.size or not len(matrix):
         raise ValueError(
@@ -70,12 +75,14 @@ def checked_tracked(plant: LinearPlant, tracked: object) -> FloatArray:
     return matrix
 
 
-def _motion(plant: LinearPlant, z: Any, u: Any, taut: bool = False) -> tuple[Any, Any, Any]:
-    """Return all nodes and velocities, and the accelerations of the free nodes, node by node."""
+def _motion(
+    plant: LinearPlant, z: Any, u: Any, taut: bool = False, near: Any = None
+) -> tuple[Any, Any, Any]:
+    """Return all nodes and velocities, and the accelerations of what is free, node by node."""
     model, structure = plant.model, plant.model.structure
-    N, V = reduced_motion(plant, z)
+    N, V = reduced_motion(plant, z, near)
     free = structure.free.tolist()
-    x = ca.vertcat(ca.vec(N[:, free]), ca.vec(V[:, free]))
+    x = ca.vertcat(*(kernel.free_entries(structure, part[:, free]) for part in (N, V)))
     held, equation = model_input(plant, u), model.state_equation(plant.input)
     if taut and plant.input == "rest_length":
         held, equation = string_forces(plant, plant.input, N, V, held)[0], model.dynamics
@@ -122,7 +129,7 @@ def _rk4(plant: LinearPlant, h: float) -> tuple[ca.Function, ca.Function]:
     """Return a step of the classic Runge-Kutta method, and the same with its derivatives."""
     r, (s, a) = plant.degrees_of_freedom, plant.B.shape
     acceleration = reduced_acceleration(plant, taut=False)
-    derivatives = acceleration_slopes(acceleration)
+    derivatives = acceleration_slopes(plant, taut=False)
     z, u = ca.MX.sym("z", s), ca.MX.sym("u", a)
     stages = list(zip((1.0, 2.0, 2.0, 1.0), (0.0, 0.5 * h, 0.5 * h, h), strict=True))
     slope, end = ca.DM.zeros(s), z
@@ -170,39 +177,30 @@ def _chained(linearized: ca.Function) -> ca.Function:
     return ca.Function("chained", [carried, u], [ca.densify(ca.horzcat(end, inner))])
 
 
-def acceleration_slopes(acceleration: ca.Function) -> ca.Function:
-    """Return ``(z, u) -> (q̈, ∂q̈/∂q, ∂q̈/∂q̇, ∂q̈/∂u)``, dense, from ``(z, u) -> q̈``."""
-    z, u = (ca.SX.sym(acceleration.name_in(i), acceleration.size1_in(i)) for i in range(2))
-    qdd = acceleration(z, u)
-    r = qdd.shape[0]
+def acceleration_slopes(plant: LinearPlant, *, taut: bool) -> ca.Function:
+    """Return ``(z, u) -> (q̈, ∂q̈/∂q, ∂q̈/∂q̇, ∂q̈/∂u)``, dense, of :func:`reduced_acceleration`."""
+    r = plant.degrees_of_freedom
+    z, u = (ca.SX.sym(name, size) for name, size in zip("zu", plant.B.shape, strict=True))
+    near = near_symbol(plant)
+    qdd = _acceleration(plant, z, u, taut, near)
     by_z, by_u = (ca.densify(ca.jacobian(qdd, by)) for by in (z, u))
-    return ca.Function("derivatives", [z, u], ca.cse([qdd, by_z[:, :r], by_z[:, r:], by_u]))
+    parts = settled(plant, z, near, [ca.densify(qdd), by_z[:, :r], by_z[:, r:], by_u])
+    return ca.Function("derivatives", [z, u], ca.cse(parts))
 
 
-def reduced_motion(plant: LinearPlant, z: Any) -> tuple[Any, Any]:
-    """Return expressions of node positions and velocities, shape (3, n), of a state z (SX)."""
-    r, n = plant.degrees_of_freedom, plant.nodes.shape[1]
-    T = ca.sparsify(ca.DM(np.where(np.abs(plant.basis) > 1e-14, plant.basis, 0.0)))
-    N = ca.DM(plant.nodes) + ca.reshape(ca.mtimes(T, z[:r]), 3, n)
-    return _with_bar_lengths(plant, N, ca.reshape(ca.mtimes(T, z[r:]), 3, n))
+def near_symbol(plant: LinearPlant) -> Any:
+    """Return a symbol for ``near`` in :func:`reduced_motion`, empty where bars share no nodes."""
+    return ca.SX.sym("near", plant.coordinates.hidden_size)
 
 
-def _with_bar_lengths(plant: LinearPlant, N: Any, V: Any) -> tuple[Any, Any]:
-    """Return nodes and velocities moved along the bars of the reference until lengths are kept."""
-    structure = plant.model.structure
-    axes = structure.bar_vectors(plant.nodes)
-    axes = axes / np.linalg.norm(axes, axis=0)
-    share = structure.end_share
-    N, V = ca.SX(N), ca.SX(V)
-    for bar, (start, end) in enumerate(structure.bars.tolist()):
-        axis = ca.DM(axes[:, bar])
-        vector, change = N[:, end] - N[:, start], V[:, end] - V[:, start]
-        along = ca.dot(vector, axis)
-        across = vector - along * axis
-        reach = ca.sqrt(structure.bar_length[bar] ** 2 - ca.dot(across, across))
-        whole = across + reach * axis
-        stretch, rate = reach - along, -ca.dot(whole, change) / reach
-        for node, part in ((start, -share[bar, 0]), (end, share[bar, 1])):
-            N[:, node] += part * stretch * axis
-            V[:, node] += part * rate * axis
-    return N, V
+def settled(plant: LinearPlant, z: Any, near: Any, parts: list[Any]) -> list[Any]:
+    """Return expressions, or their first derivatives, in z alone: the symbol near put in."""
+    if near.numel() == 0:
+        return parts
+    there = plant.coordinates.hidden(z[: len(plant.A)])
+    return list(ca.substitute(parts, [near], [there]))
+
+
+def reduced_motion(plant: LinearPlant, z: Any, near: Any = None) -> tuple[Any, Any]:
+    """Return expressions of node positions and velocities, shape (d, n), of a state z (SX)."""
+    return plant.coordinates.expressions(z, near)

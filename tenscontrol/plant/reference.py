@@ -45,7 +45,7 @@ class Reference:
     ----------
     time : array_like, shape (K,)
         s, ascending.
-    nodes : array_like, shape (3, n, K)
+    nodes : array_like, shape (d, n, K)
         Node positions at these times, m.
     force_density : array_like, shape (α, K), optional
         γ that holds the shapes, N/m, at least 0. Where several balance in a shape, it says which
@@ -92,9 +92,10 @@ class Reference:
                 f"time[{k + 1}] is {time[k + 1]:g} s after time[{k}] = {time[k]:g} s; "
                 "expected ascending times"
             )
-        if nodes.ndim != 3 or nodes.shape[0] != 3 or nodes.shape[2] != len(time):
+        if nodes.ndim != 3 or nodes.shape[0] not in (2, 3) or nodes.shape[2] != len(time):
             raise ValueError(
-                f"nodes has shape {nodes.shape}, expected (3, n, {len(time)}): one shape per time"
+                f"nodes has shape {nodes.shape}, expected (3, n, {len(time)}), or "
+                f"(2, n, {len(time)}) in the plane: one shape per time"
             )
         if self.force_density is not None:
             gamma = float_array("force_density", self.force_density)
@@ -223,7 +224,7 @@ class ReferencePreview:
     lengths, the lengths of the strings in the shapes themselves are used: for a stiff string,
     second-order errors of its length matter.
 
-    The reference is checked: a Reference, a shape (3, n), or None for the operating point.
+    The reference is checked: a Reference, a shape (d, n), or None for the operating point.
     ``span`` are its first and last time, s: it is at rest before and after.
     """
 
@@ -431,6 +432,7 @@ def _held(
     shapes = np.array([plant.to_nodes(each) for each in q])
     offset, slope = _accelerations(plant, shapes)
     chosen = to_model_strings(plant, "force_density", wanted.T)
+    chosen[:, plant.slack], slope[:, :, plant.slack] = 0.0, 0.0  # what is slack stays so
     left = offset + (slope @ chosen[..., None])[..., 0]
     # Ridge regression from the operating point, shape by shape.
     U, sizes, Vt = np.linalg.svd(slope, full_matrices=False)
@@ -444,6 +446,9 @@ def _held(
     rest_length = np.array(
         [law.rest_length(length, each) for length, each in zip(lengths, gamma, strict=True)]
     )
+    if len(plant.slack):
+        given = to_model_strings(plant, "rest_length", plant.equilibrium_input)
+        rest_length[:, plant.slack] = given[plant.slack]
     rests = np.hstack([q, np.zeros_like(q)])
     wound = to_commanded_strings(plant, "rest_length", rest_length)
     return np.hstack([rests, wound, gamma, gamma * lengths, left @ response.T])
@@ -452,7 +457,8 @@ def _held(
 def _accelerations(plant: LinearPlant, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return q̈ at zero γ, shape (K, r), and its derivative by γ, (K, r, α'), at rest in shapes."""
     function = _acceleration_at_rest(plant)
-    columns = shapes[:, :, plant.model.structure.free].transpose(0, 2, 1).reshape(len(shapes), -1).T
+    rows = plant.model.structure.free_rows
+    columns = shapes.transpose(0, 2, 1).reshape(len(shapes), -1)[:, rows].T
     offset, slope = evaluate_columns(function, np.asfortranarray(columns))
     r = plant.degrees_of_freedom
     return offset.T.copy(), slope.T.reshape(len(shapes), -1, r).swapaxes(1, 2).copy()
@@ -460,15 +466,13 @@ def _accelerations(plant: LinearPlant, shapes: FloatArray) -> tuple[FloatArray, 
 
 @kept
 def _acceleration_at_rest(plant: LinearPlant) -> ca.Function:
-    """Return ``N -> (q̈ at zero γ, ∂q̈/∂γ)`` of free nodes at rest, node by node."""
-    model = plant.model
-    free = model.structure.free
-    N, gamma = ca.SX.sym("N", 3 * len(free)), ca.SX.sym("gamma", len(model.structure.strings))
-    nodes = ca.reshape(N, 3, len(free))
-    still = ca.DM.zeros(3, len(free))
-    moved = model.acceleration(nodes, still, gamma, *map(ca.DM, plant.load_input))
+    """Return ``N -> (q̈ at zero γ, ∂q̈/∂γ)`` of what is free at rest, node by node."""
+    model, rows = plant.model, plant.model.structure.free_rows
+    N, gamma = ca.SX.sym("N", len(rows)), ca.SX.sym("gamma", len(model.structure.strings))
+    x = ca.vertcat(N, ca.DM.zeros(len(rows)))
+    slope = model.dynamics(x, gamma, *map(ca.DM, plant.load_input))
     project = plant.coordinates.project(np.eye(plant.nodes.size))
-    q = ca.mtimes(ca.DM(project[:, model.structure.free_rows]), ca.vec(moved))
+    q = ca.mtimes(ca.DM(project[:, rows]), slope[len(rows) :])
     return ca.Function(
         "held",
         [N],

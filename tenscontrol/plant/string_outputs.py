@@ -50,11 +50,11 @@ class StringMap:
 def string_map(plant: LinearPlant, input: str) -> StringMap:
     """Return the map of a plant's strings for an input, which need not be that of the plant."""
     structure, r = plant.model.structure, plant.degrees_of_freedom
-    n, count = structure.nodes.shape[1], len(structure.strings)
+    shape, count = structure.nodes.shape, len(structure.strings)
     q, rates, u = ca.SX.sym("q", r), ca.SX.sym("rates", r), ca.SX.sym("u", count)
     T = ca.sparsify(ca.DM(plant.basis))
-    N = ca.DM(plant.nodes) + ca.reshape(ca.mtimes(T, q), 3, n)
-    Nd = ca.reshape(ca.mtimes(T, rates), 3, n)
+    N = ca.DM(plant.nodes) + ca.reshape(ca.mtimes(T, q), *shape)
+    Nd = ca.reshape(ca.mtimes(T, rates), *shape)
     at = plant.rest_length if input == "rest_length" else plant.force_density
     assert at is not None  # there is a law
     z = ca.vertcat(q, rates)
@@ -79,11 +79,12 @@ def string_map(plant: LinearPlant, input: str) -> StringMap:
 
 def string_forces(plant: LinearPlant, input: str, N: Any, Nd: Any, u: Any) -> tuple[Any, Any]:
     """Return γ and tension of the model's strings, by rest lengths those of taut ones or < 0."""
-    strings, law = plant.model.structure.strings, plant.model.strings
-    S, Sd = (kernel.differences(part, strings) for part in (N, Nd))
-    length = ca.sqrt(kernel.dots(S, S)).T
+    law = plant.model.strings
+    length, rate = (row.T for row in kernel.string_motion(plant.model.structure, N, Nd))
     gamma = u
     if input == "rest_length":
         assert law is not None  # a rest length is held
-        gamma = law.taut_force_density(length, u, kernel.dots(S, Sd).T / length)
+        gamma = law.taut_force_density(length, u, rate)
+        if len(plant.slack):
+            gamma[plant.slack.tolist()] = 0.0
     return gamma, gamma * length

@@ -35,7 +35,9 @@ from tenscontrol.plant import (
     explicit_substeps,
     model_input,
     reduced_acceleration,
+    near_symbol,
     reduced_motion,
+    settled,
     state_units,
     string_forces,
 )
@@ -166,15 +168,17 @@ def limited_rows(plant: LinearPlant, constraints: Constraints, at_end: bool = Fa
     """
     s, a = plant.B.shape
     z, u, later = ca.SX.sym("z", s), ca.SX.sym("u", a), ca.SX.sym("later", s)
-    at = reduced_motion(plant, later if at_end else z)
+    near, ahead = near_symbol(plant), near_symbol(plant)
+    at = reduced_motion(plant, later, ahead) if at_end else reduced_motion(plant, z, near)
     forces = string_forces(plant, plant.input, *at, model_input(plant, u))
     kinds = {"force_density": forces[0], "tension": forces[1]}
-    shape = ca.vec(reduced_motion(plant, later)[0])
+    shape = ca.vec(reduced_motion(plant, later, ahead)[0])
     y = ca.vertcat(*(
         kinds[block.quantity] if block.quantity else ca.mtimes(ca.DM(block.on_nodes), shape)
         for block in constraints.blocks
     ))  # fmt: skip
     parts = [y, *(ca.jacobian(y, by) for by in (z, u, later))]
+    parts = settled(plant, later, ahead, settled(plant, z, near, parts))
     return ca.Function("rows", [z, u, later], ca.cse(parts))
 
 
