@@ -60,6 +60,18 @@ def all_nodes(structure: Structure, free: Symbolic, fixed: FloatArray | None = N
     return columns
 
 
+def placed(structure: Structure, entries: Symbolic, fixed: FloatArray) -> Symbolic:
+    """Return the columns of all nodes, shape (d, n), from the column of what supports leave free.
+
+    The rest is constant, from columns of ``fixed``, shape (d, n). The inverse of `free_entries`.
+    """
+    if len(structure.fixed_rows):
+        held = ca.DM(fixed.ravel(order="F")[structure.fixed_rows])
+        order = np.argsort(np.concatenate([structure.free_rows, structure.fixed_rows]))
+        entries = ca.vertcat(entries, held)[order.tolist()]
+    return ca.reshape(entries, *structure.nodes.shape)
+
+
 def free_entries(structure: Structure, free: Symbolic) -> Symbolic:
     """Return the column of what supports leave free, in columns of the nodes that are not fixed."""
     if not structure.rollers:
@@ -236,26 +248,37 @@ def block_mass(structure: Structure, block: Block) -> csr_array:
 class SaddlePoint:
     """The system ``[[M, Jᵀ], [J, 0]]`` of a block, with J of shape (c, r), by sparse LDLᵀ factors.
 
-    In the order of the block no pivot vanishes: M is positive definite, and a bar comes after both
-    of its ends. In SX the factors are written out; in MX they are CasADi's, at each evaluation.
+    In SX the factors are written out in the order of the block, in which no pivot vanishes: M is
+    positive definite, and a bar comes after both of its ends.
+
+    In MX they are CasADi's, at each evaluation, in an order of its own. So that no order has a
+    vanishing pivot, ``T K Tᵀ`` is factorized, with ``T = [[1, 0], [−J D, 1]]`` and D the inverse
+    row sums of M: its lower right part, ``−J (2 D − D M D) Jᵀ``, is negative definite (M ≤ D⁻¹).
     """
 
     def __init__(self, structure: Structure, block: Block, J: Symbolic) -> None:
-        mass = _sparse(block_mass(structure, block))
-        matrix = ca.blockcat([[mass, J.T], [J, type(J)(J.shape[0], J.shape[0])]])
-        self._order = block.order.tolist()
-        self._back = np.argsort(block.order).tolist()
-        self._matrix = matrix[self._order, self._order]
-        self._factors = None if isinstance(J, ca.MX) else ca.ldl(self._matrix, False)
+        M = _sparse(block_mass(structure, block))
+        self._order, self._back = block.order.tolist(), np.argsort(block.order).tolist()
+        if isinstance(J, ca.MX):
+            D = ca.diag(1 / ca.sum2(M))
+            self._turn = -ca.mtimes(J, D)
+            rows = J + ca.mtimes(self._turn, M)
+            lower = ca.mtimes([J, ca.mtimes([D, M, D]) - 2 * D, J.T])
+            self._matrix = ca.blockcat([[M, rows.T], [rows, lower]])
+        else:
+            matrix = ca.blockcat([[M, J.T], [J, type(J)(J.shape[0], J.shape[0])]])
+            self._factors = ca.ldl(matrix[self._order, self._order], False)
 
     def solve(self, upper: Symbolic, lower: Symbolic) -> Symbolic:
         """Return ``[a; −λ]`` of the right-hand sides of the two equations, columns."""
+        if isinstance(upper, ca.MX):
+            right = ca.vertcat(upper, lower + ca.mtimes(self._turn, upper))
+            found = ca.solve(self._matrix, right, "ldl")
+            rows = upper.shape[0]
+            below = found[rows:, :]
+            return ca.vertcat(found[:rows, :] + ca.mtimes(self._turn.T, below), below)
         right = ca.vertcat(upper, lower)[self._order, :]
-        if self._factors is None:
-            found = ca.solve(self._matrix, right, "ldl", {"preordering": False})
-        else:
-            found = ca.ldl_solve(right, *self._factors)
-        return found[self._back, :]
+        return ca.ldl_solve(right, *self._factors)[self._back, :]
 
 
 def _least_norm(
