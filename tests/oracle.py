@@ -1,13 +1,14 @@
 """Independent NumPy models that the package is measured against.
 
-Two formulations, neither of them the paper's:
+Two formulations, neither of them the package's:
 
-- :class:`RigidBars`: Newton and Euler, every bar a rigid body with a centre, a direction and an
-  angular velocity, every string node a point mass. Its motion is integrated with each slack/taut
-  switch located, so that no step crosses a kink.
-- :func:`node_acceleration`: Lagrange multipliers, a dense saddle-point system solved by NumPy. It
-  holds for bars of any length and for complex numbers, so that derivatives can be taken by complex
-  steps.
+- :class:`RigidBars`, for class 1 in space: Newton and Euler, every bar a rigid body with a centre,
+  a direction and an angular velocity, every string node a point mass.
+- :func:`node_acceleration` and :class:`NodeMotion`, for any structure: Lagrange multipliers over
+  the node coordinates, dense, by least squares. Complex numbers are allowed, so that derivatives
+  can be taken by complex steps.
+
+Both motions are integrated with each slack/taut switch located, so that no step crosses a kink.
 
 Of the package only the :class:`Structure`, a bag of indices and masses, is used.
 """
@@ -18,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.integrate import DOP853, solve_ivp
+from scipy.linalg import qr
 from scipy.optimize import brentq
 
 # How far a string may pass the border of slack before the switch is acted on, m. The border is
@@ -69,7 +71,75 @@ class HeldRestLength:
         return np.minimum(stretch, stretch + self.damping / self.stiffness * rate)
 
 
-class RigidBars:
+class Motion:
+    """A motion with strings that go slack and taut, each switch located.
+
+    A formulation gives ``structure``, ``state(nodes, velocities)`` and ``nodes(state)``, its
+    inverse, ``slope(state, pulls)`` for fixed slack and taut strings, and ``border(states)``, how
+    far each string is from slack, m, positive where it pulls.
+    """
+
+    def pulls(self, state):
+        """Return which strings pull."""
+        return self.border(state) > 0
+
+    def integrate(self, nodes, velocities, times, tolerance=1e-13, method=DOP853):
+        """Return node positions at the times (ascending, from 0), shape (d, n, T), and switches.
+
+        Every step ends at the next switch of a string; the time of each switch is returned.
+        Other strings that follow within round-off belong to the same switch.
+        """
+        state, now = self.state(nodes, velocities), 0.0
+        states = [state]
+        switches: list[float] = []
+        switched = np.zeros(len(self.structure.strings), bool)
+        pulls = self.pulls(state)
+        while len(states) < len(times):
+            piece = self._piece(state, now, times, len(states), pulls, tolerance, method)
+            found, state, now, crossed = piece
+            states += found
+            pulls = pulls ^ crossed
+            if crossed.any():
+                late = switches and now - switches[-1] <= _TOGETHER
+                if late and not (switched & crossed).any():
+                    switched |= crossed
+                else:
+                    switches.append(now)
+                    switched = crossed
+        placed = [self.nodes(each)[0] for each in states]
+        return np.stack(placed, axis=2), np.array(switches)
+
+    def _piece(self, state, now, times, done, pulls, tolerance, method):
+        """Integrate to the next switch or the end, and return what was met on the way."""
+        sign = np.where(pulls, 1.0, -1.0)
+
+        def slope(_, y):
+            return self.slope(y, pulls)
+
+        def room(y):
+            return sign * self.border(y) + _BORDER
+
+        stepper = method(slope, now, state, times[-1], rtol=tolerance, atol=0.1 * tolerance)
+        found: list[np.ndarray] = []
+        while stepper.status == "running":
+            before, at = stepper.y.copy(), stepper.t
+            stepper.step()
+            assert stepper.status != "failed"
+            between = stepper.dense_output()
+            switch = _first_crossing(room, between, at, stepper.t)
+            reached = stepper.t if switch is None else switch
+            last = np.searchsorted(times, reached, side="right")
+            found += [between(time) for time in times[done + len(found) : last]]
+            if switch is not None:
+                landed = solve_ivp(
+                    slope, (at, switch), before, "DOP853", rtol=tolerance, atol=0.1 * tolerance
+                )
+                end = landed.y[:, -1]
+                return found, end, switch, room(end) < 0.5 * _BORDER
+        return found, stepper.y, stepper.t, np.zeros_like(pulls)
+
+
+class RigidBars(Motion):
     """A structure as rigid bodies and point masses.
 
     The state is ``[r, e, p, dr/dt, w, dp/dt]``: bar centres, bar directions (unit vectors), string
@@ -172,10 +242,6 @@ class RigidBars:
         """Return how far each string is from slack, m; positive where it pulls."""
         return self.law.border(*self.lengths(states))
 
-    def pulls(self, state):
-        """Return which strings pull."""
-        return self.border(state) > 0
-
     # ---- conserved quantities ----
 
     def momentum(self, nodes, velocities):
@@ -194,62 +260,31 @@ class RigidBars:
         parts = (self.mass * rd**2, inertia * w**2, self.point_mass * pd**2)
         return 0.5 * sum(part.sum() for part in parts)
 
-    # ---- integration ----
 
-    def integrate(self, nodes, velocities, times, tolerance=1e-13, method=DOP853):
-        """Return node positions at the times (ascending, from 0), shape (3, n, T), and switches.
+class NodeMotion(Motion):
+    """Any structure by its node coordinates; the state is ``[vec(N); vec(dN/dt)]``, all nodes."""
 
-        Every step ends at the next switch of a string; the time of each switch is returned.
-        Other strings that follow within round-off belong to the same switch.
-        """
-        state, now = self.state(nodes, velocities), 0.0
-        states = [state]
-        switches: list[float] = []
-        switched = np.zeros(len(self.structure.strings), bool)
-        pulls = self.pulls(state)
-        while len(states) < len(times):
-            piece = self._piece(state, now, times, len(states), pulls, tolerance, method)
-            found, state, now, crossed = piece
-            states += found
-            pulls = pulls ^ crossed
-            if crossed.any():
-                late = switches and now - switches[-1] <= _TOGETHER
-                if late and not (switched & crossed).any():
-                    switched |= crossed
-                else:
-                    switches.append(now)
-                    switched = crossed
-        placed = [self.nodes(each)[0] for each in states]
-        return np.stack(placed, axis=2), np.array(switches)
+    def __init__(self, structure, law, external_force=0.0):
+        self.structure, self.law, self.load = structure, law, external_force
 
-    def _piece(self, state, now, times, done, pulls, tolerance, method):
-        """Integrate to the next switch or the end, and return what was met on the way."""
-        sign = np.where(pulls, 1.0, -1.0)
+    def state(self, nodes, velocities):
+        return np.concatenate([nodes.T.ravel(), velocities.T.ravel()])
 
-        def slope(_, y):
-            return self.slope(y, pulls)
+    def nodes(self, state):
+        """Return node positions and velocities, shape (d, n) each."""
+        d, n = self.structure.nodes.shape
+        return tuple(part.reshape(n, d).T for part in np.split(state, 2))
 
-        def room(y):
-            return sign * self.border(y) + _BORDER
+    def slope(self, state, pulls):
+        N, V = self.nodes(state)
+        gamma = self.law(*string_motion(self.structure, N, V), pulls)
+        acceleration, _ = node_acceleration(self.structure, N, V, gamma, self.load)
+        return np.concatenate([V.T.ravel(), acceleration.T.ravel()])
 
-        stepper = method(slope, now, state, times[-1], rtol=tolerance, atol=0.1 * tolerance)
-        found: list[np.ndarray] = []
-        while stepper.status == "running":
-            before, at = stepper.y.copy(), stepper.t
-            stepper.step()
-            assert stepper.status != "failed"
-            between = stepper.dense_output()
-            switch = _first_crossing(room, between, at, stepper.t)
-            reached = stepper.t if switch is None else switch
-            last = np.searchsorted(times, reached, side="right")
-            found += [between(time) for time in times[done + len(found) : last]]
-            if switch is not None:
-                landed = solve_ivp(
-                    slope, (at, switch), before, "DOP853", rtol=tolerance, atol=0.1 * tolerance
-                )
-                end = landed.y[:, -1]
-                return found, end, switch, room(end) < 0.5 * _BORDER
-        return found, stepper.y, stepper.t, np.zeros_like(pulls)
+    def border(self, states):
+        motions = [string_motion(self.structure, *self.nodes(x)) for x in np.atleast_2d(states)]
+        each = np.array([self.law.border(*motion) for motion in motions])
+        return each if np.ndim(states) == 2 else each[0]
 
 
 def _cross(a, b):
@@ -274,23 +309,79 @@ def _first_crossing(room, between, start, end):
 
 
 def node_acceleration(structure, nodes, velocities, force_density, external_force=0.0):
-    """Return node accelerations (3, n) and bar multipliers λ from the saddle-point system.
+    """Return node accelerations (d, n) and bar multipliers λ from the saddle-point system.
 
-    Lagrange's equations of the first kind, ``M a - Jᵀ λ = F`` with ``J a = -‖ḃ‖²``. A multiplier is
-    the compression of its bar by its length.
+    Lagrange's equations of the first kind, ``M a - Jᵀ λ = F`` with ``J a = -‖ḃ‖²``, over the
+    coordinates that supports leave free. A multiplier is the compression of its bar by its length;
+    of redundant bars, those of least norm by least squares (for complex numbers: one solution).
     """
-    count, bars = structure.nodes.shape[1], structure.bars
-    along_strings, along_bars = _incidence(structure.strings, count), _incidence(bars, count)
-    S = nodes @ along_strings.T
-    forces = external_force - (force_density * S) @ along_strings
+    d, count = nodes.shape
+    rows, bars = free_rows(structure), structure.bars
+    along_bars = _incidence(bars, count)
+    forces = external_force + string_forces(structure, nodes, force_density)
     jacobian = along_bars[:, :, None] * (along_bars @ nodes.T)[:, None, :]
-    J = jacobian.reshape(len(bars), 3 * count)
-    M = np.kron(consistent_mass(structure), np.eye(3))
-    saddle = np.block([[M, -J.T], [J, np.zeros((len(bars), len(bars)))]])
+    J = jacobian.reshape(len(bars), d * count)[:, rows]
+    M = np.kron(consistent_mass(structure), np.eye(d))[np.ix_(rows, rows)]
     spread = velocities @ along_bars.T
-    goal = np.concatenate([forces.T.ravel(), -(spread * spread).sum(axis=0)])
+    few = _independent_rows(J.real, M)
+    saddle = np.block([[M, -J[few].T], [J[few], np.zeros((len(few), len(few)))]])
+    goal = np.concatenate([forces.T.ravel()[rows], -(spread * spread).sum(axis=0)[few]])
     solution = np.linalg.solve(saddle, goal)
-    return solution[: 3 * count].reshape(count, 3).T, solution[3 * count :]
+    acceleration = np.zeros(d * count, solution.dtype)
+    acceleration[rows] = solution[: len(rows)]
+    lam = np.zeros(len(bars), solution.dtype)
+    lam[few] = solution[len(rows) :]
+    if len(few) < len(bars) and not np.iscomplexobj(J):
+        lam = np.linalg.lstsq(J.T, J[few].T @ lam[few], rcond=1e-9)[0]
+    return acceleration.reshape(count, d).T, lam
+
+
+def _independent_rows(J, M):
+    """Return the rows of the largest independent set of constraints, by pivoted QR."""
+    scaled = np.linalg.solve(np.linalg.cholesky(M), J.T) if J.size else J.T
+    if not scaled.size:
+        return np.arange(0)
+    _, R, order = qr(scaled, mode="economic", pivoting=True)
+    size = np.abs(np.diag(R))
+    return np.sort(order[: np.count_nonzero(size > 1e-9 * size.max())])
+
+
+def free_rows(structure):
+    """Return the rows of ``vec(N)`` that supports leave free, one node after the other."""
+    d, count = structure.nodes.shape
+    held = {d * node + axis for node in structure.fixed.tolist() for axis in range(d)}
+    held |= {d * node + "xyz".index(axis) for node, axis in structure.rollers}
+    return np.array([row for row in range(d * count) if row not in held], dtype=int)
+
+
+def string_forces(structure, nodes, force_density):
+    """Return the forces of the strings on the nodes, shape (d, n), from γ = T/L of each."""
+    forces = np.zeros(nodes.shape, np.result_type(nodes, force_density))
+    for path, gamma in zip(string_paths(structure), force_density, strict=True):
+        S = np.diff(nodes[:, path], axis=1)
+        length = np.sqrt((S * S).sum(axis=0))
+        # One tension all along; a straight string may have no length.
+        pull = gamma * S if len(path) == 2 else gamma * length.sum() * S / length
+        for k in range(len(path) - 1):
+            forces[:, path[k]] += pull[:, k]
+            forces[:, path[k + 1]] -= pull[:, k]
+    return forces
+
+
+def string_motion(structure, nodes, velocities):
+    """Return the length of each string and its rate, of all its segments together."""
+    lengths, rates = [], []
+    for path in string_paths(structure):
+        S, Sd = np.diff(nodes[:, path], axis=1), np.diff(velocities[:, path], axis=1)
+        each = np.sqrt((S * S).sum(axis=0))
+        lengths.append(each.sum())
+        rates.append(((S * Sd).sum(axis=0) / each).sum())
+    return np.array(lengths), np.array(rates)
+
+
+def string_paths(structure):
+    """Return the nodes that each string runs over."""
+    return [list(path) for path in structure.paths or structure.strings.tolist()]
 
 
 def consistent_mass(structure):
@@ -306,25 +397,26 @@ def consistent_mass(structure):
         weights[every, structure.bars[:, 0]] = 1 - place
         weights[every, structure.bars[:, 1]] = place
         M += weights.T @ (0.5 * structure.bar_mass[:, None] * weights)
-    M[structure.string_nodes, structure.string_nodes] += structure.string_node_mass
-    return M
+    return M + np.diag(structure.point_mass)
 
 
 def state_jacobians(structure, nodes, velocities, law, held, size=1e-30):
     """Return ∂ẋ/∂x and ∂ẋ/∂u by complex steps, all strings taken to pull.
 
-    ``law(u)`` returns one of the held laws above for the held values u.
+    Of the coordinates that supports leave free. ``law(u)`` returns one of the held laws above for
+    the held values u.
     """
-
-    incidence = _incidence(structure.strings, structure.nodes.shape[1])
+    d, count = nodes.shape
+    rows = free_rows(structure)
+    rows = np.concatenate([rows, d * count + rows])
+    at = np.concatenate([nodes.T.ravel(), velocities.T.ravel()])
 
     def slope(x, u):
-        N, V = (part.reshape(-1, 3).T for part in np.split(x, 2))
-        stretch = _stretch(incidence @ N.T, incidence @ V.T)
-        acceleration, _ = node_acceleration(structure, N, V, law(u)(*stretch, True))
-        return np.concatenate([V.T.ravel(), acceleration.T.ravel()])
+        every = at.astype(complex)
+        every[rows] = x
+        return NodeMotion(structure, law(u)).slope(every, True)[rows]
 
-    x = np.concatenate([nodes.T.ravel(), velocities.T.ravel()])
+    x = at[rows]
     by_state = [slope(x + 1j * size * step, held + 0j).imag / size for step in np.eye(len(x))]
     by_input = [slope(x + 0j, held + 1j * size * step).imag / size for step in np.eye(len(held))]
     return np.column_stack(by_state), np.column_stack(by_input)

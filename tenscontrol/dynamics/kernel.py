@@ -15,13 +15,16 @@ Sign convention::
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.structure import Block, Structure, node_mass
 from tenscontrol.validation import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # A string shorter than this part of its rest length has no direction to pull in.
 _NO_LENGTH = 1e-12
@@ -55,6 +58,18 @@ def all_nodes(structure: Structure, free: Symbolic, fixed: FloatArray | None = N
     for node, axis in structure.rollers:
         columns["xyz".index(axis), node] = places["xyz".index(axis), node]
     return columns
+
+
+def placed(structure: Structure, entries: Symbolic, fixed: FloatArray) -> Symbolic:
+    """Return the columns of all nodes, shape (d, n), from the column of what supports leave free.
+
+    The rest is constant, from columns of ``fixed``, shape (d, n). The inverse of `free_entries`.
+    """
+    if len(structure.fixed_rows):
+        held = ca.DM(fixed.ravel(order="F")[structure.fixed_rows])
+        order = np.argsort(np.concatenate([structure.free_rows, structure.fixed_rows]))
+        entries = ca.vertcat(entries, held)[order.tolist()]
+    return ca.reshape(entries, *structure.nodes.shape)
 
 
 def free_entries(structure: Structure, free: Symbolic) -> Symbolic:
@@ -151,20 +166,21 @@ def bar_force_density(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbol
         *_, lam[:, structure.free_bars.tolist()] = _free_bars(structure, N, Nd, F)
     if len(structure.swinging_bars):
         _, lam[:, structure.swinging_bars.tolist()] = _swinging_bars(structure, N, Nd, F)
+    if structure.blocks:
+        every = coupled_block(structure)
+        _, found = block_motion(structure, every, N, Nd, F)
+        lam[:, every.independent.tolist()] = found.T
     for block in structure.blocks:
-        _, found = block_motion(structure, block, N, Nd, F)
         if block.is_redundant:
-            found = _least_norm(structure, block, N, found)
-            lam[:, block.bars.tolist()] = found.T
-        else:
-            lam[:, block.independent.tolist()] = found.T
+            bars, found = _least_norm(structure, block, N, lam[:, block.independent.tolist()].T)
+            lam[:, bars.tolist()] = found.T
     return lam
 
 
 def accelerations(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic) -> Symbolic:
-    """Return N̈, shape (d, n), m/s², from eq. (7), with M_s inverted in closed form.
+    """Return N̈, shape (d, n), m/s², from eq. (7); what supports hold is left empty.
 
-    What supports hold is left empty.
+    M_s is inverted in closed form, but for the blocks.
     """
     Ndd = type(N)(*structure.nodes.shape)
     if len(structure.free_bars):
@@ -177,12 +193,29 @@ def accelerations(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic) 
         # No string nodes, no block: a scene pays only for what it has.
         points = structure.string_nodes.tolist()
         Ndd[:, points] = point_acceleration(F[:, points], _row(structure.string_node_mass))
-    for block in structure.blocks:
-        Ndd[block.rows.tolist()], _ = block_motion(structure, block, N, Nd, F)
+    if structure.blocks:
+        every = coupled_block(structure)
+        Ndd[every.rows.tolist()], _ = block_motion(structure, every, N, Nd, F)
+    for node, axis in structure.rollers:
+        Ndd["xyz".index(axis), node] = 0
     return Ndd
 
 
 # ---- bars that hang together ----
+
+
+def coupled_block(structure: Structure) -> Block:
+    """Return all blocks as one: it is solved as fast as they are one after the other."""
+    blocks = structure.blocks
+    first_row = np.cumsum([0, *(len(block.rows) for block in blocks)])
+    first_bar = np.cumsum([first_row[-1], *(len(block.independent) for block in blocks)])
+    orders = []
+    for block, row, bar in zip(blocks, first_row[:-1], first_bar[:-1], strict=True):
+        rows = len(block.rows)
+        orders.append(block.order + np.where(block.order < rows, row, bar - rows))
+    names = ("nodes", "rows", "bars", "independent")
+    parts = [np.concatenate([getattr(block, name) for block in blocks]) for name in names]
+    return Block(*parts, np.concatenate(orders))
 
 
 def block_motion(
@@ -191,15 +224,14 @@ def block_motion(
     """Return the accelerations of a block's rows, shape (r, 1), and λ of its independent bars.
 
     ``M a − Jᵀ λ = f`` and ``J a = −|ḃ|²``, from ``bᵀ b̈ + |ḃ|² = 0`` (Lagrange's equations of the
-    first kind). With the nodes ordered by the block, the factors of the matrix are sparse, and no
-    pivot vanishes.
+    first kind). λ has shape (c, 1), N/m.
     """
     J = block_rows(structure, block.independent, block.rows, N)
     Bd = differences(Nd, structure.bars[block.independent])
     force = ca.vec(F)[block.rows.tolist()]
     found = SaddlePoint(structure, block, J).solve(force, -dots(Bd, Bd).T)
     rows = len(block.rows)
-    return found[:rows], -found[rows:]
+    return found[:rows, :], -found[rows:, :]
 
 
 def block_rows(structure: Structure, bars: IntArray, rows: IntArray, N: Symbolic) -> Symbolic:
@@ -207,45 +239,75 @@ def block_rows(structure: Structure, bars: IntArray, rows: IntArray, N: Symbolic
     d, count = structure.nodes.shape
     place = np.full(d * count, -1)
     place[rows] = np.arange(len(rows))
-    B = differences(N, structure.bars[bars])
-    J = type(N)(len(bars), len(rows))
-    for sign, ends in ((-1.0, structure.bars[bars, 0]), (1.0, structure.bars[bars, 1])):
-        column = place[d * ends[:, None] + np.arange(d)]  # (b, d)
-        bar, axis = np.nonzero(column >= 0)
-        if len(bar):
-            values = sign * ca.vec(B)[(d * bar + axis).tolist()]
-            J += type(N).triplet(
-                bar.tolist(), column[bar, axis].tolist(), values, len(bars), len(rows)
-            )
-    return J
+    B = ca.vec(differences(N, structure.bars[bars]))
+    ends = structure.bars[bars][:, ::-1].T  # b goes from the start to the end
+    columns = place[d * ends[:, :, None] + np.arange(d)].ravel()
+    moves = np.flatnonzero(columns >= 0).tolist()
+    lines = np.tile(np.repeat(np.arange(len(bars)), d), 2)
+    sparsity, order = ca.Sparsity.triplet(
+        len(bars), len(rows), lines[moves].tolist(), columns[moves].tolist(), False
+    )
+    values = ca.vertcat(B, -B)[moves]
+    return type(N)(sparsity, values[list(order)])
+
+
+def block_mass(structure: Structure, block: Block) -> csr_array:
+    """Return the mass matrix of a block's rows, sparse, shape (r, r), kg."""
+    from scipy.sparse import eye_array, kron
+
+    mass = kron(node_mass(structure), eye_array(structure.dimension), format="csr")
+    return mass[block.rows][:, block.rows]
 
 
 class SaddlePoint:
-    """The system ``[[M, Jᵀ], [J, 0]]`` of a block, factorized symbolically without pivoting."""
+    """The system ``[[M, Jᵀ], [J, 0]]`` of a block, with J of shape (c, r), by sparse LDLᵀ factors.
+
+    In SX the factors are written out in the order of the block, in which no pivot vanishes: M is
+    positive definite, and a bar comes after both of its ends.
+
+    In MX they are CasADi's, at each evaluation, in an order of its own. So that no order has a
+    vanishing pivot, ``T K Tᵀ`` is factorized, with ``T = [[1, 0], [−J D, 1]]`` and D the inverse
+    row sums of M: its lower right part, ``−J (2 D − D M D) Jᵀ``, is negative definite (M ≤ D⁻¹).
+    """
 
     def __init__(self, structure: Structure, block: Block, J: Symbolic) -> None:
-        rows = block.rows
-        d = structure.dimension
-        mass = ca.kron(_sparse(node_mass(structure)), ca.DM.eye(d))[rows.tolist(), rows.tolist()]
-        matrix = ca.blockcat([[mass, J.T], [J, ca.SX(J.shape[0], J.shape[0])]])
-        self._order = block.order.tolist()
-        self._back = np.argsort(block.order).tolist()
-        self._factors = ca.ldl(matrix[self._order, self._order], False)
+        M = _sparse(block_mass(structure, block))
+        self._order, self._back = block.order.tolist(), np.argsort(block.order).tolist()
+        if isinstance(J, ca.MX):
+            D = ca.diag(1 / ca.sum2(M))
+            self._turn = -ca.mtimes(J, D)
+            rows = J + ca.mtimes(self._turn, M)
+            lower = ca.mtimes([J, ca.mtimes([D, M, D]) - 2 * D, J.T])
+            self._matrix = ca.blockcat([[M, rows.T], [rows, lower]])
+        else:
+            matrix = ca.blockcat([[M, J.T], [J, type(J)(J.shape[0], J.shape[0])]])
+            self._factors = ca.ldl(matrix[self._order, self._order], False)
 
     def solve(self, upper: Symbolic, lower: Symbolic) -> Symbolic:
         """Return ``[a; −λ]`` of the right-hand sides of the two equations, columns."""
-        right = ca.vertcat(upper, lower)[self._order]
-        return ca.ldl_solve(right, *self._factors)[self._back]
+        if isinstance(upper, ca.MX):
+            right = ca.vertcat(upper, lower + ca.mtimes(self._turn, upper))
+            found = ca.solve(self._matrix, right, "ldl")
+            rows = upper.shape[0]
+            below = found[rows:, :]
+            return ca.vertcat(found[:rows, :] + ca.mtimes(self._turn.T, below), below)
+        right = ca.vertcat(upper, lower)[self._order, :]
+        return ca.ldl_solve(right, *self._factors)[self._back, :]
 
 
-def _least_norm(structure: Structure, block: Block, N: Symbolic, lam: Symbolic) -> Symbolic:
-    """Return λ of all bars, of least norm, with the forces of λ of the independent ones."""
-    every = block_rows(structure, block.bars, block.rows, N)
-    few = block_rows(structure, block.independent, block.rows, N)
-    # λ_all = J_all Jᵀ z has the least norm, and J_allᵀ λ_all = Jᵀ λ.
-    shared = ca.mtimes(every, few.T)
-    z = ca.solve(ca.mtimes(shared.T, shared), ca.mtimes([few, few.T, lam]))
-    return ca.mtimes(shared, z)
+def _least_norm(
+    structure: Structure, block: Block, N: Symbolic, lam: Symbolic
+) -> tuple[IntArray, Symbolic]:
+    """Return all bars of a block and their λ of least norm, from λ of the independent ones."""
+    others = np.setdiff1d(block.bars, block.independent)
+    J, dependent = (block_rows(structure, some, block.rows, N)
+                    for some in (block.independent, others))  # fmt: skip
+    # The others' rows are combinations of J: dependentᵀ = Jᵀ T. So (T, −1) λ' does nothing.
+    none = type(N)(len(block.independent), len(others))
+    T = SaddlePoint(structure, block, J).solve(dependent.T, none)[len(block.rows) :, :]
+    share = ca.solve(type(N).eye(len(others)) + ca.mtimes(T.T, T), ca.mtimes(T.T, lam))
+    bars = np.concatenate([block.independent, others])
+    return bars, ca.vertcat(lam - ca.mtimes(T, share), share)
 
 
 # ---- one member, or any number of them ----
@@ -338,8 +400,8 @@ def _swinging_bars(
 
 
 def mass_product(structure: Structure, V: Symbolic) -> Symbolic:
-    """Return V M_s, shape (d, n): M_s is m/6 [[2, 1], [1, 2]] a bar and m_s a string node."""
-    if structure.blocks:
+    """Return V M_s, shape (d, n), kg m/s: M_s is m/6 [[2, 1], [1, 2]] a bar and m_s a point mass."""
+    if structure.blocks or structure.structure_class > 1:
         return ca.mtimes(V, _sparse(node_mass(structure)))
     product = type(V)(*structure.nodes.shape)
     if len(structure.bars):

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from tenscontrol.structure.structure import Structure
 
 # Added to the constraints of bars, in units of their inverse mass, so that dependent ones show:
-# they are left with little more than it. Bars count as dependent below the second number.
-_SHIFT, _DEPENDENT = 1e-13, 1e-11
+# they are left with it, times one and the squares of their shares of the others. Bars count as
+# dependent below the second number.
+_SHIFT, _DEPENDENT = 1e-13, 1e-8
 
 # Length of a step along a mechanism, in lengths of the longest bar, and by how much of its length
 # a redundant bar may then be off.

@@ -14,14 +14,22 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics.evaluator import evaluate_columns
-from tenscontrol.dynamics.forms.passes import Pass, body_passes, gap_pass, string_pass
+from tenscontrol.dynamics.forms.elimination import SOLVE, Elimination
+from tenscontrol.dynamics.forms.passes import (
+    Pass,
+    Read,
+    Write,
+    body_passes,
+    gap_passes,
+    string_passes,
+)
 from tenscontrol.dynamics.machine_code import compiled_source
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, IntArray
 
-# Entries that each array has for a node or a string.
-_WIDTH = {"p": 3, "v": 3, "f": 3, "a": 3, "u": 1, "taut": 1, "gap": 1, "rate": 1}
+# Arrays with a vector for each node; the others have a number for each string or entry.
+_VECTORS = "pvfa"
 
 
 def loops_functions(
@@ -35,30 +43,50 @@ def loops_source(structure: Structure, law: StringLaw | None, load: FloatArray) 
     """Return the C text: the functions of :class:`Equation` with CasADi's interface.
 
     ``law`` is None where force densities are held; ``load`` are constant forces on all nodes, N,
-    shape (3, n).
+    shape (d, n).
     """
-    strings, bodies = [string_pass(structure, law)], body_passes(structure)
-    gaps = [] if law is None else [gap_pass(structure, law)]
-    passes = [each for each in [*strings, *bodies, *gaps] if each.count]
-    loops = [_Loop(each, structure) for each in passes]
+    strings, bodies = string_passes(structure, law), body_passes(structure)
+    gaps = [] if law is None else gap_passes(structure, law)
+    solver = Elimination(structure) if structure.blocks else None
+    passes = [*strings, *bodies, *gaps, *([] if solver is None else [solver.assembly])]
+    slots = _slots(structure)
+    loops = [_Loop(each, structure.dimension, slots) for each in passes]
     calls = {loop.over.name: loop.call for loop in loops}
-    free, alpha = len(structure.free), len(structure.strings)
-    states, switches = 6 * free, 0 if law is None else alpha
-    sizes = {"NODES": structure.nodes.shape[1], "FREE": free, "LARGEST": max(states, alpha, 1)}
+    d, states, alpha = structure.dimension, 2 * len(structure.free_rows), len(structure.strings)
+    switches, supported = 0 if law is None else alpha, len(structure.fixed_rows) > 0
+    sizes = {
+        "ENTRIES": structure.nodes.size,
+        "FREE": states // 2,
+        "LARGEST": max(states, alpha, 1),
+    }
+    work = 3 * structure.nodes.size + 2 * max(states, alpha, 1)
     tables: dict[str, Any] = {}
-    if len(structure.fixed):
-        tables["free_nodes"] = 3 * structure.free
+    if supported:
+        # Free coordinates, node by node where no node rolls.
+        sizes["PIECE"] = 1 if structure.rollers else d
+        tables["free_rows"] = structure.free_rows[:: sizes["PIECE"]]
         tables["places"] = structure.nodes.ravel(order="F")
+    if structure.rollers:
+        work += structure.nodes.size
     if load.any():
         tables["load"] = load.ravel(order="F")
+    if solver is not None:
+        sizes |= solver.sizes | {"BLOCKS_AT": work}
+        work += solver.work
+        tables |= solver.tables
+        tables["block_slot"] = slots[solver.tables["block_row"]]
+    sizes["WORK"] = work
     kernels = ca.CodeGenerator("kernels", {"with_header": False})
     for loop in loops:
         kernels.add(loop.function)
         tables |= loop.tables
 
     def called(some: list[Pass]) -> str:
-        return "\n".join(f"  {calls[each.name]}" for each in some if each.name in calls)
+        return "\n".join(f"  {calls[each.name]}" for each in some)
 
+    slope = called(bodies)
+    if solver is not None:
+        slope += "\n  blocks(p, v, f, a, w + BLOCKS_AT);"
     return "\n".join(
         [
             _HEAD,
@@ -66,11 +94,12 @@ def loops_source(structure: Structure, law: StringLaw | None, load: FloatArray) 
             _EXPORT,
             *(f"#define {name} {size}" for name, size in sizes.items()),
             *(_table(name, values) for name, values in tables.items()),
-            _SUPPORTED if len(structure.fixed) else _FREE,
+            _SUPPORTED if supported else _FREE,
             *(loop.text for loop in loops),
+            "" if solver is None else SOLVE % {"assembly": calls[solver.assembly.name]},
             _FORCES % {"start": _LOADED if load.any() else _UNLOADED, "calls": called(strings)},
-            _SLOPE % {"calls": called(bodies)},
-            _FORCE_FREE if len(structure.fixed) == 0 else _FORCE_SUPPORTED,
+            (_SLOPE_ROLLING if structure.rollers else _SLOPE) % {"calls": slope},
+            _FORCE_SUPPORTED if supported else _FORCE_FREE,
             _GAP % {"calls": called(gaps)},
             _interface("slope", [states, alpha, switches], [states]),
             _interface("gap", [states, alpha], [switches, switches]),
@@ -79,15 +108,21 @@ def loops_source(structure: Structure, law: StringLaw | None, load: FloatArray) 
     )
 
 
+def _slots(structure: Structure) -> IntArray:
+    """Return where accelerations of rows of ``vec(N)`` are written."""
+    slots = np.arange(structure.nodes.size)
+    if not structure.rollers:
+        slots[structure.free_rows] = np.arange(len(structure.free_rows))
+    return slots
+
+
 class _Loop:
     """The loop of one pass: its kernel, its tables, its text, and how it is called."""
 
-    def __init__(self, over: Pass, structure: Structure) -> None:
+    def __init__(self, over: Pass, dimension: int, slots: IntArray) -> None:
         self.over = over
         self.tables: dict[str, Any] = {}
-        # Rows of the accelerations are the free nodes only.
-        self._slots = np.zeros(structure.nodes.shape[1], dtype=int)
-        self._slots[structure.free] = np.arange(len(structure.free))
+        self._dimension, self._slots = dimension, slots
         lines = self._kernel_lines()
         lines += [line for write in over.writes for line in self._write(write)]
         arrays = dict.fromkeys([read.array for read in over.reads.values()])
@@ -105,7 +140,7 @@ class _Loop:
     def _kernel_lines(self) -> list[str]:
         """Make the kernel of one member, and return the lines that call it."""
         over = self.over
-        inputs = {name: ca.SX.sym(name, _WIDTH[read.array]) for name, read in over.reads.items()}
+        inputs = {name: ca.SX.sym(name, self._width(read)) for name, read in over.reads.items()}
         shared = {name: ca.DM(v) for name, v in over.parameters.items() if isinstance(v, float)}
         own = {name: ca.SX.sym(name) for name in over.parameters if name not in shared}
         outputs = over.kernel(inputs | shared | own)
@@ -113,8 +148,8 @@ class _Loop:
         outputs, constants = _constants(outputs, own, over.parameters)
         lines = []
         for name, read in over.reads.items():
-            width = _WIDTH[read.array]
-            at = self._at(read.nodes, slots=False, width=width)
+            width = self._width(read)
+            at = self._at(read)
             entries = ", ".join(f"{read.array}[{at} + {k}]" for k in range(width))
             lines.append(f"const double in_{name}[{width}] = {{{entries}}};")
         for k, (_, values) in enumerate(constants):
@@ -130,19 +165,28 @@ class _Loop:
         self.function = ca.Function(f"kernel_{over.name}", symbols, dense)
         return lines
 
-    def _write(self, write: Any) -> list[str]:
-        width = _WIDTH[write.array]
-        at = self._at(write.nodes, slots=write.array == "a", width=width)
+    def _write(self, write: Write) -> list[str]:
         how = "=" if write.array != "f" else "+=" if write.sign > 0 else "-="
-        return [
-            f"{write.array}[{at} + {k}] {how} out_{write.output}[{k}];" for k in range(width)
-        ]  # fmt: skip
+        out = f"{'-' if how == '=' and write.sign < 0 else ''}out_{write.output}"
+        if write.at is not None and write.at.ndim == 2:  # each entry has its own place
+            width = write.at.shape[1]
+            table = self._add_table("at", write.at.ravel())
+            places = [f"{table}[{width} * i + {k}]" for k in range(width)]
+        else:
+            at = self._at(write)
+            places = [f"{at} + {k}" for k in range(self._width(write))]
+        return [f"{write.array}[{place}] {how} {out}[{k}];" for k, place in enumerate(places)]
 
-    def _at(self, nodes: Any, slots: bool, width: int) -> str:
+    def _width(self, access: Read | Write) -> int:
+        return self._dimension if access.array in _VECTORS else 1
+
+    def _at(self, access: Read | Write) -> str:
         """Return the C expression of where the entries of a member begin."""
-        if nodes is None:
+        width = self._width(access)
+        if access.at is None:
             return "i" if width == 1 else f"{width} * i"
-        table = self._add_table("at", width * (self._slots[nodes] if slots else nodes))
+        first = width * access.at
+        table = self._add_table("at", self._slots[first] if access.array == "a" else first)
         return f"{table}[i]"
 
     def _add_table(self, name: str, values: Any) -> str:
@@ -226,12 +270,17 @@ static const double *velocities(const double *v, double *w) { (void)w; return v;
 """
 )
 
-# Some nodes are fixed: all nodes are put together in the work memory.
+# Supports hold some: all nodes are put together in the work memory.
 _SUPPORTED = (
     _GIVEN
     + """\
 static void spread(const double *from, double *to) {
-  for (int i = 0; i < FREE; ++i) memcpy(to + free_nodes[i], from + 3 * i, 3 * sizeof(double));
+  for (int i = 0; i < FREE / PIECE; ++i)
+    memcpy(to + free_rows[i], from + PIECE * i, PIECE * sizeof(double));
+}
+static void pick(const double *from, double *to) {
+  for (int i = 0; i < FREE / PIECE; ++i)
+    memcpy(to + PIECE * i, from + free_rows[i], PIECE * sizeof(double));
 }
 static const double *positions(const double *q, double *w) {
   memcpy(w, places, sizeof(places));
@@ -239,8 +288,8 @@ static const double *positions(const double *q, double *w) {
   return w;
 }
 static const double *velocities(const double *v, double *w) {
-  w += 3 * NODES;
-  memset(w, 0, 3 * NODES * sizeof(double));
+  w += ENTRIES;
+  memset(w, 0, ENTRIES * sizeof(double));
   spread(v, w);
   return w;
 }
@@ -256,7 +305,7 @@ static void %(name)s(%(arrays)s) {
 """
 
 _LOADED = "memcpy(f, load, sizeof(load));"
-_UNLOADED = "memset(f, 0, 3 * NODES * sizeof(double));"
+_UNLOADED = "memset(f, 0, ENTRIES * sizeof(double));"
 
 _FORCES = """\
 static void forces(const double *p, const double *v, const double *u, const double *taut,
@@ -270,17 +319,21 @@ static void forces(const double *p, const double *v, const double *u, const doub
 _SLOPE = """\
 EXPORTED int slope(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
   const double *x = given(arg[0]), *u = given(arg[1]), *taut = given(arg[2]);
-  const double *p = positions(x, w), *v = velocities(x + 3 * FREE, w);
-  double *f = w + 6 * NODES, *a;
+  const double *p = positions(x, w), *v = velocities(x + FREE, w);
+  double *f = w + 2 * ENTRIES, *a;
   (void)iw; (void)mem;
   if (!res[0]) return 0;
-  a = res[0] + 3 * FREE;
+  a = res[0] + FREE;
   forces(p, v, u, taut, f);
-  memcpy(res[0], x + 3 * FREE, 3 * FREE * sizeof(double));
+  memcpy(res[0], x + FREE, FREE * sizeof(double));
 %(calls)s
   return 0;
 }
 """
+# Accelerations of all nodes are put together first.
+_SLOPE_ROLLING = _SLOPE.replace("a = res[0] + FREE;", "a = f + ENTRIES + 2 * LARGEST;").replace(
+    "%(calls)s", "%(calls)s\n  pick(a, res[0] + FREE);"
+)
 
 _FORCE = """\
 EXPORTED int force(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
@@ -296,24 +349,24 @@ _FORCE_FREE = _FORCE % "  forces(p, v, u, taut, res[0]);"
 _FORCE_SUPPORTED = (
     _FORCE
     % """\
-  forces(p, v, u, taut, w + 6 * NODES);
-  for (int i = 0; i < FREE; ++i)
-    memcpy(res[0] + 3 * i, w + 6 * NODES + free_nodes[i], 3 * sizeof(double));"""
+  forces(p, v, u, taut, w + 2 * ENTRIES);
+  pick(w + 2 * ENTRIES, res[0]);"""
 )
 
 _GAP = """\
 EXPORTED int gap(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
   const double *x = given(arg[0]), *u = given(arg[1]);
-  const double *p = positions(x, w), *v = velocities(x + 3 * FREE, w);
-  double *gap = res[0] ? res[0] : w + 6 * NODES;
-  double *rate = res[1] ? res[1] : w + 6 * NODES + LARGEST;
+  const double *p = positions(x, w), *v = velocities(x + FREE, w);
+  double *gap = res[0] ? res[0] : w + 2 * ENTRIES;
+  double *rate = res[1] ? res[1] : w + 2 * ENTRIES + LARGEST;
   (void)iw; (void)mem; (void)u; (void)p; (void)v; (void)gap; (void)rate;
 %(calls)s
   return 0;
 }
 """
 
-# The work memory holds positions, velocities, then forces, or what nobody asked for.
+# The work memory holds positions, velocities, then forces, or what nobody asked for; then
+# accelerations where nodes roll, and the matrix of the blocks.
 _INTERFACE = """\
 static const casadi_int %(name)s_shapes_in[%(inputs)d][3] = {%(shapes_in)s};
 static const casadi_int %(name)s_shapes_out[%(outputs)d][3] = {%(shapes_out)s};
@@ -330,7 +383,7 @@ EXPORTED int %(name)s_work(casadi_int *sz_arg, casadi_int *sz_res, casadi_int *s
   if (sz_arg) *sz_arg = %(inputs)d;
   if (sz_res) *sz_res = %(outputs)d;
   if (sz_iw) *sz_iw = 0;
-  if (sz_w) *sz_w = 9 * NODES + 2 * LARGEST;
+  if (sz_w) *sz_w = WORK;
   return 0;
 }
 """

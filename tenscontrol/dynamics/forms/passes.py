@@ -19,7 +19,7 @@ from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
 
-# Columns of the members by name, SX or MX: (3, k) or (1, k) each.
+# Columns of the members by name, SX or MX: (d, k) or (1, k) each.
 Columns = dict[str, Any]
 
 
@@ -28,16 +28,17 @@ class Read:
     """One column of a kernel: of the member itself, or of one of its nodes."""
 
     array: str  # "p", "v", "f": positions, velocities, forces of nodes; "u", "taut" of strings
-    nodes: IntArray | None = None  # the node of each member; None for entries of the members
+    at: IntArray | None = None  # the node, or the string; None: member i reads entry i
 
 
 @dataclass(frozen=True)
 class Write:
     """One output of a kernel."""
 
-    array: str  # "f", which is added up, or "a", accelerations; "gap" and "rate" of strings
+    # "f", which is added up; "a", accelerations; "gap" and "rate" of strings
+    array: str
     output: int  # which output of the kernel
-    nodes: IntArray | None = None  # as for a read
+    at: IntArray | None = None  # as for a read
     sign: int = 1  # whether the output or its opposite is added
 
 
@@ -53,40 +54,60 @@ class Pass:
     parameters: dict[str, float | FloatArray]  # further columns: one number for all, or for each
 
 
-def string_pass(structure: Structure, law: StringLaw | None) -> Pass:
-    """Return the pass that adds the pull of the strings to the forces; γ is held without a law."""
-    start, end = structure.strings.T
+def string_passes(structure: Structure, law: StringLaw | None) -> list[Pass]:
+    """Return the passes that add the pull of the strings to the forces; γ is held without a law."""
 
     def pull(columns: Columns) -> tuple[Any, ...]:
-        S = columns["p_end"] - columns["p_start"]
-        if law is None:
-            return (kernel.string_pull(S, columns["u"]),)
-        length, rate = _motion(S, columns)
-        gamma = law.with_parameters(columns).taut_force_density(length, columns["u"], rate)
-        return (kernel.string_pull(S, columns["taut"] * gamma),)
+        S, gamma = _segments(columns, "p"), columns["u"]
+        if len(S) == 1 and law is None:
+            return (kernel.string_pull(S[0], gamma),)
+        each, length, rate = _motion(structure, S, columns)
+        if law is not None:
+            strings = law.with_parameters(columns)
+            gamma = columns["taut"] * strings.taut_force_density(length, columns["u"], rate)
+        if len(S) == 1:
+            return (kernel.string_pull(S[0], gamma),)
+        tension = gamma * length  # one along the whole string
+        return tuple(map(kernel.string_pull, S, (tension / part for part in each)))
 
-    reads = _ends(start, end, velocities=law is not None and law.is_damped) | {"u": Read("u")}
-    if law is not None:
-        reads["taut"] = Read("taut")
-    writes = (Write("f", 0, start), Write("f", 0, end, sign=-1))
-    return Pass("strings", len(start), pull, reads, writes, _parameters(law))
+    found = []
+    for strings, nodes in _by_segments(structure):
+        reads = _along(nodes, velocities=law is not None and law.is_damped)
+        reads["u"] = Read("u", strings)
+        if law is not None:
+            reads["taut"] = Read("taut", strings)
+        writes = [
+            Write("f", k, nodes[k + end], sign=1 - 2 * end)
+            for k in range(len(nodes) - 1)
+            for end in (0, 1)
+        ]
+        name, count = f"strings_{len(nodes)}", len(nodes[0])
+        found.append(Pass(name, count, pull, reads, tuple(writes), _parameters(law, strings)))
+    return found
 
 
-def gap_pass(structure: Structure, law: StringLaw) -> Pass:
-    """Return the pass that measures how far the strings are from slack, and how that changes."""
-    start, end = structure.strings.T
+def gap_passes(structure: Structure, law: StringLaw) -> list[Pass]:
+    """Return the passes that measure how far strings are from slack, and how that changes."""
 
     def gap(columns: Columns) -> tuple[Any, ...]:
-        length, rate = _motion(columns["p_end"] - columns["p_start"], columns)
+        _, length, rate = _motion(structure, _segments(columns, "p"), columns)
         return law.with_parameters(columns).gap(length, columns["u"], rate), rate
 
-    reads = _ends(start, end, velocities=True) | {"u": Read("u")}
-    writes = (Write("gap", 0), Write("rate", 1))
-    return Pass("gaps", len(start), gap, reads, writes, _parameters(law))
+    return [
+        Pass(
+            f"gaps_{len(nodes)}",
+            len(nodes[0]),
+            gap,
+            _along(nodes) | {"u": Read("u", strings)},
+            (Write("gap", 0, strings), Write("rate", 1, strings)),
+            _parameters(law, strings),
+        )
+        for strings, nodes in _by_segments(structure)
+    ]
 
 
 def body_passes(structure: Structure) -> list[Pass]:
-    """Return the passes that turn the forces into accelerations of the free nodes."""
+    """Return the passes that turn the forces into accelerations of nodes outside of blocks."""
     bars = structure.bars[structure.free_bars]
     found = [_free_bars(bars[:, 0], bars[:, 1], structure.bar_mass[structure.free_bars])]
     hinge, tip = structure.hinged_pairs.T
@@ -125,26 +146,57 @@ def _points(nodes: IntArray, mass: FloatArray) -> Pass:
     return Pass("points", len(nodes), accelerate, reads, writes, {"mass": _shared(mass)})
 
 
-def _motion(S: Any, columns: Columns) -> tuple[Any, Any]:
-    """Return length and rate; the rate is None where no velocities are read."""
-    length = kernel.pulling_length(S, columns["u"])
-    if "v_end" not in columns:
-        return length, None
-    return length, kernel.length_rate(S, columns["v_end"] - columns["v_start"], length)
+def _by_segments(structure: Structure) -> list[tuple[IntArray | None, IntArray]]:
+    """Return strings of as many segments each, None for all, and their nodes, one a column."""
+    if len(structure.strings) == 0:
+        return []
+    if not structure.has_clusters:
+        return [(None, structure.strings.T)]
+    sizes = np.array([len(path) for path in structure.paths])
+    groups = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
+    return [(each, np.array([structure.paths[i] for i in each]).T) for each in groups]
 
 
-def _ends(start: IntArray, end: IntArray, velocities: bool = True) -> dict[str, Read]:
+def _along(nodes: IntArray, velocities: bool = True) -> dict[str, Read]:
+    """Return the reads of the nodes that strings run over."""
     parts = "pv" if velocities else "p"
+    return {f"{part}_{k}": Read(part, at) for part in parts for k, at in enumerate(nodes)}
+
+
+def _segments(columns: Columns, part: str) -> list[Any]:
+    """Return the vectors of the segments, or their rates."""
+    count = sum(name.startswith(f"{part}_") for name in columns)
+    return [columns[f"{part}_{k + 1}"] - columns[f"{part}_{k}"] for k in range(count - 1)]
+
+
+def _motion(
+    structure: Structure, S: list[Any], columns: Columns
+) -> tuple[list[Any], Any, Any]:
+    """Return the lengths of segments, and length and rate of the strings.
+
+    The rate is None where no velocities are read.
+    """
+    if len(S) == 1:
+        each = [kernel.pulling_length(S[0], columns["u"])]
+    else:
+        each = [kernel.string_length(structure, part) for part in S]
+    rates = map(kernel.length_rate, S, _segments(columns, "v"), each)
+    first = next(rates, None)
+    return each, sum(each[1:], each[0]), None if first is None else sum(rates, first)
+
+
+def _ends(start: IntArray, end: IntArray) -> dict[str, Read]:
     return {
         f"{part}_{name}": Read(part, nodes)
-        for part in parts
+        for part in "pv"
         for name, nodes in (("start", start), ("end", end))
     }
 
 
-def _parameters(law: StringLaw | None) -> dict[str, float | FloatArray]:
+def _parameters(law: StringLaw | None, strings: IntArray | None) -> dict[str, float | FloatArray]:
     names = () if law is None else fields(law)
-    return {field.name: _shared(getattr(law, field.name)) for field in names}
+    some = slice(None) if strings is None else strings
+    return {field.name: _shared(getattr(law, field.name)[some]) for field in names}
 
 
 def _shared(values: FloatArray) -> float | FloatArray:
