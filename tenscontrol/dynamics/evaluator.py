@@ -98,7 +98,7 @@ def _drop(
 
     What it needs are its defaults: at the end of the process, names of modules are gone before it.
     """
-    if not mine():
+    if not mine() and hasattr(self, "this"):  # Ctrl-C while it is made leaves it without
         put(self.this)
         if lock.acquire(blocking=False):
             try:

@@ -139,11 +139,11 @@ def build_loads(document: Document, structure: Structure) -> tuple[object, Float
         said = f"in [loads], forces[{i}]"
         entry = Table(document, ("loads", "forces", i), f"[loads] forces[{i}]", values, FORCE)
         node = entry.index("node", count, "nodes", f"{said} is on node")
-        force = entry.need("force")
+        force = np.array(entry.need("force"), dtype=float)  # of whole numbers of any size too
         if node in seen:
             raise entry.error("node", f"{said} is on node {node} once more")
         if not np.isfinite(force).all():
-            raise entry.error("force", f"{said}.force is {force}, not finite")
+            raise entry.error("force", f"{said}.force is {force.tolist()}, not finite")
         seen.add(node)
         forces[:, node] = force
     return gravity, forces

@@ -115,6 +115,10 @@ class TestLock:
         with BUILDING, paused(), paused():
             assert elsewhere(lambda: store.get("b", lambda: 2)) == 2
 
+    def test_a_function_that_was_never_made_is_dropped_in_silence(self):
+        """Ctrl-C may end its making."""
+        ca.Function.__del__(ca.Function.__new__(ca.Function))
+
     def test_dropped_functions_are_freed_under_the_lock(self):
         _free()
         x = ca.SX.sym("x")

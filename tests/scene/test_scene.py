@@ -219,6 +219,14 @@ def test_disturbance_is_as_large_as_it_says(load):
     assert not np.array_equal(moved[0].nodes, moved[2].nodes)
 
 
+def test_a_force_may_be_a_whole_number_of_any_size(load):
+    scene = load(
+        PRISM.replace("17.3205", "{top=1,bottom=1,vertical=1}")
+        + "[[loads.forces]]\nnode = 0\nforce = [-1000000000000000000000, 0, 0.5]\n"
+    )
+    assert scene.model.constant_force[:, 0].tolist() == [-1e21, 0.0, 0.5]
+
+
 def test_forces_in_tables_of_their_own(load):
     scene = load(
         PRISM.replace("17.3205", "{top=1,bottom=1,vertical=1}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import signal
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, final
@@ -74,6 +75,9 @@ class OSQPSolver(QPSolver):
         rows, columns = A.shape
         self._status = {status.value: _STATUS[status.name] for status in osqp.SolverStatus}
         self._solver = osqp.OSQP()
+        # Python has no name for it; a library that hides it may lose a Ctrl-C in its last lines.
+        library = ctypes.PyDLL(self._solver.ext.__file__)
+        self._was_interrupted = getattr(library, "osqp_is_interrupted", int)
         self._solver.setup(
             P=csc_matrix(triu(P)),
             q=np.zeros(columns),
@@ -164,7 +168,8 @@ class OSQPSolver(QPSolver):
         result = self._solver.solve(raise_error=False)
         self._fresh, self._counted = False, 0.0
         status = self._status[result.info.status_val]
-        if status is Status.INTERRUPTED:  # OSQP took Ctrl-C to itself: it goes to whom it was for
+        # OSQP took Ctrl-C to itself, be it after its last iteration: it goes to whom it was for.
+        if status is Status.INTERRUPTED or self._was_interrupted():
             signal.raise_signal(signal.SIGINT)
         if status is not Status.OK:
             # What OSQP leaves in x then is not a solution, and may warm-start nothing.

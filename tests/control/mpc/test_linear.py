@@ -1,5 +1,9 @@
 """MPC: the program it solves, the commands it gives, and what it does when it cannot."""
 
+import ctypes
+import os
+import signal
+
 import numpy as np
 import pytest
 
@@ -370,6 +374,30 @@ def test_the_plan_lies_within_the_bounds(plant):
         mpc.command(0.0, pushed(plant, 0.08, seed), STILL)
         assert mpc.plan.min() >= 0.0
         assert mpc.plan.max() <= 40.0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_ctrl_c_after_the_last_iteration_is_not_lost(monkeypatch):
+    from scipy.sparse import csc_array
+
+    program = OSQPSolver(csc_array(np.eye(2)), csc_array(np.eye(2)), 1e-6, 4000)
+    solver, vector = program._solver, np.ones(2)
+    library, solve = ctypes.PyDLL(solver.ext.__file__), solver.solve
+    if not hasattr(library, "osqp_start_interrupt_listener"):
+        pytest.skip("the library of OSQP hides how it listens")
+
+    def interrupted(**options):
+        result = solve(**options)
+        library.osqp_start_interrupt_listener()
+        signal.raise_signal(signal.SIGINT)
+        library.osqp_end_interrupt_listener()
+        return result
+
+    monkeypatch.setattr(solver, "solve", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        program.solve(vector, -vector, vector)
+    monkeypatch.setattr(solver, "solve", solve)
+    assert program.solve(vector, -vector, vector).status is Status.OK
 
 
 def test_a_failed_solve_leaves_nothing_behind():
