@@ -101,7 +101,7 @@ def _independent_rows(rows: FloatArray) -> list[int]:
 
     R, order = qr(rows.T, mode="r", pivoting=True)
     sizes = np.abs(np.diagonal(R))
-    return np.sort(order[: np.count_nonzero(sizes > _RANK * sizes[0])]).tolist()
+    return sorted(order[: np.count_nonzero(sizes > _RANK * sizes[0])])
 
 
 def _rotation(turn: Any) -> Any:
