@@ -81,12 +81,15 @@ def _data(controller: Controller, law: LawCode, functions: list[ca.Function]) ->
         for what in ("arg", "res", "iw", "w")
     }
     change, check = controller.largest_change, controller.measurement_check
+    structure, d = controller.plant.model.structure, controller.plant.nodes.shape[0]
+    rolling = structure.fixed_rows[~np.isin(structure.fixed_rows // d, structure.fixed)]
     constants: dict[str, float | int] = {
-        "DIMENSION": controller.plant.nodes.shape[0],
+        "DIMENSION": d,
         "STATES": 2 * controller.plant.degrees_of_freedom,
         "HOLDS_PREVIOUS_INPUT": int(controller.input == "rest_length"),
         "BARS": check.bars.shape[1],
         "FIXED": len(check.fixed),
+        "ROLLERS": len(rolling),
         "FARTHEST": float(check.farthest),
         "SPREAD": float(check.spread),
         "FASTEST": float(check.fastest),
@@ -106,6 +109,8 @@ def _data(controller: Controller, law: LawCode, functions: list[ca.Function]) ->
         "longest_square": check.squares[1],
         "fixed_node": check.fixed,
         "place": check.places.ravel(order="F"),
+        "rolling": rolling,
+        "held_at": controller.plant.nodes.ravel(order="F")[rolling],
         **law.arrays,
     }
     if law.table is not None:

@@ -9,7 +9,6 @@ import numpy as np
 
 from tenscontrol.plant import LinearPlant
 from tenscontrol.structure import rigid_basis, rigid_motions
-from tenscontrol.validation import FloatArray
 
 # Sweeps of Jacobi's method. It converges quadratically: four give all digits of a 4 x 4 matrix,
 # and two more cost little.
@@ -21,6 +20,9 @@ _STEPS = 20
 
 # Motions as one body that move a support by less than this fraction of what they move leave it.
 _RANK = 1e-9
+
+# Shapes next to the operating point are aside by this part of the size.
+_ASIDE = 1e-3
 
 
 def measurement(plant: LinearPlant) -> ca.Function:
@@ -36,10 +38,11 @@ def measurement(plant: LinearPlant) -> ca.Function:
     positions, rates = ca.MX.sym("N", d * count), ca.MX.sym("V", d * count)
     N, V = (ca.reshape(part, d, count) for part in (positions, rates))
     is_internal = plant.coordinates.kind == "internal"
-    if is_internal and structure.rollers and rigid_basis(structure).shape[1]:
+    by_coordinate = len(structure.rollers) > 0 or len(structure.fixed) > 1
+    if is_internal and by_coordinate and rigid_basis(structure).shape[1]:
         both = _along_supports(plant).fold(_STEPS)(ca.horzcat(N, ca.MX(np.eye(d))))
         N, V = both[:, :count], ca.mtimes(both[:, count:], V)
-    elif is_internal and not structure.rollers and len(structure.fixed) < 2:
+    elif is_internal and not by_coordinate:
         mass = plant.model.mass_matrix().toarray()
         weights = mass.sum(axis=1) / mass.sum()
         if len(structure.fixed):
@@ -76,8 +79,7 @@ def _along_supports(plant: LinearPlant) -> ca.Function:
         field[i, :], field[j, :] = -arms[j, :], arms[i, :]
         fields.append(field)
     off = N - ca.DM(plant.nodes)
-    held = _independent_rows(rigid_motions(plant.nodes)[structure.fixed_rows])
-    held = structure.fixed_rows[held].tolist()
+    held = structure.fixed_rows[_independent_rows(plant)].tolist()
     moved = ca.horzcat(*(ca.vec(field) for field in fields))
     momenta = ca.horzcat(*(ca.vec(ca.mtimes(field, ca.DM(mass))) for field in fields))
     by_supports = moved[held, :]
@@ -95,13 +97,24 @@ def _along_supports(plant: LinearPlant) -> ca.Function:
     return ca.Function("along_supports", [both], [ca.densify(found)])
 
 
-def _independent_rows(rows: FloatArray) -> list[int]:
-    """Return rows, ascending, that determine all others."""
+def _independent_rows(plant: LinearPlant) -> list[int]:
+    """Return which held coordinates determine the others, or refuse where that depends on shape."""
     from scipy.linalg import qr
 
-    R, order = qr(rows.T, mode="r", pivoting=True)
-    sizes = np.abs(np.diagonal(R))
-    return np.sort(order[: np.count_nonzero(sizes > _RANK * sizes[0])]).tolist()
+    nodes, held = plant.nodes, plant.model.structure.fixed_rows
+    aside = _ASIDE * np.ptp(nodes, axis=1).max() * np.random.default_rng(0).normal(size=nodes.shape)
+    found = []
+    for shape in (nodes, nodes + aside):
+        R, order = qr(rigid_motions(shape)[held].T, mode="r", pivoting=True)
+        sizes = np.abs(np.diagonal(R))
+        found.append(sorted(order[: np.count_nonzero(sizes > _RANK * sizes[0])]))
+    if len(found[0]) < len(found[1]):
+        raise ValueError(
+            "controller is for a structure whose supports hold other motions as one body in its "
+            "operating point than in shapes next to it, so that its measurement cannot be written "
+            "as C code: move a roller, or fix another coordinate"
+        )
+    return found[0]
 
 
 def _rotation(turn: Any) -> Any:

@@ -100,8 +100,8 @@ class ShapeProblem:
         It is zero where those keep their lengths, but in a mirror image of a part of the bars.
         """
         structure = self.model.structure
-        free = np.flatnonzero(is_movable(structure, structure.bars))
-        return self._stretch(free[~self._bars.any(axis=1)[free]])
+        chosen = self._bars.sum(axis=1) > 0
+        return self._stretch(np.flatnonzero(is_movable(structure, structure.bars) & ~chosen))
 
     def _stretch(self, bars: IntArray) -> Any:
         """Return half the excess of squared lengths, in units of the size, one a row."""

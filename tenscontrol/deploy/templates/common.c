@@ -133,6 +133,9 @@ static int fault_of(double time, const double *nodes, const double *velocities)
         if (!(sqrt(squared_distance(nodes + DIMENSION * fixed_node[i], place + DIMENSION * i)) <=
               SUPPORT_DISTANCE))
             return CONTROLLER_NOT_PLAUSIBLE;
+    for (i = 0; i < ROLLERS; i++)
+        if (!(fabs(nodes[rolling[i]] - held_at[i]) <= SUPPORT_DISTANCE))
+            return CONTROLLER_NOT_PLAUSIBLE;
     return CONTROLLER_OK;
 }
 
