@@ -24,8 +24,9 @@ from tenscontrol.structure import (
 )
 from tenscontrol.validation import FloatArray, instance, non_negative, per_member, positive, shaped
 
-# Newton steps that polish the answer of the optimizer; each doubles the digits.
-_POLISH = 10
+# Newton steps that polish the answer of the optimizer, each of which doubles the digits, and how
+# many of them may bring nothing.
+_POLISH, _WORSE = 20, 3
 
 # Unstable equilibria to leave before giving up.
 _ESCAPES = 5
@@ -247,9 +248,13 @@ def _minimize(
     newton = ca.Function("newton", [unknowns], [conditions, ca.jacobian(conditions, unknowns)])
     place = free_coordinates(structure, start)
     size = float(np.ptp(structure.nodes, axis=1).max())
-    flat_below = _EXACT * float(strained.max(initial=0.0)) / size
+    stiffness = float(strained.max(initial=0.0)) / (_STRAIN * size)
+    flat_below = _EXACT * stiffness
     for _ in range(_ESCAPES):
-        point = _polished(newton, _optimized(solver, place, strained), len(rows), size)
+        point, trouble = _optimized(solver, place, strained)
+        point, off = _polished(newton, point, len(rows), size, stiffness)
+        if trouble and off > _EXACT * size:
+            raise ValueError(trouble)
         place, downhill = point[: len(rows)], _downhill(newton, point, len(rows), flat_below)
         if downhill is None:
             found = structure.nodes.ravel(order="F").copy()
@@ -269,15 +274,21 @@ def _string_energies(model: Model, kind: str, nodes: kernel.Symbolic, held: Floa
     if kind == "force_density" and not structure.has_clusters:
         S = kernel.differences(nodes, structure.strings)
         return kernel.dots(S, S).T * ca.DM(held) / 2
-    length = kernel.string_lengths(structure, nodes).T
+    if not structure.has_clusters:
+        S = kernel.differences(nodes, structure.strings)
+        length = kernel.pulling_length(S, ca.DM(held).T).T
+    else:
+        length = kernel.string_lengths(structure, nodes).T
     if kind == "force_density":
         return length**2 * ca.DM(held) / 2
     assert model.strings is not None  # refused before
     return model.strings.as_expressions().stored_energy(length, ca.DM(held))
 
 
-def _optimized(solver: ca.Function, place: FloatArray, strained: FloatArray) -> FloatArray:
-    """Return positions and multipliers from the optimizer, or say what it ended with.
+def _optimized(
+    solver: ca.Function, place: FloatArray, strained: FloatArray
+) -> tuple[FloatArray, str]:
+    """Return positions and multipliers from the optimizer, and what it says if it did not end.
 
     Where it does not end, strings that are stiffer than the softest are made so step by step.
     """
@@ -291,38 +302,44 @@ def _optimized(solver: ca.Function, place: FloatArray, strained: FloatArray) -> 
         with solving():
             answer = solver(x0=place, p=each, lbg=0.0, ubg=0.0)
         status = solver.stats()
-        done = bool(status["success"])
-        found = np.array(answer["x"]).ravel()
-        if done and each is weights[0]:
-            return np.concatenate([found, np.array(answer["lam_g"]).ravel()])
-        place = found if done else place
-    raise ValueError(
+        found = [np.array(answer[part]).ravel() for part in ("x", "lam_g")]
+        if status["success"] and each is weights[0]:
+            return np.concatenate(found), ""
+        place = found[0] if status["success"] else place
+    return np.concatenate(found), (
         f"no equilibrium found: the optimizer ended with {status['return_status']!r} after "
         f"{status['iter_count']} iterations. {_HINT}, or check that strings and supports can carry "
         "the load"
     )
 
 
-def _polished(newton: ca.Function, point: FloatArray, count: int, size: float) -> FloatArray:
-    """Return the point after Newton steps on the conditions of optimality."""
-    for scaled in (False, True):
-        for _ in range(_POLISH):
-            residual, jacobian = (np.array(part.full()) for part in newton(point))
-            rows, columns = np.ones((2, len(point)))
-            if scaled:
-                rows[:count] = columns[count:] = np.abs(jacobian[:count, :count]).max() or 1.0
-            # Least squares: motions as one body that nothing holds leave a null space.
-            system = jacobian / rows[:, None] * columns
-            if not (np.isfinite(system).all() and np.isfinite(residual).all()):
-                raise ValueError("no equilibrium found: forces are beyond all numbers")
-            change = columns * np.linalg.lstsq(system, -residual.ravel() / rows, rcond=1e-12)[0]
-            point = point + change
-            if np.abs(change).max() < 1e-14 * np.abs(point).max():
-                break
-        # Beside very stiff strings the lengths of bars are lost, unless forces are in their unit.
-        if np.abs(np.array(newton(point)[0].full())[count:]).max(initial=0.0) < _EXACT * size**2:
+def _polished(
+    newton: ca.Function, point: FloatArray, count: int, size: float, stiffness: float
+) -> tuple[FloatArray, float]:
+    """Return the best point of Newton's steps on the conditions of optimality, and how far off, m.
+
+    Forces are judged in units of the stiffness of strings, N/m: where all are slack nothing else is
+    there, and beside very stiff ones the lengths of bars would be lost.
+    """
+    best, least, worse = point, np.inf, 0
+    for _ in range(_POLISH):
+        residual, jacobian = (np.array(part.full()) for part in newton(point))
+        unit = max(stiffness, float(np.abs(jacobian[:count, :count]).max(initial=0.0))) or 1.0
+        rows = np.concatenate([np.full(count, unit), np.full(len(point) - count, size)])
+        columns = np.concatenate([np.ones(count), np.full(len(point) - count, unit / size)])
+        off = residual.ravel() / rows
+        # Least squares: motions as one body that nothing holds leave a null space.
+        system = jacobian / rows[:, None] * columns
+        if not (np.isfinite(system).all() and np.isfinite(off).all()):
+            raise ValueError("no equilibrium found: forces are beyond all numbers")
+        largest = float(np.abs(off).max(initial=0.0))
+        worse = 0 if largest < least else worse + 1
+        if largest < least:
+            best, least = point, largest
+        if worse == _WORSE or largest == 0:
             break
-    return point
+        point = point - columns * np.linalg.lstsq(system, off, rcond=_EXACT)[0]
+    return best, least
 
 
 def _downhill(newton: ca.Function, point: FloatArray, count: int, flat: float) -> FloatArray | None:
