@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Model, builds, kernel, solving
 from tenscontrol.plant.linear_plant import INPUTS
-from tenscontrol.statics import Prestress, balanced, member_forces
+from tenscontrol.statics import Prestress, balanced, listed, member_forces
 from tenscontrol.structure import (
+    Structure,
+    bar_distances,
+    crossing,
     free_coordinates,
     refuse_load_without_support,
     refuse_moved_supports,
@@ -19,8 +24,9 @@ from tenscontrol.structure import (
 )
 from tenscontrol.validation import FloatArray, instance, non_negative, per_member, positive, shaped
 
-# Newton steps that polish the answer of the optimizer; each doubles the digits.
-_POLISH = 10
+# Newton steps that polish the answer of the optimizer, each of which doubles the digits, and how
+# many of them may bring nothing.
+_POLISH, _WORSE = 20, 3
 
 # Unstable equilibria to leave before giving up.
 _ESCAPES = 5
@@ -29,8 +35,13 @@ _ESCAPES = 5
 # slack there are no others. Lengths, and forces where all are slack, are exact to this.
 _STRAIN, _EXACT = 1e-3, 1e-12
 
+# Iterations of the optimizer at most, and shapes that are looked at on the way from the start.
+_ITERATIONS, _WAY = 500, 40
+
 # Curvature of the energy below this fraction of the stiffest string's is none.
 _FLAT = 1e-9
+
+_HINT = "Start from other nodes"
 
 
 def equilibrium(
@@ -96,9 +107,11 @@ def equilibrium(
     if (rest_length is None) == (force_density is None):
         found = "neither" if rest_length is None else "both"
         raise ValueError(f"expected one of rest_length and force_density, found {found}")
-    start = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
-    refuse_moved_supports("nodes", structure, start)
-    start = restore_bar_lengths(structure, start)
+    start, called = structure.nodes, "the structure"
+    if nodes is not None:
+        start, called = structure.checked_nodes("nodes", nodes), "nodes"
+        refuse_moved_supports("nodes", structure, start)
+        start = restore_bar_lengths(structure, start)
     load = model.constant_force
     if external_force is not None:
         if not model.has_external_force:
@@ -109,20 +122,89 @@ def equilibrium(
         shape = structure.nodes.shape
         load = load + shaped("external_force", external_force, shape, "one force per node")
     held, kind = held_value(model, rest_length, force_density), INPUTS[rest_length is not None]
+    law = model.strings
     if kind == "rest_length":
-        refuse_strings_without_length("nodes", structure, start)
+        refuse_strings_without_length(called, structure, start)
+        if law is None:
+            raise ValueError(
+                "the model has no string law, so rest lengths mean nothing to it; "
+                "build it as Model(structure, strings=LinearStrings(stiffness=...))"
+            )
     refuse_load_without_support(structure, load)
-    found_nodes, stiffness = _minimize(model, kind, held, load, start)
-    settled = replace(structure, nodes=restore_bar_lengths(structure, found_nodes))
-    strained = _STRAIN * stiffness * float(np.ptp(start, axis=1).max())
-    if kind == "rest_length":
-        assert model.strings is not None  # the energy needed it
-        held = model.strings.force_density(settled.string_length(), held)
-        if (held * settled.string_length()).max(initial=0.0) <= _EXACT * strained:
-            held = np.zeros_like(held)  # as slack as round-off lets them be
+    strained = _strained(model, kind, held)
+    settled = _settled(structure, _minimize(model, kind, held, load, start, strained))
+    least = float(strained.max(initial=0.0))
+    gamma = held
+    if law is not None and kind == "rest_length":
+        length = np.maximum(settled.string_length(), _EXACT * held)
+        gamma = law.force_density(length, held)
+        gamma = np.where(gamma * length > _EXACT * least, gamma, 0.0)  # slack but for round-off
     what = f"no equilibrium found with this {kind}"
     forces = member_forces(settled, free_coordinates(settled, load))
-    return balanced(settled, forces, held, load, what, "Start from other nodes", strained)
+    rest = balanced(settled, forces, gamma, load, what, _HINT, least)
+    if kind == "rest_length":
+        _warn_of_slack(rest)
+    _warn_of_crossing(structure, start, settled.nodes)
+    return rest
+
+
+def _strained(model: Model, kind: str, held: FloatArray) -> FloatArray:
+    """Return the tensions of the strings at a small strain, N, shape (α,)."""
+    if kind == "force_density":
+        return _STRAIN * held * float(np.ptp(model.structure.nodes, axis=1).max())
+    if model.strings is None or len(held) == 0:
+        return np.zeros(len(held))
+    length = (1 + _STRAIN) * held
+    return model.strings.force_density(length, held) * length
+
+
+def _settled(structure: Structure, nodes: FloatArray) -> Structure:
+    """Return the structure in the shape found, with its bars at their lengths."""
+    try:
+        return replace(structure, nodes=restore_bar_lengths(structure, nodes))
+    except ValueError as error:
+        raise ValueError(
+            f"no equilibrium found: the shape that the optimizer ended with cannot be. {error}. "
+            f"{_HINT}"
+        ) from None
+
+
+def _warn_of_slack(rest: Prestress) -> None:
+    slack = rest.slack_strings
+    if len(slack) == 0:
+        return
+    which = "all strings" if len(slack) == len(rest.force_density) else f"strings {listed(slack)}"
+    warnings.warn(
+        f"in the equilibrium found, {which} are slack; shorter rest lengths would tighten them",
+        UserWarning,
+        stacklevel=3,
+    )
+
+
+def _warn_of_crossing(structure: Structure, start: FloatArray, end: FloatArray) -> None:
+    """Warn if bars pass through one another on the straight way between two shapes."""
+    if len(structure.bars) < 2 or structure.dimension == 2:
+        return
+    if len(structure.fixed_rows) == 0:  # turned back to where it was
+        middle = start.mean(axis=1, keepdims=True)
+        there = end - end.mean(axis=1, keepdims=True)
+        U, _, Vt = np.linalg.svd(there @ (start - middle).T)
+        mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))])
+        end = Vt.T @ mirror @ U.T @ there + middle
+    before = bar_distances(structure, start)
+    for step in np.linspace(0, 1, _WAY)[1:]:
+        after = bar_distances(structure, start + step * (end - start))
+        pair = crossing(before, after)
+        if pair is not None:
+            warnings.warn(
+                f"bars {pair[0]} and {pair[1]} pass through each other on the way from the shape "
+                "at the start to the equilibrium found: a real structure does not get there like "
+                "this. Start from nodes on the other side, if that is not meant",
+                UserWarning,
+                stacklevel=3,
+            )
+            return
+        before = after
 
 
 def held_value(model: Model, rest_length: object, force_density: object) -> FloatArray:
@@ -137,81 +219,130 @@ def held_value(model: Model, rest_length: object, force_density: object) -> Floa
 
 @builds
 def _minimize(
-    model: Model, kind: str, held: FloatArray, load: FloatArray, start: FloatArray
-) -> tuple[FloatArray, float]:
-    """Return the nodes of least energy with these bar lengths, and the largest stiffness, N/m."""
-    structure = model.structure
-    free = structure.free
-    N = ca.SX.sym("N", 3, len(free))
-    x = ca.vertcat(ca.vec(N), ca.DM.zeros(N.numel()))
-    stored = model.potential_energy if kind == "force_density" else model.elastic_energy
-    energy = stored(x, held) - ca.sum1(ca.sum2(N * ca.DM(load[:, free])))
-    moving = np.concatenate([structure.free_bars, structure.swinging_bars])
-    nodes = kernel.all_nodes(structure, N, structure.nodes)
+    model: Model, kind: str, held: FloatArray, load: FloatArray, start: FloatArray,
+    strained: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Return the nodes of least energy with these bar lengths."""
+    structure, rows = model.structure, model.structure.free_rows
+    q, weights = ca.SX.sym("q", len(rows)), ca.SX.sym("weights", len(held))
+    flat = ca.SX(ca.DM(structure.nodes.ravel(order="F")))
+    flat[rows.tolist()] = q
+    nodes = ca.reshape(flat, *structure.nodes.shape)
+    energies = _string_energies(model, kind, nodes, held)
+    energy = ca.dot(weights, energies) - ca.dot(free_coordinates(structure, load), q)
+    moving = np.concatenate(
+        [structure.free_bars, structure.swinging_bars, *(b.independent for b in structure.blocks)]
+    )
     B = kernel.differences(nodes, structure.bars[moving])
     stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[moving] ** 2)) / 2
-    problem = {"x": ca.vec(N), "f": energy, "g": stretch}
-    quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10}}
+    problem = {"x": q, "p": weights, "f": energy, "g": stretch}
+    quiet = {
+        "print_time": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "max_iter": _ITERATIONS},
+    }
     solver = ca.nlpsol("equilibrium", "ipopt", problem, quiet)
     lam = ca.SX.sym("lambda", stretch.numel())
-    conditions = ca.vertcat(ca.gradient(energy + ca.dot(lam, stretch), ca.vec(N)), stretch)
-    unknowns = ca.vertcat(ca.vec(N), lam)
+    energy = ca.substitute(energy, weights, ca.DM.ones(len(held)))
+    conditions = ca.vertcat(ca.gradient(energy + ca.dot(lam, stretch), q), stretch)
+    unknowns = ca.vertcat(q, lam)
     newton = ca.Function("newton", [unknowns], [conditions, ca.jacobian(conditions, unknowns)])
-    place = start[:, free].ravel(order="F")
+    place = free_coordinates(structure, start)
     size = float(np.ptp(structure.nodes, axis=1).max())
+    stiffness = float(strained.max(initial=0.0)) / (_STRAIN * size)
+    flat_below = _EXACT * stiffness
     for _ in range(_ESCAPES):
-        point = _polished(newton, _optimized(solver, place), N.numel(), size)
-        place, downhill = point[: N.numel()], _downhill(newton, point, N.numel())
+        point, trouble = _optimized(solver, place, strained)
+        point, off = _polished(newton, point, len(rows), size, stiffness)
+        if trouble and off > _EXACT * size:
+            raise ValueError(trouble)
+        place, downhill = point[: len(rows)], _downhill(newton, point, len(rows), flat_below)
         if downhill is None:
-            nodes = structure.nodes.copy()
-            nodes[:, free] = place.reshape(3, -1, order="F")
-            stiffness = np.array(newton(point)[1].full())[: N.numel(), : N.numel()]
-            return nodes, float(np.abs(stiffness).max(initial=0.0))
+            found = structure.nodes.ravel(order="F").copy()
+            found[rows] = place
+            return np.asarray(found.reshape(structure.nodes.shape, order="F"))
         # An unstable equilibrium, such as a pendulum upside down: pushed off, it falls.
         place = place + 0.01 * size * downhill
     raise ValueError(
         "no stable equilibrium found: the shape comes to rest only where a small push makes it "
-        "fall. Start from other nodes"
+        f"fall. {_HINT}"
     )
 
 
-def _optimized(solver: ca.Function, place: FloatArray) -> FloatArray:
-    """Return positions and multipliers from the optimizer, or say what it ended with."""
-    with solving():
-        answer = solver(x0=place, lbg=0.0, ubg=0.0)
-    status = solver.stats()
-    if not status["success"]:
-        raise ValueError(
-            f"no equilibrium found: the optimizer ended with {status['return_status']!r} after "
-            f"{status['iter_count']} iterations. Start from other nodes, or check that strings "
-            "and supports can carry the load"
-        )
-    return np.concatenate([np.array(answer[part]).ravel() for part in ("x", "lam_g")])
+def _string_energies(model: Model, kind: str, nodes: kernel.Symbolic, held: FloatArray) -> Any:
+    """Return what each string stores, J, shape (α, 1)."""
+    structure = model.structure
+    if kind == "force_density" and not structure.has_clusters:
+        S = kernel.differences(nodes, structure.strings)
+        return kernel.dots(S, S).T * ca.DM(held) / 2
+    if not structure.has_clusters:
+        S = kernel.differences(nodes, structure.strings)
+        length = kernel.pulling_length(S, ca.DM(held).T).T
+    else:
+        length = kernel.string_lengths(structure, nodes).T
+    if kind == "force_density":
+        return length**2 * ca.DM(held) / 2
+    assert model.strings is not None  # refused before
+    return model.strings.as_expressions().stored_energy(length, ca.DM(held))
 
 
-def _polished(newton: ca.Function, point: FloatArray, count: int, size: float) -> FloatArray:
-    """Return the point after Newton steps on the conditions of optimality."""
-    for scaled in (False, True):
-        for _ in range(_POLISH):
-            residual, jacobian = (np.array(part.full()) for part in newton(point))
-            rows, columns = np.ones((2, len(point)))
-            if scaled:
-                rows[:count] = columns[count:] = np.abs(jacobian[:count, :count]).max() or 1.0
-            # Least squares: motions as one body that nothing holds leave a null space.
-            system = jacobian / rows[:, None] * columns
-            if not (np.isfinite(system).all() and np.isfinite(residual).all()):
-                raise ValueError("no equilibrium found: forces are beyond all numbers")
-            change = columns * np.linalg.lstsq(system, -residual.ravel() / rows, rcond=1e-12)[0]
-            point = point + change
-            if np.abs(change).max() < 1e-14 * np.abs(point).max():
-                break
-        # Beside very stiff strings the lengths of bars are lost, unless forces are in their unit.
-        if np.abs(np.array(newton(point)[0].full())[count:]).max(initial=0.0) < _EXACT * size**2:
+def _optimized(
+    solver: ca.Function, place: FloatArray, strained: FloatArray
+) -> tuple[FloatArray, str]:
+    """Return positions and multipliers from the optimizer, and what it says if it did not end.
+
+    Where it does not end, strings that are stiffer than the softest are made so step by step.
+    """
+    ratio = strained / strained[strained > 0].min(initial=np.inf)
+    decades = np.log10(ratio.max(initial=1.0))
+    weights = [np.ones(len(ratio))]
+    for most in 10.0 ** np.arange(0, decades):
+        weights.append(most / np.maximum(ratio, most))
+    weights += weights[:1] if len(weights) > 1 else []
+    for each in weights:
+        with solving():
+            answer = solver(x0=place, p=each, lbg=0.0, ubg=0.0)
+        status = solver.stats()
+        found = [np.array(answer[part]).ravel() for part in ("x", "lam_g")]
+        if status["success"] and each is weights[0]:
+            return np.concatenate(found), ""
+        place = found[0] if status["success"] else place
+    return np.concatenate(found), (
+        f"no equilibrium found: the optimizer ended with {status['return_status']!r} after "
+        f"{status['iter_count']} iterations. {_HINT}, or check that strings and supports can carry "
+        "the load"
+    )
+
+
+def _polished(
+    newton: ca.Function, point: FloatArray, count: int, size: float, stiffness: float
+) -> tuple[FloatArray, float]:
+    """Return the best point of Newton's steps on the conditions of optimality, and how far off, m.
+
+    Forces are judged in units of the stiffness of strings, N/m: where all are slack nothing else is
+    there, and beside very stiff ones the lengths of bars would be lost.
+    """
+    best, least, worse = point, np.inf, 0
+    for _ in range(_POLISH):
+        residual, jacobian = (np.array(part.full()) for part in newton(point))
+        unit = max(stiffness, float(np.abs(jacobian[:count, :count]).max(initial=0.0))) or 1.0
+        rows = np.concatenate([np.full(count, unit), np.full(len(point) - count, size)])
+        columns = np.concatenate([np.ones(count), np.full(len(point) - count, unit / size)])
+        off = residual.ravel() / rows
+        # Least squares: motions as one body that nothing holds leave a null space.
+        system = jacobian / rows[:, None] * columns
+        if not (np.isfinite(system).all() and np.isfinite(off).all()):
+            raise ValueError("no equilibrium found: forces are beyond all numbers")
+        largest = float(np.abs(off).max(initial=0.0))
+        worse = 0 if largest < least else worse + 1
+        if largest < least:
+            best, least = point, largest
+        if worse == _WORSE or largest == 0:
             break
-    return point
+        point = point - columns * np.linalg.lstsq(system, off, rcond=_EXACT)[0]
+    return best, least
 
 
-def _downhill(newton: ca.Function, point: FloatArray, count: int) -> FloatArray | None:
+def _downhill(newton: ca.Function, point: FloatArray, count: int, flat: float) -> FloatArray | None:
     """Return a direction in which the energy falls with bar lengths kept, or None."""
     from scipy.linalg import null_space
 
@@ -221,6 +352,6 @@ def _downhill(newton: ca.Function, point: FloatArray, count: int) -> FloatArray 
     if free.shape[1] == 0:
         return None
     values, vectors = np.linalg.eigh(free.T @ hessian @ free)
-    if values[0] >= -_FLAT * np.abs(hessian).max():
+    if values[0] >= -max(flat, _FLAT * np.abs(hessian).max()):
         return None
     return np.asarray(free @ vectors[:, 0])

@@ -2,7 +2,13 @@
 
 from tenscontrol.statics.equilibrium_matrix import equilibrium_matrix, member_forces, null_space
 from tenscontrol.statics.least_distance import least_distance
-from tenscontrol.statics.prestress import Prestress, balanced, prestress, prism_force_density
+from tenscontrol.statics.prestress import (
+    Prestress,
+    balanced,
+    listed,
+    prestress,
+    prism_force_density,
+)
 from tenscontrol.statics.stability import Stability, TangentStiffness, stress_matrix
 
 __all__ = [
@@ -12,6 +18,7 @@ __all__ = [
     "balanced",
     "equilibrium_matrix",
     "least_distance",
+    "listed",
     "member_forces",
     "null_space",
     "prestress",

@@ -468,7 +468,7 @@ def _infeasible(
     what = "external_force with" if loaded else "the structure with"
     if not loaded and len(stuck):
         return (
-            f"strings {_listed(stuck)} cannot be taut while no other is in compression: in this "
+            f"strings {listed(stuck)} cannot be taut while no other is in compression: in this "
             "shape no state of self-stress with γ ≥ 0 has them taut. Change the shape or the "
             "strings, or give 0 for them in min_force_density, an array"
         )
@@ -480,7 +480,7 @@ def _infeasible(
             + (level if np.isfinite(share) and low.any() else "")
         )
     slack = strings[~can] if can is not None else strings
-    which = f" (strings {_listed(slack)} cannot be taut)" if len(slack) else ""
+    which = f" (strings {listed(slack)} cannot be taut)" if len(slack) else ""
     return (
         f"no force densities γ ≥ 0 balance {what} the reference strings at the wanted level, "
         f"within the bounds: each of the {states.shape[1]} states of self-stress needs a string in "
@@ -489,7 +489,7 @@ def _infeasible(
     )
 
 
-def _listed(members: IntArray) -> str:
+def listed(members: IntArray) -> str:
     """Return indices as text, the first ten."""
     more = f" and {len(members) - 10} more" if len(members) > 10 else ""
     return ", ".join(map(str, members[:10].tolist())) + more

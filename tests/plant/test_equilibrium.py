@@ -130,7 +130,8 @@ def test_a_pendulum_set_upside_down_is_found_hanging():
         [[0, 0, 0.5], [0, 0, 0], [0, 1.0, -1.0]], [[0, 1]], [[1, 2]], 1.0, fixed=[0, 2]
     )
     model = tc.Model(structure, strings=tc.LinearStrings(1.0), gravity=GRAVITY)
-    rest = tc.equilibrium(model, rest_length=3.0)
+    with pytest.warns(UserWarning, match="all strings are slack"):
+        rest = tc.equilibrium(model, rest_length=3.0)
     np.testing.assert_allclose(rest.structure.nodes[:, 1], [0, 0, -1], atol=1e-9)
 
 
@@ -161,6 +162,7 @@ def test_heavy_strings_under_gravity_are_commanded_as_wholes():
 
 
 # All strings slack; soft beside stiff ones, where forces or lengths of bars were lost.
+@pytest.mark.filterwarnings("ignore:.* are slack", "ignore:.* pass through each other")
 @pytest.mark.parametrize("seed", [3, 12, 16, 17, 25, 66, 90])
 def test_random_structures_come_to_rest(seed):
     case = random_rest(seed)
