@@ -218,10 +218,22 @@ class SaddlePoint:
         self._back = np.argsort(block.order).tolist()
         self._factors = ca.ldl(matrix[self._order, self._order], False)
 
-    def solve(self, upper: Symbolic, lower: Symbolic) -> Symbolic:
-        """Return ``[a; −λ]`` of the right-hand sides of the two equations, columns."""
+    @property
+    def values(self) -> Symbolic:
+        """The entries of the factors, one column: what is computed once for several solutions."""
+        return ca.vertcat(*(factor.nz[:] for factor in self._factors[:2]))
+
+    def solve(self, upper: Symbolic, lower: Symbolic, values: Symbolic | None = None) -> Symbolic:
+        """Return ``[a; −λ]`` of the right-hand sides of the two equations, columns.
+
+        With factors of other entries, if :attr:`values` of them are given.
+        """
+        D, LT, permutation = self._factors
+        if values is not None:
+            parts = ca.vertsplit(values, [0, D.nnz(), D.nnz() + LT.nnz()])
+            D, LT = (ca.SX(old.sparsity(), new) for old, new in zip((D, LT), parts, strict=True))
         right = ca.vertcat(upper, lower)[self._order]
-        return ca.ldl_solve(right, *self._factors)[self._back]
+        return ca.ldl_solve(right, D, LT, permutation)[self._back]
 
 
 def _least_norm(structure: Structure, block: Block, N: Symbolic, lam: Symbolic) -> Symbolic:
