@@ -83,12 +83,17 @@ def scale_columns(columns: Symbolic, factors: Symbolic) -> Symbolic:
 
 def node_forces(structure: Structure, N: Symbolic, gamma: Symbolic, W: Symbolic | None) -> Symbolic:
     """Return F = W − N C_sᵀ γ̂ C_s, shape (d, n), N (eq. 2). Without load W is None."""
-    n = N.shape[1]
     if len(structure.strings) == 0:
         return type(N)(*N.shape) if W is None else W
     S = differences(N, structure.segments)
-    pull = string_pull(S, segment_force_density(structure, S, gamma.T))
-    F = ca.mtimes(pull, _gather(structure.segments, n))
+    return segment_forces(structure, S, segment_force_density(structure, S, gamma.T), W)
+
+
+def segment_forces(
+    structure: Structure, S: Symbolic, gamma: Symbolic, W: Symbolic | None
+) -> Symbolic:
+    """Return F, shape (d, n), N, from the vectors and γ of segments, shape (1, s), and the load."""
+    F = ca.mtimes(string_pull(S, gamma), _gather(structure.segments, structure.nodes.shape[1]))
     return F if W is None else W + F
 
 
