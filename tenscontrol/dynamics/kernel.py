@@ -112,12 +112,17 @@ def scale_columns(columns: Symbolic, factors: Symbolic) -> Symbolic:
 
 def node_forces(structure: Structure, N: Symbolic, gamma: Symbolic, W: Symbolic | None) -> Symbolic:
     """Return F = W − N C_sᵀ γ̂ C_s, shape (d, n), N (eq. 2). Without load W is None."""
-    n = N.shape[1]
     if len(structure.strings) == 0:
         return type(N)(*N.shape) if W is None else W
     S = differences(N, structure.segments)
-    pull = string_pull(S, segment_force_density(structure, S, gamma.T))
-    F = ca.mtimes(pull, _gather(structure.segments, n))
+    return segment_forces(structure, S, segment_force_density(structure, S, gamma.T), W)
+
+
+def segment_forces(
+    structure: Structure, S: Symbolic, gamma: Symbolic, W: Symbolic | None
+) -> Symbolic:
+    """Return F, shape (d, n), N, from the vectors and γ of segments, shape (1, s), and the load."""
+    F = ca.mtimes(string_pull(S, gamma), _gather(structure.segments, structure.nodes.shape[1]))
     return F if W is None else W + F
 
 
@@ -283,16 +288,28 @@ class SaddlePoint:
             matrix = ca.blockcat([[M, J.T], [J, type(J)(J.shape[0], J.shape[0])]])
             self._factors = ca.ldl(matrix[self._order, self._order], False)
 
-    def solve(self, upper: Symbolic, lower: Symbolic) -> Symbolic:
-        """Return ``[a; −λ]`` of the right-hand sides of the two equations, columns."""
+    @property
+    def values(self) -> Symbolic:
+        """The entries of the factors in SX, one column: computed once for several solutions."""
+        return ca.vertcat(*(factor.nz[:] for factor in self._factors[:2]))
+
+    def solve(self, upper: Symbolic, lower: Symbolic, values: Symbolic | None = None) -> Symbolic:
+        """Return ``[a; −λ]`` of the right-hand sides of the two equations, columns.
+
+        With factors of other entries, if :attr:`values` of them are given, in SX.
+        """
         if isinstance(upper, ca.MX):
             right = ca.vertcat(upper, lower + ca.mtimes(self._turn, upper))
             found = ca.solve(self._matrix, right, "ldl")
             rows = upper.shape[0]
             below = found[rows:, :]
             return ca.vertcat(found[:rows, :] + ca.mtimes(self._turn.T, below), below)
+        D, LT, permutation = self._factors
+        if values is not None:
+            parts = ca.vertsplit(values, [0, D.nnz(), D.nnz() + LT.nnz()])
+            D, LT = (ca.SX(old.sparsity(), new) for old, new in zip((D, LT), parts, strict=True))
         right = ca.vertcat(upper, lower)[self._order, :]
-        return ca.ldl_solve(right, *self._factors)[self._back, :]
+        return ca.ldl_solve(right, D, LT, permutation)[self._back, :]
 
 
 def _least_norm(

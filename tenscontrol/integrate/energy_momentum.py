@@ -10,7 +10,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator, kernel
+from tenscontrol.dynamics import Equation, Evaluator, StringLaw, kernel
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -22,8 +22,10 @@ from tenscontrol.integrate.integrator import (
     next_size,
     where_needed,
 )
+from tenscontrol.integrate.multipliers import Coupled, cross
 from tenscontrol.integrate.projection import Bodies
 from tenscontrol.interrupt import check
+from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, positive_number
 
 # Tried steps per call into CasADi: those not needed cost next to nothing.
@@ -56,7 +58,8 @@ class EnergyMomentum(Integrator):
     - bars keep their lengths, and their ends do not move apart.
 
     The first two hold to round-off, as far as Newton's iteration converges;
-    the third by construction. A step never ends at a switch: there is no need.
+    the third by construction, of bars that share nodes to round-off too. A step never ends at a
+    switch: there is no need.
 
     Give ``step`` or ``tolerance``. By tolerance each step is done as two halves and as a whole,
     and the difference of the positions, which is three times the error, chooses the step.
@@ -281,11 +284,12 @@ def _tried_step(equation: Equation, size: float, adaptive: bool) -> ca.Function:
 
 @dataclass(frozen=True, eq=False)
 class StepEquations:
-    """The equations of a step of length h from x, in the mean velocities y over the step.
+    """The equations of a step of length h from x, in unknowns y, all m/s.
 
-    y holds, 3 entries each: the mean velocities of the centres of free bars,
-    the mean angular velocities of free bars and of bars that swing, times the
-    bar length, and the mean velocities of string nodes, all m/s.
+    y holds the mean velocities over the step of the centres of free bars, the mean angular
+    velocities of free bars and of bars that swing, times the bar length, and the mean velocities of
+    string nodes. Where bars share nodes, there follow of their blocks the displacement by h, the
+    mean velocities, and two multipliers for each bar, by which its length and its rate are held.
     """
 
     system: ca.Function  # (y, x, u, h) -> (residual, jacobian), kg m/s and kg; jacobian sparse
@@ -296,81 +300,182 @@ class StepEquations:
 def step_equations(equation: Equation) -> StepEquations:
     """Return the equations of a step.
 
-    Bars turn by the Cayley map of the mean angular velocity, which keeps the length whatever that
-    velocity is.
+    Bars on their own turn by the Cayley map of the mean angular velocity, which keeps the length
+    whatever that velocity is. Bars that share nodes are held by multipliers, see :class:`_Held`.
     """
     structure = equation.structure
     assert structure is not None  # checked by the integrator
     bodies = Bodies(structure)
+    blocks = _Held(structure) if structure.blocks else None
     bars, turning = len(structure.free_bars), bodies.length.numel()
-    count = bodies.point_mass.numel() + turning
+    d, normal = structure.dimension, 3 if structure.dimension == 3 else 1
+    points = bodies.point_mass.numel()
+    count = d * points + normal * turning
+    others = 0 if blocks is None else blocks.count
     x, u, h = ca.SX.sym("x", equation.states), ca.SX.sym("u", equation.inputs), ca.SX.sym("h")
-    y = ca.SX.sym("y", 3 * count)
+    y = ca.SX.sym("y", count + others)
     scale = kernel.scale_columns
 
     def split(y: Any) -> tuple[Any, Any]:
         """Return velocities of points, and angular velocities times bar length."""
-        centres, turn, nodes = ca.horzsplit(ca.reshape(y, 3, -1), [0, bars, bars + turning, count])
-        return ca.horzcat(centres, nodes), turn
+        ends = [0, d * bars, d * bars + normal * turning, count]
+        centres, turn, nodes = ca.vertsplit(y, ends)
+        centres, nodes = (ca.reshape(part, d, part.shape[0] // d) for part in (centres, nodes))
+        return ca.horzcat(centres, nodes), ca.reshape(turn, normal, turning)
 
     def join(points: Any, turn: Any) -> Any:
-        return ca.vec(ca.horzcat(points[:, :bars], turn, points[:, bars:]))
+        return ca.vertcat(ca.vec(points[:, :bars]), ca.vec(turn), ca.vec(points[:, bars:]))
 
     # The start is put on the constraint as the end will be: no jump between the two.
-    N, Nd = (ca.reshape(part, 3, -1) for part in ca.vertsplit(x, equation.states // 2))
-    points0, B0 = bodies.split(N, bodies.hinges)
+    q, v = ca.vertsplit(x, equation.states // 2)
+    points0, B0 = bodies.split(bodies.columns(q[bodies.alone], bodies.held), bodies.hinges)
     B0 = _of_length(B0, bodies.length)
-    velocity0, Bd0 = bodies.split(Nd)
-    turn0 = scale(_cross(B0, Bd0), 1 / bodies.length)
+    velocity0, Bd0 = bodies.split(bodies.columns(v[bodies.alone]))
+    turn0 = scale(cross(B0, Bd0), 1 / bodies.length)
     start = join(velocity0, turn0)
 
     # The end, and the bar vectors halfway.
-    velocity, turn = split(y)
+    velocity, turn = split(y[:count])
     a = scale(turn, h / 2 / bodies.length)
-    swept = _cross(a, B0)
-    swept += _cross(a, swept)
+    swept = cross(a, B0)
+    swept += cross(a, swept)
     half = scale(swept, 1 / (1 + kernel.dots(a, a)))
     B1 = _of_length(B0 + 2 * half, bodies.length)
     end = bodies.join(points0 + h * velocity, B1, bodies.hinges)
-    velocity1, turn1 = split(2 * y - start)
-    Bd1 = _cross(scale(turn1, 1 / bodies.length), bodies.split(end, bodies.hinges)[1])
-    x1 = ca.vertcat(ca.vec(end), ca.vec(bodies.join(velocity1, Bd1)))
+    velocity1, turn1 = split(2 * y[:count] - start)
+    Bd1 = cross(scale(turn1, 1 / bodies.length), bodies.split(end, bodies.hinges)[1])
+    q0 = bodies.entries(bodies.join(points0, B0, bodies.hinges))
+    q1, v1 = bodies.entries(end), bodies.entries(bodies.join(velocity1, Bd1))
+    guess = start
+    if blocks is not None:
+        c, rates = q[bodies.coupled], v[bodies.coupled]
+        c1, rates1 = blocks.end(y[count:], c, rates, h)
+        q0, q1, v1 = bodies.merge(q0, c), bodies.merge(q1, c1), bodies.merge(v1, rates1)
+        guess = ca.vertcat(start, blocks.guess(rates))
 
     # Change of momentum less impulse of the forces: m l²/12 turns about the centre of a free bar,
     # m l²/3 about the fixed end of one that swings.
-    N0, N1 = (
-        kernel.all_nodes(structure, nodes, structure.nodes)
-        for nodes in (bodies.join(points0, B0, bodies.hinges), end)
-    )
-    gamma = u if equation.law is None else _mean_force_density(equation, N0, N1, u, h)
-    load = None if equation.load is None else ca.sparsify(ca.DM(equation.load))
-    forces = kernel.node_forces(structure, (N0 + N1) / 2, gamma, load)
-    on_points, on_vectors = bodies.resultants(forces[:, structure.free.tolist()])
+    N0, N1 = (_all_nodes(structure, nodes) for nodes in (q0, q1))
+    forces = _mean_forces(equation, N0, N1, u, h)
+    forces = kernel.free_entries(structure, forces[:, structure.free.tolist()])
+    on_points, on_vectors = bodies.resultants(bodies.columns(forces[bodies.alone]))
     share = ca.DM([0.5] * bars + [1.0] * (turning - bars)).T
-    torque = scale(_cross(B0 + half, scale(on_vectors, share)), h / bodies.length)
+    torque = scale(cross(B0 + half, scale(on_vectors, share)), h / bodies.length)
     residual = join(
         scale(velocity - velocity0, 2 * bodies.point_mass) - h * on_points,
         scale(turn - turn0, 2 * share * bodies.vector_mass) - torque,
     )
+    if blocks is not None:
+        of_blocks = blocks.residual(y[count:], c, rates, forces[bodies.coupled], h)
+        residual = ca.vertcat(residual, of_blocks)
     residual = ca.densify(residual)
     return StepEquations(
         system=ca.Function("system", [y, x, u, h], [residual, ca.jacobian(residual, y)]),
-        guess=ca.Function("guess", [x], [ca.densify(start)]),
-        end=ca.Function("end", [y, x, h], [ca.densify(x1)]),
+        guess=ca.Function("guess", [x], [ca.densify(guess)]),
+        end=ca.Function("end", [y, x, h], [ca.densify(ca.vertcat(q1, v1))]),
     )
 
 
-def _mean_force_density(equation: Equation, N0: Any, N1: Any, rest: Any, h: Any) -> Any:
-    """Return 2 T̄/(l₀ + l₁), where T̄ is the mean of the tension over the lengths passed.
+class _Held:
+    """Bars that share nodes in a step: the lengths and their rates are held by two multipliers.
 
-    ``T̄ (l₁ − l₀)`` is then the change of the stored energy: a discrete gradient. A string that is
-    slack on a part of the way pulls on the other part only. For laws in which the tension is
-    linear in the length, the mean over the taut part is the tension in its middle.
+    With mean positions c̄ and rates v̄, and multipliers λ and σ::
+
+        M (c₁ − c₀)/h = M v̄ + J(c̄)ᵀ σ
+        M (v₁ − v₀)/h = f̄ + J(c̄)ᵀ λ − J(v̄)ᵀ σ
+        ½ |b₁|² = ½ l²,   b₁ᵀ ḃ₁ = 0
+
+    ``½ |b|²`` and ``bᵀ ḃ`` are quadratic, so that their derivatives at the means are exact discrete
+    gradients: energy and momenta stay (Gonzalez, *Mechanical systems subject to holonomic
+    constraints*, Physica D 132 (1999), 165-174, with the rates held as by Gear, Gupta &
+    Leimkuhler, J. Comp. Appl. Math. 12 (1985), 77-90).
     """
-    structure, law = equation.structure, equation.law
+
+    def __init__(self, structure: Structure) -> None:
+        self._coupled = coupled = Coupled(structure)
+        self._rows, self._bars = len(coupled.rows), len(coupled.bars)
+        self._length = ca.DM(structure.bar_length[coupled.bars])
+        self._mass = ca.DM(structure.bar_mass[coupled.bars])
+        self.count = 2 * (self._rows + self._bars)
+
+    def _split(self, y: Any) -> list[Any]:
+        """Return displacements by h, mean rates, and the multipliers, all m/s."""
+        rows, bars = self._rows, self._bars
+        return list(ca.vertsplit(y, [0, rows, 2 * rows, 2 * rows + bars, self.count]))
+
+    def guess(self, rates: Any) -> Any:
+        """Return y of a motion without forces."""
+        return ca.vertcat(rates, rates, ca.SX.zeros(2 * self._bars))
+
+    def end(self, y: Any, c: Any, rates: Any, h: Any) -> tuple[Any, Any]:
+        """Return coordinates and rates at the end of the step."""
+        moved, mean, *_ = self._split(y)
+        return c + h * moved, 2 * mean - rates
+
+    def residual(self, y: Any, c: Any, rates: Any, forces: Any, h: Any) -> Any:
+        """Return the residual, kg m/s: momenta, then lengths and their rates."""
+        coupled = self._coupled
+        moved, mean, lengths, stretch = self._split(y)
+        c1, rates1 = self.end(y, c, rates, h)
+        # A multiplier is an impulse along the bar, or so much of its displacement, by its length.
+        by_length = self._mass / self._length
+        halfway = coupled.nodes((c + c1) / 2)
+        on_rates = coupled.pull(halfway, by_length * stretch)
+        on_lengths = coupled.pull(halfway, by_length * lengths)
+        turned = coupled.pull(coupled.rates(mean), by_length * stretch)
+        return ca.vertcat(
+            coupled.momenta(moved - mean) - on_rates,
+            2 * coupled.momenta(mean - rates) - h * forces - on_lengths + h * turned,
+            by_length * coupled.excess(c1) / h,
+            by_length * coupled.stretching(c1, rates1),
+        )
+
+
+def _all_nodes(structure: Structure, free: Any) -> Any:
+    """Return the columns of all nodes, shape (d, n), from the coordinates that are free."""
+    if len(structure.fixed_rows) == 0:
+        return ca.reshape(free, *structure.nodes.shape)
+    flat = ca.SX(ca.DM(structure.nodes.ravel(order="F")))
+    flat[structure.free_rows.tolist()] = free
+    return ca.reshape(flat, *structure.nodes.shape)
+
+
+def _mean_forces(equation: Equation, N0: Any, N1: Any, u: Any, h: Any) -> Any:
+    """Return the forces, shape (d, n), N, that do the work that the strings store.
+
+    The force density of a straight piece of string is 2 T̄/(l₀ + l₁), where T̄ is the mean of the
+    tension over the lengths that the whole string passes: a discrete gradient.
+    """
+    structure = equation.structure
     assert structure is not None  # as in step_equations
-    assert law is not None  # asked for only where there is a law
-    before, after = (kernel.length(kernel.differences(N, structure.strings)).T for N in (N0, N1))
+    load = None if equation.load is None else ca.sparsify(ca.DM(equation.load))
+    if len(structure.strings) == 0:
+        return kernel.node_forces(structure, N0, u, load)
+    S0, S1 = (kernel.differences(N, structure.segments) for N in (N0, N1))
+    gamma = u.T
+    if equation.law is not None or structure.has_clusters:
+        pieces = [kernel.string_length(structure, S).T for S in (S0, S1)]
+        before, after = pieces
+        if structure.has_clusters:
+            before, after = (kernel.string_lengths(structure, N).T for N in (N0, N1))
+        if equation.law is None:
+            twice = u * (before + after)
+        else:
+            twice = _twice_mean_tension(equation.law, before, after, u, h)
+        if structure.has_clusters:
+            twice = twice[structure.segment_string.tolist()]
+        gamma = (twice / (pieces[0] + pieces[1])).T
+    S = kernel.differences((N0 + N1) / 2, structure.segments)
+    return kernel.segment_forces(structure, S, gamma, load)
+
+
+def _twice_mean_tension(law: StringLaw, before: Any, after: Any, rest: Any, h: Any) -> Any:
+    """Return 2 T̄ of strings whose lengths and rest lengths are columns.
+
+    ``T̄ (l₁ − l₀)`` is the change of the stored energy. A string that is slack on a part of the way
+    pulls on the other part only. For laws in which the tension is linear in the length, the mean
+    over the taut part is the tension in its middle.
+    """
     low, high = ca.fmax(before, rest), ca.fmax(after, rest)
     was, is_ = before > rest, after > rest
     change = after - before
@@ -380,16 +485,7 @@ def _mean_force_density(equation: Equation, N0: Any, N1: Any, rest: Any, h: Any)
     tension = law.tension((low + high) / 2, rest)
     if law.is_damped:
         tension = ca.fmax(0, tension + law.damping * change / h)
-    return 2 * share * tension / (before + after)
-
-
-def _cross(a: Any, b: Any) -> Any:
-    """Return the cross products of the columns of two (3, k) matrices."""
-    return ca.vertcat(
-        a[1, :] * b[2, :] - a[2, :] * b[1, :],
-        a[2, :] * b[0, :] - a[0, :] * b[2, :],
-        a[0, :] * b[1, :] - a[1, :] * b[0, :],
-    )
+    return 2 * share * tension
 
 
 def _of_length(B: Any, length: Any) -> Any:

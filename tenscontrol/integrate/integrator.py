@@ -240,11 +240,11 @@ def state_scale(
 ) -> FloatArray:
     """Return the size of each entry of the state, shape (states,).
 
-    For positions it is the length of the longest bar or string; for velocities the larger of the
-    fastest node's and the speed that the forces at the start give the whole structure over its own
-    size, but a thousandth of what the fastest vibration of that size would have at least. So the
-    answer does not change with units or place. An equation that is no structure's has the entry
-    itself and 1.
+    For positions it is the length of the longest bar or straight piece of string; for velocities
+    the larger of the fastest node's and the speed that the forces at the start give the whole
+    structure over its own size, but a thousandth of what the fastest vibration of that size would
+    have at least. So the answer does not change with units or place. An equation that is no
+    structure's has the entry itself and 1.
 
     ``frequency`` is from :func:`largest_frequency`, rad/s.
     """
@@ -255,9 +255,9 @@ def state_scale(
     taut = (np.array(equation.gap(state, held)[0]) > 0).astype(float)
     forces = np.abs(np.array(force(q, v, held, taut))).max(initial=0.0)
     nodes = structure.nodes
-    members = np.vstack([structure.bars, structure.strings])
+    members = np.vstack([structure.bars, structure.segments])
     size = np.linalg.norm(nodes[:, members[:, 1]] - nodes[:, members[:, 0]], axis=0).max()
-    mass = structure.bar_mass.sum() + structure.string_node_mass.sum()
+    mass = structure.bar_mass.sum() + structure.point_mass[structure.point_mass > 0].sum()
     speeds = (np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass), 1e-3 * size * frequency)
     # Where nothing moves and nothing pulls, any speed will do.
     return np.repeat([size, max(speeds) or size], len(q))

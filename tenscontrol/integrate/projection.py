@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import ColumnEvaluator, Equation, kernel
+from tenscontrol.integrate.multipliers import Coupled
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
 
@@ -15,15 +16,30 @@ from tenscontrol.validation import FloatArray, IntArray
 def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
     """Return ``(x) -> x``: the state near by whose bars have their lengths and do not stretch.
 
-    Bar by bar and in closed form: the bar vector is scaled to its length, the nearest state in the
-    metric of the mass; what its rate has along the bar is removed, and the rest is scaled by the
-    inverse, so that ``b × ḃ`` stays. Centres, string nodes and hinges stay, and linear and angular
-    momentum with them, to round-off.
+    Bars on their own one by one and in closed form: the bar vector is scaled to its length, the
+    nearest state in the metric of the mass; what its rate has along the bar is removed, and the
+    rest is scaled by the inverse, so that ``b × ḃ`` stays. Centres, string nodes and hinges stay,
+    and linear and angular momentum with them, to round-off. Bars that share nodes block by block,
+    see :meth:`Coupled.restored`; NaN where their lengths are too far off.
     """
     bodies = Bodies(structure)
-    count = len(structure.free)
-    x = symbol("x", 6 * count)
-    nodes, velocities = (ca.reshape(part, 3, count) for part in (x[: 3 * count], x[3 * count :]))
+    if not structure.blocks:
+        x = symbol("x", 2 * len(structure.free_rows))
+        return ca.Function("project", [x], [_project_alone(bodies, x)])
+    x = ca.MX.sym("x", 2 * len(structure.free_rows))
+    alone = ca.SX.sym("x", 2 * len(bodies.alone))
+    parts = ca.Function("project_alone", [alone], [_project_alone(bodies, alone)])
+    q, v = ca.vertsplit(x, x.shape[0] // 2)
+    moved = parts(ca.vertcat(q[bodies.alone], v[bodies.alone]))
+    half = len(bodies.alone)
+    c, rates = Coupled(structure).restored()(q[bodies.coupled], v[bodies.coupled])
+    ends = [bodies.merge(moved[:half], c), bodies.merge(moved[half:], rates)]
+    return ca.Function("project", [x], [ca.vertcat(*ends)])
+
+
+def _project_alone(bodies: Bodies, x: kernel.Symbolic) -> kernel.Symbolic:
+    half = x.shape[0] // 2
+    nodes, velocities = bodies.columns(x[:half], bodies.held), bodies.columns(x[half:])
     points, B = bodies.split(nodes, bodies.hinges)
     point_rates, Bd = bodies.split(velocities)
     square = kernel.dots(B, B)
@@ -31,7 +47,7 @@ def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
     across = Bd - kernel.scale_columns(B, kernel.dots(B, Bd) / square)
     moved = bodies.join(points, kernel.scale_columns(B, scale), bodies.hinges)
     rates = bodies.join(point_rates, kernel.scale_columns(across, 1 / scale))
-    return ca.Function("project", [x], [ca.vertcat(ca.vec(moved), ca.vec(rates))])
+    return ca.vertcat(bodies.entries(moved), bodies.entries(rates))
 
 
 def projection(equation: Equation) -> ca.Function | None:
@@ -59,25 +75,48 @@ def projected(step: ca.Function, equation: Equation) -> ca.Function:
     exact = projection(equation)
     if exact is None:
         return step
-    symbols = ca.SX if step.is_a("SXFunction") else ca.MX
+    written = step.is_a("SXFunction") and exact.is_a("SXFunction")
+    symbols = ca.SX if written else ca.MX
     arguments = [symbols.sym(step.name_in(i), step.size1_in(i)) for i in range(step.n_in())]
     return ca.Function(f"projected_{step.name()}", arguments, [exact(step(*arguments))])
 
 
 class Bodies:
-    """The map between free nodes and bodies, the same for positions, velocities and forces.
+    """The map between nodes and bodies that share none, for positions, velocities and forces.
 
     *Points* are the centres of the bars with two free ends, then the string nodes. *Vectors* are
     those of the bars with two free ends, then of the bars that swing, from the fixed to the free
-    end. Bars with both ends fixed do not move and are left out. In these coordinates the mass
-    matrix is diagonal: m, m_s, m/12 and m/3. Expressions may be SX or MX, one column per node,
-    point or vector.
+    end. Bars with both ends fixed do not move and are left out, as are blocks of bars. In these
+    coordinates the mass matrix is diagonal: m, m_s, m/12 and m/3. Expressions may be SX or MX, one
+    column per node, point or vector.
+
+    Attributes
+    ----------
+    alone, coupled : list of int
+        Places in the free coordinates of those of these bodies, and of those of the blocks.
+    held : DM
+        Positions of string nodes along the axes in which they are on rollers, m.
     """
 
     def __init__(self, structure: Structure) -> None:
-        def columns(nodes: IntArray) -> list[int]:
-            """Places of free nodes in the state."""
-            return [int(i) for i in np.searchsorted(structure.free, nodes)]
+        d = self.dimension = structure.dimension
+        nothing = np.zeros(0, dtype=np.int64)
+        nodes = np.setdiff1d(structure.free, [i for block in structure.blocks for i in block.nodes])
+        rows = (d * nodes[:, None] + np.arange(d)).ravel()
+        blocks = np.concatenate([nothing, *(block.rows for block in structure.blocks)])
+        is_free = np.isin(rows, structure.free_rows)
+        self.alone = np.searchsorted(structure.free_rows, rows[is_free]).tolist()
+        self.coupled = np.searchsorted(structure.free_rows, blocks).tolist()
+        self._merged = np.argsort(self.alone + self.coupled).tolist()
+        # String nodes on rollers: coordinates that are free, and places of those that are not.
+        self._free = np.flatnonzero(is_free).tolist()
+        self._rolls = not is_free.all()
+        self._filled = np.argsort(np.concatenate([self._free, np.flatnonzero(~is_free)])).tolist()
+        self.held = ca.DM(structure.nodes.ravel(order="F")[rows[~is_free]])
+
+        def columns(of: IntArray) -> list[int]:
+            """Places of nodes among these."""
+            return [int(i) for i in np.searchsorted(nodes, of)]
 
         free, swinging = structure.free_bars, structure.swinging_bars
         start, end = structure.bars[free].T
@@ -95,10 +134,25 @@ class Bodies:
         self.point_mass = _row(np.concatenate([mass, structure.string_node_mass]))
         self.vector_mass = _row(np.concatenate([mass / 6, hinged_mass / 3]))
 
+    def columns(self, entries: kernel.Symbolic, held: kernel.Symbolic = 0) -> kernel.Symbolic:
+        """Return columns, shape (d, ·), of what is free; what is not is :attr:`held`, or zero."""
+        if self._rolls:
+            entries = ca.vertcat(entries, held + 0 * self.held)[self._filled]
+        return ca.reshape(entries, self.dimension, entries.shape[0] // self.dimension)
+
+    def entries(self, columns: kernel.Symbolic) -> kernel.Symbolic:
+        """Return what supports leave free of columns: :meth:`columns` undone."""
+        entries = ca.vec(columns)
+        return entries[self._free] if self._rolls else entries
+
+    def merge(self, alone: kernel.Symbolic, coupled: kernel.Symbolic) -> kernel.Symbolic:
+        """Return all free coordinates of those of the bodies and of the blocks."""
+        return ca.vertcat(alone, coupled)[self._merged]
+
     def split(
         self, nodes: kernel.Symbolic, hinges: kernel.Symbolic = 0
     ) -> tuple[kernel.Symbolic, kernel.Symbolic]:
-        """Return points and vectors, shape (3, ·) each, of positions or velocities."""
+        """Return points and vectors, shape (d, ·) each, of positions or velocities."""
         start, end = nodes[:, self._start], nodes[:, self._end]
         points = ca.horzcat((start + end) / 2, nodes[:, self._string_nodes])
         return points, ca.horzcat(end - start, nodes[:, self._tip] - hinges)
@@ -106,14 +160,14 @@ class Bodies:
     def join(
         self, points: kernel.Symbolic, vectors: kernel.Symbolic, hinges: kernel.Symbolic = 0
     ) -> kernel.Symbolic:
-        """Return free nodes, shape (3, n), of points and vectors: :meth:`split` undone."""
+        """Return nodes, shape (d, ·), of points and vectors: :meth:`split` undone."""
         bars = len(self._start)
         centre, half = points[:, :bars], vectors[:, :bars] / 2
         blocks = centre - half, centre + half, vectors[:, bars:] + hinges, points[:, bars:]
         return ca.horzcat(*blocks)[:, self._order]
 
     def resultants(self, forces: kernel.Symbolic) -> tuple[kernel.Symbolic, kernel.Symbolic]:
-        """Return what forces on the free nodes, N, shape (3, n), do to points and vectors.
+        """Return what forces on the nodes, N, shape (d, ·), do to points and vectors.
 
         The sum of the forces on a bar, or the force on a string node; and the force on the end
         less that on the start, or the force on the tip of a bar that swings.
@@ -123,7 +177,7 @@ class Bodies:
         return points, ca.horzcat(end - start, forces[:, self._tip])
 
     def accelerations(self, forces: kernel.Symbolic) -> tuple[kernel.Symbolic, kernel.Symbolic]:
-        """Return how forces on the free nodes accelerate points and vectors, bar forces left out.
+        """Return how forces on the nodes accelerate points and vectors, bar forces left out.
 
         ``r̈ = (f_start + f_end)/m`` (eq. 4), ``b̈ = 6/m (f_end − f_start)``
         (eq. 5 with λ = 0), and 3/m times its force for the tip of a bar that swings.

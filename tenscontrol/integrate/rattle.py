@@ -1,21 +1,22 @@
 """RATTLE for rigid bars: explicit, symplectic, exact bar lengths, one division a bar.
 
-A step alternates between two motions, each of which is solved exactly:
+A step alternates between two motions:
 
 - *flight*: no forces. Points move on straight lines, bar vectors turn about
-  their centres, or hinges, at constant speed.
+  their centres, or hinges, at constant speed: solved exactly. Bars that share nodes fly by the
+  RATTLE of order 2, solved by Newton's iteration, block by block.
 - *kick*: nodes stand still. Forces change the velocities, and what would
   change the bar lengths is removed.
 
 Both keep bar lengths, momenta and the symplectic form, so that every
-alternation of them does, and neither factorises anything.
+alternation of them does. Only blocks of bars that share nodes are factorized.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import zip_longest
+from itertools import pairwise, zip_longest
 from math import factorial
 from typing import Any, NamedTuple, final
 
@@ -23,6 +24,7 @@ import casadi as ca
 
 from tenscontrol.dynamics import Equation, kernel
 from tenscontrol.integrate.fixed_step import FixedStep
+from tenscontrol.integrate.multipliers import Coupled
 from tenscontrol.integrate.projection import Bodies
 
 # Largest turn of a bar in one flight, rad². From a right angle on, the quadratic that places the
@@ -44,7 +46,7 @@ class Splitting:
     kicks: tuple[float, ...]
 
 
-def splitting(order: int) -> Splitting:
+def splitting(order: int, coupled: bool = False) -> Splitting:
     """Return the alternation of flights and kicks of order 2, 4 or 6.
 
     2: Störmer and Verlet, in the form with one kick. 4: Omelyan, Mryglod & Folk, "PEFRL", eq.
@@ -56,7 +58,17 @@ def splitting(order: int) -> Splitting:
     Yoshida, and Kahan & Li (Hairer, Lubich & Wanner, *Geometric Numerical Integration*, eqs.
     (II.4.5), (V.3.11), (V.3.12)). With as many evaluations, the best composition had 5 to 50 times
     the error at order 4 and 1000 times and more at order 6.
+
+    Where bars share nodes (``coupled``), flights are not exact, and the composition is of whole
+    symmetric steps kick, flight, kick of order 2. 4: Suzuki (eq. II.4.5 there). 6: Kahan & Li
+    (eq. V.3.12).
     """
+    if order not in (2, 4, 6):
+        raise ValueError(f"order is {order!r}, expected 2, 4 or 6")
+    if coupled:
+        stages = _stages(order)
+        kicks = tuple((a + b) / 2 for a, b in pairwise((0.0, *stages, 0.0)))
+        return Splitting((0.0, *stages, 0.0), kicks)
     if order == 2:
         return Splitting((0.5, 0.5), (1.0,))
     if order == 4:
@@ -65,33 +77,52 @@ def splitting(order: int) -> Splitting:
             _palindrome((first, second), 1 - 2 * (first + second)),
             _palindrome((0.5 - inner, inner)),
         )
-    if order == 6:
-        flights = (
-            0.0378593198406116,
-            0.102635633102435,
-            -0.0258678882665587,
-            0.314241403071447,
-            -0.130144459517415,
-            0.106417700369543,
-            -0.00879424312851058,
-        )
-        kicks = (
-            0.09171915262446165,
-            0.183983170005006,
-            -0.05653436583288827,
-            0.004914688774712854,
-            0.143761127168358,
-            0.328567693746804,
-        )
-        return Splitting(
-            _palindrome(flights, 1 - 2 * sum(flights)), _palindrome((*kicks, 0.5 - sum(kicks)))
-        )
-    raise ValueError(f"order is {order!r}, expected 2, 4 or 6")
+    flights = (
+        0.0378593198406116,
+        0.102635633102435,
+        -0.0258678882665587,
+        0.314241403071447,
+        -0.130144459517415,
+        0.106417700369543,
+        -0.00879424312851058,
+    )
+    kicks = (
+        0.09171915262446165,
+        0.183983170005006,
+        -0.05653436583288827,
+        0.004914688774712854,
+        0.143761127168358,
+        0.328567693746804,
+    )
+    return Splitting(
+        _palindrome(flights, 1 - 2 * sum(flights)), _palindrome((*kicks, 0.5 - sum(kicks)))
+    )
+
+
+def _stages(order: int) -> tuple[float, ...]:
+    """Return the lengths of the symmetric steps of order 2 that make one of a higher order."""
+    if order == 2:
+        return (1.0,)
+    if order == 4:
+        stage = 1 / (4 - 4 ** (1 / 3))
+        return _palindrome((stage, stage), 1 - 4 * stage)
+    stages = (
+        0.39216144400731413928,
+        0.33259913678935943860,
+        -0.70624617255763935981,
+        0.08221359629355080023,
+    )
+    return _palindrome(stages, 1 - 2 * sum(stages))
 
 
 def rattle_evaluations(equation: Equation, order: int) -> int:
     """Return how often a step of :func:`rattle_step` evaluates the forces."""
-    return len(splitting(order).kicks) * (2 if equation.velocity_dependent else 1)
+    kicks = splitting(order, _is_coupled(equation)).kicks
+    return len(kicks) * (2 if equation.velocity_dependent else 1)
+
+
+def _is_coupled(equation: Equation) -> bool:
+    return equation.structure is not None and bool(equation.structure.blocks)
 
 
 def rattle_step(
@@ -101,7 +132,8 @@ def rattle_step(
 
     Every step is of full order by itself, whatever its length, and takes no
     force over from the last one. Where the step is so long that a bar turns
-    by more than one radian in a flight, entries of x1 are NaN.
+    by more than one radian in a flight, or that Newton's iteration does not find the lengths of
+    bars that share nodes, entries of x1 are NaN.
 
     Notes
     -----
@@ -119,7 +151,6 @@ def rattle_step(
     solved to order 4 they were no better than the classical Runge-Kutta method
     where strings are hardly damped, and unstable in longer steps where they are.
     """
-    steps = splitting(order)
     force = equation.force
     if force is None or equation.structure is None:
         raise ValueError(
@@ -131,6 +162,9 @@ def rattle_step(
             f"RATTLE of order {order} ('rattle{order}') steps back in time, where damped strings "
             "drive: use 'rattle', 'rk4' or 'dop853'"
         )
+    steps = splitting(order, _is_coupled(equation))
+    if equation.structure.blocks:
+        return _coupled(equation, steps)
     x, u, taut, h = equation.symbols(symbols)
     motion = _Motion(Bodies(equation.structure), force, u, taut, equation.velocity_dependent)
     if called:
@@ -160,6 +194,66 @@ def _called(motion: _Motion, steps: Splitting, x: Any, h: Any) -> ca.Function:
         if kicked is not None:
             now = kick(*now, u, taut, kicked * h)
     return ca.Function("rattle_step", [x, u, taut, h], [end(*now)])
+
+
+def _coupled(equation: Equation, steps: Splitting) -> ca.Function:
+    """Return the step where bars share nodes: calls of its flights and kicks."""
+    structure = equation.structure
+    assert structure is not None  # as in rattle_step
+    bodies, blocks = Bodies(structure), Coupled(structure)
+    flight, kick = _coupled_flight(bodies, blocks), _coupled_kick(equation, bodies, blocks)
+    x, u, taut, h = equation.symbols(ca.MX)
+    q, v = ca.vertsplit(x, equation.states // 2)
+    factors = blocks.factorized(q[bodies.coupled])
+    for flown, kicked in zip_longest(steps.flights, steps.kicks):
+        if flown:  # steps begin and end with a kick
+            q, v, factors = flight(q, v, factors, flown * h)
+        if kicked is not None:
+            v = kick(q, v, factors, u, taut, kicked * h)
+    return ca.Function("rattle_step", [x, u, taut, h], [ca.vertcat(q, v)])
+
+
+def _coupled_flight(bodies: Bodies, blocks: Coupled) -> ca.Function:
+    """Return ``(q, v, factors, time) -> (q, v, factors)``: no forces; rates not yet across bars."""
+    motion = _Motion(bodies)
+    own = [ca.SX.sym(name, len(bodies.alone)) for name in "qv"]
+    time = ca.SX.sym("time")
+    ends = motion.coordinates(motion.flight(motion.start(ca.vertcat(*own)), time))
+    alone = ca.Function("flight_alone", [*own, time], list(ends))
+    free = len(bodies.alone) + len(bodies.coupled)
+    q, v, time = (ca.MX.sym(name, size) for name, size in (("q", free), ("v", free), ("time", 1)))
+    factors = ca.MX.sym("factors", blocks.factorized.size1_out(0))
+    c, rates = q[bodies.coupled], v[bodies.coupled]
+    flown = c + time * rates
+    change = blocks.placed(flown, c, factors)
+    # In no time nothing changes, but by round-off.
+    rates = rates + change / ca.if_else(time == 0, 1, time)
+    ends = alone(q[bodies.alone], v[bodies.alone], time)
+    c = flown + change
+    outputs = [*map(bodies.merge, ends, (c, rates)), blocks.factorized(c)]
+    return ca.Function("flight", [q, v, factors, time], outputs)
+
+
+def _coupled_kick(equation: Equation, bodies: Bodies, blocks: Coupled) -> ca.Function:
+    """Return ``(q, v, factors, u, taut, time) -> v``: forces alone, none along bars after it."""
+    motion, force = _Motion(bodies), equation.force
+    assert force is not None  # as in rattle_step
+    own = [ca.SX.sym(name, len(bodies.alone)) for name in ("q", "v", "impulse")]
+    start = motion.start(ca.vertcat(*own[:2]))
+    alone = ca.Function("kick_alone", own, [motion.coordinates(motion.pushed(start, own[2], 1))[1]])
+    _, u, taut, time = equation.symbols(ca.MX)
+    q, v = (ca.MX.sym(name, equation.states // 2) for name in "qv")
+    factors = ca.MX.sym("factors", blocks.factorized.size1_out(0))
+
+    def kicked(at: Any, time: Any) -> Any:
+        """Return the rates after the forces at some rates have acted for a time."""
+        impulse = time * force(q, at, u, taut)
+        parts = (each[bodies.alone] for each in (q, v, impulse))
+        c, rates, pushes = (each[bodies.coupled] for each in (q, v, impulse))
+        return bodies.merge(alone(*parts), blocks.pushed(c, rates, pushes, factors))
+
+    at = kicked(v, time / 2) if equation.velocity_dependent else v
+    return ca.Function("kick", [q, v, factors, u, taut, time], [kicked(at, time)])
 
 
 class _Rattle(FixedStep):
@@ -226,10 +320,10 @@ class _Motion:
     """The two motions of bodies, with u and taut held."""
 
     bodies: Bodies
-    force: ca.Function
-    u: kernel.Symbolic
-    taut: kernel.Symbolic
-    damped: bool
+    force: ca.Function | None = None
+    u: kernel.Symbolic = None
+    taut: kernel.Symbolic = None
+    damped: bool = False
 
     @cached_property
     def _square(self) -> ca.DM:
@@ -237,15 +331,15 @@ class _Motion:
 
     def start(self, x: kernel.Symbolic) -> _State:
         """Return the state of x, its bar rates without what would stretch the bars."""
-        half = x.shape[0] // 2
-        nodes, velocities = (ca.reshape(part, 3, half // 3) for part in (x[:half], x[half:]))
-        points, vectors = self.bodies.split(nodes, self.bodies.hinges)
-        point_rates, vector_rates = self.bodies.split(velocities)
+        half, bodies = x.shape[0] // 2, self.bodies
+        nodes, velocities = bodies.columns(x[:half], bodies.held), bodies.columns(x[half:])
+        points, vectors = bodies.split(nodes, bodies.hinges)
+        point_rates, vector_rates = bodies.split(velocities)
         return _State(points, vectors, point_rates, self._across(vectors, vector_rates))
 
     def end(self, state: _State) -> kernel.Symbolic:
         """Return x."""
-        return ca.vertcat(*self._nodes(state))
+        return ca.vertcat(*self.coordinates(state))
 
     def flight(self, state: _State, time: kernel.Symbolic) -> _State:
         """Return the state after a time without forces."""
@@ -277,8 +371,13 @@ class _Motion:
 
     def _kick(self, state: _State, at: _State, time: kernel.Symbolic) -> _State:
         """Return the state after a kick with the forces at another state."""
-        forces = self.force(*self._nodes(at), self.u, self.taut)
-        points, vectors = self.bodies.accelerations(ca.reshape(forces, 3, forces.shape[0] // 3))
+        assert self.force is not None  # given where kicks are asked for
+        forces = self.force(*self.coordinates(at), self.u, self.taut)
+        return self.pushed(state, forces, time)
+
+    def pushed(self, state: _State, forces: kernel.Symbolic, time: kernel.Symbolic) -> _State:
+        """Return the state after forces, N, have acted for a time."""
+        points, vectors = self.bodies.accelerations(self.bodies.columns(forces))
         rates = state.vector_rates + time * vectors
         return _State(
             state.points,
@@ -291,9 +390,12 @@ class _Motion:
         """Return the rates without their parts along the vectors."""
         return rates - kernel.scale_columns(vectors, kernel.dots(vectors, rates) / self._square)
 
-    def _nodes(self, state: _State) -> tuple[kernel.Symbolic, kernel.Symbolic]:
-        nodes = self.bodies.join(state.points, state.vectors, self.bodies.hinges)
-        return ca.vec(nodes), ca.vec(self.bodies.join(state.point_rates, state.vector_rates))
+    def coordinates(self, state: _State) -> tuple[kernel.Symbolic, kernel.Symbolic]:
+        """Return the free coordinates and their rates."""
+        bodies = self.bodies
+        nodes = bodies.join(state.points, state.vectors, bodies.hinges)
+        rates = bodies.join(state.point_rates, state.vector_rates)
+        return bodies.entries(nodes), bodies.entries(rates)
 
 
 def _sine_ratio(square: kernel.Symbolic) -> kernel.Symbolic:

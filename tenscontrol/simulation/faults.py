@@ -72,7 +72,8 @@ class CutString(Fault):
     ----------
     string : int
         Which of the model's strings, counted from 0. In a subdivided structure it
-        is a segment: the others of its string stay where they are, and dangle.
+        is a segment: the others of its string stay where they are, and dangle. A clustered
+        string carries nothing on its whole length.
     time : float
         s, at least 0.
 

@@ -24,6 +24,7 @@ from tenscontrol.integrate import (
 from tenscontrol.interrupt import finishing
 from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
+from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, frozen, positive_number
 
 # Intervals that are integrated again: those in which velocities change most, others spread over
@@ -197,9 +198,8 @@ class Loop:
             # Each step may err by the tolerance, and errors add up.
             error = self.choice.value * self.work.steps
         elif stopped is None:
-            size = float(np.ptp(structure.nodes, axis=1).max())
             step = self.choice.value
-            error = step_doubling_error(self.integrator, step, size, time, states, inputs)
+            error = step_doubling_error(self.integrator, step, structure, time, states, inputs)
         nodes, velocities = unpack_states(structure, states)
         if self.input == "force_density":
             force_density, rest_length = inputs, None
@@ -230,7 +230,7 @@ class Loop:
             choice=self.choice,
             work=self.work,
             conserves_energy=control is None and (self.input == "force_density" or undamped),
-            conserves_momentum=not self.load.any() and not len(structure.fixed),
+            conserves_momentum=not self.load.any() and not len(structure.fixed_rows),
             control=control,
             stopped=stopped,
             position_error=error,
@@ -243,7 +243,7 @@ class Loop:
 def step_doubling_error(
     integrator: Integrator,
     step: float,
-    size: float,
+    structure: Structure,
     time: FloatArray,
     states: FloatArray,
     inputs: FloatArray,
@@ -264,6 +264,7 @@ def step_doubling_error(
         return None
     half = len(states) // 2
     speed = float(np.abs(states[half:]).max())
+    size = float(np.ptp(structure.nodes, axis=1).max())
     reach = size / speed if speed > 0 else float("inf")
     jumps = np.abs(np.diff(states[half:], axis=1)).max(axis=0)
     violent = np.argsort(jumps)[::-1][: min(_VIOLENT, most // 2)]
@@ -279,8 +280,10 @@ def step_doubling_error(
             return float("inf")
         except KeyboardInterrupt:
             return None
-        change = (span.states[:, -1] - states[:, k + 1]).reshape(2, -1, 3)
-        moved, sped = np.linalg.norm(change, axis=2).max(axis=1)
+        change = np.zeros((2, structure.nodes.size))
+        change[:, structure.free_rows] = np.split(span.states[:, -1] - states[:, k + 1], 2)
+        of_nodes = change.reshape(2, -1, structure.dimension)
+        moved, sped = np.linalg.norm(of_nodes, axis=2).max(axis=1)
         errors[k] = moved
         if k in violent:
             errors[k] = max(moved, sped * min(float(time[-1] - time[k + 1]), reach))

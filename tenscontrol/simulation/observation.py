@@ -23,9 +23,9 @@ class EstimateRecord:
     ----------
     time : ndarray, shape (K,)
         Start of each sample, s.
-    nodes, velocities : ndarray, shape (3, n, K)
+    nodes, velocities : ndarray, shape (d, n, K)
         Estimated motion that the controller was given, m and m/s.
-    node_deviation : ndarray, shape (3, n, K)
+    node_deviation : ndarray, shape (d, n, K)
         Standard deviation of each coordinate, m, as the filter has it.
     length_deviation : ndarray, shape (α, K)
         That of the length of each string of the filter's structure, m.

@@ -87,10 +87,11 @@ def simulate(
     model : Model
     duration : float
         s.
-    nodes, velocities : array_like, shape (3, n), optional
+    nodes, velocities : array_like, shape (d, n), optional
         Motion at the start, m and m/s; the reference shape at rest if not given.
         Bars must have their lengths, and must not be stretching: what is off by less than a
-        thousandth is projected onto rigid bars, and ``run.note`` says so.
+        thousandth is projected onto rigid bars, and ``run.note`` says so. Supports and rollers
+        must be where the structure has them, and must not move.
     start : Trajectory, optional
         A run to go on from, in place of ``nodes`` and ``velocities``; see the notes.
     rest_length : float or array_like, shape (α,), optional
@@ -113,7 +114,7 @@ def simulate(
     faults : sequence of CutString, StuckWinch and LostMeasurement
         The controller gets the input that is applied (:meth:`Controller.applied`), but
         does not notice cuts.
-    external_force : array_like, shape (3, n), optional
+    external_force : array_like, shape (d, n), optional
         Constant load W, N, for a model built with ``external_force=True``.
     method : str or Method
         ``"auto"``, one of :data:`METHODS`, or a :class:`Method` of your own. ``"auto"`` is
@@ -339,14 +340,14 @@ def _output_step(loop: Loop, output_step: float | None, duration: float) -> floa
         return duration / _OUTPUTS
     if loop.step is not None:
         refuse_time(f"step is {loop.step:g} s", duration / loop.step, "steps", 1e-6)
-    size = 8 * 6 * loop.model.structure.nodes.shape[1]
+    size = 8 * 2 * loop.model.structure.nodes.size
     keep = ". A longer output_step keeps fewer"
     refuse_memory(f"{name} is {value:g} s", duration / value, "states", size, keep)
     return value
 
 
 def checked_load(model: Model, external_force: object) -> FloatArray:
-    """Return all that acts on the nodes from outside, N, shape (3, n)."""
+    """Return all that acts on the nodes from outside, N, shape (d, n)."""
     if not model.has_external_force:
         if external_force is not None:
             raise ValueError(
@@ -356,7 +357,7 @@ def checked_load(model: Model, external_force: object) -> FloatArray:
         return model.constant_force
     shape = model.structure.nodes.shape
     if external_force is None:
-        raise ValueError("the model takes a load: give external_force, shape (3, n), N")
+        raise ValueError(f"the model takes a load: give external_force, shape ({shape[0]}, n), N")
     given = shaped("external_force", external_force, shape, "one force per node")
     return given + model.constant_force
 
@@ -388,10 +389,15 @@ def _checked_state(
     if off > _PROJECTED:
         refuse_wrong_bar_lengths("nodes", structure, N)
     refuse_moved_supports("nodes", structure, N)
-    moving = np.flatnonzero(V[:, structure.fixed].any(axis=0))
+    rows = structure.fixed_rows
+    moving = rows[V.ravel(order="F")[rows] != 0]
     if len(moving):
-        node = structure.fixed[moving[0]]
-        raise ValueError(f"velocities move the fixed node {node} by {V[:, node]} m/s, expected 0")
+        node, axis = divmod(int(moving[0]), structure.dimension)
+        if node in structure.fixed:
+            what = f"the fixed node {node} by {V[:, node]} m/s"
+        else:
+            what = f"node {node}, on a roller, by {V[axis, node]:g} m/s along {'xyz'[axis]}"
+        raise ValueError(f"velocities move {what}, expected 0")
     if input == "rest_length":
         refuse_strings_without_length("nodes", structure, N)
     state = pack_state(structure, N, V)
@@ -411,6 +417,12 @@ def _checked_state(
             f"velocities stretch bar {stretching.argmax()} at {worst:.3g} m/s, expected 0: bars "
             "are rigid. plant.to_velocities(q, rates) gives velocities that bars can have"
         )
-    return Projector(equation, True)(state[:, None])[:, 0], (
+    exact = Projector(equation, True)(state[:, None])[:, 0]
+    if not np.isfinite(exact).all():
+        raise ValueError(
+            f"in nodes, bars are off by {off:.1e} of their length, and those that share nodes "
+            "cannot all be given theirs near by: start from a shape that is nearer"
+        )
+    return exact, (
         f"bars made rigid: off by {off:.1e} of their length, stretching at {worst:.1e} m/s"
     )

@@ -188,8 +188,8 @@ class Trajectory:
     structure : Structure
     time : ndarray, shape (T,)
         s, from 0, or from the end of the run that it goes on from.
-    nodes, velocities : ndarray, shape (3, n, T)
-        m and m/s.
+    nodes, velocities : ndarray, shape (d, n, T)
+        m and m/s, in space (d = 3) or in the plane (d = 2).
     force_density : ndarray, shape (α, T)
         γ that acts at the end of the step to each time, N/m.
     rest_length : ndarray, shape (α, T), or None
@@ -201,7 +201,7 @@ class Trajectory:
         weights or a load act. It jumps where a controller changes its command, and
         falls where a string is cut.
     momentum, angular_momentum : ndarray, shape (3, T)
-        kg m/s, and kg m²/s about the origin.
+        kg m/s, and kg m²/s about the origin. In the plane (2, T) and (1, T).
     bar_length_error : ndarray, shape (β, T)
         Current length less true length of each bar, m.
     choice : Choice
@@ -303,7 +303,8 @@ class Trajectory:
 
     def _largest_momenta(self) -> tuple[float, float]:
         """Return the largest linear and angular momentum that the mass could have, as scales."""
-        mass = self.structure.bar_mass.sum() + self.structure.string_node_mass.sum()
+        points = self.structure.point_mass
+        mass = self.structure.bar_mass.sum() + points[points > 0].sum()
         momentum = float(np.sqrt(2 * mass * self.kinetic_energy.max()))
         centre = self.nodes.mean(axis=1, keepdims=True)
         return momentum, momentum * float(np.abs(self.nodes - centre).max())
