@@ -298,7 +298,7 @@ class Coordinates:
     def _hidden_parts(self) -> list[int]:
         """Where the parts of :meth:`hidden` begin, and its size."""
         sizes = [len(block.rows) for block, _ in self._normals for _ in range(3)]
-        return np.cumsum([0, *sizes]).tolist()
+        return [sum(sizes[:i]) for i in range(len(sizes) + 1)]
 
     @property
     def hidden_size(self) -> int:
@@ -315,9 +315,9 @@ class Coordinates:
         return J, excess, ca.norm_inf(excess / square)
 
     def _normal_steps(self, block: Block, N: Any) -> Callable[[Any], Any]:
-        """Return what gives the displacement in the normal space of a block that J maps to a column.
+        """Return a map from columns to displacements in the normal space of a block, SX.
 
-        ``M δ = J₀ᵀ μ`` and ``J δ = change``, with J in the shape N and J₀ of the reference, SX:
+        ``M δ = J₀ᵀ μ`` and ``J δ = change``, with J in the shape N and J₀ of the reference:
         sparse, and without pivoting in the order of the block.
         """
         bars, rows = block.independent, block.rows
@@ -387,7 +387,8 @@ class Coordinates:
     @cached_property
     def _is_loose(self) -> bool:
         """Whether the supports leave a motion as one body."""
-        return rigid_basis(self.structure).shape[1] > 0
+        return bool(rigid_basis(self.structure).shape[1])
+
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
@@ -540,9 +541,7 @@ def normal_basis(structure: Structure, block: Block, nodes: FloatArray) -> Float
     return np.asarray(np.linalg.solve(L.T, np.linalg.pinv(constraints)) / scale)
 
 
-def _scaled_rows(
-    structure: Structure, block: Block, nodes: FloatArray, L: FloatArray
-) -> FloatArray:
+def _scaled_rows(structure: Structure, block: Block, nodes: FloatArray, L: Any) -> FloatArray:
     """Return ``J L⁻ᵀ``, rows of J of length one, of a block, or refuse a dead centre."""
     J = bar_rows(structure, block.independent, nodes).toarray()
     J = J[:, block.rows] / np.linalg.norm(J, axis=1, keepdims=True)
