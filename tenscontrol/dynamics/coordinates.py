@@ -413,32 +413,25 @@ class Coordinates:
     ) -> tuple[FloatArray, FloatArray]:
         """Return shape and velocities laid over the reference by what the supports leave.
 
-        As :meth:`_alignment`, by Gauss-Newton steps along motions that keep fixed nodes and nodes
-        on rollers where they are held.
+        By Gauss-Newton steps along motions that keep nodes where supports hold them: first to the
+        nearest shape, from however far; then until the displacement has no part along such motions
+        of the reference, which is the same unless they change their direction, as on two slides.
         """
-        from scipy.linalg import expm, null_space
-
-        held, d = self.structure.fixed_rows, self.structure.dimension
-        turn = np.eye(d)
-        for _ in range(_MOST):
-            fields = rigid_motions(nodes)
-            off = (nodes - self.nodes).ravel(order="F")
-            size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)
-            left = null_space(fields[held] / size, _RANK_TOLERANCE) / size[:, None]
-            back = np.linalg.lstsq(fields[held], -off[held], _RANK_TOLERANCE)[0]
-            moves = fields @ left
-            momenta = _momenta(self._mass, moves).T
-            wanted = -momenta @ (off + fields @ back)
-            move = back + left @ np.linalg.lstsq(momenta @ moves, wanted, _RANK_TOLERANCE)[0]
-            screw = np.zeros((d + 1, d + 1))
-            screw[:d, d] = move[:d]
-            spin = np.concatenate([np.zeros(2), move[d:]]) if d == 2 else move[d:]
-            screw[:d, :d] = np.cross(spin, np.eye(3)).T[:d, :d]
-            whole, centre = expm(screw), nodes.mean(axis=1, keepdims=True)
-            nodes = whole[:d, :d] @ (nodes - centre) + whole[:d, d:] + centre
-            turn = whole[:d, :d] @ turn
-            if np.abs(fields @ move).max() <= _LAID * np.abs(nodes).max():
-                break
+        held, turn = self.structure.fixed_rows, np.eye(len(nodes))
+        own = _momenta(self._mass, left_by_supports(self.structure, rigid_motions(self.nodes))).T
+        for nearest in (True, False):
+            for _ in range(_MOST):
+                fields, off = rigid_motions(nodes), (nodes - self.nodes).ravel(order="F")
+                back = np.linalg.lstsq(fields[held], -off[held], _RANK_TOLERANCE)[0]
+                left = _kept(fields, held)
+                moves = fields @ left
+                momenta = _momenta(self._mass, moves).T if nearest else own
+                wanted = -momenta @ (off + fields @ back)
+                move = back + left @ np.linalg.lstsq(momenta @ moves, wanted, _RANK_TOLERANCE)[0]
+                nodes, step = _moved_as_one(nodes, move)
+                turn = step @ turn
+                if np.abs(fields @ move).max() <= _LAID * np.abs(nodes).max():
+                    break
         return nodes, turn @ velocities
 
 
@@ -528,6 +521,26 @@ def bar_basis(structure: Structure, nodes: FloatArray) -> FloatArray:
         basis[rows, column : column + part.shape[1]] = part
         column += part.shape[1]
     return basis
+
+
+def _kept(fields: FloatArray, held: IntArray) -> FloatArray:
+    """Return the combinations of motions as one body, shape (k, ·), that move no held row."""
+    from scipy.linalg import null_space
+
+    size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)
+    return np.asarray(null_space(fields[held] / size, _RANK_TOLERANCE) / size[:, None])
+
+
+def _moved_as_one(nodes: FloatArray, move: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return nodes after a screw, of the rates of :func:`rigid_motions`, and its turn."""
+    from scipy.linalg import expm
+
+    d = len(nodes)
+    spin = np.concatenate([np.zeros(3), move[d:]])[-3:]  # in the plane about z alone
+    screw = np.zeros((d + 1, d + 1))
+    screw[:d, :d], screw[:d, d] = np.cross(spin, np.eye(3)).T[:d, :d], move[:d]
+    whole, centre = expm(screw), nodes.mean(axis=1, keepdims=True)
+    return whole[:d, :d] @ (nodes - centre) + whole[:d, d:] + centre, whole[:d, :d]
 
 
 def normal_basis(structure: Structure, block: Block, nodes: FloatArray) -> FloatArray:
