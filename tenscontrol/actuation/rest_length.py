@@ -34,7 +34,7 @@ def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLe
     ----------
     model : Model
         With a string law.
-    nodes : array_like, shape (3, n)
+    nodes : array_like, shape (d, n)
         Current node positions, m.
     force_density : float or array_like, shape (α,)
         Wanted γ, N/m, at least 0.
@@ -73,7 +73,7 @@ def to_force_density(model: Model, nodes: object, rest_length: object) -> FloatA
     ----------
     model : Model
         With a string law.
-    nodes : array_like, shape (3, n)
+    nodes : array_like, shape (d, n)
         Current node positions, m.
     rest_length : float or array_like, shape (α,)
         m, positive.

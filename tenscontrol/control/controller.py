@@ -94,6 +94,12 @@ class MeasurementCheck:
         self.largest_velocity, self.farthest = _FAR * self.fastest, _FAR * size
         self.support_distance = _SUPPORT * size  # of a fixed node from its place, m
         self.fixed, self.places = structure.fixed, plant.nodes[:, structure.fixed]
+        rolling = np.setdiff1d(structure.fixed_rows // len(plant.nodes), self.fixed)
+        is_held = np.zeros(plant.nodes.size, bool)
+        is_held[structure.fixed_rows] = True
+        # Nodes on rollers, along which axes they are held, and where.
+        self.rolling, self.held = rolling, is_held.reshape(plant.nodes.shape, order="F")[:, rolling]
+        self.held_at = plant.nodes[:, rolling]
         self.bars = structure.bars.T
         # Least and largest square of the lengths of bars, m².
         self.squares = (
@@ -101,7 +107,7 @@ class MeasurementCheck:
         )  # fmt: skip
 
     def fault(self, nodes: FloatArray, velocities: FloatArray) -> Status | None:
-        """Return a status for what is wrong with a measurement, shapes (3, n); None if nothing."""
+        """Return a status for what is wrong with a measurement, shapes (d, n); None if nothing."""
         # Comparisons with what is not finite are false; no square overflows after the first.
         if not (
             np.abs(nodes).max() <= self.farthest
@@ -119,6 +125,9 @@ class MeasurementCheck:
         )
         if plausible and len(self.fixed):
             off = np.linalg.norm(nodes[:, self.fixed] - self.places, axis=0)
+            plausible = bool(off.max() <= self.support_distance)
+        if plausible and len(self.rolling):
+            off = np.abs(nodes[:, self.rolling] - self.held_at)[self.held]
             plausible = bool(off.max() <= self.support_distance)
         return None if plausible else Status.MEASUREMENT_NOT_PLAUSIBLE
 
@@ -248,7 +257,7 @@ class Controller(ABC):
         ----------
         time : float
             s.
-        nodes, velocities : array_like, shape (3, n)
+        nodes, velocities : array_like, shape (d, n)
             Measured motion, m and m/s.
 
         Returns

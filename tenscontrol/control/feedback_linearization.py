@@ -97,7 +97,7 @@ class FeedbackLinearization(Controller):
     plant : LinearPlant
         With γ as the input, in internal or minimal coordinates. Its operating point gives the
         preferred γ.
-    reference : Reference or array_like, shape (3, n), or None
+    reference : Reference or array_like, shape (d, n), or None
         Shapes to follow, joined by cubic splines in y, at rest at both ends. The
         operating point if None.
     sample_time : float
@@ -108,7 +108,7 @@ class FeedbackLinearization(Controller):
         Natural frequency of the error, Hz: ``b = (2π frequency)²``.
     damping : float
         Damping ratio ζ of the error: ``a = 4π ζ frequency``.
-    tracked : array_like, shape (p, 3n), optional
+    tracked : array_like, shape (p, d n), optional
         C, node by node: L and R of ``E = L N R − Ȳ`` in one. If not given, r combinations
         that together are all changes of shape, in m.
     max_change : float or array_like, shape (α,), optional
@@ -243,7 +243,7 @@ class FeedbackLinearization(Controller):
         ----------
         time : float
             s.
-        nodes, velocities : array_like, shape (3, n)
+        nodes, velocities : array_like, shape (d, n)
             m and m/s.
 
         Raises
@@ -376,7 +376,7 @@ def error_rates(frequency: object, damping: object, sample_time: float) -> tuple
 
 
 def _combinations(plant: LinearPlant, tracked: object) -> FloatArray:
-    """Return C, shape (p, 3n)."""
+    """Return C, shape (p, d n)."""
     if tracked is not None:
         return checked_tracked(plant, tracked)
     # δN = T q, and T = (orthonormal) R: so R q measures the same displacement in m.

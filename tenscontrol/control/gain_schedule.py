@@ -135,7 +135,7 @@ def _refuse_other(name: str, one: Controller, first: Controller) -> None:
                 f"{name} has {what} {found!r}, expected {expected!r}, that of the first"
             )
     structures = [each.plant.commanded for each in (one, first)]
-    for what in ("bars", "strings", "fixed"):
+    for what in ("bars", "strings", "segments", "fixed", "fixed_rows"):
         if not np.array_equal(*(getattr(each, what) for each in structures)):
             raise ValueError(
                 f"{name} was designed on a structure with other {what} than the first one"

@@ -147,7 +147,7 @@ def held_error_rate(
 
     Over a sample γ grows with the strings' lengths by ``∂γ/∂q q̇ t``. To first order in the
     sample time h that is a damping ``D = −h/2 J ∂γ/∂y`` beside a, with ``J = ∂ÿ/∂γ``; the rate is
-    that of the slowest root of ``s² + (a + D) s + b``. ``matrix`` is C, shape (p, 3n), of what is
+    that of the slowest root of ``s² + (a + D) s + b``. ``matrix`` is C, shape (p, d n), of what is
     tracked, and ``rates`` are a, 1/s, and b, 1/s².
     """
     r, (a, b) = plant.degrees_of_freedom, rates

@@ -298,7 +298,7 @@ class Coordinates:
     def _hidden_parts(self) -> list[int]:
         """Where the parts of :meth:`hidden` begin, and its size."""
         sizes = [len(block.rows) for block, _ in self._normals for _ in range(3)]
-        return np.cumsum([0, *sizes]).tolist()
+        return [sum(sizes[:i]) for i in range(len(sizes) + 1)]
 
     @property
     def hidden_size(self) -> int:
@@ -315,9 +315,9 @@ class Coordinates:
         return J, excess, ca.norm_inf(excess / square)
 
     def _normal_steps(self, block: Block, N: Any) -> Callable[[Any], Any]:
-        """Return what gives the displacement in the normal space of a block that J maps to a column.
+        """Return a map from columns to displacements in the normal space of a block, SX.
 
-        ``M δ = J₀ᵀ μ`` and ``J δ = change``, with J in the shape N and J₀ of the reference, SX:
+        ``M δ = J₀ᵀ μ`` and ``J δ = change``, with J in the shape N and J₀ of the reference:
         sparse, and without pivoting in the order of the block.
         """
         bars, rows = block.independent, block.rows
@@ -387,7 +387,8 @@ class Coordinates:
     @cached_property
     def _is_loose(self) -> bool:
         """Whether the supports leave a motion as one body."""
-        return rigid_basis(self.structure).shape[1] > 0
+        return bool(rigid_basis(self.structure).shape[1])
+
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
@@ -412,32 +413,25 @@ class Coordinates:
     ) -> tuple[FloatArray, FloatArray]:
         """Return shape and velocities laid over the reference by what the supports leave.
 
-        As :meth:`_alignment`, by Gauss-Newton steps along motions that keep fixed nodes and nodes
-        on rollers where they are held.
+        By Gauss-Newton steps along motions that keep nodes where supports hold them: first to the
+        nearest shape, from however far; then until the displacement has no part along such motions
+        of the reference, which is the same unless they change their direction, as on two slides.
         """
-        from scipy.linalg import expm, null_space
-
-        held, d = self.structure.fixed_rows, self.structure.dimension
-        turn = np.eye(d)
-        for _ in range(_MOST):
-            fields = rigid_motions(nodes)
-            off = (nodes - self.nodes).ravel(order="F")
-            size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)
-            left = null_space(fields[held] / size, _RANK_TOLERANCE) / size[:, None]
-            back = np.linalg.lstsq(fields[held], -off[held], _RANK_TOLERANCE)[0]
-            moves = fields @ left
-            momenta = _momenta(self._mass, moves).T
-            wanted = -momenta @ (off + fields @ back)
-            move = back + left @ np.linalg.lstsq(momenta @ moves, wanted, _RANK_TOLERANCE)[0]
-            screw = np.zeros((d + 1, d + 1))
-            screw[:d, d] = move[:d]
-            spin = np.concatenate([np.zeros(2), move[d:]]) if d == 2 else move[d:]
-            screw[:d, :d] = np.cross(spin, np.eye(3)).T[:d, :d]
-            whole, centre = expm(screw), nodes.mean(axis=1, keepdims=True)
-            nodes = whole[:d, :d] @ (nodes - centre) + whole[:d, d:] + centre
-            turn = whole[:d, :d] @ turn
-            if np.abs(fields @ move).max() <= _LAID * np.abs(nodes).max():
-                break
+        held, turn = self.structure.fixed_rows, np.eye(len(nodes))
+        own = _momenta(self._mass, left_by_supports(self.structure, rigid_motions(self.nodes))).T
+        for nearest in (True, False):
+            for _ in range(_MOST):
+                fields, off = rigid_motions(nodes), (nodes - self.nodes).ravel(order="F")
+                back = np.linalg.lstsq(fields[held], -off[held], _RANK_TOLERANCE)[0]
+                left = _kept(fields, held)
+                moves = fields @ left
+                momenta = _momenta(self._mass, moves).T if nearest else own
+                wanted = -momenta @ (off + fields @ back)
+                move = back + left @ np.linalg.lstsq(momenta @ moves, wanted, _RANK_TOLERANCE)[0]
+                nodes, step = _moved_as_one(nodes, move)
+                turn = step @ turn
+                if np.abs(fields @ move).max() <= _LAID * np.abs(nodes).max():
+                    break
         return nodes, turn @ velocities
 
 
@@ -529,6 +523,26 @@ def bar_basis(structure: Structure, nodes: FloatArray) -> FloatArray:
     return basis
 
 
+def _kept(fields: FloatArray, held: IntArray) -> FloatArray:
+    """Return the combinations of motions as one body, shape (k, ·), that move no held row."""
+    from scipy.linalg import null_space
+
+    size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)
+    return np.asarray(null_space(fields[held] / size, _RANK_TOLERANCE) / size[:, None])
+
+
+def _moved_as_one(nodes: FloatArray, move: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return nodes after a screw, of the rates of :func:`rigid_motions`, and its turn."""
+    from scipy.linalg import expm
+
+    d = len(nodes)
+    spin = np.concatenate([np.zeros(3), move[d:]])[-3:]  # in the plane about z alone
+    screw = np.zeros((d + 1, d + 1))
+    screw[:d, :d], screw[:d, d] = np.cross(spin, np.eye(3)).T[:d, :d], move[:d]
+    whole, centre = expm(screw), nodes.mean(axis=1, keepdims=True)
+    return whole[:d, :d] @ (nodes - centre) + whole[:d, d:] + centre, whole[:d, :d]
+
+
 def normal_basis(structure: Structure, block: Block, nodes: FloatArray) -> FloatArray:
     """Return displacements of a block's rows along its bars' forces, shape (r, c), 1/m.
 
@@ -540,9 +554,7 @@ def normal_basis(structure: Structure, block: Block, nodes: FloatArray) -> Float
     return np.asarray(np.linalg.solve(L.T, np.linalg.pinv(constraints)) / scale)
 
 
-def _scaled_rows(
-    structure: Structure, block: Block, nodes: FloatArray, L: FloatArray
-) -> FloatArray:
+def _scaled_rows(structure: Structure, block: Block, nodes: FloatArray, L: Any) -> FloatArray:
     """Return ``J L⁻ᵀ``, rows of J of length one, of a block, or refuse a dead centre."""
     J = bar_rows(structure, block.independent, nodes).toarray()
     J = J[:, block.rows] / np.linalg.norm(J, axis=1, keepdims=True)

@@ -43,9 +43,10 @@ class Gate:
         sizes = np.bincount(self._of)
         starts = np.r_[0, np.cumsum(sizes)[:-1]]
         self._single = np.flatnonzero(sizes == 1)
-        self._triple = np.flatnonzero(sizes == 3)
+        self._vector = np.flatnonzero(sizes > 1)
         self._single_rows = starts[self._single]
-        self._triple_rows = starts[self._triple][:, None] + np.arange(3)
+        d = sensors.structure.dimension
+        self._vector_rows = starts[self._vector][:, None] + np.arange(d)
         self._limit = chdtri(sizes.astype(float), probability)
         self.is_tension = np.array([name.startswith("string_tension") for name in sensors.readings])
 
@@ -85,12 +86,12 @@ class Gate:
     def _distance(self, vector: FloatArray, S: FloatArray, used: np.ndarray) -> FloatArray:
         """Return ``vᵀ S⁻¹ v`` with the parts of each reading, zero where it is not used."""
         distance = np.zeros(self._count)
-        single, triple = used[self._single], used[self._triple]
-        one, three = self._single_rows[single], self._triple_rows[triple]
+        single, vectors = used[self._single], used[self._vector]
+        one, axes = self._single_rows[single], self._vector_rows[vectors]
         distance[self._single[single]] = vector[one] ** 2 / S[one, one]
-        parts, blocks = vector[three], S[three[:, :, None], three[:, None, :]]
+        parts, blocks = vector[axes], S[axes[:, :, None], axes[:, None, :]]
         weighed = np.linalg.solve(blocks, parts[..., None])[..., 0]
-        distance[self._triple[triple]] = (parts * weighed).sum(axis=1)
+        distance[self._vector[vectors]] = (parts * weighed).sum(axis=1)
         return distance
 
 
@@ -107,12 +108,13 @@ class Correction:
         self.gate = Gate(sensors, gate)
         # Bar vectors move by these rows; the bars of the reference have no part across themselves.
         structure, T = plant.model.structure, plant.basis
-        self._r = plant.degrees_of_freedom
-        by_node = T.reshape(-1, 3, T.shape[1]).swapaxes(0, 1)
-        bars = by_node[:, structure.bars[:, 1]] - by_node[:, structure.bars[:, 0]]
+        self._plant, self._r = plant, plant.degrees_of_freedom
+        alone = np.setdiff1d(np.arange(len(structure.bars)), structure.coupled_bars)
+        by_node = T.reshape(-1, len(plant.nodes), T.shape[1]).swapaxes(0, 1)
+        bars = by_node[:, structure.bars[alone, 1]] - by_node[:, structure.bars[alone, 0]]
         self._bar_rows = bars.reshape(-1, T.shape[1])
-        self._axes = structure.bar_vectors(plant.nodes) / structure.bar_length
-        self._reach = structure.bar_length**2
+        self._axes = (structure.bar_vectors(plant.nodes) / structure.bar_length)[:, alone]
+        self._reach = structure.bar_length[alone] ** 2
 
     def fit(
         self,
@@ -186,6 +188,13 @@ class Correction:
         """Whether the coordinates reach the shape: no bar is turned by a right angle."""
         if not np.isfinite(z).all():
             return False
-        bars = (self._bar_rows @ z[: self._r]).reshape(3, -1)
+        bars = (self._bar_rows @ z[: self._r]).reshape(self._axes.shape)
         across = bars - (bars * self._axes).sum(axis=0) * self._axes
-        return bool(((across**2).sum(axis=0) < self._reach).all())
+        if not ((across**2).sum(axis=0) < self._reach).all():
+            return False
+        if self._plant.model.structure.blocks:
+            try:
+                self._plant.to_nodes(z[: self._r])
+            except ValueError:  # of joined bars, that they cannot keep their lengths
+                return False
+        return True

@@ -92,7 +92,7 @@ def kalman(
     patience : int
         After so many samples in a row with most readings refused, the filter restarts from the
         readings. At least 1.
-    start : array_like, shape (3, n), optional
+    start : array_like, shape (d, n), optional
         Expected shape at the start, m, at rest; the operating point if not given.
     start_spread : float
         Standard deviation of the nodes from there, as a part of the size of the structure; that
@@ -216,11 +216,14 @@ def _pull(plant: LinearPlant) -> float:
     """Return the root mean square acceleration q̈ that strings give, each pulling alone."""
     structure, commanded = plant.model.structure, plant.commanded
     ends = plant.nodes[:, : commanded.nodes.shape[1]]
-    forces = np.zeros((len(commanded.strings), structure.nodes.shape[1], 3))
-    rows = np.arange(len(forces))
-    pulls = plant.force_density[:, None] * commanded.string_vectors(ends).T
-    forces[rows, commanded.strings[:, 0]] = pulls
-    forces[rows, commanded.strings[:, 1]] = -pulls
+    forces = np.zeros((len(commanded.strings), *structure.nodes.shape[::-1]))
+    of, segments = commanded.segment_string, commanded.segments
+    vectors, gamma = commanded.string_vectors(ends), plant.force_density[of]
+    if commanded.has_clusters:  # T/l of each segment
+        gamma = gamma * commanded.string_length(ends)[of] / np.linalg.norm(vectors, axis=0)
+    pulls = gamma[:, None] * vectors.T
+    np.add.at(forces, (of, segments[:, 0]), pulls)
+    np.add.at(forces, (of, segments[:, 1]), -pulls)
     # Tᵀ M T = I, so that a force f gives q̈ = Tᵀ f.
     given = forces.reshape(len(forces), -1) @ plant.basis
     pull = float(np.linalg.norm(given) / np.sqrt(plant.degrees_of_freedom))

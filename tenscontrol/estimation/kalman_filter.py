@@ -55,9 +55,9 @@ class Estimate:
 
     Attributes
     ----------
-    nodes, velocities : ndarray, shape (3, n)
+    nodes, velocities : ndarray, shape (d, n)
         m and m/s. Bars have their lengths. Motions as one body that no reading shows are left out.
-    load : ndarray, shape (3, n), or None
+    load : ndarray, shape (d, n), or None
         Unknown force on each node, N, that acts on the bars in proportion to their mass: of all
         loads that move the structure so, one. None if the filter estimates none.
     state : ndarray, shape (s,)
@@ -65,7 +65,7 @@ class Estimate:
         it gives at the end.
     covariance : ndarray, shape (s, s)
         Of the state, as the filter has it.
-    node_deviation : ndarray, shape (3, n)
+    node_deviation : ndarray, shape (d, n)
         Standard deviation of each coordinate of the nodes, m, to first order.
     length_deviation : ndarray, shape (α,)
         That of the length of each string, m.
@@ -215,8 +215,8 @@ class KalmanFilter:
         self._motion = None if design.motion is None else Evaluator(design.motion)
         self._correction = Correction(design.plant, design.sensors, design.outputs, design.gate)
         structure, T = design.plant.model.structure, design.plant.basis
-        by_node = T.reshape(-1, 3, T.shape[1]).swapaxes(0, 1)
-        ends = structure.strings
+        by_node = T.reshape(-1, structure.dimension, T.shape[1]).swapaxes(0, 1)
+        ends = structure.segments
         self._string_rows = by_node[:, ends[:, 1]] - by_node[:, ends[:, 0]]
         # Tᵀ M T = I: forces M T q̈ on the nodes give the accelerations q̈.
         self._force = design.plant.coordinates.project(np.eye(design.plant.nodes.size)).T
@@ -406,19 +406,23 @@ class KalmanFilter:
     def _estimate(self, z: FloatArray, P: FloatArray) -> Estimate:
         r, T = self.plant.degrees_of_freedom, self.plant.basis
         nodes = self.plant.to_nodes(z[:r])
-        strings = self.plant.model.structure.string_vectors(nodes)
+        structure, shape = self.plant.model.structure, self.plant.nodes.shape
+        strings = structure.string_vectors(nodes)
         along = strings / np.maximum(np.linalg.norm(strings, axis=0), np.finfo(float).tiny)
         stretch = (along[:, :, None] * self._string_rows).sum(axis=0)
+        if structure.has_clusters:
+            each, stretch = stretch, np.zeros((len(structure.strings), r))
+            np.add.at(stretch, structure.segment_string, each)
         by_node, by_length = (((D @ P[:r, :r]) * D).sum(axis=1) for D in (T, stretch))
         return Estimate(
             nodes=frozen(nodes),
             velocities=frozen(self.plant.to_velocities(z[:r], z[r : 2 * r])),
-            load=frozen((self._force @ z[2 * r :]).reshape(3, -1, order="F"))
+            load=frozen((self._force @ z[2 * r :]).reshape(shape, order="F"))
             if self._design.load
             else None,
             state=frozen(z),
             covariance=frozen(P),
-            node_deviation=frozen(np.sqrt(by_node).reshape(3, -1, order="F")),
+            node_deviation=frozen(np.sqrt(by_node).reshape(shape, order="F")),
             length_deviation=frozen(np.sqrt(by_length)),
             status=self._tally.last,
         )

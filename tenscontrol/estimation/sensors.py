@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-# Kind of reading: its unit, the argument that chooses which ones, and the numbers in a reading.
+# Kind of reading: its unit, the argument that chooses which ones, and whether it is a vector.
 KINDS = (
-    ("node_position", "m", "nodes", 3),
-    ("string_length", "m", "strings", 1),
-    ("bar_direction", "no unit", "bars", 3),
-    ("string_tension", "N", "tension_strings", 1),
+    ("node_position", "m", "nodes", True),
+    ("string_length", "m", "strings", False),
+    ("bar_direction", "no unit", "bars", True),
+    ("string_tension", "N", "tension_strings", False),
 )
 
 # A corrupt reading is off by so many standard deviations.
@@ -61,7 +61,7 @@ class Sensors:
     node_position : float or array_like, shape (nodes,), optional
         Standard deviation of each coordinate of a node, m.
     string_length : float or array_like, shape (strings,), optional
-        That of the distance between the ends of a string, m.
+        That of the length of a string, m: of a clustered one, of all its segments.
     bar_direction : float or array_like, shape (bars,), optional
         That of each entry of a direction, about that of an angle in rad.
     string_tension : float or array_like, shape (tension_strings,), optional
@@ -168,8 +168,13 @@ class Sensors:
     def _taken(self) -> tuple[tuple[FloatArray, IntArray, str, int], ...]:
         """Noise, indices, kind and numbers in a reading, of each kind that is measured."""
         return tuple(
-            (getattr(self, kind), getattr(self, chooser), kind, size)
-            for kind, _, chooser, size in KINDS
+            (
+                getattr(self, kind),
+                getattr(self, chooser),
+                kind,
+                self.structure.dimension if vector else 1,
+            )
+            for kind, _, chooser, vector in KINDS
             if getattr(self, kind) is not None
         )
 
@@ -201,7 +206,7 @@ class Sensors:
 
         Parameters
         ----------
-        nodes : array_like, shape (3, n)
+        nodes : array_like, shape (d, n)
             Node positions, m.
         tension : array_like, shape (α,), optional
             Tension of each string of the structure, N. Where it is not given, measured

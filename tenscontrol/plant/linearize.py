@@ -431,7 +431,7 @@ def _refuse_unbalanced(
     for node, axis in structure.rollers:  # what a roller holds is in balance
         forces["xyz".index(axis), free == node] = 0.0
     unbalanced = np.linalg.norm(forces, axis=0)
-    strings = np.linalg.norm(model.structure.string_vectors(nodes), axis=0)
+    strings = model.structure.string_length(nodes)
     scale = max(float((gamma * strings).max(initial=0.0)), float(np.abs(load).max()))
     if unbalanced.max() > _EQUILIBRIUM_TOLERANCE * scale:
         worst = int(unbalanced.argmax())

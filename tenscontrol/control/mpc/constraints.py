@@ -36,7 +36,7 @@ class OutputLimit:
 
     Parameters
     ----------
-    matrix : array_like, shape (p, 3n)
+    matrix : array_like, shape (p, d n)
         C of ``y = C vec(N)``, node by node.
     low, high : float or array_like, shape (p,), optional
         Bounds of y, m; no bound if not given.
@@ -79,7 +79,7 @@ class OutputLimit:
     def __post_init__(self) -> None:
         matrix = float_array("matrix", self.matrix)
         if matrix.ndim != 2:
-            raise ValueError(f"matrix has shape {matrix.shape}, expected (p, 3n)")
+            raise ValueError(f"matrix has shape {matrix.shape}, expected (p, d n)")
         if not np.abs(matrix).sum(axis=1).all():
             raise ValueError("matrix has a row of zeros, which limits nothing")
         object.__setattr__(self, "matrix", frozen(matrix))
@@ -151,7 +151,7 @@ def clearance(plant: LinearPlant, clearance: float, penalty: float | None = None
             f"clearance is {clearance:g} m, but bars {i} and {j} are {found.distance[near]:g} m "
             "apart at the operating point; expected at most that"
         )
-    rows = np.zeros((len(passing), 3, nodes.shape[1]))
+    rows = np.zeros((len(passing), *nodes.shape))
     starts, vectors = nodes[:, structure.bars[:, 0]], structure.bar_vectors(nodes)
     for row, pair in zip(rows, passing, strict=True):
         (i, j), (s, t) = found.pairs[pair], found.nearest[pair]

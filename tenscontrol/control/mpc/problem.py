@@ -64,7 +64,7 @@ class RowBlock:
     penalty: FloatArray
     quantity: str  # of the path, that bounds are measured from; "" for node positions
     offset: FloatArray  # (p,), of node positions: value at the operating point
-    on_nodes: FloatArray  # (p, 3n), of node positions: C
+    on_nodes: FloatArray  # (p, d n), of node positions: C
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -113,7 +113,7 @@ class MPCSettings:
         :func:`energy_weights`; a tenth of it for γ.
     max_change : float or array_like, shape (α,), optional
         Largest change of the input from sample to sample, N/m or m.
-    reference : Reference or array_like, shape (3, n), optional
+    reference : Reference or array_like, shape (d, n), optional
         Shapes to follow, seen ahead over the horizon; a single shape is a
         constant one. The operating point if not given.
     min_force_density : float or array_like, shape (α,)
@@ -133,7 +133,7 @@ class MPCSettings:
     load_gain : float, optional
         With it a constant unknown load is estimated, at most 1 (at once), and
         the plant is brought to rest at the reference under it.
-    tracked : array_like, shape (p, 3n), optional
+    tracked : array_like, shape (p, d n), optional
         Combinations of node positions to be free of offset under a load; all
         coordinates, as well as can be, if not given.
     tolerance : float
@@ -353,6 +353,12 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
             positive("max_force_density", largest, "force density in N/m")
             high = to_model_strings(plant, "force_density", largest)
         low = to_model_strings(plant, "force_density", _least_force_density(plant, settings))
+        if low[plant.slack].any():
+            i = plant.slack[low[plant.slack].argmax()]
+            raise ValueError(
+                f"min_force_density is {low[i]:g} N/m for string {i}, which is slack at the "
+                "operating point; expected 0 there, or a shape in which it is taut"
+            )
         level = float(strings.force_density.max())
         blocks.append(string_block("force_density", strings, low, high, level, penalty))
     if settings.max_tension is not None:
@@ -416,7 +422,7 @@ class PredictiveController(Controller):
 
         Parameters
         ----------
-        reference : Reference or array_like, shape (3, n), or None
+        reference : Reference or array_like, shape (d, n), or None
             As in the constructor.
 
         Raises

@@ -352,9 +352,7 @@ class RadauIIA(Discretization):
 
 def taut_slopes(plant: LinearPlant) -> Any:
     """Return ``(z, u) -> (q̈, ∂q̈/∂q, ∂q̈/∂q̇, ∂q̈/∂u)`` with strings that push where slack."""
-    return plant.prepared.get(
-        "taut slopes", lambda: acceleration_slopes(plant, taut=True)
-    )
+    return plant.prepared.get("taut slopes", lambda: acceleration_slopes(plant, taut=True))
 
 
 def _taut_force_density(plant: LinearPlant) -> ca.Function:
