@@ -93,9 +93,7 @@ def _assemble(columns: dict[str, Any]) -> tuple[Any, ...]:
     return B, -kernel.dots(Bd, Bd)
 
 
-def _factor_pattern(
-    rows: IntArray, columns: IntArray, size: int
-) -> tuple[IntArray, IntArray]:
+def _factor_pattern(rows: IntArray, columns: IntArray, size: int) -> tuple[IntArray, IntArray]:
     """Return rows and column starts of the factor's entries above the diagonal, with fill-in."""
     every = np.arange(size)
     both = np.concatenate([rows, columns, every]), np.concatenate([columns, rows, every])

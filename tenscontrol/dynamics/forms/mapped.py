@@ -23,27 +23,34 @@ def mapped_functions(
     structure: Structure, law: StringLaw | None, load: FloatArray
 ) -> tuple[ca.Function, ...]:
     """Return slope, gap and force of :class:`Equation`; arguments as for ``loops_source``."""
-    q, v = (ca.MX.sym(name, len(structure.free_rows)) for name in "qv")
-    alpha = len(structure.strings)
+    free, alpha = structure.free.tolist(), len(structure.strings)
+    (N, p), (Nd, v) = (
+        _symbols(structure, name, at)
+        for name, at in (("N", structure.nodes), ("Nd", np.zeros_like(structure.nodes)))
+    )
     u, taut = ca.MX.sym("u", alpha), ca.MX.sym("taut", 0 if law is None else alpha)
-    arrays = {
-        "p": kernel.placed(structure, q, structure.nodes),
-        "v": kernel.placed(structure, v, np.zeros_like(structure.nodes)),
-        "u": u.T,
-        "taut": taut.T,
-    }
+    arrays = {"p": p, "v": v, "u": u.T, "taut": taut.T}
     arrays["f"] = _forces(structure, arrays, law, load)
-    x = ca.vertcat(q, v)
+    x = ca.vertcat(ca.vec(N), ca.vec(Nd))
     gap = rate = ca.MX(0, 1)
     if law is not None:
         gap, rate = (row.T for row in _gaps(structure, arrays, law))
-    xdot = ca.vertcat(v, _accelerations(structure, arrays))
-    on_free = ca.vec(ca.densify(arrays["f"]))[structure.free_rows.tolist()]
+    xdot = ca.vertcat(ca.vec(Nd), _accelerations(structure, arrays))
+    on_free = kernel.free_entries(structure, ca.densify(arrays["f"][:, free]))
     return (
         ca.Function("slope", [x, u, taut], [xdot]),
         ca.Function("gap", [x, u], [gap, rate]),
-        ca.Function("force", [q, v, u, taut], [on_free]),
+        ca.Function("force", [ca.vec(N), ca.vec(Nd), u, taut], [on_free]),
     )
+
+
+def _symbols(structure: Structure, name: str, fixed: FloatArray) -> tuple[Any, Any]:
+    """Return a symbol of what supports leave free, and with it the columns of all nodes."""
+    if structure.rollers:
+        free = ca.MX.sym(name, len(structure.free_rows))
+        return free, kernel.placed(structure, free, fixed)
+    free = ca.MX.sym(name, structure.dimension, len(structure.free))
+    return free, kernel.all_nodes(structure, free, fixed)
 
 
 def _forces(
@@ -64,7 +71,7 @@ def _forces(
         total += each.count * len(found)
     rows, columns, signs = np.hstack(ends)
     gather = ca.DM.triplet(rows.tolist(), columns.tolist(), ca.DM(signs), total, n)
-    forces = ca.mtimes(ca.horzcat(ca.MX(d, 0), *pulls), gather)
+    forces = ca.mtimes(ca.horzcat(*pulls) if pulls else ca.MX(d, 0), gather)
     return forces + ca.DM(load) if load.any() else forces
 
 
@@ -72,29 +79,30 @@ def _gaps(structure: Structure, arrays: dict[str, Any], law: StringLaw) -> list[
     """Return how far each string is from slack, and how fast that changes, shape (1, α) each."""
     passes = gap_passes(structure, law)
     outputs = [_outputs(each, arrays) for each in passes]
-    rows = [ca.horzcat(ca.MX(1, 0), *parts) for parts in zip(*outputs, strict=True)]
     if not structure.has_clusters:
-        return rows or [ca.MX(1, 0)] * 2
-    order = np.argsort(np.concatenate([each.writes[0].at for each in passes]))
-    return [row[:, order.tolist()] for row in rows]
+        return outputs[0] if outputs else [ca.MX(1, 0)] * 2
+    order = np.argsort(np.concatenate([each.writes[0].at for each in passes])).tolist()
+    return [ca.horzcat(*parts)[:, order] for parts in zip(*outputs, strict=True)]
 
 
 def _accelerations(structure: Structure, arrays: dict[str, Any]) -> Any:
     """Return the accelerations of what supports leave free, m/s², a column."""
     d = structure.dimension
-    parts: list[Any] = []
-    rows: list[Any] = []
-    for each in body_passes(structure):
-        parts += map(ca.vec, _outputs(each, arrays))
-        rows += [(d * write.at[:, None] + np.arange(d)).ravel() for write in each.writes]
-    if structure.blocks:
-        block = kernel.coupled_block(structure)
-        p, v, f = (arrays[name] for name in "pvf")
-        parts.append(kernel.block_motion(structure, block, p, v, f)[0])
-        rows.append(block.rows)
+    passes = body_passes(structure)
+    columns = [part for each in passes for part in _outputs(each, arrays)]
+    nodes = np.concatenate([[], *(write.at for each in passes for write in each.writes)]).astype(
+        int
+    )
+    if not structure.blocks:
+        return kernel.free_entries(structure, ca.horzcat(*columns)[:, np.argsort(nodes).tolist()])
+    block = kernel.coupled_block(structure)
+    p, v, f = (arrays[name] for name in "pvf")
+    found, _ = kernel.block_motion(structure, block, p, v, f)
+    rows = np.concatenate([(d * nodes[:, None] + np.arange(d)).ravel(), block.rows])
     place = np.full(structure.nodes.size, -1)
-    place[np.concatenate(rows)] = np.arange(sum(map(len, rows)))
-    return ca.vertcat(*parts)[place[structure.free_rows].tolist()]
+    place[rows] = np.arange(len(rows))
+    alone = ca.vec(ca.horzcat(ca.MX(d, 0), *columns))
+    return ca.vertcat(alone, found)[place[structure.free_rows].tolist()]
 
 
 def _outputs(over: Pass, arrays: dict[str, Any]) -> list[Any]:

@@ -169,9 +169,7 @@ def _segments(columns: Columns, part: str) -> list[Any]:
     return [columns[f"{part}_{k + 1}"] - columns[f"{part}_{k}"] for k in range(count - 1)]
 
 
-def _motion(
-    structure: Structure, S: list[Any], columns: Columns
-) -> tuple[list[Any], Any, Any]:
+def _motion(structure: Structure, S: list[Any], columns: Columns) -> tuple[list[Any], Any, Any]:
     """Return the lengths of segments, and length and rate of the strings.
 
     The rate is None where no velocities are read.
