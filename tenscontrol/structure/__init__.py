@@ -9,8 +9,9 @@ from tenscontrol.structure.bar_geometry import (
     restore_bar_lengths,
 )
 from tenscontrol.structure.blocks import Block, bar_rows, node_mass
+from tenscontrol.structure.connectivity import refuse_many_members
 from tenscontrol.structure.net import net
-from tenscontrol.structure.prism import prism, prism_radius
+from tenscontrol.structure.prism import prism, prism_radius, prism_tower
 from tenscontrol.structure.segments import (
     segment_counts,
     spread_force_density,
@@ -19,7 +20,7 @@ from tenscontrol.structure.segments import (
     to_strings,
 )
 from tenscontrol.structure.skin import skin, skin_rest_length
-from tenscontrol.structure.structure import Structure, refuse_many_members, same_members
+from tenscontrol.structure.structure import Structure, same_members
 from tenscontrol.structure.subdivide import subdivide
 from tenscontrol.structure.supports import (
     affine_motions,
@@ -31,7 +32,6 @@ from tenscontrol.structure.supports import (
     rigid_basis,
     rigid_motions,
 )
-from tenscontrol.structure.tower import prism_tower
 
 __all__ = [
     "BarDistances",

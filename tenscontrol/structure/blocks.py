@@ -3,31 +3,52 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from tenscontrol.validation import FloatArray, IntArray, frozen
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
     from scipy.sparse import csr_array
 
-    from tenscontrol.structure.structure import Structure
-
 # Added to the constraints of bars, in units of their inverse mass, so that dependent ones show:
-# they are left with it, times one and the squares of their shares of the others. Bars count as
-# dependent below the second number.
-_SHIFT, _DEPENDENT = 1e-13, 1e-8
+# they are left with little more than it. Bars left with less than the second number are looked at
+# again, by the motion that they stop: one of less than the third is none.
+_SHIFT, _DOUBTFUL, _DEPENDENT = 1e-13, 1e-6, 1e-9
 
 # Length of a step along a mechanism, in lengths of the longest bar, and by how much of its length
 # a redundant bar may then be off.
 _STEP, _OFF = 1e-3, 1e-8
 
-# Below this, nothing moves.
-_STILL = 1e-9
-
 # Newton's steps at most, and squared lengths that may be called restored when they get no better.
 _MOST, _EXACT = 30, 1e-12
+
+
+class Jointed(Protocol):
+    """What a block needs to know of the structure that it is a part of."""
+
+    @property
+    def dimension(self) -> int: ...  # noqa: D102  # as of Structure
+    @property
+    def nodes(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def bars(self) -> IntArray: ...  # noqa: D102
+    @property
+    def bar_mass(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def bar_length(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def point_mass(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def coupled_bars(self) -> IntArray: ...  # noqa: D102
+    @property
+    def fixed(self) -> IntArray: ...  # noqa: D102
+    @property
+    def free(self) -> IntArray: ...  # noqa: D102
+    @property
+    def free_rows(self) -> IntArray: ...  # noqa: D102
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +86,7 @@ class Block:
         return len(self.independent) < len(self.bars)
 
 
-def find_blocks(structure: Structure) -> tuple[Block, ...]:
+def find_blocks(structure: Jointed) -> tuple[Block, ...]:
     """Return the blocks of the coupled bars, or raise where they are in a dead centre."""
     if len(structure.coupled_bars) == 0:
         return ()
@@ -82,15 +103,20 @@ def find_blocks(structure: Structure) -> tuple[Block, ...]:
     of_bar = of_node[moving_end]
     free = np.zeros(count, bool)
     free[structure.free] = True
+    is_free_row = np.zeros(structure.nodes.size, bool)
+    is_free_row[structure.free_rows] = True
     return tuple(
         _block(
-            structure, structure.coupled_bars[of_bar == k], np.flatnonzero((of_node == k) & free)
+            structure,
+            structure.coupled_bars[of_bar == k],
+            np.flatnonzero((of_node == k) & free),
+            is_free_row,
         )
         for k in dict.fromkeys(of_bar.tolist())
     )
 
 
-def bar_rows(structure: Structure, bars: IntArray, nodes: FloatArray) -> csr_array:
+def bar_rows(structure: Jointed, bars: IntArray, nodes: FloatArray) -> csr_array:
     """Return J of some bars, shape (b, d n): half the derivatives of their squared lengths, m."""
     from scipy.sparse import csr_array
 
@@ -104,21 +130,27 @@ def bar_rows(structure: Structure, bars: IntArray, nodes: FloatArray) -> csr_arr
     return csr_array((values, places), shape=(len(bars), d * count))
 
 
-def node_mass(structure: Structure) -> csr_array:
-    """Return M = C_bᵀ m̂_b C_b/12 + C_rᵀ m̂_b C_r + point masses, shape (n, n), kg."""
+def node_mass(structure: Jointed, block: Block | None = None) -> csr_array:
+    """Return M = C_bᵀ m̂_b C_b/12 + C_rᵀ m̂_b C_r + point masses, kg, of all nodes or a block's."""
     from scipy.sparse import csr_array
 
-    start, end = structure.bars.T
-    points = np.flatnonzero(structure.point_mass)
-    rows = np.concatenate([start, end, start, end, points])
-    columns = np.concatenate([start, end, end, start, points])
-    m = structure.bar_mass
-    values = np.concatenate([m / 3, m / 3, m / 6, m / 6, structure.point_mass[points]])
-    n = structure.nodes.shape[1]
-    return csr_array((values, (rows, columns)), shape=(n, n))
+    count = structure.nodes.shape[1]
+    bars = np.arange(len(structure.bars)) if block is None else block.bars
+    nodes = np.arange(count) if block is None else block.nodes
+    place = np.full(count, -1)
+    place[nodes] = np.arange(len(nodes))
+    start, end = place[structure.bars[bars]].T
+    rows = np.concatenate([start, end, start, end, place[nodes]])
+    columns = np.concatenate([start, end, end, start, place[nodes]])
+    m = structure.bar_mass[bars]
+    values = np.concatenate([m / 3, m / 3, m / 6, m / 6, structure.point_mass[nodes]])
+    kept = (rows >= 0) & (columns >= 0) & (values > 0)
+    return csr_array((values[kept], (rows[kept], columns[kept])), shape=(len(nodes), len(nodes)))
 
 
-def _block(structure: Structure, bars: IntArray, nodes: IntArray) -> Block:
+def _block(
+    structure: Jointed, bars: IntArray, nodes: IntArray, is_free_row: NDArray[np.bool_]
+) -> Block:
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
@@ -132,7 +164,7 @@ def _block(structure: Structure, bars: IntArray, nodes: IntArray) -> Block:
     nodes = nodes[reverse_cuthill_mckee(graph, symmetric_mode=True)]
     place[nodes] = np.arange(len(nodes))
     rows = (d * nodes[:, None] + np.arange(d)).ravel()
-    rows = rows[np.isin(rows, structure.free_rows)]
+    rows = rows[is_free_row[rows]]
     found = _ordered(structure, place, nodes, rows, bars, bars)
     independent = _independent(structure, found)
     if len(independent) < len(bars):
@@ -142,7 +174,7 @@ def _block(structure: Structure, bars: IntArray, nodes: IntArray) -> Block:
 
 
 def _ordered(
-    structure: Structure, place: IntArray, nodes: IntArray, rows: IntArray, bars: IntArray,
+    structure: Jointed, place: IntArray, nodes: IntArray, rows: IntArray, bars: IntArray,
     independent: IntArray,
 ) -> Block:  # fmt: skip
     later = place[structure.bars[independent]].max(axis=1)
@@ -152,27 +184,47 @@ def _ordered(
     return Block(*(frozen(part) for part in (nodes, rows, bars, independent, order)))
 
 
-def _independent(structure: Structure, block: Block) -> IntArray:
-    """Return bars of which none depends on those that are eliminated before."""
-    from scipy.sparse import csc_array
+def _independent(structure: Jointed, block: Block) -> IntArray:
+    """Return bars of which none depends on the others, and all others on them."""
+    from scipy.linalg import qr
+    from scipy.sparse import csc_array, csr_array
     from scipy.sparse.linalg import splu
 
     r, rows, bars = len(block.rows), block.rows, block.independent
-    mass = _row_mass(structure, rows)
+    mass = _row_mass(structure, block)
     J = bar_rows(structure, bars, structure.nodes)[:, rows]
-    # Scaled so that J M⁻¹ Jᵀ is of order one.
-    weights = 1 / np.sqrt((J * J) @ (1 / mass.diagonal()) + np.finfo(float).tiny)
-    matrix = csc_array(_saddle(mass, J * weights[:, None], _SHIFT))
+    # Scaled so that J M⁻¹ Jᵀ is of order one; a bar that holds nothing that moves has a row of 0.
+    size = np.sqrt((J * J) @ (1 / mass.diagonal()))
+    J = J / np.maximum(size, np.finfo(float).eps * structure.bar_length[bars])[:, None]
+    matrix = csc_array(_saddle(mass, J, _SHIFT))
     factors = splu(
         matrix[block.order][:, block.order], permc_spec="NATURAL", diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )  # fmt: skip
     pivots = np.empty(len(block.order))
     pivots[block.order] = factors.U.diagonal()
-    return np.asarray(bars[-pivots[r:] > _DEPENDENT])
+    is_kept = -pivots[r:] > _DOUBTFUL
+    doubtful = np.flatnonzero(~is_kept)
+    if len(doubtful):
+        left = _admitted(mass, csr_array(J[is_kept]), J[doubtful].toarray().T)
+        size = np.abs(left).max(axis=0)
+        doubtful, left = doubtful[size > _DEPENDENT], left[:, size > _DEPENDENT]
+        _, R, order = qr(left, mode="economic", pivoting=True)
+        is_kept[doubtful[order[: np.count_nonzero(np.abs(np.diagonal(R)) > _DEPENDENT)]]] = True
+    return np.asarray(bars[is_kept])
 
 
-def restore_block(structure: Structure, block: Block, nodes: FloatArray) -> FloatArray:
+def _admitted(mass: csr_array, J: csr_array, forces: FloatArray) -> FloatArray:
+    """Return the accelerations by forces, shape (r, ·), that bars with the rows J admit."""
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import splu
+
+    below = np.zeros((J.shape[0], forces.shape[1]))
+    solution = splu(csc_array(_saddle(mass, J))).solve(np.vstack([forces, below]))
+    return np.asarray(solution[: len(forces)])
+
+
+def restore_block(structure: Jointed, block: Block, nodes: FloatArray) -> FloatArray:
     """Return nodes, shape (d, n), with the bars of a block at their lengths.
 
     By Newton's iteration to round-off, each change the least in the metric of the mass. Raises
@@ -182,7 +234,9 @@ def restore_block(structure: Structure, block: Block, nodes: FloatArray) -> Floa
     from scipy.sparse.linalg import splu
 
     rows, bars = block.rows, block.independent
-    flat, mass = nodes.ravel(order="F"), _row_mass(structure, rows)
+    if len(bars) == 0:
+        return nodes
+    flat, mass = nodes.ravel(order="F"), _row_mass(structure, block)
     length = structure.bar_length[bars]
     best = np.inf
     for _ in range(_MOST):
@@ -215,31 +269,36 @@ def _saddle(mass: csr_array, J: csr_array, shift: float = 0.0) -> csr_array:
     return block_array([[mass, J.T], [J, -shift * eye_array(J.shape[0])]], format="csr")
 
 
-def _row_mass(structure: Structure, rows: IntArray) -> csr_array:
-    """Return the mass matrix of some rows of ``vec(N)``."""
+def _row_mass(structure: Jointed, block: Block) -> csr_array:
+    """Return the mass matrix of the rows of a block, kg."""
     from scipy.sparse import eye_array, kron
 
-    mass = kron(node_mass(structure), eye_array(structure.dimension), format="csr")
-    return mass[rows][:, rows]
+    d = structure.dimension
+    every = (d * block.nodes[:, None] + np.arange(d)).ravel()
+    free = np.flatnonzero(np.isin(every, block.rows))
+    mass = kron(node_mass(structure, block), eye_array(d), format="csr")
+    return mass[free][:, free]
 
 
-def _refuse_dead_centre(structure: Structure, block: Block) -> None:
+def _refuse_dead_centre(structure: Jointed, block: Block) -> None:
     """Raise if redundant bars are not so in a shape close by."""
     rows, nodes = block.rows, structure.nodes
-    kept = bar_rows(structure, block.independent, nodes)[:, rows].toarray()
-    motion = np.cos(np.arange(1.0, len(rows) + 1) ** 2)  # any direction
-    motion -= np.linalg.pinv(kept) @ (kept @ motion)
-    if np.abs(motion).max() < _STILL:
-        return
-    length = structure.bar_length
+    J, mass = bar_rows(structure, block.independent, nodes)[:, rows], _row_mass(structure, block)
+    push = np.cos(np.arange(1.0, len(rows) + 1) ** 2)  # any motion
+    motion = _admitted(mass, J, (mass @ push)[:, None])[:, 0]
+    if np.abs(motion).max() < _DEPENDENT:
+        return  # nothing moves
+    length = structure.bar_length[block.bars]
     flat = nodes.ravel(order="F").copy()
-    flat[rows] += _STEP * length[block.bars].max() / np.abs(motion).max() * motion
+    flat[rows] += _STEP * length.max() / np.abs(motion).max() * motion
     moved = restore_block(structure, block, flat.reshape(nodes.shape, order="F"))
-    off = np.abs(np.linalg.norm(structure.bar_vectors(moved), axis=0) / length - 1)[block.bars]
+    start, end = structure.bars[block.bars].T
+    off = np.abs(np.linalg.norm(moved[:, end] - moved[:, start], axis=0) / length - 1)
     if off.max() > _OFF:
         worst = block.bars[off.argmax()]
         raise ValueError(
-            f"bars {sorted(block.bars.tolist())} hold one another in this shape, but not in shapes "
-            f"next to it, where bar {worst} changes its length: a dead centre, in which their "
-            "forces are not determined. Change the nodes a little, or remove a bar"
+            f"bars {sorted(block.bars.tolist())}, with what holds them, are stiff in this shape, "
+            f"but not in shapes next to it, where bar {worst} changes its length: a dead centre, "
+            "in which their forces are not determined. Change the nodes a little, remove a bar or "
+            "hold less"
         )

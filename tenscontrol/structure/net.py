@@ -6,7 +6,8 @@ import warnings
 
 import numpy as np
 
-from tenscontrol.structure.structure import Structure, refuse_many_members
+from tenscontrol.structure.connectivity import refuse_many_members
+from tenscontrol.structure.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
     IntArray,

@@ -1,11 +1,24 @@
-"""The tensegrity prism: q bars between two polygons, one turned against the other."""
+"""The tensegrity prism, q bars between two polygons, and towers of prisms on strings."""
 
 from __future__ import annotations
 
+from math import ceil
+
 import numpy as np
 
-from tenscontrol.structure.structure import Structure, refuse_many_members
-from tenscontrol.validation import choice, positive_number, truth, whole_number
+from tenscontrol.structure.connectivity import refuse_many_members
+from tenscontrol.structure.structure import Structure
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    choice,
+    positive_number,
+    truth,
+    whole_number,
+)
+
+# Above this share of the stage height some towers would need strings that push.
+_LARGEST_OVERLAP = 0.4
 
 
 def prism(
@@ -147,3 +160,149 @@ def prism_radius(bar_length: float, height: float, sides: int = 3) -> float:
 def _turn(q: int) -> float:
     """Return the turn of one polygon against the other, rad: a vertical string spans it."""
     return float(np.pi / 2 - np.pi / q)
+
+
+def prism_tower(
+    stages: int,
+    sides: int = 3,
+    radius: float = 0.5,
+    height: float = 1.0,
+    bar_mass: object = 1.0,
+    overlap: float = 0.25,
+    handedness: str = "left",
+) -> Structure:
+    """Return a class-1 tower of tensegrity prisms, one on the other, in an equilibrium shape.
+
+    The screw of the bars turns the other way from stage to stage, and no bar touches another: the
+    bottom of each stage hangs below the top of the last, in *saddle* strings that go to and fro
+    between the two polygons. *Diagonal* strings, from top to top and from bottom to bottom, hold
+    the stages together. One stage is the :func:`prism`. A higher tower needs no load to be stiff:
+    it has no mechanism, and states of self-stress that pull on all strings.
+
+    Nodes, bars and strings come stage by stage. The nodes of a stage are its top polygon, then its
+    bottom polygon, q each; its strings are the groups ``"top"``, ``"bottom"`` and ``"vertical"``, q
+    each, then those to the next stage, ``"saddle"`` and ``"diagonal"``, 2q each.
+
+    Parameters
+    ----------
+    stages : int
+        Number of prisms, at least 1.
+    sides : int
+        Number q of bars and of polygon sides of a stage, at least 3.
+    radius : float
+        Radius of the circles through the nodes, m.
+    height : float
+        Distance between the polygons of a stage, m.
+    bar_mass : float or array_like, shape (stages * q,)
+        Mass of each bar, kg.
+    overlap : float
+        How far a stage reaches down into the one below, as a share of
+        ``height``, above 0 and at most 0.4. One stage has nothing to overlap.
+    handedness : {"left", "right"}
+        The screw that the bars of the first stage follow on their way up.
+
+    Returns
+    -------
+    Structure
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a number is not positive and finite, ``stages`` is below 1, ``sides`` is below 3,
+        ``overlap`` is above 0.4, or ``handedness`` is another word.
+
+    Notes
+    -----
+    K. Snelson's towers, as in Skelton & de Oliveira, *Tensegrity Systems* (2009), with the polygons
+    of every stage kept. Each joint has one state of self-stress with the symmetry of the tower. The
+    saddle strings of a joint with overlap ``o h`` carry ``(1 - o)/o`` times the force density of
+    the diagonal strings. A stage turned beyond the twist of the prism answers their pull by tension
+    in all its strings, and the less, the more it is turned; it is turned by ``2/3 o π/q``, so that
+    its strings pull about as hard as those of the joint.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> tower = tc.prism_tower(stages=4)
+    >>> tower
+    Structure(24 nodes, 12 bars, 72 strings)
+    >>> rest = tc.prestress(tower, force_density=10.0, reference="vertical")
+    >>> rest.mechanisms, rest.is_super_stable, bool(rest.force_density.min() > 2.0)
+    (0, True, True)
+    """
+    count = whole_number("stages", stages, least=1)
+    q = whole_number("sides", sides, least=3)
+    refuse_many_members(f"stages is {count} and sides is {q}", 8 * count * q)
+    radius = positive_number("radius", radius, "m")
+    height = positive_number("height", height, "m")
+    overlap = positive_number("overlap", overlap, "stage heights")
+    if overlap > _LARGEST_OVERLAP:
+        raise ValueError(
+            f"overlap is {overlap:g}, expected at most {_LARGEST_OVERLAP:g}: with more, "
+            "strings of the tower would have to push"
+        )
+    mirror = 1.0 if choice("handedness", handedness, ("left", "right")) == "left" else -1.0
+
+    node = np.arange(count * 2 * q).reshape(count, 2, q)
+    top, bottom = node[:, 0], node[:, 1]
+    # 1 where the bottom is ahead of the top, in the sense of the node numbers.
+    screw = 1 - 2 * (np.arange(count) % 2)
+    ends, groups = _tower_strings(top, bottom, screw)
+    kept = (len(groups) * count - 4) * q  # the last stage has no joint above
+    return Structure(
+        nodes=_tower_nodes(q, screw, radius, height, overlap, mirror),
+        bars=np.column_stack([top.ravel(), _shifted(bottom, screw).ravel()]),
+        strings=ends.reshape(-1, 2)[:kept],
+        bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        string_groups=(tuple(np.repeat(groups, q).tolist()) * count)[:kept],
+    )
+
+
+def _tower_strings(
+    top: IntArray, bottom: IntArray, screw: IntArray
+) -> tuple[IntArray, tuple[str, ...]]:
+    """Return the end nodes of all strings, shape (stages, 7, q, 2), and the seven groups."""
+    q = top.shape[1]
+    # The stage above; what the last stage gets is left out by the caller.
+    next_top, next_bottom = np.roll(top, -1, axis=0), np.roll(bottom, -1, axis=0)
+    # A diagonal goes up as steeply as it can without turning with the screw.
+    back = ceil(q / 4) * screw
+    behind = (screw - 1) // 2
+    pairs = {
+        "top": [(top, _shifted(top, 1))],
+        "bottom": [(bottom, _shifted(bottom, 1))],
+        "vertical": [(top, bottom)],
+        "saddle": [(top, next_bottom), (top, _shifted(next_bottom, -1))],
+        "diagonal": [
+            (top, _shifted(next_top, behind - back)),
+            (bottom, _shifted(next_bottom, back - 1 - behind)),
+        ],
+    }
+    ends = [np.stack(pair, axis=-1) for each in pairs.values() for pair in each]
+    groups = tuple(group for group, each in pairs.items() for _ in each)
+    return np.stack(ends, axis=1), groups
+
+
+def _shifted(polygons: IntArray, by: IntArray | int) -> IntArray:
+    """Return for each node the one so many places on in its polygon, shape (stages, q)."""
+    stages, q = polygons.shape
+    places = (np.arange(q) + np.reshape(by, (-1, 1))) % q
+    return np.asarray(np.take_along_axis(polygons, np.broadcast_to(places, (stages, q)), axis=1))
+
+
+def _tower_nodes(
+    q: int, screw: IntArray, radius: float, height: float, overlap: float, mirror: float
+) -> FloatArray:
+    """Return the node positions, m, shape (3, n)."""
+    count = len(screw)
+    twist = _turn(q)
+    if count > 1:
+        twist += 2 / 3 * overlap * np.pi / q
+    stage = np.arange(count)
+    # Each bottom polygon is half a side from the top polygon below; the twists cancel in pairs.
+    turn = stage * (np.pi / q) + (stage % 2) * twist - twist / 2
+    angles = np.stack([turn, turn + screw * twist], axis=1)[..., None]
+    angles = mirror * (angles + 2 * np.pi / q * np.arange(q))
+    z = height * ((1 - overlap) * stage[:, None] + [1.0, 0.0])
+    z = np.broadcast_to(z[..., None], angles.shape)
+    return np.stack([radius * np.cos(angles), radius * np.sin(angles), z]).reshape(3, -1)

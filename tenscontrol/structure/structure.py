@@ -9,8 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tenscontrol.limits import refuse_memory
 from tenscontrol.structure.blocks import Block, find_blocks
+from tenscontrol.structure.connectivity import (
+    checked_members,
+    checked_strings,
+    checked_supports,
+    refuse_bars_without_length,
+    refuse_repeats,
+    refuse_untouched_nodes,
+    selection,
+    signed_incidence,
+)
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -33,11 +42,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from scipy.sparse import csr_array
 
-# A bar shorter than this fraction of the structure's size has no direction in double precision.
-_ZERO_LENGTH = 1e-12
 
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Structure:
     """A tensegrity structure: rigid bars in a net of strings, in space or in the plane.
 
@@ -59,8 +65,8 @@ class Structure:
     bar_mass : float or array_like, shape (β,)
         Mass of each bar, kg, spread evenly along it. One number serves all.
     string_node_mass : float or array_like, shape (σ,), optional
-        Mass of each string node, kg, in ascending order of node index: ``point_mass`` of these
-        nodes alone.
+        Mass of each string node, kg, in ascending order of node index. It takes the place of
+        ``point_mass`` there.
     fixed : sequence of int and of (int, str), optional
         Nodes that are held in place, and pairs of a node and the axis, ``"x"``, ``"y"`` or ``"z"``,
         along which it is held: a roller. What is held costs no state and no mass. A bar with
@@ -78,7 +84,7 @@ class Structure:
         Mass at each node, kg, beside that of the bars: a payload, a motor, a string node. Every
         string node needs one; fixed nodes have none.
     rollers : sequence of (int, str), optional
-        The pairs of ``fixed``, which may also be given here.
+        More pairs like those of ``fixed``, which end up here.
     paths : sequence of sequence of int, optional
         The nodes that each string runs over, if one is clustered: ``strings`` as it was given,
         which then has the first and the last node of each.
@@ -125,71 +131,65 @@ class Structure:
     bars: IntArray
     strings: IntArray
     bar_mass: FloatArray
-    string_node_mass: FloatArray = None  # type: ignore[assignment]  # replaced in __post_init__
-    string_groups: tuple[str, ...] = None  # type: ignore[assignment]  # replaced in __post_init__
-    fixed: IntArray = ()  # type: ignore[assignment]  # replaced in __post_init__
-    parent: Structure | None = None
-    string_parent: IntArray | None = None
-    point_mass: FloatArray = None  # type: ignore[assignment]  # replaced in __post_init__
-    rollers: tuple[tuple[int, str], ...] = ()
-    paths: tuple[tuple[int, ...], ...] = ()
+    string_groups: tuple[str, ...]
+    fixed: IntArray
+    parent: Structure | None
+    string_parent: IntArray | None
+    point_mass: FloatArray
+    rollers: tuple[tuple[int, str], ...]
+    paths: tuple[tuple[int, ...], ...]
 
-    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
-
-        def __init__(
-            self,
-            nodes: ArrayLike,
-            bars: ArrayLike,
-            strings: ArrayLike | Sequence[Sequence[int]],
-            bar_mass: ArrayLike,
-            string_node_mass: ArrayLike | None = None,
-            string_groups: Sequence[str] | None = None,
-            fixed: ArrayLike | Sequence[int | tuple[int, str]] = (),
-            parent: Structure | None = None,
-            string_parent: ArrayLike | None = None,
-            point_mass: ArrayLike | None = None,
-            rollers: Sequence[tuple[int, str]] = (),
-            paths: Sequence[Sequence[int]] = (),
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        nodes = float_array("nodes", self.nodes)
-        if nodes.ndim != 2 or nodes.shape[0] not in (2, 3) or nodes.shape[1] == 0:
-            hint = "; transpose it" if nodes.ndim == 2 and nodes.shape[1] in (2, 3) else ""
+    def __init__(
+        self,
+        nodes: ArrayLike,
+        bars: ArrayLike,
+        strings: ArrayLike | Sequence[Sequence[int]],
+        bar_mass: ArrayLike,
+        string_node_mass: ArrayLike | None = None,
+        string_groups: Sequence[str] | None = None,
+        fixed: ArrayLike | Sequence[int | tuple[int, str]] = (),
+        parent: Structure | None = None,
+        string_parent: ArrayLike | None = None,
+        point_mass: ArrayLike | None = None,
+        rollers: Sequence[tuple[int, str]] = (),
+        paths: Sequence[Sequence[int]] = (),
+    ) -> None:
+        N = float_array("nodes", nodes)
+        if N.ndim != 2 or N.shape[0] not in (2, 3) or N.shape[1] == 0:
+            hint = "; transpose it" if N.ndim == 2 and N.shape[1] in (2, 3) else ""
             raise ValueError(
-                f"nodes has shape {nodes.shape}, expected (3, n), or (2, n) in the plane: "
+                f"nodes has shape {N.shape}, expected (3, n), or (2, n) in the plane: "
                 f"one column per node{hint}"
             )
-        count = nodes.shape[1]
-        bars = _members("bars", self.bars, count)
-        strings, paths = _strings(self.strings, self.paths, count)
+        count = N.shape[1]
         put = object.__setattr__  # the dataclass is frozen for everyone else
-        _refuse_repeats(bars)
-        _refuse_bad_sizes(nodes, bars)
-        put(self, "nodes", frozen(nodes))
-        put(self, "bars", frozen(bars))
-        put(self, "strings", frozen(strings))
-        put(self, "paths", paths)
-        _refuse_untouched_nodes(bars, self.segments, count)
-        fixed, rollers = _supports(self.fixed, self.rollers, nodes.shape)
-        put(self, "fixed", frozen(fixed))
-        put(self, "rollers", rollers)
-        bar_mass = per_member("bar_mass", self.bar_mass, len(bars), "bar")
-        put(self, "bar_mass", frozen(positive("bar_mass", bar_mass, "mass in kg")))
-        put(self, "point_mass", frozen(self._checked_point_mass()))
-        put(self, "string_node_mass", frozen(self.point_mass[self.string_nodes]))
-        put(self, "string_groups", self._checked_groups())
-        if self.parent is not None:
-            instance("parent", self.parent, Structure, "the structure that this one was made from")
-        if self.string_parent is not None:
-            put(self, "string_parent", frozen(self._checked_string_parent()))
+        put(self, "nodes", frozen(N))
+        put(self, "bars", frozen(checked_members("bars", bars, count)))
+        refuse_repeats(self.bars)
+        refuse_bars_without_length(N, self.bars)
+        ends, found = checked_strings(strings, paths, count)
+        put(self, "strings", frozen(ends))
+        put(self, "paths", found)
+        refuse_untouched_nodes(self.bars, self.segments, count)
+        held, rolling = checked_supports(fixed, rollers, N.shape)
+        put(self, "fixed", frozen(held))
+        put(self, "rollers", rolling)
+        mass = per_member("bar_mass", bar_mass, len(self.bars), "bar")
+        put(self, "bar_mass", frozen(positive("bar_mass", mass, "mass in kg")))
+        put(self, "point_mass", frozen(self._checked_point_mass(point_mass, string_node_mass)))
+        put(self, "string_groups", self._checked_groups(string_groups))
+        if parent is not None:
+            instance("parent", parent, Structure, "the structure that this one was made from")
+        put(self, "parent", parent)
+        put(self, "string_parent", self._checked_string_parent(string_parent))
         _ = self.blocks  # refuses what does not determine its forces
 
-    def _checked_point_mass(self) -> FloatArray:
+    def _checked_point_mass(self, given: Any, alone: Any) -> FloatArray:
+        """Return the mass at each node, from that of all and that of the string nodes alone."""
         points, count = self.string_nodes, self.nodes.shape[1]
         mass = np.zeros(count)
-        if self.point_mass is not None:
-            mass = shaped("point_mass", self.point_mass, (count,), "one per node, kg").copy()
+        if given is not None:
+            mass = shaped("point_mass", given, (count,), "one per node, kg").copy()
             non_negative("point_mass", mass, "mass in kg")
             held = self.fixed[mass[self.fixed] > 0]
             if len(held):
@@ -197,21 +197,14 @@ class Structure:
                     f"point_mass[{held[0]}] is {mass[held[0]]:g} kg, but node {held[0]} is fixed: "
                     "its mass would do nothing; give 0 there"
                 )
-        given = self.string_node_mass
-        if given is not None and len(points) == 0 and float_array("string_node_mass", given).size:
+        if alone is not None and len(points) == 0 and float_array("string_node_mass", alone).size:
             raise ValueError(
                 "string_node_mass is given, but every node is on a bar or fixed; leave it out, or "
                 "give point_mass, a mass for each node"
             )
-        if given is not None and len(points):
-            alone = per_member("string_node_mass", given, len(points), "string node")
-            positive("string_node_mass", alone, "mass in kg")
-            if self.point_mass is not None and not np.array_equal(alone, mass[points]):
-                node = points[np.argmax(alone != mass[points])]
-                raise ValueError(
-                    f"string_node_mass and point_mass differ at node {node}; give one of the two"
-                )
-            mass[points] = alone
+        if alone is not None and len(points):
+            of_points = per_member("string_node_mass", alone, len(points), "string node")
+            mass[points] = positive("string_node_mass", of_points, "mass in kg")
         bare = points[mass[points] == 0]
         if len(bare):
             raise ValueError(
@@ -221,8 +214,7 @@ class Structure:
             )
         return mass
 
-    def _checked_groups(self) -> tuple[str, ...]:
-        given: Any = self.string_groups
+    def _checked_groups(self, given: Any) -> tuple[str, ...]:
         if given is None:
             return ("string",) * len(self.strings)
         groups = items("string_groups", given, "names, one per string")
@@ -233,11 +225,13 @@ class Structure:
             )
         return tuple(identifier(f"string_groups[{i}]", group) for i, group in enumerate(groups))
 
-    def _checked_string_parent(self) -> IntArray:
+    def _checked_string_parent(self, given: Any) -> IntArray | None:
+        if given is None:
+            return None
         if self.parent is None:
             raise ValueError("string_parent is given without parent, whose strings it counts")
         count = len(self.parent.strings)
-        array = shaped("string_parent", self.string_parent, (len(self.strings),), "one per string")
+        array = shaped("string_parent", given, (len(self.strings),), "one per string")
         parent = indices("string_parent", array, count, f"the parent has {count} strings")
         missing = np.setdiff1d(np.arange(count), parent)
         if len(missing):
@@ -245,7 +239,7 @@ class Structure:
                 f"string_parent leaves out string {missing[0]} of the parent, "
                 "expected at least one segment of each"
             )
-        return parent
+        return frozen(parent)
 
     def __repr__(self) -> str:
         return (
@@ -294,6 +288,11 @@ class Structure:
     def string_nodes(self) -> IntArray:
         """Indices of the free nodes on no bar, ascending, shape (σ,)."""
         return frozen(np.setdiff1d(self.free, self.bars.ravel()))
+
+    @cached_property
+    def string_node_mass(self) -> FloatArray:
+        """Mass of each string node, kg, shape (σ,): that of ``point_mass`` there."""
+        return frozen(self.point_mass[self.string_nodes])
 
     @cached_property
     def free(self) -> IntArray:
@@ -446,7 +445,7 @@ class Structure:
     def C_b(self) -> csr_array:  # noqa: N802
         """Bar connectivity, shape (β, 2β), over the bar nodes: −1 at the start, 1 at the end."""
         position = np.searchsorted(self.bar_nodes, self.bars)
-        return _signed_incidence(position, len(self.bar_nodes))
+        return signed_incidence(position, len(self.bar_nodes))
 
     @property
     def C_r(self) -> csr_array:  # noqa: N802
@@ -460,17 +459,17 @@ class Structure:
 
         Of clustered strings, a row for each segment.
         """
-        return _signed_incidence(self.segments, self.nodes.shape[1])
+        return signed_incidence(self.segments, self.nodes.shape[1])
 
     @property
     def C_nb(self) -> csr_array:  # noqa: N802
         """Selects the bar nodes, shape (2β, n): ``N_b = N C_nbᵀ``."""
-        return _selection(self.bar_nodes, self.nodes.shape[1])
+        return selection(self.bar_nodes, self.nodes.shape[1])
 
     @property
     def C_ns(self) -> csr_array:  # noqa: N802
         """Selects the free string nodes, shape (σ, n): ``N_s = N C_nsᵀ``."""
-        return _selection(self.string_nodes, self.nodes.shape[1])
+        return selection(self.string_nodes, self.nodes.shape[1])
 
     @property
     def C_sb(self) -> csr_array:  # noqa: N802
@@ -489,144 +488,3 @@ def same_members(one: Structure, other: Structure | None) -> bool:
         return False
     names = ("bars", "segments", "segment_string", "fixed_rows")
     return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
-
-
-def _members(name: str, pairs: Any, count: int) -> IntArray:
-    """Check index pairs: shape (·, 2), whole numbers, in range, not from a node to itself."""
-    array = float_array(name, pairs)
-    if array.shape in ((0,), (0, 2)):
-        return np.zeros((0, 2), dtype=np.int64)
-    if array.ndim != 2 or array.shape[1] != 2:
-        raise ValueError(
-            f"{name} has shape {array.shape}, expected (count, 2): a start and an end node each"
-        )
-    ends = [indices(name, nodes, count, f"there are {count} nodes", "node ") for nodes in array.T]
-    loops = np.flatnonzero(ends[0] == ends[1])
-    if len(loops):
-        raise ValueError(f"{name}[{loops[0]}] joins node {ends[0][loops[0]]} to itself")
-    return np.column_stack(ends)
-
-
-def refuse_many_members(asked: str, count: float) -> None:
-    """Raise if so many members do not fit in memory: to be checked, each takes 800 bytes."""
-    refuse_memory(asked, count, "bars and strings", 800)
-
-
-def _strings(strings: Any, paths: Any, count: int) -> tuple[IntArray, tuple[tuple[int, ...], ...]]:
-    """Check strings: their first and last nodes, shape (α, 2), and the paths if one is longer."""
-    given = items("paths", paths, "paths of nodes")
-    if not given and isinstance(strings, list | tuple) and any(map(_is_path, strings)):
-        given, strings = tuple(strings), None
-    if not given:
-        return _members("strings", strings, count), ()
-    found = tuple(_path(f"strings[{i}]", path, count) for i, path in enumerate(given))
-    ends = np.array([(path[0], path[-1]) for path in found])
-    if strings is not None and not np.array_equal(ends, float_array("strings", strings)):
-        raise ValueError("paths and strings have different ends; give one of the two")
-    return ends, found
-
-
-def _is_path(path: Any) -> bool:
-    """Return whether a string is given by more nodes than two."""
-    return isinstance(path, list | tuple | np.ndarray) and np.size(path) == len(path) > 2
-
-
-def _path(name: str, path: Any, count: int) -> tuple[int, ...]:
-    array = np.atleast_1d(float_array(name, path))
-    if array.ndim != 1 or len(array) < 2:
-        raise ValueError(
-            f"{name} has shape {array.shape}, expected (k,) with k at least 2: the nodes that "
-            "the string runs over"
-        )
-    nodes = indices(name, array, count, f"there are {count} nodes", "node ").tolist()
-    inner = nodes[:-1] if nodes[0] == nodes[-1] and len(nodes) > 3 else nodes
-    if len(set(inner)) < len(inner):
-        node = next(node for node in inner if inner.count(node) > 1)
-        raise ValueError(
-            f"{name} passes node {node} twice, expected each node once; a closed string of at "
-            "least three nodes ends where it starts"
-        )
-    return tuple(nodes)
-
-
-def _supports(
-    fixed: Any, rollers: Any, shape: tuple[int, ...]
-) -> tuple[IntArray, tuple[tuple[int, str], ...]]:
-    """Return the nodes that are fixed, ascending, and the (node, axis) pairs of the others."""
-    d, count = shape
-    nodes, pairs = fixed, list(items("rollers", rollers, "pairs of a node and an axis"))
-    if isinstance(fixed, list | tuple):
-        is_pair = [isinstance(each, list | tuple) for each in fixed]
-        nodes = [each for each, pair in zip(fixed, is_pair, strict=True) if not pair]
-        pairs += [each for each, pair in zip(fixed, is_pair, strict=True) if pair]
-    array = np.atleast_1d(float_array("fixed", nodes))
-    if array.ndim != 1:
-        raise ValueError(
-            f"fixed has shape {array.shape}, expected a sequence of node indices, and of pairs of "
-            'a node and an axis, as in [0, (4, "z")]'
-        )
-    whole = indices("fixed", array, count, f"there are {count} nodes", "node ")
-    whole, times = np.unique(whole, return_counts=True)
-    if (times > 1).any():
-        raise ValueError(f"fixed names node {whole[times.argmax()]} twice")
-    held: dict[int, set[str]] = {}
-    for pair in pairs:
-        if not (isinstance(pair, list | tuple) and len(pair) == 2):
-            raise ValueError(f"rollers has {pair!r}, expected pairs of a node and an axis")
-        node = int(indices("fixed", float_array("fixed", [pair[0]]), count,
-                           f"there are {count} nodes", "node ")[0])  # fmt: skip
-        axis = choice(f"the axis of node {node} in fixed", pair[1], tuple("xyz"[:d]))
-        if node in whole or axis in held.get(node, ()):
-            raise ValueError(f"fixed names node {node} twice")
-        held.setdefault(node, set()).add(axis)
-    everywhere = [node for node, axes in held.items() if len(axes) == d]
-    rolling = [(node, axis) for node, axes in held.items() if len(axes) < d for axis in axes]
-    return np.union1d(whole, np.array(everywhere, dtype=np.int64)), tuple(sorted(rolling))
-
-
-def _refuse_repeats(bars: IntArray) -> None:
-    pairs, first, which = np.unique(np.sort(bars), axis=0, return_index=True, return_inverse=True)
-    if len(pairs) < len(bars):
-        again = int(np.argmax(first[which.ravel()] != np.arange(len(bars))))
-        one, other = sorted(bars[again].tolist())
-        raise ValueError(
-            f"bars[{again}] joins nodes {one} and {other}, as bars[{first[which.ravel()[again]]}] "
-            "does; remove one"
-        )
-
-
-def _refuse_untouched_nodes(bars: IntArray, segments: IntArray, count: int) -> None:
-    touched = np.concatenate([bars.ravel(), segments.ravel()])
-    untouched = np.setdiff1d(np.arange(count), touched)
-    if len(untouched):
-        raise ValueError(
-            f"nothing touches node {untouched[0]}"
-            + (f" (nor {len(untouched) - 1} more)" if len(untouched) > 1 else "")
-            + "; remove it, or join it by a bar or a string"
-        )
-
-
-def _refuse_bad_sizes(nodes: FloatArray, bars: IntArray) -> None:
-    size = float(np.ptp(nodes, axis=1).max())
-    length = np.linalg.norm(nodes[:, bars[:, 1]] - nodes[:, bars[:, 0]], axis=0)
-    short = np.flatnonzero(length <= _ZERO_LENGTH * size)
-    if len(short):
-        start, end = bars[short[0]]
-        raise ValueError(
-            f"bars[{short[0]}] has no length: nodes {start} and {end} are at the same place"
-        )
-
-
-def _signed_incidence(pairs: IntArray, columns: int) -> csr_array:
-    from scipy.sparse import csr_array
-
-    rows = np.repeat(np.arange(len(pairs)), 2)
-    values = np.tile([-1.0, 1.0], len(pairs))
-    return csr_array((values, (rows, pairs.ravel())), shape=(len(pairs), columns))
-
-
-def _selection(columns: IntArray, count: int) -> csr_array:
-    from scipy.sparse import csr_array
-
-    rows = np.arange(len(columns))
-    return csr_array((np.ones(len(columns)), (rows, columns)), shape=(len(columns), count))

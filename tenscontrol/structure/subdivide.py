@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.structure.bar_geometry import refuse_strings_without_length
-from tenscontrol.structure.structure import Structure, refuse_many_members
+from tenscontrol.structure.connectivity import refuse_many_members
+from tenscontrol.structure.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
     IntArray,

@@ -1,0 +1,181 @@
+"""Connectivity as it is given: members, paths of strings and supports, checked."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tenscontrol.limits import refuse_memory
+from tenscontrol.validation import FloatArray, IntArray, choice, float_array, indices, items
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+# A bar shorter than this fraction of the structure's size has no direction in double precision.
+_ZERO_LENGTH = 1e-12
+
+Paths = tuple[tuple[int, ...], ...]
+Rollers = tuple[tuple[int, str], ...]
+
+
+def checked_members(name: str, pairs: Any, count: int) -> IntArray:
+    """Return index pairs: shape (·, 2), whole numbers, in range, not from a node to itself."""
+    array = float_array(name, pairs)
+    if array.shape in ((0,), (0, 2)):
+        return np.zeros((0, 2), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise ValueError(
+            f"{name} has shape {array.shape}, expected (count, 2): a start and an end node each"
+        )
+    ends = [indices(name, nodes, count, f"there are {count} nodes", "node ") for nodes in array.T]
+    loops = np.flatnonzero(ends[0] == ends[1])
+    if len(loops):
+        raise ValueError(f"{name}[{loops[0]}] joins node {ends[0][loops[0]]} to itself")
+    return np.column_stack(ends)
+
+
+def checked_strings(strings: Any, paths: Any, count: int) -> tuple[IntArray, Paths]:
+    """Return the first and last nodes of strings, shape (α, 2), and all paths if one is longer."""
+    given = items("paths", paths, "paths of nodes")
+    if not given:
+        if not (isinstance(strings, list | tuple) and any(map(_is_path, strings))):
+            return checked_members("strings", strings, count), ()
+        found = tuple(_path(f"strings[{i}]", path, count) for i, path in enumerate(strings))
+    else:
+        found = tuple(_path(f"paths[{i}]", path, count) for i, path in enumerate(given))
+    ends = np.array([(path[0], path[-1]) for path in found])
+    if given and not np.array_equal(ends, float_array("strings", strings)):
+        raise ValueError(
+            "strings and paths differ: strings are the first and the last node of each of paths. "
+            "Give paths=() with other strings, which may be paths themselves"
+        )
+    if all(len(path) == 2 for path in found):
+        return ends, ()
+    return ends, found
+
+
+def checked_supports(fixed: Any, rollers: Any, shape: tuple[int, ...]) -> tuple[IntArray, Rollers]:
+    """Return the nodes that are fixed, ascending, and the (node, axis) pairs of the others."""
+    d, count = shape
+    nodes, pairs = fixed, []
+    if isinstance(fixed, list | tuple):
+        pairs = [each for each in fixed if isinstance(each, list | tuple)]
+        nodes = [each for each in fixed if not isinstance(each, list | tuple)]
+    array = np.atleast_1d(float_array("fixed", nodes))
+    if array.ndim != 1:
+        raise ValueError(
+            f"fixed has shape {array.shape}, expected a sequence of node indices, and of pairs of "
+            'a node and an axis, as in [0, (4, "z")]'
+        )
+    whole = indices("fixed", array, count, f"there are {count} nodes", "node ").tolist()
+    held = [(node, axis) for node in whole for axis in "xyz"[:d]]
+    held += [_roller("fixed", pair, d, count) for pair in pairs]
+    if len(set(held)) < len(held):
+        node, axis = next(each for each in held if held.count(each) > 1)
+        along = "" if node in whole else f" along {axis}"
+        raise ValueError(f"fixed names node {node} twice{along}")
+    for pair in items("rollers", rollers, "pairs of a node and an axis"):
+        held.append(_roller("rollers", pair, d, count))
+    by_node: dict[int, set[str]] = {}
+    for node, axis in held:
+        by_node.setdefault(node, set()).add(axis)
+    still = sorted(node for node, axes in by_node.items() if len(axes) == d)
+    rolling = sorted((node, axis) for node, axis in set(held) if len(by_node[node]) < d)
+    return np.array(still, dtype=np.int64), tuple(rolling)
+
+
+def refuse_repeats(bars: IntArray) -> None:
+    """Raise if two bars join the same nodes."""
+    pairs, first, which = np.unique(np.sort(bars), axis=0, return_index=True, return_inverse=True)
+    if len(pairs) < len(bars):
+        again = int(np.argmax(first[which.ravel()] != np.arange(len(bars))))
+        one, other = sorted(bars[again].tolist())
+        raise ValueError(
+            f"bars[{again}] joins nodes {one} and {other}, as bars[{first[which.ravel()[again]]}] "
+            "does; remove one"
+        )
+
+
+def refuse_untouched_nodes(bars: IntArray, segments: IntArray, count: int) -> None:
+    """Raise if a node has no member."""
+    touched = np.concatenate([bars.ravel(), segments.ravel()])
+    untouched = np.setdiff1d(np.arange(count), touched)
+    if len(untouched):
+        raise ValueError(
+            f"nothing touches node {untouched[0]}"
+            + (f" (nor {len(untouched) - 1} more)" if len(untouched) > 1 else "")
+            + "; remove it, or join it by a bar or a string"
+        )
+
+
+def refuse_bars_without_length(nodes: FloatArray, bars: IntArray) -> None:
+    """Raise if the ends of a bar are at the same place."""
+    size = float(np.ptp(nodes, axis=1).max())
+    length = np.linalg.norm(nodes[:, bars[:, 1]] - nodes[:, bars[:, 0]], axis=0)
+    short = np.flatnonzero(length <= _ZERO_LENGTH * size)
+    if len(short):
+        start, end = bars[short[0]]
+        raise ValueError(
+            f"bars[{short[0]}] has no length: nodes {start} and {end} are at the same place"
+        )
+
+
+def refuse_many_members(asked: str, count: float) -> None:
+    """Raise if so many members do not fit in memory: to be checked, each takes 800 bytes."""
+    refuse_memory(asked, count, "bars and strings", 800)
+
+
+def signed_incidence(pairs: IntArray, columns: int) -> csr_array:
+    """Return −1 at the start and 1 at the end of each pair, shape (·, columns)."""
+    from scipy.sparse import csr_array
+
+    rows = np.repeat(np.arange(len(pairs)), 2)
+    values = np.tile([-1.0, 1.0], len(pairs))
+    return csr_array((values, (rows, pairs.ravel())), shape=(len(pairs), columns))
+
+
+def selection(columns: IntArray, count: int) -> csr_array:
+    """Return the rows of the identity that select these columns, shape (·, count)."""
+    from scipy.sparse import csr_array
+
+    rows = np.arange(len(columns))
+    return csr_array((np.ones(len(columns)), (rows, columns)), shape=(len(columns), count))
+
+
+def _is_path(path: Any) -> bool:
+    """Return whether a string is given by another number of nodes than two."""
+    is_array = isinstance(path, np.ndarray) and path.ndim > 0
+    return (is_array or isinstance(path, list | tuple)) and len(path) != 2
+
+
+def _path(name: str, path: Any, count: int) -> tuple[int, ...]:
+    array = np.atleast_1d(float_array(name, path))
+    if array.ndim != 1 or len(array) < 2:
+        raise ValueError(
+            f"{name} has shape {array.shape}, expected (k,) with k at least 2: the nodes that "
+            "the string runs over"
+        )
+    nodes = indices(name, array, count, f"there are {count} nodes", "node ").tolist()
+    for node, following in pairwise(nodes):
+        if node == following:
+            raise ValueError(f"{name} joins node {node} to itself")
+    inner = nodes[:-1] if nodes[0] == nodes[-1] and len(nodes) > 3 else nodes
+    if len(set(inner)) < len(inner):
+        node = next(node for node in inner if inner.count(node) > 1)
+        raise ValueError(
+            f"{name} passes node {node} twice, expected each node once; a closed string runs over "
+            "at least three nodes and ends where it starts"
+        )
+    return tuple(nodes)
+
+
+def _roller(name: str, pair: Any, d: int, count: int) -> tuple[int, str]:
+    if not (isinstance(pair, list | tuple) and len(pair) == 2):
+        raise ValueError(f"{name} has {pair!r}, expected pairs of a node and an axis")
+    number = float_array(name, pair[0])
+    if number.ndim:
+        raise ValueError(f"{name} has {pair!r}, expected pairs of a node and an axis")
+    (node,) = indices(name, number[None], count, f"there are {count} nodes", "node ").tolist()
+    return node, choice(f"the axis of node {node} in {name}", pair[1], tuple("xyz"[:d]))
