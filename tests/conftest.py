@@ -11,8 +11,10 @@ import tenscontrol as tc
 from tests.dynamics.scenes import TOP_FORCE_DENSITY, paper_force_density, rest_lengths
 from tests.oracle import HeldRestLength, RigidBars
 
-# Property tests draw the same examples on every run, so that a failure can be repeated.
-settings.register_profile("tenscontrol", deadline=None, derandomize=True, max_examples=50)
+# Property tests draw the same few examples on every run, so that a failure can be repeated;
+# many others with ``pytest --hypothesis-profile=thorough``.
+settings.register_profile("tenscontrol", deadline=None, derandomize=True, max_examples=25)
+settings.register_profile("thorough", deadline=None, max_examples=500)
 settings.load_profile("tenscontrol")
 
 # A shell starts what runs in its background with Ctrl-C ignored, and tests of it would fail there.
