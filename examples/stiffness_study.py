@@ -321,9 +321,11 @@ def stiffness_report(
     )
     tolerance = positive_number("tolerance", tolerance, "m")
     truth("progress", progress, "whether to show a progress bar")
+    designs: list[Design] = []
     with interruptible():  # CasADi may lose a key while it builds
-        designs = [task.design(each, _damping(damping, each)) for each in k]
-        check()
+        for each in k:
+            designs.append(task.design(each, _damping(damping, each)))
+            check()
     if reference is not None:
         _refuse_other_end(reference, designs[0].controllers[0].plant, tolerance)
     rows: list[StiffnessRow] = []

@@ -241,31 +241,31 @@ def simulate(
     breaking = Faults(faults, float(np.ptp(model.structure.nodes, axis=1).max()), what)
     winch_count = None if controller is None else len(controller.plant.commanded.strings)
     breaking.refuse_unknown(len(model.structure.strings), winch_count)
-    loop = Loop(
-        model,
-        input=what,
-        load=checked_load(model, external_force),
-        duration=duration,
-        method=method,
-        tolerance=tolerance,
-        step=step,
-        faults=breaking,
-        project=project,
-        machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
-    )
-    loop.output_step = _output_step(loop, output_step, duration)
-    held = None
-    if controller is None:
-        if winches is not None or sample_time is not None or estimator is not None:
-            raise ValueError("estimator, winches and sample_time go with a controller")
-        held = held_value(model, rest_length, force_density)
-    if start is None:
-        state, loop.note = initial_state(model, nodes, velocities, loop.input, held)
-    else:
-        loop.now = float(start.time[-1])
-        state = pack_state(model.structure, start.nodes[:, :, -1], start.velocities[:, :, -1])
     stopped = None
-    with interruptible() as interruption:
+    with interruptible() as interruption:  # CasADi may lose a key while it builds
+        loop = Loop(
+            model,
+            input=what,
+            load=checked_load(model, external_force),
+            duration=duration,
+            method=method,
+            tolerance=tolerance,
+            step=step,
+            faults=breaking,
+            project=project,
+            machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
+        )
+        loop.output_step = _output_step(loop, output_step, duration)
+        held = None
+        if controller is None:
+            if winches is not None or sample_time is not None or estimator is not None:
+                raise ValueError("estimator, winches and sample_time go with a controller")
+            held = held_value(model, rest_length, force_density)
+        if start is None:
+            state, loop.note = initial_state(model, nodes, velocities, loop.input, held)
+        else:
+            loop.now = float(start.time[-1])
+            state = pack_state(model.structure, start.nodes[:, :, -1], start.velocities[:, :, -1])
         try:
             end = loop.now + duration
             with progress_bar(end, shown=True) if progress else nullcontext() as loop.report:

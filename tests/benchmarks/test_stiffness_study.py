@@ -4,6 +4,7 @@ import doctest
 import os
 import signal
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 
@@ -300,6 +301,23 @@ def test_an_interrupted_report_keeps_its_rows(monkeypatch):
     assert found.stiffness.tolist() == [1e2]
     assert len(found.rows[0].runs) == 4
     assert found.summary()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_key_that_is_lost_in_a_design_ends_the_report_after_it(monkeypatch):
+    design, designed = stiffness_study.Task.design, []
+
+    def lost(*arguments):
+        with suppress(KeyboardInterrupt):  # CasADi does so in its conversions
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+        designed.append(arguments)
+        return design(*arguments)
+
+    monkeypatch.setattr(stiffness_study.Task, "design", lost)
+    with pytest.raises(KeyboardInterrupt):
+        stiffness_report(REST, [1e2, 1e3], sample_time=SAMPLE, duration=SAMPLE)
+    assert len(designed) == 1
 
 
 def test_an_interrupted_run_is_no_row(monkeypatch):

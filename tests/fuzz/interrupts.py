@@ -10,6 +10,7 @@ within the time allowed. POSIX only.
 from __future__ import annotations
 
 import argparse
+import faulthandler
 import multiprocessing
 import os
 import signal
@@ -287,6 +288,7 @@ def signalled(run, sender, delay, number):
     guard = interruptible() if number == signal.SIGTERM else nullcontext()
     try:
         with guard, warnings.catch_warnings(record=True, action="always") as said:
+            faulthandler.dump_traceback_later(delay + ALLOWED / 2)  # where it is held up
             sender.send(delay, number)
             found = run()
             back = time.monotonic()
@@ -296,6 +298,8 @@ def signalled(run, sender, delay, number):
         sent = sender.sent()
     except Exception as error:
         raise LostError(f"{type(error).__name__}: {error}") from error
+    finally:
+        faulthandler.cancel_dump_traceback_later()
     if back < sent:
         with suppress(KeyboardInterrupt):
             time.sleep(1)

@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from types import SimpleNamespace
 
 import numpy as np
@@ -82,6 +83,21 @@ def test_open_loop(example, monkeypatch, method, options, number):
     assert "interrupted" in run.stopped
     if number == signal.SIGTERM:
         end_sigterm(example)
+
+
+def test_a_key_that_is_lost_while_a_run_is_built_still_ends_it(example, monkeypatch):
+    module = sys.modules[tc.simulate.__module__]
+
+    def lost(*arguments):
+        with suppress(KeyboardInterrupt):  # CasADi does so in its conversions
+            signal.raise_signal(signal.SIGINT)
+        return initial_state(*arguments)
+
+    initial_state = module.initial_state
+    monkeypatch.setattr(module, "initial_state", lost)
+    with pytest.warns(InterruptionWarning, match=r"stopped at 0 s of motion: interrupted"):
+        run = tc.simulate(example.model, 5.0, rest_length=example.lengths, step=1e-3)
+    assert run.time.tolist() == [0.0]
 
 
 class Pressed(Controller):
