@@ -39,6 +39,9 @@ _ESCAPES = 5
 # slack there are no others. Lengths, and forces where all are slack, are exact to this.
 _STRAIN, _EXACT = 1e-3, 1e-12
 
+# Without a load, strings that all pull less than this part of that force are slack.
+_SLACK = 1e-10
+
 # Iterations of the optimizer at most, and shapes that are looked at on the way from the start.
 _ITERATIONS, _WAY = 500, 40
 
@@ -61,6 +64,7 @@ def equilibrium(
     The energy of the strings and the loads is minimized over the shapes that
     keep the bar lengths. An equilibrium at which the energy is not least near
     by, such as a pendulum upside down, is left again: what is returned is stable.
+    Bars may share nodes, strings be clustered, nearly without tension, or all slack.
 
     Parameters
     ----------
@@ -70,9 +74,9 @@ def equilibrium(
         Rest lengths that are held, m. Either this or ``force_density``.
     force_density : float or array_like, shape (α,), optional
         γ that are held, N/m.
-    nodes : array_like, shape (3, n), optional
+    nodes : array_like, shape (d, n), optional
         Shape to start from, m; the reference shape if not given.
-    external_force : array_like, shape (3, n), optional
+    external_force : array_like, shape (d, n), optional
         Load W, N, for a model that takes one.
 
     Returns
@@ -85,12 +89,20 @@ def equilibrium(
     ------
     TypeError, ValueError
         If an argument does not fit, or no equilibrium is found; the message
-        says what the optimizer ended with.
+        says what the optimizer ended with, or which clustered string draws two of its nodes
+        together: there its force has no direction, and the energy no slope.
+
+    Warns
+    -----
+    UserWarning
+        If strings end slack while their rest lengths are held, or bars pass through one another on
+        the straight way from the shape at the start to the one found (in space).
 
     Notes
     -----
     Solved by IPOPT with exact derivatives from CasADi, then polished by
-    Newton steps on the conditions of optimality.
+    Newton steps on the conditions of optimality. Where IPOPT does not end, strings stiffer than the
+    softest get their stiffness step by step, and clustered ones the sharp bends at their nodes.
 
     Examples
     --------
@@ -142,7 +154,9 @@ def equilibrium(
     if law is not None and kind == "rest_length":
         length = np.maximum(settled.string_length(), _EXACT * held)
         gamma = law.force_density(length, held)
-        gamma = np.where(gamma * length > _EXACT * least, gamma, 0.0)  # slack but for round-off
+        # Slack but for round-off: all of them, or those that carry less than it.
+        is_slack = not load.any() and (gamma * length).max(initial=0.0) < _SLACK * least
+        gamma = np.where(gamma * length > (np.inf if is_slack else _EXACT * least), gamma, 0.0)
     what = f"no equilibrium found with this {kind}"
     forces = member_forces(settled, free_coordinates(settled, load))
     rest = balanced(settled, forces, gamma, load, what, _HINT, least)
@@ -228,12 +242,16 @@ def _minimize(
 ) -> FloatArray:  # fmt: skip
     """Return the nodes of least energy with these bar lengths."""
     structure, rows = model.structure, model.structure.free_rows
-    q, stage = ca.SX.sym("q", len(rows)), ca.SX.sym("stage", len(held) + 1)
+    q, weights, rounding = (
+        ca.SX.sym(name, count)
+        for name, count in (("q", len(rows)), ("weights", len(held)), ("rounding", 1))
+    )
+    stage = ca.vertcat(weights, rounding)
     flat = ca.SX(ca.DM(structure.nodes.ravel(order="F")))
     flat[rows.tolist()] = q
     nodes = ca.reshape(flat, *structure.nodes.shape)
-    energies = _string_energies(model, kind, nodes, held, stage[-1])
-    energy = ca.dot(stage[:-1], energies) - ca.dot(free_coordinates(structure, load), q)
+    energies = _string_energies(model, kind, nodes, held, rounding)
+    energy = ca.dot(weights, energies) - ca.dot(free_coordinates(structure, load), q)
     moving = np.concatenate(
         [structure.free_bars, structure.swinging_bars, *(b.independent for b in structure.blocks)]
     )
@@ -302,6 +320,8 @@ def _string_energies(model: Model, kind: str, nodes: Any, held: FloatArray, roun
     The segments of clusters are rounded where they are short: ``√(l² + rounding²)``.
     """
     structure = model.structure
+    if len(held) == 0:
+        return ca.SX(0, 1)
     S = kernel.differences(nodes, structure.segments)
     square = kernel.dots(S, S).T
     if not structure.has_clusters:
