@@ -28,12 +28,19 @@ from tenscontrol.validation import FloatArray, instance, non_negative, per_membe
 # many of them may bring nothing.
 _POLISH, _WORSE = 20, 3
 
+# Steps in which clustered strings are rounded, each a tenth of the one before, and the length of a
+# segment, relative to the structure, that then is on its way to nothing.
+_ROUNDINGS, _COLLAPSED = 6, 1e-3
+
 # Unstable equilibria to leave before giving up.
 _ESCAPES = 5
 
 # Forces are judged against those of the stiffest string at this strain: where all strings are
 # slack there are no others. Lengths, and forces where all are slack, are exact to this.
 _STRAIN, _EXACT = 1e-3, 1e-12
+
+# Without a load, strings that all pull less than this part of that force are slack.
+_SLACK = 1e-10
 
 # Iterations of the optimizer at most, and shapes that are looked at on the way from the start.
 _ITERATIONS, _WAY = 500, 40
@@ -57,6 +64,7 @@ def equilibrium(
     The energy of the strings and the loads is minimized over the shapes that
     keep the bar lengths. An equilibrium at which the energy is not least near
     by, such as a pendulum upside down, is left again: what is returned is stable.
+    Bars may share nodes, strings be clustered, nearly without tension, or all slack.
 
     Parameters
     ----------
@@ -66,9 +74,9 @@ def equilibrium(
         Rest lengths that are held, m. Either this or ``force_density``.
     force_density : float or array_like, shape (α,), optional
         γ that are held, N/m.
-    nodes : array_like, shape (3, n), optional
+    nodes : array_like, shape (d, n), optional
         Shape to start from, m; the reference shape if not given.
-    external_force : array_like, shape (3, n), optional
+    external_force : array_like, shape (d, n), optional
         Load W, N, for a model that takes one.
 
     Returns
@@ -81,12 +89,20 @@ def equilibrium(
     ------
     TypeError, ValueError
         If an argument does not fit, or no equilibrium is found; the message
-        says what the optimizer ended with.
+        says what the optimizer ended with, or which clustered string draws two of its nodes
+        together: there its force has no direction, and the energy no slope.
+
+    Warns
+    -----
+    UserWarning
+        If strings end slack while their rest lengths are held, or bars pass through one another on
+        the straight way from the shape at the start to the one found (in space).
 
     Notes
     -----
     Solved by IPOPT with exact derivatives from CasADi, then polished by
-    Newton steps on the conditions of optimality.
+    Newton steps on the conditions of optimality. Where IPOPT does not end, strings stiffer than the
+    softest get their stiffness step by step, and clustered ones the sharp bends at their nodes.
 
     Examples
     --------
@@ -138,7 +154,9 @@ def equilibrium(
     if law is not None and kind == "rest_length":
         length = np.maximum(settled.string_length(), _EXACT * held)
         gamma = law.force_density(length, held)
-        gamma = np.where(gamma * length > _EXACT * least, gamma, 0.0)  # slack but for round-off
+        # Slack but for round-off: all of them, or those that carry less than it.
+        is_slack = not load.any() and (gamma * length).max(initial=0.0) < _SLACK * least
+        gamma = np.where(gamma * length > (np.inf if is_slack else _EXACT * least), gamma, 0.0)
     what = f"no equilibrium found with this {kind}"
     forces = member_forces(settled, free_coordinates(settled, load))
     rest = balanced(settled, forces, gamma, load, what, _HINT, least)
@@ -224,25 +242,29 @@ def _minimize(
 ) -> FloatArray:  # fmt: skip
     """Return the nodes of least energy with these bar lengths."""
     structure, rows = model.structure, model.structure.free_rows
-    q, weights = ca.SX.sym("q", len(rows)), ca.SX.sym("weights", len(held))
+    q, weights, rounding = (
+        ca.SX.sym(name, count)
+        for name, count in (("q", len(rows)), ("weights", len(held)), ("rounding", 1))
+    )
+    stage = ca.vertcat(weights, rounding)
     flat = ca.SX(ca.DM(structure.nodes.ravel(order="F")))
     flat[rows.tolist()] = q
     nodes = ca.reshape(flat, *structure.nodes.shape)
-    energies = _string_energies(model, kind, nodes, held)
+    energies = _string_energies(model, kind, nodes, held, rounding)
     energy = ca.dot(weights, energies) - ca.dot(free_coordinates(structure, load), q)
     moving = np.concatenate(
         [structure.free_bars, structure.swinging_bars, *(b.independent for b in structure.blocks)]
     )
     B = kernel.differences(nodes, structure.bars[moving])
     stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[moving] ** 2)) / 2
-    problem = {"x": q, "p": weights, "f": energy, "g": stretch}
+    problem = {"x": q, "p": stage, "f": energy, "g": stretch}
     quiet = {
         "print_time": False,
         "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "max_iter": _ITERATIONS},
     }
     solver = ca.nlpsol("equilibrium", "ipopt", problem, quiet)
     lam = ca.SX.sym("lambda", stretch.numel())
-    energy = ca.substitute(energy, weights, ca.DM.ones(len(held)))
+    energy = ca.substitute(energy, stage, ca.DM(np.append(np.ones(len(held)), 0.0)))
     conditions = ca.vertcat(ca.gradient(energy + ca.dot(lam, stretch), q), stretch)
     unknowns = ca.vertcat(q, lam)
     newton = ca.Function("newton", [unknowns], [conditions, ca.jacobian(conditions, unknowns)])
@@ -251,15 +273,17 @@ def _minimize(
     stiffness = float(strained.max(initial=0.0)) / (_STRAIN * size)
     flat_below = _EXACT * stiffness
     for _ in range(_ESCAPES):
-        point, trouble = _optimized(solver, place, strained)
+        point, trouble = _optimized(solver, place, strained, size, structure.has_clusters)
+        if structure.has_clusters:
+            ends = _with_rows(structure, point[: len(rows)])
+            pulling = held > 0 if kind == "force_density" else structure.string_length(ends) > held
+            _refuse_collapsed(structure, ends, pulling, size * (_COLLAPSED if trouble else _FLAT))
         point, off = _polished(newton, point, len(rows), size, stiffness)
         if trouble and off > _EXACT * size:
             raise ValueError(trouble)
         place, downhill = point[: len(rows)], _downhill(newton, point, len(rows), flat_below)
         if downhill is None:
-            found = structure.nodes.ravel(order="F").copy()
-            found[rows] = place
-            return np.asarray(found.reshape(structure.nodes.shape, order="F"))
+            return _with_rows(structure, place)
         # An unstable equilibrium, such as a pendulum upside down: pushed off, it falls.
         place = place + 0.01 * size * downhill
     raise ValueError(
@@ -268,17 +292,51 @@ def _minimize(
     )
 
 
-def _string_energies(model: Model, kind: str, nodes: kernel.Symbolic, held: FloatArray) -> Any:
-    """Return what each string stores, J, shape (α, 1)."""
+def _with_rows(structure: Structure, place: FloatArray) -> FloatArray:
+    """Return all nodes, shape (d, n), from the coordinates that supports leave free."""
+    found = structure.nodes.ravel(order="F").copy()
+    found[structure.free_rows] = place
+    return np.asarray(found.reshape(structure.nodes.shape, order="F"))
+
+
+def _refuse_collapsed(
+    structure: Structure, nodes: FloatArray, pulling: np.ndarray, below: float
+) -> None:
+    """Raise if a clustered string that pulls draws the ends of a segment together."""
+    length = np.linalg.norm(structure.string_vectors(nodes), axis=0)
+    short = np.flatnonzero(pulling[structure.segment_string] & (length < below))
+    if len(short):
+        one, other = structure.segments[short[0]]
+        raise ValueError(
+            f"no equilibrium found: strings[{structure.segment_string[short[0]]}] runs over nodes "
+            f"{one} and {other} and draws them together, where its force has no direction. Let it "
+            f"end there, or change rest lengths. {_HINT}"
+        )
+
+
+def _string_energies(model: Model, kind: str, nodes: Any, held: FloatArray, rounding: Any) -> Any:
+    """Return what each string stores, J, shape (α, 1).
+
+    The segments of clusters are rounded where they are short: ``√(l² + rounding²)``.
+    """
     structure = model.structure
-    if kind == "force_density" and not structure.has_clusters:
-        S = kernel.differences(nodes, structure.strings)
-        return kernel.dots(S, S).T * ca.DM(held) / 2
+    if len(held) == 0:
+        return ca.SX(0, 1)
+    S = kernel.differences(nodes, structure.segments)
+    square = kernel.dots(S, S).T
     if not structure.has_clusters:
-        S = kernel.differences(nodes, structure.strings)
+        if kind == "force_density":
+            return square * ca.DM(held) / 2
         length = kernel.pulling_length(S, ca.DM(held).T).T
     else:
-        length = kernel.string_lengths(structure, nodes).T
+        size = float(np.ptp(structure.nodes, axis=1).max())
+        each = ca.sqrt(ca.fmax(square, (_EXACT * size) ** 2) + rounding**2)
+        count = len(structure.segments)
+        sums = ca.DM.triplet(
+            structure.segment_string.tolist(), list(range(count)), ca.DM.ones(count),
+            len(held), count,
+        )  # fmt: skip
+        length = ca.mtimes(sums, each)
     if kind == "force_density":
         return length**2 * ca.DM(held) / 2
     assert model.strings is not None  # refused before
@@ -286,27 +344,32 @@ def _string_energies(model: Model, kind: str, nodes: kernel.Symbolic, held: Floa
 
 
 def _optimized(
-    solver: ca.Function, place: FloatArray, strained: FloatArray
+    solver: ca.Function, place: FloatArray, strained: FloatArray, size: float, is_rounded: bool
 ) -> tuple[FloatArray, str]:
     """Return positions and multipliers from the optimizer, and what it says if it did not end.
 
-    Where it does not end, strings that are stiffer than the softest are made so step by step.
+    Where it does not end, strings stiffer than the softest are made so step by step, and clustered
+    ones are rounded less and less where their segments are short.
     """
     ratio = strained / strained[strained > 0].min(initial=np.inf)
-    decades = np.log10(ratio.max(initial=1.0))
-    weights = [np.ones(len(ratio))]
-    for most in 10.0 ** np.arange(0, decades):
-        weights.append(most / np.maximum(ratio, most))
-    weights += weights[:1] if len(weights) > 1 else []
-    for each in weights:
+    decades = int(np.ceil(np.log10(ratio.max(initial=1.0))))
+    widest = 0.1 * size if is_rounded else 0.0
+    plain = np.append(np.ones(len(ratio)), 0.0)
+    stages = [plain]
+    for most in 10.0 ** np.arange(decades):
+        stages.append(np.append(most / np.maximum(ratio, most), widest))
+    for part in 0.1 ** np.arange(_ROUNDINGS if is_rounded else 0):
+        stages.append(np.append(np.ones(len(ratio)), part * widest))
+    stages += [plain] if len(stages) > 1 else []
+    for stage in stages:
         with solving():
-            answer = solver(x0=place, p=each, lbg=0.0, ubg=0.0)
+            answer = solver(x0=place, p=stage, lbg=0.0, ubg=0.0)
         status = solver.stats()
         found = [np.array(answer[part]).ravel() for part in ("x", "lam_g")]
-        if status["success"] and each is weights[0]:
+        if status["success"] and stage is plain:
             return np.concatenate(found), ""
         place = found[0] if status["success"] else place
-    return np.concatenate(found), (
+    return np.concatenate([place, found[1]]), (
         f"no equilibrium found: the optimizer ended with {status['return_status']!r} after "
         f"{status['iter_count']} iterations. {_HINT}, or check that strings and supports can carry "
         "the load"

@@ -1,16 +1,19 @@
 """Equilibria of random structures: bars and strings anywhere, soft beside stiff, taut and slack.
 
-``python -m tests.plant.equilibria --count 400`` runs a campaign, and prints what became of it; the
-ordinary suite runs the seeds of ``test_equilibrium.py``.
+``python -m tests.plant.equilibria --count 400`` runs a campaign, and prints what became of it; with
+``--any`` on structures of any class, in space and in the plane. The ordinary suite runs the seeds
+of ``test_equilibrium.py``.
 """
 
 import argparse
+import warnings
 from collections import Counter
 from itertools import combinations
 
 import numpy as np
 
 import tenscontrol as tc
+from tests.statics.structures import random_any
 
 
 def random_rest(seed):
@@ -33,15 +36,30 @@ def random_rest(seed):
     return {"model": model, "rest_length": wound}
 
 
+def random_rest_of_any(seed):
+    """The same for a structure with shared nodes, rollers, payloads and a clustered string."""
+    rng = np.random.default_rng(seed)
+    structure = random_any(seed)
+    count = len(structure.strings)
+    stiffness = 10 ** rng.uniform(1, rng.choice([3, 6]), count)
+    gravity = 9.81 if len(structure.fixed) and rng.random() < 0.5 else None
+    model = tc.Model(structure, strings=tc.LinearStrings(stiffness), gravity=gravity)
+    wound = structure.string_length() * rng.uniform(0.5, rng.choice([1.0, 1.5]), count)
+    return {"model": model, "rest_length": wound}
+
+
 def main():
     """Run a campaign."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--start", type=int, default=0)
     parser.add_argument("--count", type=int, default=400)
+    parser.add_argument("--any", action="store_true")
     given = parser.parse_args()
+    draw = random_rest_of_any if given.any else random_rest
+    warnings.simplefilter("ignore")  # of slack strings and of bars that cross
     found = Counter()
     for seed in range(given.start, given.start + given.count):
-        case = random_rest(seed)
+        case = draw(seed)
         if case is None:
             found["no case"] += 1
             continue
