@@ -17,7 +17,7 @@ import tenscontrol as tc
 from tenscontrol.dynamics import evaluate_columns, pack_state
 from tenscontrol.integrate import METHODS
 from tests.benchmarks.command_line import options
-from tests.integrate.coupled import d_bar, errors_of_bars, moving, tower
+from tests.integrate.coupled_scenes import d_bar, errors_of_bars, moving, tower
 from tests.integrate.stepping import fitted_order
 from tests.integrate.test_coupled import double_pendulum, double_pendulum_angles
 

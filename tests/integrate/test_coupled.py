@@ -14,8 +14,8 @@ from tenscontrol.dynamics import evaluate_columns, pack_state, unpack_states
 from tenscontrol.integrate import METHODS, IntegrationError
 from tenscontrol.integrate.projection import project
 from tenscontrol.integrate.rattle import rattle_evaluations, rattle_step
-from tests.integrate import coupled
-from tests.integrate.coupled import SCENES, errors_of_bars, moving
+from tests.integrate import coupled_scenes
+from tests.integrate.coupled_scenes import SCENES, errors_of_bars, moving
 from tests.integrate.stepping import fitted_order, march
 
 STIFFNESS, GRAVITY = 100.0, 2.0
@@ -262,10 +262,10 @@ def test_atwoods_machine(method, value, off):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_in_the_plane_the_motion_is_that_in_space(method):
-    flat = coupled.d_bar()
+    flat = coupled_scenes.d_bar()
     nodes = np.vstack([flat.nodes, np.zeros(4)])
     space = tc.Structure(nodes, flat.bars, flat.strings, bar_mass=flat.bar_mass)
-    velocities = coupled.possible_velocities(flat, 3)
+    velocities = coupled_scenes.possible_velocities(flat, 3)
     found = []
     for structure in (flat, space):
         model = tc.Model(structure, strings=tc.LinearStrings(STIFFNESS))
@@ -395,7 +395,7 @@ def test_rk4_is_projected_without_loss_of_order():
 
 
 def test_what_cannot_be_projected_is_no_number():
-    structure = coupled.d_bar()
+    structure = coupled_scenes.d_bar()
     x = moving(structure)
     x[:8] *= 3.0
     assert np.isnan(project(structure)(x).full()).any()

@@ -5,8 +5,8 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.integrate import METHODS
-from tests.integrate import coupled
-from tests.integrate.coupled import SCENES, possible_velocities
+from tests.integrate import coupled_scenes
+from tests.integrate.coupled_scenes import SCENES, possible_velocities
 
 
 def snelson_x():
@@ -53,7 +53,7 @@ def test_every_method_simulates_it(name, held):
 
 def test_the_figures_of_a_run_in_the_plane():
     """Momenta and energies by NumPy; what holds a structure takes its momentum."""
-    structure = coupled.d_bar(point_mass=[0, 0.5, 0, 0])
+    structure = coupled_scenes.d_bar(point_mass=[0, 0.5, 0, 0])
     run = tc.simulate(
         tc.Model(structure, strings=LAW), 0.5, None, possible_velocities(structure),
         rest_length=structure.string_length(), method="rattle4", step=5e-3,
@@ -79,7 +79,7 @@ def test_the_figures_of_a_run_in_the_plane():
 
 
 def test_a_run_in_two_parts_is_that_in_one():
-    structure = coupled.mixed()
+    structure = coupled_scenes.mixed()
     model = tc.Model(structure, strings=LAW)
     given = {"rest_length": structure.string_length(), "method": "rattle", "step": 2e-3}
     start = possible_velocities(structure)
@@ -90,7 +90,7 @@ def test_a_run_in_two_parts_is_that_in_one():
 
 
 def test_a_start_that_is_a_little_off_is_projected():
-    structure = coupled.tower()
+    structure = coupled_scenes.tower()
     model = tc.Model(structure)
     off = structure.nodes + 1e-5 * np.random.default_rng(0).normal(size=structure.nodes.shape)
     run = tc.simulate(model, 0.01, off, force_density=1.0)
@@ -100,7 +100,7 @@ def test_a_start_that_is_a_little_off_is_projected():
 
 
 def _moved(row, column, by):
-    nodes = coupled.arm().nodes.copy()
+    nodes = coupled_scenes.arm().nodes.copy()
     nodes[row, column] += by
     return nodes
 
@@ -124,14 +124,14 @@ def _speed(row, column):
     ],
 )
 def test_a_start_that_does_not_fit_is_refused(options, message):
-    model = tc.Model(coupled.arm())
+    model = tc.Model(coupled_scenes.arm())
     with pytest.raises(ValueError, match=message):
         tc.simulate(model, 0.1, force_density=1.0, **options)
 
 
 @pytest.mark.parametrize("held", ["force_density", "rest_length"])
 def test_a_clustered_string_is_cut_whole(held):
-    structure = coupled.arm()
+    structure = coupled_scenes.arm()
     model = tc.Model(structure, strings=LAW)
     given = {held: 10.0 if held == "force_density" else 0.9 * structure.string_length()}
     cut = tc.CutString(string=1, time=0.1)
@@ -144,7 +144,7 @@ def test_a_clustered_string_is_cut_whole(held):
 
 
 def test_a_motion_that_cannot_go_on_is_an_error_with_the_motion_up_to_there():
-    structure = coupled.d_bar()
+    structure = coupled_scenes.d_bar()
     model = tc.Model(structure, strings=tc.LinearStrings(1e5))
     with pytest.raises(tc.simulation.SimulationError, match="no longer finite") as error:
         tc.simulate(model, 1.0, rest_length=0.5, method="rattle", step=0.05)
