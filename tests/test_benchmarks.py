@@ -117,6 +117,16 @@ def test_stiff_strings(printed, nothing_compiled):
         assert found[2] < 0.01 * evaluations
 
 
+def test_coupled_bars(printed):
+    text = printed("coupled_bars", "--steps 2000 --duration 1")
+    orders = [float(order) for order in re.findall(r"order +(\S+)", text)]
+    for found, order in zip(orders, (4, 2, 4, 6, 2, 8), strict=True):
+        assert order - 0.3 < found < order + 0.5
+    assert row(text, "  bars off by")[0] < 1e-14
+    assert max(row(text, "  energy_momentum", 1)) < 1e-12
+    assert row(text, "  rattle6", 2)[0] < 1e-9
+
+
 def test_mpc_step(printed):
     text = printed("mpc_step", "--duration 0.1 --lengths 5")
     ramp, push = map(int, re.findall(r"samples with a bound active: (\d+)", text))

@@ -24,7 +24,7 @@ from tenscontrol.integrate.integrator import (
     largest_frequency,
     state_scale,
 )
-from tenscontrol.integrate.projection import Projector
+from tenscontrol.integrate.projection import NOT_RIGID, Projector
 from tenscontrol.interrupt import at_once, check, interruptible
 from tenscontrol.validation import FloatArray
 
@@ -150,7 +150,10 @@ class CVODES(Integrator):
                     if report is not None:
                         report(motion.now)
                     motion.switch()
-            return Span(self._projected(states * scale[:, None]), motion.work)
+            exact = self._projected(states * scale[:, None])
+            if exact.shape[1] < outputs:
+                raise FloatingPointError(NOT_RIGID)
+            return Span(exact, motion.work)
         except (FloatingPointError, KeyboardInterrupt) as error:
             so_far = Span(self._projected(states[:, :done] * scale[:, None]), motion.work)
             if isinstance(error, KeyboardInterrupt):

@@ -22,7 +22,7 @@ from tenscontrol.integrate.integrator import (
     largest_frequency,
     state_scale,
 )
-from tenscontrol.integrate.projection import Projector, projection
+from tenscontrol.integrate.projection import NOT_RIGID, Projector, projection
 from tenscontrol.interrupt import check
 from tenscontrol.validation import FloatArray
 
@@ -149,7 +149,11 @@ class DOP853(Integrator):
                     )
                 if report is not None:
                     report(told["time"])
-            states[:, :-1] = self._projected(states[:, :-1])
+            exact = self._projected(states[:, :-1])
+            if (count := exact.shape[1]) < outputs - 1:
+                stopped = f"dop853 stopped after {spacing * count:.6g} s: {NOT_RIGID}"
+                raise IntegrationError(stopped, spacing * count, Span(exact, _work(told)))
+            states[:, :-1] = exact
             states[:, -1] = carried[:n]
             return Span(states, _work(told))
         except KeyboardInterrupt:

@@ -463,7 +463,7 @@ def _mean_forces(equation: Equation, N0: Any, N1: Any, u: Any, h: Any) -> Any:
         else:
             twice = _twice_mean_tension(equation.law, before, after, u, h)
         if structure.has_clusters:
-            twice = twice[structure.segment_string.tolist()]
+            twice = twice[structure.segment_string.tolist(), 0]
         gamma = (twice / (pieces[0] + pieces[1])).T
     S = kernel.differences((N0 + N1) / 2, structure.segments)
     return kernel.segment_forces(structure, S, gamma, load)

@@ -46,6 +46,9 @@ _MOST_WRITTEN = 1000
 # What is left of a step below this part of it is round-off.
 _REST = 1e-13
 
+# Steps to a crossing, which is next to zero where a string starts on the border of slack.
+_MOST_HALVINGS = 5000
+
 # So many landings of CVODES within this part of a span are chatter.
 CHATTER, _CHATTER_TIME = 200, 1e-6
 
@@ -329,6 +332,7 @@ def first_crossing(room: Callable[[FloatArray], FloatArray], times: FloatArray) 
             times[first],
             xtol=1e-300,
             rtol=4 * np.finfo(float).eps,
+            maxiter=_MOST_HALVINGS,
         )
     )
 

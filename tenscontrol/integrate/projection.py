@@ -12,6 +12,9 @@ from tenscontrol.integrate.multipliers import Coupled
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
 
+#: Why states cannot be projected.
+NOT_RIGID = "bars that share nodes cannot be put on their lengths near by; try a smaller tolerance"
+
 
 def project(structure: Structure, symbol: Any = ca.SX.sym) -> ca.Function:
     """Return ``(x) -> x``: the state near by whose bars have their lengths and do not stretch.
@@ -66,8 +69,12 @@ class Projector:
         self._exact = None if exact is None else ColumnEvaluator(exact)
 
     def __call__(self, states: FloatArray) -> FloatArray:
-        """Return states of shape (states, count)."""
-        return states if self._exact is None else self._exact(states)[0]
+        """Return states of shape (states, count), up to the first that is too far off."""
+        if self._exact is None:
+            return states
+        exact = self._exact(states)[0]
+        good = np.isfinite(exact).all(axis=0)
+        return exact if good.all() else exact[:, : int(good.argmin())]
 
 
 def projected(step: ca.Function, equation: Equation) -> ca.Function:
