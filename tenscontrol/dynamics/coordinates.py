@@ -530,7 +530,7 @@ def _kept(fields: FloatArray, held: IntArray) -> FloatArray:
     return np.asarray(null_space(fields[held] / size, _RANK_TOLERANCE) / size[:, None])
 
 
-def _moved_as_one(nodes: FloatArray, move: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _moved_as_one(nodes: FloatArray, move: Any) -> tuple[FloatArray, FloatArray]:
     """Return nodes after a screw, of the rates of :func:`rigid_motions`, and its turn."""
     from scipy.linalg import expm
 
