@@ -46,8 +46,8 @@ _EQUILIBRIUM_TOLERANCE = 1e-8
 # Beyond this the coordinates do not close: without a load the residual is round-off.
 _INVARIANCE_TOLERANCE = 1e-8
 
-# Stiffness below this part of what tensions give is round-off.
-_ROUND_OFF = 1e-6
+# Stiffness below these parts of what tensions give is none, and is no measure for what is left.
+_NO_STIFFNESS, _ROUND_OFF = 1e-12, 1e-6
 
 # Force densities may differ by this part of the largest from those of given rest lengths.
 _LAW_TOLERANCE = 1e-6
@@ -339,9 +339,11 @@ def _reduced(
     A = np.zeros((2 * r, 2 * r))
     A[:r, r:] = np.eye(r)
     by_shape, by_speed = A_x[half:, :half] @ T, A_x[half:, half:] @ T
-    A[r:, :r], A[r:, r:] = P @ by_shape, P @ by_speed
     # Where force densities are held, shapes may meet no stiffness at all but round-off.
     held = float(np.linalg.norm(B_x[half:]) * np.linalg.norm(gamma)) / float(np.ptp(nodes))
+    if np.linalg.norm(by_shape) <= _NO_STIFFNESS * held * np.linalg.norm(T):
+        by_shape = np.zeros_like(by_shape)
+    A[r:, :r], A[r:, r:] = P @ by_shape, P @ by_speed
     outside = max(
         float(np.linalg.norm(T @ (P @ part) - part)) / max(float(np.linalg.norm(part)), least)
         for part, least in ((by_shape, _ROUND_OFF * held + 1e-300), (by_speed, 1e-300))

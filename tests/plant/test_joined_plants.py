@@ -104,7 +104,7 @@ def test_frequency_of_a_rhombus_in_closed_form():
     )
     assert found.label == ("affine",)
     held = tc.linearize(model, tc.OperatingPoint(nodes, [gamma, gamma]))
-    assert tc.modes(held).frequency[0] < 1e-6
+    assert tc.modes(held).frequency[0] == 0.0
 
 
 def test_modes_of_node_coordinates_have_a_zero_for_each_length():
