@@ -25,13 +25,16 @@ def test_every_example_is_tested():
         "plot_accuracy_long_run.py",
         "plot_accuracy_order.py",
         "plot_accuracy_stability.py",
+        "plot_control_arm.py",
         "plot_control_estimation.py",
         "plot_control_robustness.py",
         "plot_control_shape.py",
         "plot_control_lqr.py",
         "plot_control_morph.py",
+        "plot_control_spine.py",
         "plot_control_stiffness.py",
         "plot_control_string_mass.py",
+        "plot_control_t_bar.py",
         "plot_paper_skin.py",
         "plot_paper_string_mass.py",
         "plot_prism_modes.py",
@@ -202,3 +205,29 @@ def test_accuracy_long_run():
     assert energy["rattle4"].is_zero
     assert found["growth"]["slack skin"].horizon == pytest.approx(1.1, abs=0.2)
     assert not found["growth"]["no skin"].is_limited
+
+
+def test_control_arm():
+    found = run("plot_control_arm.py")
+    goal = found["shapes"][-1]
+    for name, each in found["runs"].items():
+        assert np.abs(each.nodes[:, :, -1] - goal).max() < 2e-3, name
+    assert found["runs"]["MPC"].force_density.min() > 5.0
+    assert max(found["lengths"].values()) < 1e-13
+
+
+def test_control_spine():
+    found = run("plot_control_spine.py")
+    goal, top = found["shapes"][-1], found["top"]
+    assert goal[0, top] == pytest.approx(0.1, abs=2e-3)
+    for name, each in found["runs"].items():
+        assert np.abs(each.nodes[:, :, -1] - goal).max() < 2e-3, name
+    assert found["runs"]["MPC"].force_density.min() > 10.0
+    assert found["lengths"] < 1e-13
+
+
+def test_control_t_bar():
+    found = run("plot_control_t_bar.py")
+    assert found["rest"].self_stress_states == 2
+    assert max(found["off"].values()) < 0.1  # mm
+    assert found["runs"]["NMPC"].force_density.min() > 1.0

@@ -6,7 +6,6 @@ reduced ones the mass matrix is the identity.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -258,12 +257,11 @@ class Coordinates:
             speeds[rows] += faster
             if near is not None:
                 # Nothing is left of lengths to correct, but of their derivatives.
-                at = ca.SX(ca.DM(structure.nodes.ravel(order="F")))
-                at[rows] = there
-                towards = self._normal_steps(block, ca.reshape(at, *shape))
-                places[rows] -= towards(self._lengths(ca.reshape(places, *shape), block)[1])
+                step = self._normal_step(block)
+                _, excess, _ = self._lengths(ca.reshape(places, *shape), block)
+                places[rows] -= step(there, excess)
                 J, _, _ = self._lengths(ca.reshape(places, *shape), block)
-                speeds[rows] -= towards(ca.mtimes(J, speeds[rows]))
+                speeds[rows] -= step(there, ca.mtimes(J, speeds[rows]))
             N, V = ca.reshape(places, *shape), ca.reshape(speeds, *shape)
         return N, V
 
@@ -283,13 +281,12 @@ class Coordinates:
         moved = ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(T, z[:r])
         rates = ca.mtimes(T, z[r:])
         for block, _ in self._normals:
-            places, rows = ca.SX(moved), block.rows.tolist()
+            places, rows, step = ca.SX(moved), block.rows.tolist(), self._normal_step(block)
             for _ in range(_STEPS):
-                N = ca.reshape(places, *shape)
-                places[rows] -= self._normal_steps(block, N)(self._lengths(N, block)[1])
-            N = ca.reshape(places, *shape)
-            J, _, worst = self._lengths(N, block)
-            speeds = -self._normal_steps(block, N)(ca.mtimes(J, rates[rows]))
+                _, excess, _ = self._lengths(ca.reshape(places, *shape), block)
+                places[rows] -= step(places[rows], excess)
+            J, _, worst = self._lengths(ca.reshape(places, *shape), block)
+            speeds = -step(places[rows], ca.mtimes(J, rates[rows]))
             there = ca.if_else(worst <= _EXACT, places[rows], np.nan)
             found += [there, there - moved[rows], speeds]
         return ca.vertcat(*found)
@@ -314,25 +311,27 @@ class Coordinates:
         J = kernel.block_rows(structure, bars, block.rows, N)
         return J, excess, ca.norm_inf(excess / square)
 
-    def _normal_steps(self, block: Block, N: Any) -> Callable[[Any], Any]:
-        """Return a map from columns to displacements in the normal space of a block, SX.
+    def _normal_step(self, block: Block) -> ca.Function:
+        """Return ``(places, change) -> δ`` in the normal space of a block with ``J δ = change``.
 
-        ``M δ = J₀ᵀ μ`` and ``J δ = change``, with J in the shape N and J₀ of the reference:
-        sparse, and without pivoting in the order of the block.
+        ``M δ = J₀ᵀ μ``, with J at the places of the block's rows and J₀ of the reference: sparse,
+        and without pivoting in the order of the block.
         """
-        bars, rows = block.independent, block.rows
-        J = kernel.block_rows(self.structure, bars, rows, N)
-        J_0 = kernel.block_rows(self.structure, bars, rows, ca.SX(ca.DM(self.nodes)))
+        bars, rows, shape = block.independent, block.rows, self.structure.nodes.shape
+        places, change = ca.SX.sym("places", len(rows)), ca.SX.sym("change", len(bars))
+        reference = ca.SX(ca.DM(self.nodes))
+        at = ca.vec(reference)
+        at[rows.tolist()] = places
+        J, J_0 = (
+            kernel.block_rows(self.structure, bars, rows, N)
+            for N in (ca.reshape(at, *shape), reference)
+        )
         mass = ca.SX(ca.sparsify(ca.DM(_block_mass(self.structure, block))))
         matrix = ca.blockcat([[mass, -J_0.T], [J, ca.SX(len(bars), len(bars))]])
+        right = ca.vertcat(ca.SX.zeros(len(rows)), change)
         order, back = block.order.tolist(), np.argsort(block.order).tolist()
-        solve = _eliminated(matrix[order, order])
-
-        def step(change: Any) -> Any:
-            right = ca.vertcat(ca.SX.zeros(len(rows)), change)
-            return solve(right[order])[back][: len(rows)]
-
-        return step
+        found = _eliminated(matrix[order, order], right[order])[back]
+        return ca.Function("normal_step", [places, change], [found[: len(rows)]])
 
     def _with_lengths(self, nodes: FloatArray, block: Block, normal: FloatArray) -> FloatArray:
         """Return nodes displaced along the normal space until the bars of a block are exact."""
@@ -531,7 +530,7 @@ def _kept(fields: FloatArray, held: IntArray) -> FloatArray:
     return np.asarray(null_space(fields[held] / size, _RANK_TOLERANCE) / size[:, None])
 
 
-def _moved_as_one(nodes: FloatArray, move: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _moved_as_one(nodes: FloatArray, move: Any) -> tuple[FloatArray, FloatArray]:
     """Return nodes after a screw, of the rates of :func:`rigid_motions`, and its turn."""
     from scipy.linalg import expm
 
@@ -586,37 +585,29 @@ def _across(vector: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.svd(vector[None, :])[2][1:].T)
 
 
-def _eliminated(matrix: Any) -> Callable[[Any], Any]:
-    """Return what solves a sparse system, SX, by Gaussian elimination without pivoting."""
-    size = matrix.shape[0]
+def _eliminated(matrix: Any, right: Any) -> Any:
+    """Return the solution of a sparse system by Gaussian elimination without pivoting, SX."""
+    size, side = matrix.shape[0], right.elements()
     rows: list[dict[int, Any]] = [{} for _ in range(size)]
     below: list[set[int]] = [set() for _ in range(size)]
     for i, j, value in zip(*matrix.sparsity().get_triplet(), matrix.nonzeros(), strict=True):
         if not value.is_zero():
             rows[i][j] = value
             below[j].add(i)
-    factors: list[tuple[int, int, Any]] = []
     for k, pivot in enumerate(rows):
         for i in sorted(each for each in below[k] if each > k):
             factor = rows[i].pop(k) / pivot[k]
-            factors.append((i, k, factor))
             for j, value in pivot.items():
                 if j > k:
                     rows[i][j] = rows[i].get(j, 0) - factor * value
                     below[j].add(i)
-
-    def solve(right: Any) -> Any:
-        side = right.elements()
-        for i, k, factor in factors:
             side[i] -= factor * side[k]
-        for k in reversed(range(size)):
-            for j, value in rows[k].items():
-                if j > k:
-                    side[k] -= value * side[j]
-            side[k] /= rows[k][k]
-        return ca.vertcat(*side)
-
-    return solve
+    for k in reversed(range(size)):
+        for j, value in rows[k].items():
+            if j > k:
+                side[k] -= value * side[j]
+        side[k] /= rows[k][k]
+    return ca.vertcat(*side)
 
 
 def _momenta(mass: object, basis: FloatArray) -> FloatArray:

@@ -46,6 +46,9 @@ _EQUILIBRIUM_TOLERANCE = 1e-8
 # Beyond this the coordinates do not close: without a load the residual is round-off.
 _INVARIANCE_TOLERANCE = 1e-8
 
+# Stiffness below these parts of what tensions give is none, and is no measure for what is left.
+_NO_STIFFNESS, _ROUND_OFF = 1e-12, 1e-6
+
 # Force densities may differ by this part of the largest from those of given rest lengths.
 _LAW_TOLERANCE = 1e-6
 
@@ -336,17 +339,21 @@ def _reduced(
     A = np.zeros((2 * r, 2 * r))
     A[:r, r:] = np.eye(r)
     by_shape, by_speed = A_x[half:, :half] @ T, A_x[half:, half:] @ T
+    # Where force densities are held, shapes may meet no stiffness at all but round-off.
+    held = float(np.linalg.norm(B_x[half:]) * np.linalg.norm(gamma)) / float(np.ptp(nodes))
+    if np.linalg.norm(by_shape) <= _NO_STIFFNESS * held * np.linalg.norm(T):
+        by_shape = np.zeros_like(by_shape)
     A[r:, :r], A[r:, r:] = P @ by_shape, P @ by_speed
     outside = max(
-        float(np.linalg.norm(T @ (P @ part) - part)) / max(float(np.linalg.norm(part)), 1e-300)
-        for part in (by_shape, by_speed)
+        float(np.linalg.norm(T @ (P @ part) - part)) / max(float(np.linalg.norm(part)), least)
+        for part, least in ((by_shape, _ROUND_OFF * held + 1e-300), (by_speed, 1e-300))
     )
     if kind == "internal":
         # Motions as one body that are left out must meet no stiffness: a load may give them some.
         rigid = left_by_supports(model.structure, rigid_motions(nodes))[rows]
         met = float(np.linalg.norm(A_x[half:, :half] @ rigid))
-        size = float(np.linalg.norm(A_x[half:, :half]) * np.linalg.norm(rigid))
-        outside = max(outside, met / max(size, 1e-300))
+        size = max(float(np.linalg.norm(A_x[half:, :half])), _ROUND_OFF * held)
+        outside = max(outside, met / max(size * float(np.linalg.norm(rigid)), 1e-300))
     return LinearPlant(
         model=model,
         coordinates=frame,

@@ -256,7 +256,7 @@ def _node_modes(plant: LinearPlant) -> tuple[np.ndarray, np.ndarray, list[str]]:
     lengths = constraints.shape[1]
     return (
         np.r_[np.zeros(lengths, complex), inner.pole],
-        np.hstack([constraints, shapes]),
+        np.hstack([constraints, shapes])[structure.free_rows],
         ["constraint"] * lengths + list(inner.label),
     )
 

@@ -185,7 +185,8 @@ def acceleration_slopes(plant: LinearPlant, *, taut: bool) -> ca.Function:
     qdd = _acceleration(plant, z, u, taut, near)
     by_z, by_u = (ca.densify(ca.jacobian(qdd, by)) for by in (z, u))
     parts = settled(plant, z, near, [ca.densify(qdd), by_z[:, :r], by_z[:, r:], by_u])
-    return ca.Function("derivatives", [z, u], ca.cse(parts))
+    # Among the many operations of blocks, the search takes longer than it gains.
+    return ca.Function("derivatives", [z, u], parts if near.numel() else ca.cse(parts))
 
 
 def near_symbol(plant: LinearPlant) -> Any:
