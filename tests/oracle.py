@@ -301,7 +301,7 @@ def _stretch(S, Sd):
 def _first_crossing(room, between, start, end):
     """Return when the least room first falls below zero within a step, or None."""
     times = start + (end - start) * _FRACTIONS
-    met = np.flatnonzero(room(between(times[1:]).T).min(axis=1) < 0)
+    met = np.flatnonzero(room(between(times[1:]).T).min(axis=1, initial=1.0) < 0)
     if not len(met):
         return None
     last, time = times[met[0] : met[0] + 2]

@@ -386,8 +386,8 @@ def _swinging_bars(
 
 
 def mass_product(structure: Structure, V: Symbolic) -> Symbolic:
-    """Return V M_s, shape (d, n), kg m/s: M_s is m/6 [[2, 1], [1, 2]] a bar and m_s a point mass."""
-    if structure.blocks or structure.structure_class > 1:
+    """Return V M_s, shape (d, n): M_s is m/6 [[2, 1], [1, 2]] a bar and m_s a point mass."""
+    if structure.blocks or structure.structure_class > 1:  # several masses meet at a node
         return ca.mtimes(V, _sparse(node_mass(structure)))
     product = type(V)(*structure.nodes.shape)
     if len(structure.bars):
