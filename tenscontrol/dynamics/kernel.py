@@ -260,11 +260,11 @@ class SaddlePoint:
         M = _sparse(block_mass(structure, block))
         self._order, self._back = block.order.tolist(), np.argsort(block.order).tolist()
         if isinstance(J, ca.MX):
-            D = ca.diag(1 / ca.sum2(M))
-            self._turn = -ca.mtimes(J, D)
-            rows = J + ca.mtimes(self._turn, M)
+            self._J, self._share = J, 1 / ca.sum2(M)
+            D = ca.diag(self._share)
+            left = ca.mtimes(J, ca.DM.eye(len(block.rows)) - ca.mtimes(D, M))
             lower = ca.mtimes([J, ca.mtimes([D, M, D]) - 2 * D, J.T])
-            self._matrix = ca.blockcat([[M, rows.T], [rows, lower]])
+            self._matrix = _symmetric(ca.MX(M), left, lower)
         else:
             matrix = ca.blockcat([[M, J.T], [J, type(J)(J.shape[0], J.shape[0])]])
             self._factors = ca.ldl(matrix[self._order, self._order], False)
@@ -272,13 +272,24 @@ class SaddlePoint:
     def solve(self, upper: Symbolic, lower: Symbolic) -> Symbolic:
         """Return ``[a; −λ]`` of the right-hand sides of the two equations, columns."""
         if isinstance(upper, ca.MX):
-            right = ca.vertcat(upper, lower + ca.mtimes(self._turn, upper))
+            right = ca.vertcat(upper, lower - ca.mtimes(self._J, self._share * upper))
             found = ca.solve(self._matrix, right, "ldl")
             rows = upper.shape[0]
-            below = found[rows:, :]
-            return ca.vertcat(found[:rows, :] + ca.mtimes(self._turn.T, below), below)
+            below = found[rows:]
+            return ca.vertcat(found[:rows] - self._share * ca.mtimes(self._J.T, below), below)
         right = ca.vertcat(upper, lower)[self._order, :]
         return ca.ldl_solve(right, *self._factors)[self._back, :]
+
+
+def _symmetric(upper: Symbolic, left: Symbolic, lower: Symbolic) -> Symbolic:
+    """Return ``[[upper, leftᵀ], [left, lower]]`` in MX: its entries are put in place at once."""
+    parts = (upper, left, lower)
+    ends = np.cumsum([0, *(part.nnz() for part in parts)])
+    number = [ca.DM(part.sparsity(), np.arange(start, start + part.nnz(), dtype=float))
+              for part, start in zip(parts, ends[:-1], strict=True)]  # fmt: skip
+    places = ca.blockcat([[number[0], number[1].T], [number[1], number[2]]])
+    entries = ca.vertcat(*(ca.reshape(part.nz[:], part.nnz(), 1) for part in parts))
+    return ca.MX(places.sparsity(), entries[np.array(places.nonzeros(), dtype=int).tolist()])
 
 
 def _least_norm(
