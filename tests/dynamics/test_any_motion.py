@@ -30,11 +30,11 @@ def both(structure, velocities, form="flat", tolerance=1e-13):
     return found, expected, len(switches)
 
 
-@pytest.mark.parametrize("name", ["D-bar", "D-bar in space", "arm"])
+@pytest.mark.parametrize("name", ["D-bar", "D-bar in space", "clustered D-bar", "arm"])
 def test_known_structures_move_as_the_oracle(name):
     structure = KNOWN[name]()
     _, velocities = any_motion_of(structure, 0)
-    found, expected, switches = both(structure, velocities)
+    found, expected, switches = both(structure, 0.3 * velocities)
     assert switches >= 2
     assert np.abs(found - expected).max() < 1e-8
 
