@@ -199,9 +199,11 @@ def coupled_block(structure: Structure) -> Block:
     for block, row, bar in zip(blocks, first_row[:-1], first_bar[:-1], strict=True):
         rows = len(block.rows)
         orders.append(block.order + np.where(block.order < rows, row, bar - rows))
-    names = ("nodes", "rows", "bars", "independent")
-    parts = [np.concatenate([getattr(block, name) for block in blocks]) for name in names]
-    return Block(*parts, np.concatenate(orders))
+    nodes, all_rows, bars, independent = (
+        np.concatenate([getattr(block, name) for block in blocks])
+        for name in ("nodes", "rows", "bars", "independent")
+    )
+    return Block(nodes, all_rows, bars, independent, np.concatenate(orders))
 
 
 def block_motion(
