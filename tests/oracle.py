@@ -16,6 +16,8 @@ Of the package only the :class:`Structure`, a bag of indices and masses, is used
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import DOP853, solve_ivp
@@ -301,7 +303,7 @@ def _stretch(S, Sd):
 def _first_crossing(room, between, start, end):
     """Return when the least room first falls below zero within a step, or None."""
     times = start + (end - start) * _FRACTIONS
-    met = np.flatnonzero(room(between(times[1:]).T).min(axis=1) < 0)
+    met = np.flatnonzero(room(between(times[1:]).T).min(axis=1, initial=1.0) < 0)
     if not len(met):
         return None
     last, time = times[met[0] : met[0] + 2]
@@ -316,34 +318,42 @@ def node_acceleration(structure, nodes, velocities, force_density, external_forc
     of redundant bars, those of least norm by least squares (for complex numbers: one solution).
     """
     d, count = nodes.shape
-    rows, bars = free_rows(structure), structure.bars
-    along_bars = _incidence(bars, count)
+    rows, along_bars, M, few = _constants(structure)
+    bars = len(along_bars)
     forces = external_force + string_forces(structure, nodes, force_density)
     jacobian = along_bars[:, :, None] * (along_bars @ nodes.T)[:, None, :]
-    J = jacobian.reshape(len(bars), d * count)[:, rows]
-    M = np.kron(consistent_mass(structure), np.eye(d))[np.ix_(rows, rows)]
-    spread = velocities @ along_bars.T
-    few = _independent_rows(J.real, M)
+    J = jacobian.reshape(bars, d * count)[:, rows]
     saddle = np.block([[M, -J[few].T], [J[few], np.zeros((len(few), len(few)))]])
+    spread = velocities @ along_bars.T
     goal = np.concatenate([forces.T.ravel()[rows], -(spread * spread).sum(axis=0)[few]])
     solution = np.linalg.solve(saddle, goal)
     acceleration = np.zeros(d * count, solution.dtype)
     acceleration[rows] = solution[: len(rows)]
-    lam = np.zeros(len(bars), solution.dtype)
+    lam = np.zeros(bars, solution.dtype)
     lam[few] = solution[len(rows) :]
-    if len(few) < len(bars) and not np.iscomplexobj(J):
+    if len(few) < bars and not np.iscomplexobj(J):
         lam = np.linalg.lstsq(J.T, J[few].T @ lam[few], rcond=1e-9)[0]
     return acceleration.reshape(count, d).T, lam
 
 
-def _independent_rows(J, M):
-    """Return the rows of the largest independent set of constraints, by pivoted QR."""
-    scaled = np.linalg.solve(np.linalg.cholesky(M), J.T) if J.size else J.T
-    if not scaled.size:
-        return np.arange(0)
-    _, R, order = qr(scaled, mode="economic", pivoting=True)
-    size = np.abs(np.diag(R))
-    return np.sort(order[: np.count_nonzero(size > 1e-9 * size.max())])
+@lru_cache(maxsize=4)
+def _constants(structure):
+    """Return the free rows, the incidence of bars, the free mass matrix and independent bars.
+
+    Of redundant bars, those of the largest independent set in the structure's own shape.
+    """
+    d, count = structure.nodes.shape
+    rows, along_bars = free_rows(structure), _incidence(structure.bars, count)
+    M = np.kron(consistent_mass(structure), np.eye(d))[np.ix_(rows, rows)]
+    jacobian = along_bars[:, :, None] * (along_bars @ structure.nodes.T)[:, None, :]
+    J = jacobian.reshape(len(along_bars), d * count)[:, rows]
+    few = np.arange(0)
+    if J.size:
+        scaled = np.linalg.solve(np.linalg.cholesky(M), J.T)
+        _, R, order = qr(scaled, mode="economic", pivoting=True)
+        size = np.abs(np.diag(R))
+        few = np.sort(order[: np.count_nonzero(size > 1e-9 * size.max())])
+    return rows, along_bars, M, few
 
 
 def free_rows(structure):
@@ -354,34 +364,36 @@ def free_rows(structure):
     return np.array([row for row in range(d * count) if row not in held], dtype=int)
 
 
+@lru_cache(maxsize=4)
+def _segments(structure):
+    """Return the incidence of segments, the sums over each string, and what is straight."""
+    paths = structure.paths or structure.strings.tolist()
+    pairs = [pair for path in paths for pair in pairwise(path)]
+    string = np.repeat(np.arange(len(paths)), [len(path) - 1 for path in paths])
+    sums = np.zeros((len(paths), len(pairs)))
+    sums[string, np.arange(len(pairs))] = 1.0
+    pairs = np.array(pairs, dtype=int).reshape(-1, 2)
+    straight = sums.sum(axis=1)[string] == 1
+    return _incidence(pairs, structure.nodes.shape[1]), sums, string, straight
+
+
 def string_forces(structure, nodes, force_density):
     """Return the forces of the strings on the nodes, shape (d, n), from γ = T/L of each."""
-    forces = np.zeros(nodes.shape, np.result_type(nodes, force_density))
-    for path, gamma in zip(string_paths(structure), force_density, strict=True):
-        S = np.diff(nodes[:, path], axis=1)
-        length = np.sqrt((S * S).sum(axis=0))
-        # One tension all along; a straight string may have no length.
-        pull = gamma * S if len(path) == 2 else gamma * length.sum() * S / length
-        for k in range(len(path) - 1):
-            forces[:, path[k]] += pull[:, k]
-            forces[:, path[k + 1]] -= pull[:, k]
-    return forces
+    incidence, sums, string, straight = _segments(structure)
+    S = nodes @ incidence.T
+    gamma = force_density[string]
+    if not straight.all():  # one tension all along; a straight string may have no length
+        each = np.where(straight, 1.0, np.sqrt((S * S).sum(axis=0)))
+        gamma = gamma * (sums @ each)[string] / each
+    return -(gamma * S) @ incidence
 
 
 def string_motion(structure, nodes, velocities):
     """Return the length of each string and its rate, of all its segments together."""
-    lengths, rates = [], []
-    for path in string_paths(structure):
-        S, Sd = np.diff(nodes[:, path], axis=1), np.diff(velocities[:, path], axis=1)
-        each = np.sqrt((S * S).sum(axis=0))
-        lengths.append(each.sum())
-        rates.append(((S * Sd).sum(axis=0) / each).sum())
-    return np.array(lengths), np.array(rates)
-
-
-def string_paths(structure):
-    """Return the nodes that each string runs over."""
-    return [list(path) for path in structure.paths or structure.strings.tolist()]
+    incidence, sums, *_ = _segments(structure)
+    S, Sd = nodes @ incidence.T, velocities @ incidence.T
+    each = np.sqrt((S * S).sum(axis=0))
+    return sums @ each, sums @ ((S * Sd).sum(axis=0) / each)
 
 
 def consistent_mass(structure):

@@ -69,7 +69,25 @@ def test_model_cost(printed):
     assert row(text, "γ held  ") == [316, 2]
     assert row(text, "γ held, load as an input")[1] == 3
     assert row(text, "rest length held, damped")[0] > row(text, "rest length held  ")[0]
+    plane, space = (row(text, name) for name in ("a D-bar in the plane", "the same in space"))
+    assert plane[0] < 0.7 * space[0]
     assert "µs through the buffer" in text
+
+
+@needs_compiler
+def test_coupled_cost(printed, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    text = printed("coupled_cost", "--stages 1 3 --turns 1 --members 300")
+    assert len(re.findall("flat .* mapped .* loops ", text)) == 4
+    assert text.count("largest over smallest") == 6
+
+
+@needs_compiler
+def test_oracle_agreement(printed, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    text = printed("oracle_agreement", "--structures 3")
+    for name in ("λ ", "flat", "mapped", "loops"):
+        assert row(text, name)[0] < 1e-12
 
 
 @needs_compiler

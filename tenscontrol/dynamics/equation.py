@@ -34,14 +34,14 @@ class Equation:
         ``(x, u) -> (gap, gap_rate)``: how far each string is from slack, m,
         positive where it pulls, and how fast the stretch grows, m/s.
     force : casadi.Function or None
-        ``(q, v, u, taut) -> F``: forces on the free nodes from positions and
+        ``(q, v, u, taut) -> F``: forces along the free coordinates from positions and
         velocities, N, node by node. None for an equation that is no structure's.
     velocity_dependent : bool
         Whether the force depends on the velocities: some string is damped.
     structure : Structure or None
     law : StringLaw or None
         The law of the strings where rest lengths are held; None where γ is.
-    load : ndarray, shape (3, n), or None
+    load : ndarray, shape (d, n), or None
         Constant force on every node, N; None for none.
     form : {"flat", "mapped", "loops"}
         How the functions are built: one expression of all members (SX);

@@ -218,9 +218,11 @@ def coupled_block(structure: Structure) -> Block:
     for block, row, bar in zip(blocks, first_row[:-1], first_bar[:-1], strict=True):
         rows = len(block.rows)
         orders.append(block.order + np.where(block.order < rows, row, bar - rows))
-    names = ("nodes", "rows", "bars", "independent")
-    parts = [np.concatenate([getattr(block, name) for block in blocks]) for name in names]
-    return Block(*parts, np.concatenate(orders))
+    nodes, all_rows, bars, independent = (
+        np.concatenate([getattr(block, name) for block in blocks])
+        for name in ("nodes", "rows", "bars", "independent")
+    )
+    return Block(nodes, all_rows, bars, independent, np.concatenate(orders))
 
 
 def block_motion(
@@ -279,11 +281,11 @@ class SaddlePoint:
         M = _sparse(block_mass(structure, block))
         self._order, self._back = block.order.tolist(), np.argsort(block.order).tolist()
         if isinstance(J, ca.MX):
-            D = ca.diag(1 / ca.sum2(M))
-            self._turn = -ca.mtimes(J, D)
-            rows = J + ca.mtimes(self._turn, M)
+            self._J, self._share = J, 1 / ca.sum2(M)
+            D = ca.diag(self._share)
+            left = ca.mtimes(J, ca.DM.eye(len(block.rows)) - ca.mtimes(D, M))
             lower = ca.mtimes([J, ca.mtimes([D, M, D]) - 2 * D, J.T])
-            self._matrix = ca.blockcat([[M, rows.T], [rows, lower]])
+            self._matrix = _symmetric(ca.MX(M), left, lower)
         else:
             matrix = ca.blockcat([[M, J.T], [J, type(J)(J.shape[0], J.shape[0])]])
             self._factors = ca.ldl(matrix[self._order, self._order], False)
@@ -299,17 +301,28 @@ class SaddlePoint:
         With factors of other entries, if :attr:`values` of them are given, in SX.
         """
         if isinstance(upper, ca.MX):
-            right = ca.vertcat(upper, lower + ca.mtimes(self._turn, upper))
+            right = ca.vertcat(upper, lower - ca.mtimes(self._J, self._share * upper))
             found = ca.solve(self._matrix, right, "ldl")
             rows = upper.shape[0]
-            below = found[rows:, :]
-            return ca.vertcat(found[:rows, :] + ca.mtimes(self._turn.T, below), below)
+            below = found[rows:]
+            return ca.vertcat(found[:rows] - self._share * ca.mtimes(self._J.T, below), below)
         D, LT, permutation = self._factors
         if values is not None:
             parts = ca.vertsplit(values, [0, D.nnz(), D.nnz() + LT.nnz()])
             D, LT = (ca.SX(old.sparsity(), new) for old, new in zip((D, LT), parts, strict=True))
         right = ca.vertcat(upper, lower)[self._order, :]
         return ca.ldl_solve(right, D, LT, permutation)[self._back, :]
+
+
+def _symmetric(upper: Symbolic, left: Symbolic, lower: Symbolic) -> Symbolic:
+    """Return ``[[upper, leftᵀ], [left, lower]]`` in MX: its entries are put in place at once."""
+    parts = (upper, left, lower)
+    ends = np.cumsum([0, *(part.nnz() for part in parts)])
+    number = [ca.DM(part.sparsity(), np.arange(start, start + part.nnz(), dtype=float))
+              for part, start in zip(parts, ends[:-1], strict=True)]  # fmt: skip
+    places = ca.blockcat([[number[0], number[1].T], [number[1], number[2]]])
+    entries = ca.vertcat(*(ca.reshape(part.nz[:], part.nnz(), 1) for part in parts))
+    return ca.MX(places.sparsity(), entries[np.array(places.nonzeros(), dtype=int).tolist()])
 
 
 def _least_norm(
@@ -417,8 +430,8 @@ def _swinging_bars(
 
 
 def mass_product(structure: Structure, V: Symbolic) -> Symbolic:
-    """Return V M_s, shape (d, n), kg m/s: M_s is m/6 [[2, 1], [1, 2]] a bar and m_s a point mass."""
-    if structure.blocks or structure.structure_class > 1:
+    """Return V M_s, shape (d, n): M_s is m/6 [[2, 1], [1, 2]] a bar and m_s a point mass."""
+    if structure.blocks or structure.structure_class > 1:  # several masses meet at a node
         return ca.mtimes(V, _sparse(node_mass(structure)))
     product = type(V)(*structure.nodes.shape)
     if len(structure.bars):

@@ -10,7 +10,7 @@ import numpy as np
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.equation import FORMS, Equation
 from tenscontrol.dynamics.evaluator import Prepared, built
-from tenscontrol.dynamics.forms import loops_functions, mapped_functions
+from tenscontrol.dynamics.forms import loops_functions, mapped_functions, members_alone
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure, free_coordinates, node_mass
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 #: 0.3 s. With a compiler, loops are as fast as members written out even for 12, and compile in
 #: 0.3 s where 84 members written out take 4 to 13 s, 756 minutes. Below, a flat expression is
 #: kept: it can be put into the expressions of a step, compiled with them, and differentiated.
+#: Bars that are joined count for more, by the instructions that they take.
 LARGEST_FLAT = 40
 
 
@@ -56,9 +57,11 @@ class Model:
     Notes
     -----
     Goyal & Skelton, *Dynamics of Class 1 Tensegrity Systems Including Cable
-    Mass*, eqs. (2), (7)–(9). N̈ is affine in γ at any state. Where nodes are
-    fixed, all functions are in the free nodes only: n is then their number,
-    and the fixed ones stand in the functions as constants.
+    Mass*, eqs. (2), (7)–(9). Bars that share nodes are solved for together, by Lagrange's
+    multipliers λ and sparse factors; all others in closed form. N̈ is affine in γ at any state.
+    Where nodes are fixed, all functions are in the free nodes only: n is then their number,
+    and the fixed ones stand in the functions as constants. Nodes on rollers are among the free
+    ones; what is given for them along the axis that holds them does nothing, and x leaves it out.
 
     Examples
     --------
@@ -229,7 +232,8 @@ class Model:
             to be put into larger expressions. ``"mapped"``: operations on all members at once.
             ``"loops"``: loops over the members in compiled C, without derivatives; needs a
             compiler. ``"auto"``: flat up to 40 members, beyond them loops where there is a C
-            compiler, else mapped. ``.form`` of the equation says which.
+            compiler, else mapped; bars that are joined count as two to ten. ``.form`` of the
+            equation says which.
 
         Raises
         ------
@@ -417,8 +421,8 @@ def unpack_states(structure: Structure, states: FloatArray) -> tuple[FloatArray,
 
 
 def _suitable_form(structure: Structure) -> str:
-    """Return "flat", "mapped" or "loops", by the number of members and whether C compiles here."""
-    if len(structure.bars) + len(structure.strings) <= LARGEST_FLAT:
+    """Return "flat", "mapped" or "loops", by what members cost and whether C compiles here."""
+    if len(structure.bars) + len(structure.strings) <= LARGEST_FLAT >= members_alone(structure):
         return "flat"
     return "mapped" if compiler() is None else "loops"
 

@@ -13,6 +13,7 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.dynamics import Evaluator
 from tests.benchmarks.command_line import options
+from tests.known_structures import d_bar
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -26,6 +27,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "rest length held, damped": tc.Model(prism, damped).rest_length_dynamics,
         "γ held, a string node more": tc.Model(with_string_node(prism)).dynamics,
     }
+    shared = d_bar()
+    in_space = tc.Structure(
+        np.vstack([shared.nodes, np.zeros(4)]), shared.bars, shared.strings, shared.bar_mass
+    )
+    scenes["a D-bar in the plane, γ held"] = tc.Model(shared).dynamics
+    scenes["the same in space, γ held"] = tc.Model(in_space).dynamics
     print("right-hand side of the prism      instructions  inputs")
     for label, function in scenes.items():
         print(f"{label:33s} {function.n_instructions():12d}  {function.n_in():6d}")
