@@ -63,6 +63,11 @@ def checked_supports(fixed: Any, rollers: Any, shape: tuple[int, ...]) -> tuple[
     if isinstance(fixed, list | tuple):
         pairs = [each for each in fixed if isinstance(each, list | tuple)]
         nodes = [each for each in fixed if not isinstance(each, list | tuple)]
+        if any(isinstance(each, str) for each in nodes):
+            raise TypeError(
+                f"fixed is {fixed!r}, expected node indices; a node and an axis are a pair of "
+                'their own, as in [0, (4, "z")]'
+            )
     array = np.atleast_1d(float_array("fixed", nodes))
     if array.ndim != 1:
         raise ValueError(
