@@ -17,19 +17,10 @@ import tenscontrol as tc
 from tenscontrol.structure import same_members
 
 FIELDS = [field.name for field in fields(tc.Structure)]
-DERIVED = [
-    "segments",
-    "segment_string",
-    "fixed_rows",
-    "free_rows",
-    "free",
-    "string_nodes",
-    "string_node_mass",
-    "bar_length",
-    "free_bars",
-    "swinging_bars",
-    "coupled_bars",
-]
+DERIVED = (
+    *("segments", "segment_string", "fixed_rows", "free_rows", "free", "string_nodes"),
+    *("string_node_mass", "bar_length", "free_bars", "swinging_bars", "coupled_bars"),
+)
 
 
 def arguments(seed):
