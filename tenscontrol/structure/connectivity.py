@@ -183,4 +183,4 @@ def _roller(name: str, pair: Any, d: int, count: int) -> tuple[int, str]:
     if number.ndim:
         raise ValueError(f"{name} has {pair!r}, expected pairs of a node and an axis")
     (node,) = indices(name, number[None], count, f"there are {count} nodes", "node ").tolist()
-    return node, choice(f"the axis of node {node} in {name}", pair[1], tuple("xyz"[:d]))
+    return node, choice(f"{name} axis of node {node}", pair[1], tuple("xyz"[:d]))
