@@ -35,6 +35,7 @@ def test_every_example_is_tested():
         "plot_control_stiffness.py",
         "plot_control_string_mass.py",
         "plot_control_t_bar.py",
+        "plot_library.py",
         "plot_paper_skin.py",
         "plot_paper_string_mass.py",
         "plot_prism_modes.py",
@@ -49,6 +50,17 @@ def test_prism_modes():
     held = run("plot_prism_modes.py")["held"]
     assert held.frequency[0] == pytest.approx(2.31873, abs=5e-6)
     assert held.label[0] == "mechanism"
+
+
+def test_library():
+    import tenscontrol as tc
+
+    result = run("plot_library.py")
+    found = {name: tuple(counts) for name, counts in result["found"].items()}
+    assert set(found) == set(tc.library.__all__)
+    assert (found["levy_dome"], found["stedy_arm"]) == ((13, 1), (6, 0))
+    assert (found["class2_tower"], found["spine"]) == ((3, 3), (9, 0))
+    assert len(result["figure"].axes) == len(found)
 
 
 def test_control_shape():

@@ -15,14 +15,14 @@ from PIL import Image
 
 from tenscontrol.files import write_file
 from tenscontrol.plot.structure_drawing import (
-    FILLED,
     SIZE,
     draw,
+    fill_figure,
     frame,
     is_slack,
-    label_space,
+    label_view,
     legend_samples,
-    new_space,
+    new_view,
     sample,
 )
 from tenscontrol.plot.style import FAINT, NORMAL
@@ -106,11 +106,11 @@ def animate(
     duration : float, optional
         Time that the animation takes, s; as long as the motion if not given,
         so that it plays in real time.
-    target : array_like, shape (3, n), optional
+    target : array_like, shape (d, n), optional
         Node positions of a shape to draw faintly, m: where the motion should go. It is drawn where
         it is given; a free structure may reach the shape at another place.
     view : tuple of two floats
-        Elevation and azimuth of the eye, degrees.
+        Elevation and azimuth of the eye, degrees; of no use in the plane.
     dpi : int
         Pixels an inch; the picture is 5.0 inches wide and 4.5 high.
 
@@ -172,18 +172,20 @@ def animate(
     shapes, gammas = _sampled(run, motion, times)
     figure = Figure(figsize=SIZE, dpi=dots)
     canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
-    figure.subplots_adjust(**FILLED)
-    ax = new_space(figure)
+    d = run.structure.dimension
+    fill_figure(figure, d)
+    ax = new_view(figure, d)
     samples = legend_samples(run.structure, any(is_slack(gamma).any() for gamma in gammas.T))
     if goal is not None:
         draw(ax, run.structure, goal, FAINT)
         samples.append(sample("target", color=FAINT.bar_color, linewidth=FAINT.bar_width))
     drawing = draw(ax, run.structure, shapes[:, :, 0], NORMAL)
-    everywhere = [shapes.reshape(3, -1)]
+    everywhere = [shapes.reshape(d, -1)]
     frame(ax, everywhere if goal is None else [*everywhere, goal], grow=False)
-    label_space(ax)
-    ax.view_init(elev=float(eye[0]), azim=float(eye[1]))
-    figure.legend(handles=samples, loc="upper left", frameon=False, fontsize="small")
+    label_view(ax)
+    if d == 3:
+        ax.view_init(elev=float(eye[0]), azim=float(eye[1]))
+    figure.legend(handles=samples, loc="upper left", frameon=False, fontsize="small", ncols=5 - d)
     clock = figure.text(0.97, 0.96, "", ha="right", va="top")
     # Axes and legend stand still: they are drawn once, and what moves upon a copy of them.
     moving = [*sorted((*ax.collections, *ax.lines), key=lambda each: each.get_zorder()), clock]
@@ -197,8 +199,9 @@ def animate(
             drawing.update(shape, gamma)
             clock.set_text(f"t = {time:.2f} s")
             canvas.restore_region(still)
-            for members in ax.collections:
-                members.do_3d_projection()
+            if d == 3:
+                for members in ax.collections:
+                    members.do_3d_projection()
             for artist in moving:
                 artist.draw(canvas.get_renderer())
             yield
@@ -210,7 +213,7 @@ def animate(
 def _sampled(
     run: Trajectory, motion: FloatArray, times: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return node positions between the states, (3, n, frames), and γ there, (α, frames)."""
+    """Return node positions between the states, (d, n, frames), and γ there, (α, frames)."""
     after = np.clip(np.searchsorted(run.time, times), 0, len(run.time) - 1)
     before = np.maximum(after - 1, 0)
     gap = run.time[after] - run.time[before]

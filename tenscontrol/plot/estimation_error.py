@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from tenscontrol.plot.histories import Curves, draw_curves, mark_statuses
 from tenscontrol.plot.style import PALETTE, checked_indices, curve_style, legend_above, panel_axes
 from tenscontrol.simulation import Trajectory
-from tenscontrol.validation import FloatArray, IntArray, instance
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, instance
 
 # Marks for what became of readings, told apart by their form.
 _MARKERS = {"partly used": "|", "lost": "x", "refused": "v", "waiting": ".", "started anew": "s"}
@@ -69,9 +70,8 @@ def estimate(
     if structure.parent is not None and record.nodes.shape[1] < structure.nodes.shape[1]:
         structure = structure.parent
     which = checked_indices("strings", strings, len(structure.strings), "string indices", "(0, 1)")
-    pairs = structure.strings[which]
     seen = run.nodes[:, : record.nodes.shape[1]]
-    true, found = _lengths(seen, pairs), _lengths(record.nodes, pairs)
+    true, found = (_lengths(structure, which, nodes) for nodes in (seen, record.nodes))
     at = np.searchsorted(run.time, record.time - 1e-9 * run.time[-1])
     places = panel_axes(axes, ["length", "error"])
     names = [f"string {i}" for i in which]
@@ -114,6 +114,8 @@ def estimate(
     return {"length": length, "error": error}
 
 
-def _lengths(nodes: FloatArray, pairs: IntArray) -> FloatArray:
-    """Return lengths of strings over time, shape (k, T)."""
-    return np.asarray(np.linalg.norm(nodes[:, pairs[:, 1]] - nodes[:, pairs[:, 0]], axis=0))
+def _lengths(structure: Structure, which: list[int], nodes: FloatArray) -> FloatArray:
+    """Return lengths of some strings over time, shape (k, T)."""
+    start, end = structure.segments.T
+    segments = np.linalg.norm(nodes[:, end] - nodes[:, start], axis=0)
+    return np.array([segments[structure.segment_string == i].sum(axis=0) for i in which])

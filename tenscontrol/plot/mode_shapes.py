@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from tenscontrol.plant import LinearPlant, Modes
-from tenscontrol.plot.structure_drawing import Drawing, draw, frame, new_space
+from tenscontrol.plot.structure_drawing import Drawing, draw, frame, new_view
 from tenscontrol.plot.style import SMALL, SMALL_FAINT, checked_indices, given_axes
 from tenscontrol.validation import FloatArray, instance, positive_number
 
@@ -68,8 +68,9 @@ def mode_shapes(
     scale : float
         Largest node displacement over the size of the structure (its largest
         extent along x, y or z).
-    axes : sequence of Axes3D, optional
-        Where to draw, one for each mode; a new figure if not given.
+    axes : sequence of Axes3D or Axes, optional
+        Where to draw, one for each mode, flat for a structure in the plane; a new figure if not
+        given.
 
     Returns
     -------
@@ -112,8 +113,9 @@ def mode_shapes(
     share = positive_number("scale", scale, "structure sizes")
     size = float(share * np.ptp(nodes, axis=1).max())
     moved = [nodes + size * _at_largest(modes.shape[:, :, mode]) for mode in chosen]
+    panels = _panels(axes, len(chosen), structure.dimension)
     drawn = []
-    for ax, mode, displaced in zip(_panels(axes, len(chosen)), chosen, moved, strict=True):
+    for ax, mode, displaced in zip(panels, chosen, moved, strict=True):
         shape = ModeShape(
             mode,
             reference=draw(ax, structure, nodes, SMALL_FAINT),
@@ -128,19 +130,23 @@ def mode_shapes(
     return tuple(drawn)
 
 
-def _panels(axes: Sequence[Any] | None, count: int) -> list[Any]:
+def _panels(axes: Sequence[Any] | None, count: int, dimension: int) -> list[Any]:
     if axes is not None:
-        return given_axes(axes, count, "one for each mode drawn", "three-dimensional")
+        kind = "three-dimensional" if dimension == 3 else "flat"
+        return given_axes(axes, count, "one for each mode drawn", kind)
     columns = min(count, _COLUMNS)
     rows = ceil(count / columns)
     figure = plt.figure(figsize=(_PANEL * columns, _PANEL * rows + 0.2))
-    panels = [new_space(figure, rows, columns, i + 1) for i in range(count)]
-    figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.93, wspace=-0.1, hspace=-0.05)
+    panels = [new_view(figure, dimension, rows, columns, i + 1) for i in range(count)]
+    room = {"top": 0.93, "wspace": -0.1, "hspace": -0.05}
+    if dimension == 2:
+        room = {"top": 1 - 0.5 / figure.get_figheight(), "wspace": 0.1, "hspace": 0.3}
+    figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, **room)
     return panels
 
 
 def _at_largest(shape: np.ndarray) -> FloatArray:
-    """Return a shape (3, n) at the phase at which its real part is largest, scaled to 1."""
+    """Return a shape (d, n) at the phase at which its real part is largest, scaled to 1."""
     phase = 0.5 * np.angle((shape**2).sum())
     real = (shape * np.exp(-1j * phase)).real
     return np.asarray(real / np.linalg.norm(real, axis=0).max())

@@ -73,7 +73,7 @@ def trajectory(
     run: Trajectory,
     *,
     nodes: Sequence[int] = (0,),
-    directions: str = "xyz",
+    directions: str | None = None,
     references: Mapping[str, object] | None = None,
     axes: Sequence[Axes] | None = None,
 ) -> dict[str, Curves]:
@@ -89,8 +89,8 @@ def trajectory(
     run : Trajectory
     nodes : sequence of int
         The nodes whose coordinates are drawn.
-    directions : str
-        Which coordinates: letters out of ``"xyz"``.
+    directions : str, optional
+        Which coordinates: letters out of ``"xyz"``, all that there are if not given.
     references : mapping of str to float or array_like, shape (T,), optional
         Lines to compare the coordinates with, m: a target height, say.
     axes : sequence of Axes, optional
@@ -153,8 +153,10 @@ def trajectory(
 
 def _coordinates(run: Trajectory, nodes: object, directions: object) -> dict[str, FloatArray]:
     """Return the chosen coordinates by name: ``"x[0]"`` as in the names of a plant's states."""
-    if not isinstance(directions, str) or not directions or set(directions) - set("xyz"):
-        raise ValueError(f"directions is {directions!r}, expected letters out of 'xyz'")
+    axes = "xyz"[: run.structure.dimension]
+    directions = axes if directions is None else directions
+    if not isinstance(directions, str) or not directions or set(directions) - set(axes):
+        raise ValueError(f"directions is {directions!r}, expected letters out of {axes!r}")
     count = run.nodes.shape[1]
     rows = {}
     for node in checked_indices("nodes", nodes, count, "node indices", "(0, 1)"):
@@ -215,7 +217,7 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     >>> plt.close(panels["energy"].ax.figure)
     """
     instance("run", run, Trajectory, "make one by simulate(model, ...)")
-    mass = float(run.structure.bar_mass.sum() + run.structure.string_node_mass.sum())
+    mass = float(run.structure.bar_mass.sum() + run.structure.point_mass.sum())
     speed = float(np.linalg.norm(run.velocities, axis=0).max())
     arm = float(np.linalg.norm(run.nodes, axis=0).max())
     # Panel: curves, label, and the size of the quantity where the scale is logarithmic.

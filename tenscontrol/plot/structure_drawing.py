@@ -1,4 +1,4 @@
-"""A structure drawn in space, which can be moved to other node positions."""
+"""A structure drawn in space or in the plane, which can be moved to other node positions."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from typing import Any
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
@@ -23,6 +25,7 @@ from tenscontrol.plot.style import (
     NORMAL,
     MemberStyle,
     checked_axes,
+    dress,
     marker_style,
 )
 from tenscontrol.structure import Structure
@@ -44,8 +47,10 @@ SIZE = (5.0, 4.5)  # inches
 
 # Room for the axes in the figure: what they hold keeps away from their edges by itself.
 FILLED = MappingProxyType({"left": 0.0, "right": 0.97, "bottom": 0.0, "top": 1.0})
+_FILLED_FLAT = MappingProxyType({"left": 0.13, "right": 0.97, "bottom": 0.11, "top": 0.88})
 
 _MARGIN = 0.05  # around the nodes, relative to the largest extent
+_FLAT_MARGIN = 0.12  # in the plane, where supports are drawn beside their nodes
 _THINNEST = 0.25  # least extent of the box in a direction, relative to the largest
 _TICKS = 4  # along the longest edge
 _CORNER = 0.04  # of an edge, without ticks
@@ -53,6 +58,16 @@ _CORNER = 0.04  # of an edge, without ticks
 # Points; the offsets are what Matplotlib adds itself.
 _LABEL_PAD = {"x": 2.0, "y": 6.0, "z": 5.0}
 _LABEL_OFFSET, _TICK_OFFSET = 21.0, 8.0
+
+# A triangle that stands on a line and holds what is above its tip, of size 1.
+_ROLLER = np.array(
+    [(0, 0), (0.5, -0.75), (-0.5, -0.75), (0, 0), (-0.55, -1.0), (0.55, -1.0)], dtype=float
+)
+_STROKES = [Outline.MOVETO, *[Outline.LINETO] * 3, Outline.MOVETO, Outline.LINETO]
+
+# Marks of nodes: size in node sizes, and layer above that of the members.
+_MARKS = {"joint": (1.5, 0.65), "pulley": (2.4, 0.25), "point mass": (2.2, 0.62)}
+_SUPPORT = 2.2
 
 _PAPER: Any = {"grid.color": "0.88", "grid.linewidth": 0.6} | {
     f"axes3d.{axis}axis.panecolor": (1.0, 1.0, 1.0, 0.0) for axis in "xyz"
@@ -76,26 +91,44 @@ def new_space(figure: Figure, rows: int = 1, columns: int = 1, index: int = 1) -
     return ax
 
 
+def new_view(
+    figure: Figure, dimension: int, rows: int = 1, columns: int = 1, index: int = 1
+) -> Any:
+    """Return new axes for a structure in space, or flat ones for one in the plane."""
+    if dimension == 3:
+        return new_space(figure, rows, columns, index)
+    return figure.add_subplot(rows, columns, index, aspect="equal")
+
+
 def frame(ax: Any, points: Iterable[FloatArray], grow: bool, fill: float = 0.77) -> None:
-    """Set limits that hold all points (3, ·), with ``grow`` the former; ``fill`` of the axes."""
+    """Set limits that hold all points (d, ·), with ``grow`` the former; ``fill`` of the axes."""
     corners = np.hstack(list(points))
+    names = "xyz"[: len(corners)]
     lower, upper = corners.min(axis=1), corners.max(axis=1)
     largest = max(float((upper - lower).max()), 1e-9)
     centre, half = (lower + upper) / 2, (upper - lower) / 2
-    half = np.maximum(half + _MARGIN * largest, _THINNEST * largest / 2)
+    margin = _MARGIN if len(names) == 3 else _FLAT_MARGIN
+    half = np.maximum(half + margin * largest, _THINNEST * largest / 2)
     lower, upper = centre - half, centre + half
     if grow:
-        before = np.array([ax.get_xlim3d(), ax.get_ylim3d(), ax.get_zlim3d()])
+        before = np.array([getattr(ax, f"get_{name}lim")() for name in names])
         lower, upper = np.minimum(lower, before[:, 0]), np.maximum(upper, before[:, 1])
-    ax.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
+    for name, low, high in zip(names, lower, upper, strict=True):
+        ax.set(**{f"{name}lim": (low, high)})
+    if len(names) == 2:
+        ax.set_aspect("equal")
+        return
     extent = upper - lower
     ax.set_box_aspect(extent, zoom=fill / _seen(ax, extent / np.linalg.norm(extent)))
     for axis, share in zip((ax.xaxis, ax.yaxis, ax.zaxis), extent / extent.max(), strict=True):
         axis.set_major_locator(_InnerTicks(max(2, round(_TICKS * share)), min_n_ticks=1))
 
 
-def label_space(ax: Any) -> None:
-    """Label the three axes with their unit. To be called after :func:`frame`."""
+def label_view(ax: Any) -> None:
+    """Label the axes with their unit. To be called after :func:`frame`."""
+    if ax.name != "3d":
+        dress(ax, "x, m", "y, m")
+        return
     ax.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
     extent = np.ptp([ax.get_xlim3d(), ax.get_ylim3d(), ax.get_zlim3d()], axis=1)
     # Matplotlib moves numbers and labels outward by shares of the box's other
@@ -118,6 +151,11 @@ def _seen(ax: Any, edges: FloatArray) -> float:
     return float(max(width, height))
 
 
+def fill_figure(figure: Figure, dimension: int) -> None:
+    """Give the axes of a structure nearly all room of the figure."""
+    figure.subplots_adjust(**(FILLED if dimension == 3 else _FILLED_FLAT))
+
+
 @dataclass(frozen=True, eq=False)
 class Drawing:
     """What was drawn of a structure. Made by :func:`tenscontrol.plot.structure`.
@@ -125,16 +163,20 @@ class Drawing:
     Attributes
     ----------
     structure : Structure
-    ax : Axes3D
-        Where it was drawn.
-    bars, strings : Line3DCollection
-        One segment for each member, in the order of the structure.
-    nodes : Line3D
+    ax : Axes3D or Axes
+        Where it was drawn: flat axes for a structure in the plane.
+    bars, strings : Line3DCollection or LineCollection
+        One line for each member, in the order of the structure. A clustered string is one line
+        along its path.
+    nodes : Line3D or Line2D
         One marker for each node.
-    node_labels, bar_labels, string_labels : tuple of Text3D
+    node_labels, bar_labels, string_labels : tuple of Text3D or Text
         The numbers, empty where there are none.
     colorbar : Colorbar or None
         The scale of the force densities.
+    marks : tuple of (str, Line3D or Line2D, ndarray of int)
+        Marks of nodes that move with them: joints of bars, pulleys of clustered strings, point
+        masses on bars, rollers. Each has its name and its nodes.
     """
 
     structure: Structure
@@ -146,13 +188,14 @@ class Drawing:
     bar_labels: tuple[Any, ...]
     string_labels: tuple[Any, ...]
     colorbar: Any
+    marks: tuple[tuple[str, Any, IntArray], ...] = ()
 
     def update(self, nodes: object, force_density: object = None) -> None:
         """Move the drawing to other node positions. The limits of the axes stay.
 
         Parameters
         ----------
-        nodes : array_like, shape (3, n)
+        nodes : array_like, shape (d, n)
             Node positions, m.
         force_density : float or array_like, shape (α,), optional
             γ, N/m: slack strings become dotted, and the colours follow where
@@ -170,41 +213,88 @@ class Drawing:
             if self.colorbar is not None:
                 self.strings.set_array(gamma)
         self.bars.set_segments(segments(positions, self.structure.bars))
-        self.strings.set_segments(segments(positions, self.structure.strings))
-        self.nodes.set_data_3d(*positions)
+        self.strings.set_segments(segments(positions, _paths(self.structure)))
+        moved = [(self.nodes, positions)]
+        moved += [(points, positions[:, which]) for _, points, which in self.marks]
+        for points, where in moved:
+            set_places = points.set_data_3d if self.structure.dimension == 3 else points.set_data
+            set_places(*where)
         places = label_places(self.structure, positions)
-        for texts, where in zip(
-            (self.node_labels, self.bar_labels, self.string_labels), places, strict=True
-        ):
-            for text, place in zip(texts, where, strict=False):
-                text.set_position_3d(place)
+        labels = (self.node_labels, self.bar_labels, self.string_labels)
+        for texts, at in zip(labels, places, strict=True):
+            for text, place in zip(texts, at, strict=False):
+                if self.structure.dimension == 3:
+                    text.set_position_3d(place)
+                else:
+                    text.set_position(place)
 
 
 def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -> Drawing:
     """Draw bars, strings and nodes in one style, without numbers or colour scale."""
     style = style.fitted(len(structure.bars) + len(structure.strings))
-    strings = Line3DCollection(
-        segments(nodes, structure.strings),
+    lines: Any = Line3DCollection if structure.dimension == 3 else LineCollection
+    paths = _paths(structure)
+    strings = lines(
+        segments(nodes, paths),
         colors=style.string_color,
         linewidths=style.string_width,
         zorder=style.layer,
     )
-    bars = Line3DCollection(
+    bars = lines(
         segments(nodes, structure.bars),
         colors=style.bar_color,
         linewidths=style.bar_width,
         capstyle="round",
         zorder=style.layer + 0.3,
     )
-    for members, pairs in ((strings, structure.strings), (bars, structure.bars)):
+    for members, pairs in ((strings, paths), (bars, structure.bars)):
         if len(pairs):  # Matplotlib cannot find the limits of nothing
-            ax.add_collection3d(members)
+            add = ax.add_collection3d if structure.dimension == 3 else ax.add_collection
+            add(members)
     dot = marker_style("o", style.node_size, style.node_color)
     (dots,) = ax.plot(*nodes, zorder=style.layer + 0.6, **dot)
     if len(structure.fixed):  # they stay where they are, so nothing updates them
-        triangle = marker_style("^", 2.2 * style.node_size, style.node_color, mfc="white")
+        triangle = marker_style("^", _SUPPORT * style.node_size, style.node_color, mfc="white")
         ax.plot(*nodes[:, structure.fixed], zorder=style.layer + 0.5, **triangle)
-    return Drawing(structure, ax, bars, strings, dots, (), (), (), None)
+    marks = []
+    for name, which in marked_nodes(structure).items():
+        look, above = _mark_style(name, style)
+        (line,) = ax.plot(*nodes[:, which], zorder=style.layer + above, **look)
+        marks.append((name, line, which))
+    return Drawing(structure, ax, bars, strings, dots, (), (), (), None, tuple(marks))
+
+
+def marked_nodes(structure: Structure) -> dict[str, IntArray]:
+    """Return the nodes of each mark that there is: joints, pulleys, point masses, rollers."""
+    bars_at = np.bincount(structure.bars.ravel(), minlength=structure.nodes.shape[1])
+    loops = [path[:-1] if path[0] == path[-1] else path[1:-1] for path in structure.paths]
+    heavy = np.flatnonzero(structure.point_mass)
+    marks = {
+        "joint": np.setdiff1d(np.flatnonzero(bars_at > 1), structure.fixed),
+        "pulley": np.unique([node for path in loops for node in path]).astype(int),
+        "point mass": np.setdiff1d(heavy, structure.string_nodes),
+    }
+    for axis in "xyz":
+        held = [node for node, along in structure.rollers if along == axis]
+        marks[f"roller {axis}"] = np.array(held, dtype=int)
+    return {name: which for name, which in marks.items() if len(which)}
+
+
+def _mark_style(name: str, style: MemberStyle) -> tuple[dict[str, Any], float]:
+    """Return how a mark is drawn, and its layer above that of the members."""
+    color = style.node_color
+    if name.startswith("roller"):
+        turned = _ROLLER[:, ::-1] if name.endswith("x") else _ROLLER
+        size = 2 * _SUPPORT * style.node_size  # half of a marker is beyond its node
+        marker: Any = Outline(turned, _STROKES)
+        return marker_style(marker, size, color, mfc="white"), 0.5
+    share, above = _MARKS[name]
+    look = marker_style("o", share * style.node_size, color, mfc="white")
+    if name == "point mass":
+        look["mfc"] = color
+    if name == "pulley":
+        look |= {"color": style.string_color, "mew": style.string_width}
+    return look, above
 
 
 def color_by_force(strings: Any, gamma: FloatArray) -> None:
@@ -234,14 +324,22 @@ def string_dashes(gamma: FloatArray) -> list[Any]:
 
 
 def segments(nodes: FloatArray, members: IntArray) -> FloatArray:
-    """Return the ends of each member, shape (count, 2, 3), m."""
+    """Return the nodes of each member, shape (count, ·, d), m."""
     return np.asarray(nodes.T[members])
+
+
+def _paths(structure: Structure) -> IntArray:
+    """Return the nodes of each string, shape (α, ·); shorter paths stay at their last node."""
+    if not structure.has_clusters:
+        return structure.strings
+    longest = max(map(len, structure.paths))
+    return np.array([[*path, *[path[-1]] * (longest - len(path))] for path in structure.paths])
 
 
 def label_places(
     structure: Structure, nodes: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return where the numbers of nodes, bars and strings go, shape (count, 3) each, m."""
+    """Return where the numbers of nodes, bars and strings go, shape (count, d) each, m."""
     points = nodes.T
     outward = points - points.mean(axis=0)
     distance = np.linalg.norm(outward, axis=1, keepdims=True)
@@ -249,7 +347,11 @@ def label_places(
     shift = _LABEL_DISTANCE * float(np.ptp(nodes, axis=1).max())
     # A third along a bar, not half: bars that cross in the middle keep their numbers apart.
     bars = points[structure.bars[:, 0]] * (2 / 3) + points[structure.bars[:, 1]] / 3
-    return points + shift * outward, bars, segments(nodes, structure.strings).mean(axis=1)
+    # In the middle of a string, or of the middle segment of a clustered one.
+    counts = np.bincount(structure.segment_string, minlength=len(structure.strings))
+    middle = np.cumsum(counts) - counts + (counts - 1) // 2
+    strings = segments(nodes, structure.segments[middle]).mean(axis=1)
+    return points + shift * outward, bars, strings
 
 
 def legend_samples(structure: Structure, slack: bool, colored: bool = False) -> list[Line2D]:
@@ -263,7 +365,22 @@ def legend_samples(structure: Structure, slack: bool, colored: bool = False) -> 
         "string": (string, len(structure.strings) > 0),
         "slack string": ({"linestyle": DOTTED, **string}, slack),
     }
-    return [sample(label, **style) for label, (style, shown) in samples.items() if shown]
+    found = [sample(label, **style) for label, (style, shown) in samples.items() if shown]
+    # Rollers along x, y and z look alike enough for one sample.
+    marks = {
+        "roller" if name.startswith("roller") else name: name for name in marked_nodes(structure)
+    }
+    found += [sample(label, **_mark_style(name, NORMAL)[0]) for label, name in marks.items()]
+    return found
+
+
+def legend_place(structure: Structure) -> dict[str, Any]:
+    """Return where the legend is: in a corner of space, above flat axes."""
+    look: dict[str, Any] = {"loc": "upper left", "frameon": False, "fontsize": "small"}
+    if structure.dimension == 2:
+        look |= {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 3}
+        look |= {"borderaxespad": 0.2, "columnspacing": 1.4}
+    return look
 
 
 def sample(label: str, **style: Any) -> Line2D:
@@ -282,18 +399,20 @@ def structure(
     faint: bool = False,
     legend: bool = True,
 ) -> Drawing:
-    """Draw a structure in space: thick dark bars, thin strings, one scale in all directions.
+    """Draw a structure: thick dark bars, thin strings, one scale in all directions.
 
-    Fixed nodes stand on triangles. Drawn into axes that hold a drawing
-    already, the limits grow to hold both.
+    Fixed nodes stand on triangles, rollers on triangles with a line, beneath or, along x, beside
+    the node. Nodes that bars share are white; a node that a clustered string runs over has a
+    ring, and a point mass on a bar is a large dot. A structure in the plane is drawn in flat axes.
+    Drawn into axes that hold a drawing already, the limits grow to hold both.
 
     Parameters
     ----------
     structure : Structure
-    nodes : array_like, shape (3, n), optional
+    nodes : array_like, shape (d, n), optional
         Node positions, m; the reference shape if not given.
-    ax : Axes3D, optional
-        Where to draw; a new figure if not given.
+    ax : Axes3D or Axes, optional
+        Where to draw, flat for a structure in the plane; a new figure if not given.
     force_density : float or array_like, shape (α,), optional
         γ, N/m. Colours the strings, with a colour scale from 0 to the largest,
         and draws slack strings (γ = 0) dotted.
@@ -316,7 +435,7 @@ def structure(
     ------
     TypeError, ValueError
         If an argument is of the wrong kind, does not fit or is not finite, γ
-        is negative, or ``ax`` is flat.
+        is negative, or ``ax`` is flat for a structure in space or the other way round.
 
     Examples
     --------
@@ -339,13 +458,13 @@ def structure(
     own = ax is None
     if own:
         figure = plt.figure(figsize=(SIZE[0] + (0.0 if gamma is None else _SCALE_WIDTH), SIZE[1]))
-        figure.subplots_adjust(**FILLED)
-        ax = new_space(figure)
-    checked_axes("ax", ax, "three-dimensional")
+        fill_figure(figure, structure.dimension)
+        ax = new_view(figure, structure.dimension)
+    checked_axes("ax", ax, "three-dimensional" if structure.dimension == 3 else "flat")
     grow = ax.has_data()
     drawing = draw(ax, structure, shape, FAINT if faint else NORMAL)
     frame(ax, [shape], grow=grow)
-    label_space(ax)
+    label_view(ax)
     drawing = _numbered(drawing, shape, labels, member_labels)
     if gamma is not None:
         color_by_force(drawing.strings, gamma)
@@ -357,7 +476,7 @@ def structure(
     if legend and not faint:
         slack = gamma is not None and bool(is_slack(gamma).any())
         samples = legend_samples(structure, slack, colored=gamma is not None)
-        ax.legend(handles=samples, loc="upper left", frameon=False, fontsize="small")
+        ax.legend(handles=samples, **legend_place(structure))
     return drawing
 
 

@@ -15,7 +15,7 @@ from tenscontrol.limits import LARGEST_SEED, MOST_DESIGNS
 from tenscontrol.plant import Reference, linearize
 from tenscontrol.scene import schema
 from tenscontrol.scene.document import Document, Table
-from tenscontrol.scene.structure_tables import per_string, whole
+from tenscontrol.scene.structure_tables import columns, per_string, whole
 from tenscontrol.shape import (
     Demand,
     Height,
@@ -144,8 +144,8 @@ def _limit(entry: Table, structure: Structure) -> OutputLimit:
 def _row(entry: Table, structure: Structure) -> FloatArray:
     """Return a node coordinate, or its difference from that of another node, as a row of C."""
     count = structure.nodes.shape[1]
-    axis = entry.choice("axis", ("x", "y", "z"))
-    row = np.zeros((count, 3))
+    axis = entry.choice("axis", tuple("xyz"[: structure.dimension]))
+    row = np.zeros((count, structure.dimension))
     row[entry.index("node", count, "nodes"), "xyz".index(axis)] += 1.0
     if "relative_to" in entry:
         row[entry.index("relative_to", count, "nodes"), "xyz".index(axis)] -= 1.0
@@ -180,8 +180,8 @@ def _demands(entry: Table, controller: Table, structure: Structure) -> list[Dema
             if key in entry:
                 found.append(demand(entry.get(key), *_ends(entry, controller, structure)))
         if "nodes" in entry or "positions" in entry:
-            at = np.array(entry.need("positions"), dtype=float).reshape(-1, 3)
-            found.append(NodesAt(entry.need("nodes"), at.T))
+            at = columns(entry, "positions", structure.dimension)
+            found.append(NodesAt(entry.need("nodes"), at))
     if not found:
         raise entry.error(
             None, f"{entry.title} asks for no shape: give height, twist, or nodes and positions"

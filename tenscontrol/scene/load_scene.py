@@ -58,12 +58,15 @@ def load_scene(file: str | Path) -> Scene:
 
     Notes
     -----
-    Nodes and velocities are lists of ``[x, y, z]``, one for each node. All quantities are in SI
-    units. A quantity of the strings is a number for all, a list, or a table by string group.
+    Nodes and velocities are lists of ``[x, y, z]``, or of ``[x, y]`` in the plane, one for each
+    node. All quantities are in SI units. A quantity of the strings is a number for all, a list, or
+    a table by string group.
 
     ``[structure]``
-        ``generator = "prism"`` with the arguments of :func:`prism`, or those of
-        :class:`Structure`; with either, ``fixed``.
+        ``generator = "prism"``, or another function of :mod:`tenscontrol.library`, with its
+        arguments, ``fixed`` and ``point_mass``; or the arguments of :class:`Structure`. ``fixed``
+        has nodes and pairs of a node and an axis, ``[0, [4, "z"]]``; ``strings`` has pairs of nodes
+        and paths of more.
     ``[skin]``, ``[subdivide]``
         The arguments of :func:`skin` and :func:`subdivide`. A skin comes first; its strings are
         cut too.
@@ -75,10 +78,11 @@ def load_scene(file: str | Path) -> Scene:
         ``gravity``; ``forces = [{node = 0, force = [0.0, 0.0, 1.0]}]``.
     ``[prestress]``
         ``force_density``: a number, for which :func:`prestress` finds a state of self-stress, with
-        ``reference``; or the γ of all strings, in balance or not. ``per`` as above: a segment
-        under the tension of its string has s times its γ. ``shape_gives = true``: this is the γ
-        before weights and loads act; the scene has the shape in balance with them, found by
-        :func:`equilibrium`.
+        ``reference``; or the γ of all strings, in balance or not. ``min_force_density`` and
+        ``max_force_density`` are bounds of the γ that it finds, with a number or alone. ``per`` as
+        above: a segment under the tension of its string has s times its γ. ``shape_gives = true``:
+        this is the γ before weights and loads act; the scene has the shape in balance with them,
+        found by :func:`equilibrium`.
     ``[start]``
         ``velocities``; ``disturbance``, the distance by which the farthest node is moved at
         random, m, with ``seed``.

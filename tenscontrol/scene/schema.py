@@ -12,6 +12,7 @@ from math import isfinite
 from types import MappingProxyType
 from typing import TypeVar
 
+from tenscontrol import library
 from tenscontrol.actuation import Winches
 from tenscontrol.control import (
     MPC,
@@ -24,8 +25,9 @@ from tenscontrol.control import (
 )
 from tenscontrol.dynamics import ElasticStrings, LinearStrings
 from tenscontrol.estimation import Sensors, kalman
+from tenscontrol.limits import LARGEST_WHOLE
 from tenscontrol.simulation import CutString, LostMeasurement, StuckWinch
-from tenscontrol.structure import Structure, prism, skin, subdivide
+from tenscontrol.structure import Structure, skin, subdivide
 
 # Beyond, squares and products leave the range of double precision.
 _LEAST, _MOST = 1e-30, 1e30
@@ -96,8 +98,14 @@ def _is_whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**53
 
 
-def _row(length: int, fits: Callable[[object], bool]) -> Callable[[object], bool]:
-    return lambda row: isinstance(row, list) and len(row) == length and all(map(fits, row))
+def _row(least: int, most: int, fits: Callable[[object], bool]) -> Callable[[object], bool]:
+    return lambda row: isinstance(row, list) and least <= len(row) <= most and all(map(fits, row))
+
+
+def _is_support(value: object) -> bool:
+    if isinstance(value, list):
+        return len(value) == 2 and _is_whole(value[0]) and isinstance(value[1], str)
+    return _is_whole(value)
 
 
 def _a(*kinds: type) -> Callable[[object], bool]:
@@ -108,18 +116,29 @@ def _number_or(*kinds: type) -> Callable[[object], bool]:
     return lambda value: _is_number(value) or isinstance(value, kinds)
 
 
-_is_list, _is_table, _is_point = _a(list), _a(dict), _row(3, _is_number)
+_is_list, _is_table, _is_point = _a(list), _a(dict), _row(2, 3, _is_number)
 NUMBER = Kind("a number", _is_number)
 WHOLE = Kind("a whole number", _is_whole)
 TEXT = Kind("text", _a(str))
 TRUTH = Kind("true or false", _a(bool))
-POINT = Kind("[x, y, z]", _is_point)
+POINT = Kind("[x, y, z] (or [x, y])", _is_point)
 TEXTS = Kind("a list of texts", _is_list, TEXT)
 NODES = Kind("a list of node numbers", _is_list, WHOLE)
 INDICES = Kind("a list of indices from 0", _is_list, WHOLE)
-PAIR = Kind("a pair of node numbers", _row(2, _is_whole))
+PAIR = Kind("a pair of node numbers", _row(2, 2, _is_whole))
 PAIRS = Kind("a list of pairs of node numbers", _is_list, PAIR)
-POINTS = Kind("a list of [x, y, z]", _is_list, POINT)
+PATHS = Kind(
+    "a list of pairs of node numbers, or of paths of more",
+    _is_list,
+    Kind("a pair of node numbers, or a path of more", _row(2, LARGEST_WHOLE, _is_whole)),
+)
+SUPPORTS = Kind(
+    'a list of node numbers, and of pairs like [4, "z"]',
+    _is_list,
+    Kind('a node number, or a pair like [4, "z"]', _is_support),
+)
+KNOTS = Kind("'corners', 'edges' or a list of node numbers", _a(str, list), WHOLE)
+POINTS = Kind("a list of [x, y, z] (or of [x, y])", _is_list, POINT)
 NUMBERS = Kind("a number or a list of numbers", _number_or(list), NUMBER)
 BY_STRING = Kind(
     "a number, a list with one per string, or a table by string group",
@@ -131,7 +150,7 @@ COUNT_BY_STRING = Kind(
     lambda value: _is_whole(value) or isinstance(value, list | dict),
     WHOLE,
 )
-VECTOR = Kind("a number or [x, y, z]", lambda value: _is_number(value) or _is_point(value))
+VECTOR = Kind("a number or [x, y, z] (or [x, y])", lambda v: _is_number(v) or _is_point(v))
 WEIGHT = Kind(
     "a number, a diagonal or a matrix",
     _number_or(list),
@@ -161,12 +180,15 @@ _MEANINGS: Keys = {
             "",
             "kind law per input method form solver prediction generator handedness group axis",
         ),
-        (TRUTH, "", "diagonals shape_gives ramp load"),
+        (TRUTH, "", "diagonals shape_gives ramp load floating"),
         (WHOLE, "", "sides iterations seed node relative_to string"),
+        (WHOLE, "", "stages sections vertebrae hoops spokes rows columns dimension"),
         (WHOLE, "", "horizon max_iterations plants substeps delay patience"),
         (NUMBER, "m", "radius height top_radius disturbance low high"),
+        (NUMBER, "m", "bar_length leg_length length width spacing rise sag"),
         (NUMBER, "s", "duration step output_step sample_time time_limit start time until"),
-        (NUMBER, "rad", "twist"),
+        (NUMBER, "rad", "twist slope spread"),
+        (NUMBER, "", "overlap across up"),
         (NUMBER, "Hz", "frequency"),
         (NUMBER, "1/m", "penalty"),
         (NUMBER, "kg", "node_mass"),
@@ -185,7 +207,8 @@ _MEANINGS: Keys = {
         (BY_STRING, "m/s", "rate"),
         (BY_STRING, "m", "shortest longest"),
         (COUNT_BY_STRING, "", "segments"),
-        (NODES, "", "fixed nodes top bottom"),
+        (NODES, "", "nodes top bottom"),
+        (SUPPORTS, "", "fixed"),
         (INDICES, "", "strings bars tension_strings"),
         (POINTS, "m", "positions"),
         (POINTS, "m/s", "velocities"),
@@ -238,8 +261,18 @@ def _named(**entries: _Entry) -> Mapping[str, _Entry]:
 
 
 # Keys of a table for one choice of its first key; those of the other choices are unknown.
-PRISM = _keys("generator", prism) | _keys("fixed")
-MEMBERS = _keys("", Structure, nodes=(POINTS, "m"), bars=(PAIRS, ""), strings=(PAIRS, ""))
+GENERATORS: Mapping[str, Callable[..., Structure]] = MappingProxyType(
+    {name: getattr(library, name) for name in library.__all__}
+)
+GENERATOR_KEYS: Mapping[str, Keys] = MappingProxyType(
+    {
+        name: _keys("generator", make, fixed=(KNOTS, "")) | _keys("point_mass")
+        if name == "net"
+        else _keys("generator", make) | _keys("point_mass fixed")
+        for name, make in GENERATORS.items()
+    }
+)
+MEMBERS = _keys("", Structure, nodes=(POINTS, "m"), bars=(PAIRS, ""), strings=(PATHS, ""))
 LAWS = _named(
     linear=_keys("law", LinearStrings) | _keys("per"),
     elastic=_keys("law", ElasticStrings) | _keys("per"),
@@ -262,12 +295,17 @@ FAULT_KEYS: Mapping[str, Keys] = MappingProxyType(
 )
 
 TABLES = _named(
-    structure=PRISM | MEMBERS,
+    structure={key: each for keys in GENERATOR_KEYS.values() for key, each in keys.items()}
+    | MEMBERS
+    | {"fixed": (Kind(SUPPORTS.text, _a(str, list)), "")},
     skin=_keys("", skin),
     subdivide=_keys("", subdivide),
     strings=_keys("law stiffness axial_rigidity damping per"),
     loads=_keys("gravity forces"),
-    prestress=_keys("force_density reference per shape_gives", reference=(TEXT, "")),
+    prestress=_keys(
+        "force_density min_force_density max_force_density reference per shape_gives",
+        reference=(TEXT, ""),
+    ),
     start=_keys("velocities disturbance seed"),
     run=_keys(
         "duration step tolerance output_step method input sample_time",

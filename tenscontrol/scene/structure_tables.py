@@ -10,12 +10,19 @@ import numpy as np
 from tenscontrol.dynamics import ElasticStrings, LinearStrings, Model, StringLaw
 from tenscontrol.limits import LARGEST_SEED
 from tenscontrol.scene.document import Document, Table
-from tenscontrol.scene.schema import FORCE, LAWS, MEMBERS, PRISM
+from tenscontrol.scene.schema import (
+    FORCE,
+    GENERATOR_KEYS,
+    GENERATORS,
+    LAWS,
+    MEMBERS,
+    arguments,
+    required,
+)
 from tenscontrol.simulation import initial_state
 from tenscontrol.statics import Prestress, prestress
 from tenscontrol.structure import (
     Structure,
-    prism,
     restore_bar_lengths,
     skin,
     spread_force_density,
@@ -57,11 +64,15 @@ def build_structure(document: Document) -> Structure:
 
 def _uncut(document: Document) -> Structure:
     if "generator" in document.values["structure"]:
-        table = document.table("structure", PRISM, " with a generator")
-        table.choice("generator", ("prism",))
+        name, table = document.table("structure").chosen("generator", GENERATOR_KEYS)
+        make = GENERATORS[name]
+        for key in required(make):
+            table.need(key)
+        own = {key: value for key, value in table.values.items() if key in arguments(make)}
         with table.checked():
-            made = prism(**table.without("generator", "fixed"))
-            return replace(made, **table.given("fixed"))
+            made = make(**own)
+            changes = table.without("generator", *own)
+            return replace(made, **changes) if changes else made
     table = document.table("structure", MEMBERS, " without a generator")
     if not table.values:
         raise table.error(
@@ -71,10 +82,23 @@ def _uncut(document: Document) -> Structure:
         table.need(key)
     with table.checked():
         return Structure(
-            nodes=np.array(table.need("nodes"), dtype=float).reshape(-1, 3).T,
+            nodes=columns(table, "nodes"),
             bar_mass=table.get("bar_mass", []),
             **table.without("nodes", "bar_mass"),
         )
+
+
+def columns(table: Table, key: str, dimension: int | None = None) -> FloatArray:
+    """Return points of a table, shape (d, ·), all with as many coordinates as the first."""
+    rows = table.need(key)
+    d = dimension or (len(rows[0]) if rows else 3)
+    wrong = [i for i, row in enumerate(rows) if len(row) != d]
+    if wrong:
+        like = f"{d} coordinates" + ("" if dimension else f" as {key}[0] has")
+        raise table.error(
+            key, f"in {table.title}, {key}[{wrong[0]}] is {rows[wrong[0]]}, expected {like}"
+        )
+    return np.array(rows, dtype=float).reshape(-1, d).T
 
 
 def whole(structure: Structure) -> Structure:
@@ -128,13 +152,13 @@ def build_law(document: Document, structure: Structure) -> tuple[StringLaw, Stri
 
 
 def build_loads(document: Document, structure: Structure) -> tuple[object, FloatArray | None]:
-    """Return gravity, or None, and the forces on the nodes, N, shape (3, n), or None."""
+    """Return gravity, or None, and the forces on the nodes, N, shape (d, n), or None."""
     table = document.table("loads")
     gravity = table.get("gravity")
     if "forces" not in table:
         return gravity, None
     count = structure.nodes.shape[1]
-    forces, seen = np.zeros((3, count)), set()
+    forces, seen = np.zeros_like(structure.nodes), set()
     for i, values in enumerate(table.need("forces")):
         said = f"in [loads], forces[{i}]"
         entry = Table(document, ("loads", "forces", i), f"[loads] forces[{i}]", values, FORCE)
@@ -142,6 +166,10 @@ def build_loads(document: Document, structure: Structure) -> tuple[object, Float
         force = np.array(entry.need("force"), dtype=float)  # of whole numbers of any size too
         if node in seen:
             raise entry.error("node", f"{said} is on node {node} once more")
+        if len(force) != structure.dimension:
+            raise entry.error(
+                "force", f"{said}.force is {force}, expected {structure.dimension} numbers in N"
+            )
         if not np.isfinite(force).all():
             raise entry.error("force", f"{said}.force is {force.tolist()}, not finite")
         seen.add(node)
@@ -152,7 +180,8 @@ def build_loads(document: Document, structure: Structure) -> tuple[object, Float
 def build_force_density(document: Document, structure: Structure, load: FloatArray) -> FloatArray:
     """Return γ of each string in the shape of the structure, N/m, shape (α,).
 
-    A single number is the mean γ of the reference strings in balance with the load (3, n), N.
+    A single number is the mean γ of the reference strings in balance with the load (d, n), N;
+    bounds of γ ask for a balance too.
     """
     if not document.has("prestress"):
         if len(structure.strings):
@@ -163,22 +192,30 @@ def build_force_density(document: Document, structure: Structure, load: FloatArr
     table = document.table("prestress")
     by_string = table.choice("per", _PER, "string") == "string"
     given = whole(structure) if by_string else structure
-    value = table.need("force_density")
-    if isinstance(value, int | float):
+    bounds = [key for key in ("min_force_density", "max_force_density") if key in table]
+    key = "force_density" if "force_density" in table else (bounds or ["force_density"])[0]
+    value = table.need(key)
+    if bounds or isinstance(value, int | float):
+        if key == "force_density" and not isinstance(value, int | float):
+            raise table.error(
+                bounds[0],
+                f"in [prestress], {bounds[0]} goes with a single number as force_density, or alone",
+            )
         count = given.nodes.shape[1]
         if load[:, count:].any():
             raise table.error(
-                "force_density",
-                "in [prestress], force_density is a single number, for which a balance is sought, "
-                "but the loads act on the nodes within strings, which are in no balance while the "
-                "strings are straight; give a table by string group",
+                key,
+                f"in [prestress], {key} is a {'bound' if bounds else 'single number'}, for which a "
+                "balance is sought, but the loads act on the nodes within strings, which are in no "
+                "balance while the strings are straight; give a table by string group",
             )
-        if "reference" in table:
+        settings: dict[str, Any] = {each: per_string(table, each, given) for each in bounds}
+        settings |= table.given("force_density", "reference")
+        if "reference" in settings:
             with table.checked("reference"):
-                given.strings_in(table.need("reference"))
-        with table.checked("force_density"):
-            rest = prestress(given, value, table.get("reference"), load[:, :count])
-        gamma = rest.force_density
+                given.strings_in(settings["reference"])
+        with table.checked(key):
+            gamma = prestress(given, external_force=load[:, :count], **settings).force_density
     elif "reference" in table:
         raise table.error(
             "reference", "in [prestress], reference goes with a single number as force_density"
@@ -212,18 +249,19 @@ def build_design(
 
 
 def build_start(document: Document, model: Model) -> tuple[FloatArray, FloatArray]:
-    """Return node positions and velocities at the start, m and m/s, shape (3, n)."""
+    """Return node positions and velocities at the start, m and m/s, shape (d, n)."""
     table, structure = document.table("start"), model.structure
     nodes, velocities = structure.nodes, np.zeros_like(structure.nodes)
     if "velocities" in table:
-        rows = np.array(table.need("velocities"), dtype=float).reshape(-1, 3)
+        given = columns(table, "velocities", structure.dimension)
         with table.checked("velocities"):
-            if rows.shape != nodes.T.shape:
+            if given.shape != nodes.shape:
+                axes = ", ".join("xyz"[: structure.dimension])
                 raise ValueError(
-                    f"velocities has {len(rows)} entries, expected {nodes.shape[1]}: "
-                    "[x, y, z] for each node"
+                    f"velocities has {given.shape[1]} entries, expected {nodes.shape[1]}: "
+                    f"[{axes}] for each node"
                 )
-            velocities = structure.checked_nodes("velocities", rows.T)
+            velocities = structure.checked_nodes("velocities", given)
             initial_state(model, None, velocities, "force_density")
     if "seed" in table and "disturbance" not in table:
         raise table.error("seed", "in [start], seed goes with disturbance")
@@ -239,7 +277,9 @@ def _disturbed(structure: Structure, size: float, seed: int) -> FloatArray:
     """Return a shape with true bar lengths whose farthest node is moved by ``size``, m."""
     moves = np.zeros_like(structure.nodes)
     random = np.random.default_rng(seed)
-    moves[:, structure.free] = random.normal(size=(3, len(structure.free)))
+    moves[:, structure.free] = random.normal(size=(structure.dimension, len(structure.free)))
+    for node, axis in structure.rollers:
+        moves["xyz".index(axis), node] = 0.0
     step = size / 4
     for _ in range(40):  # the distance is nearly linear in the step: this converges at once
         nodes = restore_bar_lengths(structure, structure.nodes + step * moves)

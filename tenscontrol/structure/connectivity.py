@@ -63,6 +63,11 @@ def checked_supports(fixed: Any, rollers: Any, shape: tuple[int, ...]) -> tuple[
     if isinstance(fixed, list | tuple):
         pairs = [each for each in fixed if isinstance(each, list | tuple)]
         nodes = [each for each in fixed if not isinstance(each, list | tuple)]
+        if any(isinstance(each, str) for each in nodes):
+            raise TypeError(
+                f"fixed is {fixed!r}, expected node indices; a node and an axis are a pair of "
+                'their own, as in [0, (4, "z")]'
+            )
     array = np.atleast_1d(float_array("fixed", nodes))
     if array.ndim != 1:
         raise ValueError(
@@ -178,4 +183,4 @@ def _roller(name: str, pair: Any, d: int, count: int) -> tuple[int, str]:
     if number.ndim:
         raise ValueError(f"{name} has {pair!r}, expected pairs of a node and an axis")
     (node,) = indices(name, number[None], count, f"there are {count} nodes", "node ").tolist()
-    return node, choice(f"the axis of node {node} in {name}", pair[1], tuple("xyz"[:d]))
+    return node, choice(f"{name} axis of node {node}", pair[1], tuple("xyz"[:d]))

@@ -74,16 +74,21 @@ def refuse_moved_supports(
     name: str, structure: Structure, nodes: FloatArray, tolerance: float = _TOLERANCE
 ) -> None:
     """Raise if a fixed node is not where the structure has it."""
-    rows, d = structure.fixed_rows, structure.dimension
-    off = np.abs(nodes - structure.nodes).ravel(order="F")[rows]
+    off = (nodes - structure.nodes).ravel(order="F")[structure.fixed_rows]
     size = float(np.ptp(structure.nodes, axis=1).max())
-    if off.size and off.max() > tolerance * size:
-        node = int(rows[off.argmax()]) // d
-        moved = float(np.linalg.norm((nodes - structure.nodes)[:, node]))
-        held = "the fixed node" if node in structure.fixed else "on its roller, node"
-        raise ValueError(
-            f"in {name}, {held} {node} is {moved:.3g} m from its place {structure.nodes[:, node]} m"
+    if not off.size or np.abs(off).max() <= tolerance * size:
+        return
+    node, axis = divmod(int(structure.fixed_rows[np.abs(off).argmax()]), structure.dimension)
+    place = structure.nodes[:, node]
+    if node in structure.fixed:
+        moved = float(np.linalg.norm(nodes[:, node] - place))
+        held = f"the fixed node {node} is {moved:.3g} m from its place {place} m"
+    else:
+        held = (
+            f"node {node} is {np.abs(off).max():.3g} m off its roller, which holds its "
+            f"{'xyz'[axis]} at {place[axis]:g} m"
         )
+    raise ValueError(f"in {name}, {held}")
 
 
 def refuse_load_without_support(structure: Structure, load: FloatArray) -> None:

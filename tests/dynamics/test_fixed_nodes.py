@@ -175,7 +175,7 @@ def test_constant_load_is_the_load_given_at_each_call():
         ([-1], ValueError, r"fixed\[0\] is node -1, expected 0 to 5"),
         ([1.5], TypeError, r"fixed\[0\] is 1\.5, expected a whole number"),
         ([1, 1], ValueError, r"fixed names node 1 twice"),
-        ([[1, 2]], ValueError, r"the axis of node 1 in fixed is 2, expected one of 'x', 'y', 'z'"),
+        ([[1, 2]], ValueError, r"fixed axis of node 1 is 2, expected one of 'x', 'y', 'z'"),
         ("top", TypeError, r"fixed .*'top'"),
     ],
 )

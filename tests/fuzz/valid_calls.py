@@ -7,7 +7,8 @@ structures are small, so that a call is cheap; a call that is not has a smaller 
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
+from inspect import signature
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -449,6 +450,22 @@ call(
         "fixed": [0, 2, 6, 8],
     },
 )
+call(
+    "Structure, any class",
+    lambda: {
+        "nodes": [[0.0, 1.0, 1.0, 0.0], [0.0, 0.0, 1.0, 1.0]],
+        "bars": [(0, 1), (1, 2)],
+        "strings": [(2, 3), (0, 3, 2)],
+        "bar_mass": 1.0,
+        "point_mass": [0.0, 0.0, 0.5, 0.2],
+        "fixed": [0, (1, "y")],
+    },
+)
+for _name in tc.library.__all__:
+    if f"library.{_name}" in public():
+        _parameters = signature(getattr(tc.library, _name)).parameters.values()
+        _defaults = {each.name: each.default for each in _parameters}
+        call(f"library.{_name}", partial(dict, _defaults))
 call("Structure.bar_vectors", lambda: {"nodes": nodes()}, prism)
 call("Structure.string_vectors", lambda: {"nodes": nodes()}, prism)
 call("Structure.string_length", lambda: {"nodes": nodes()}, prism)
