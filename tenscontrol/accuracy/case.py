@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Equation, Model, builds, pack_state
+from tenscontrol.integrate import is_expandable
 from tenscontrol.plant import held_value
 from tenscontrol.scene import Scene
 from tenscontrol.simulation import checked_load, initial_state
@@ -185,7 +186,7 @@ def fastest_rate(case: Case) -> float:
     at least.
     """
     equation = case.equation()
-    x, u, taut, _ = equation.symbols(ca.SX)
+    x, u, taut, _ = equation.symbols(ca.SX if is_expandable(equation) else ca.MX)
     jacobian = ca.Function("jacobian", [x, u, taut], [ca.jacobian(equation.slope(x, u, taut), x)])
     matrix = jacobian(case.state, case.value, np.ones(equation.switches))
     if equation.states <= _DENSE:

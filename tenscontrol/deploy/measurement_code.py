@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.plant import LinearPlant
-from tenscontrol.structure import rigid_basis, rigid_motions
+from tenscontrol.structure import left_by_supports, rigid_basis, rigid_motions
 
 # Sweeps of Jacobi's method. It converges quadratically: four give all digits of a 4 x 4 matrix,
 # and two more cost little.
@@ -40,7 +40,9 @@ def measurement(plant: LinearPlant) -> ca.Function:
     is_internal = plant.coordinates.kind == "internal"
     by_coordinate = len(structure.rollers) > 0 or len(structure.fixed) > 1
     if is_internal and by_coordinate and rigid_basis(structure).shape[1]:
-        both = _along_supports(plant).fold(_STEPS)(ca.horzcat(N, ca.MX(np.eye(d))))
+        both = ca.horzcat(N, ca.MX(np.eye(d)))
+        for nearest in (True, False):
+            both = _along_supports(plant, nearest).fold(_STEPS)(both)
         N, V = both[:, :count], ca.mtimes(both[:, count:], V)
     elif is_internal and not by_coordinate:
         mass = plant.model.mass_matrix().toarray()
@@ -60,11 +62,12 @@ def measurement(plant: LinearPlant) -> ca.Function:
     return ca.Function("measure", [positions, rates], [ca.densify(z)], ["N", "V"], ["z"])
 
 
-def _along_supports(plant: LinearPlant) -> ca.Function:
+def _along_supports(plant: LinearPlant, nearest: bool) -> ca.Function:
     """Return ``[N, R] -> [N', R']``: a step of a shape along the supports towards the reference.
 
-    The displacement is then M-orthogonal to the motions as one body that the supports leave, and
-    what they hold is at its place. R is the turn up to here.
+    The displacement is then M-orthogonal to the motions as one body that the supports leave: those
+    of the shape, for the nearest shape, or those of the reference. What the supports hold is at its
+    place. R is the turn up to here.
     """
     structure, (d, count) = plant.model.structure, plant.nodes.shape
     mass = plant.model.mass_matrix().toarray()
@@ -83,12 +86,13 @@ def _along_supports(plant: LinearPlant) -> ca.Function:
     moved = ca.horzcat(*(ca.vec(field) for field in fields))
     momenta = ca.horzcat(*(ca.vec(ca.mtimes(field, ca.DM(mass))) for field in fields))
     by_supports = moved[held, :]
-    matrix = ca.blockcat(
-        [
-            [ca.mtimes(momenta.T, moved), by_supports.T],
-            [by_supports, ca.SX(len(held), len(held))],
-        ]
-    )
+    corner = ca.SX(len(held), len(held))
+    if nearest:
+        matrix = ca.blockcat([[ca.mtimes(momenta.T, moved), by_supports.T], [by_supports, corner]])
+    else:
+        left = left_by_supports(structure, rigid_motions(plant.nodes))
+        momenta = ca.DM((mass @ left.reshape(count, -1)).reshape(left.shape))
+        matrix = ca.vertcat(ca.mtimes(momenta.T, moved), by_supports)
     right = -ca.vertcat(ca.mtimes(momenta.T, ca.vec(off)), ca.vec(off)[held])
     move = ca.solve(matrix, right)[: len(fields)]
     by_turn = _rotation(move[d:])

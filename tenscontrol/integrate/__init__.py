@@ -1,6 +1,6 @@
 """Integrators: one a file, one interface."""
 
-from tenscontrol.integrate.cvodes import CVODES, jacobian_weight, state_jacobian
+from tenscontrol.integrate.cvodes import CVODES, is_expandable, jacobian_weight, state_jacobian
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
 from tenscontrol.integrate.integrator import (
@@ -37,6 +37,7 @@ __all__ = [
     "Span",
     "Work",
     "choose",
+    "is_expandable",
     "jacobian_weight",
     "largest_frequency",
     "method_of",

@@ -107,7 +107,7 @@ class CVODES(Integrator):
             _solver(scaled, equation, 1, self.tolerance),
             scaled.map("slopes", "serial", grid + 1, [1, 2, 3], []),
             gap,
-            jacobian_weight(scaled, state_jacobian(scaled)),
+            jacobian_weight(scaled, state_jacobian(scaled, is_expandable(equation))),
             Lock(),
         )
 
@@ -384,16 +384,24 @@ def _solver(scaled: ca.Function, equation: Equation, outputs: int, tolerance: fl
     return ca.integrator("solver", "cvodes", problem, 0.0, grid, options)
 
 
+def is_expandable(equation: Equation) -> bool:
+    """Whether its functions can be written out in SX: in MX, bars that share nodes cannot."""
+    structure = equation.structure
+    return structure is None or not structure.blocks or bool(equation.slope.is_a("SXFunction"))
+
+
 @builds
-def state_jacobian(slope: ca.Function) -> ca.Function:
+def state_jacobian(slope: ca.Function, expand: bool = True) -> ca.Function:
     """Return the derivative of a right-hand side by its first input, sparse; same inputs."""
-    inputs = slope.sx_in()
+    inputs = slope.sx_in() if expand else slope.mx_in()
     return ca.Function("jacobian", inputs, [ca.jacobian(slope(*inputs), inputs[0])])
 
 
 @builds
 def jacobian_weight(slope: ca.Function, jacobian: ca.Function) -> int:
     """Return how many evaluations of a right-hand side one of its Jacobian is worth."""
+    if not jacobian.is_a("SXFunction"):  # by directions
+        return int(jacobian.sparsity_out(0).uni_coloring().size2())
     inputs = slope.sx_in()
     written = ca.Function("written", inputs, [slope(*inputs)])  # in whatever form it comes
     return max(1, round(int(jacobian.n_instructions()) / int(written.n_instructions())))

@@ -11,8 +11,8 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case
 from tenscontrol.accuracy.peers.peer import Peer, Solution, checked_run, peer_settings, spaced
-from tenscontrol.dynamics import Evaluator, builds, unpack_states
-from tenscontrol.integrate import jacobian_weight, state_jacobian
+from tenscontrol.dynamics import Equation, Evaluator, builds, unpack_states
+from tenscontrol.integrate import is_expandable, jacobian_weight, state_jacobian
 from tenscontrol.validation import FloatArray, choice
 
 _METHODS = ("DOP853", "RK45", "Radau", "LSODA")
@@ -57,9 +57,10 @@ class SciPy(Peer):
         options: dict[str, Any] = {}
         weight = 0
         if self.method in _IMPLICIT:
-            jacobian = state_jacobian(kinked)
+            expand = is_expandable(case.equation())
+            jacobian = state_jacobian(kinked, expand)
             weight = jacobian_weight(kinked, jacobian)
-            inputs = jacobian.sx_in()
+            inputs = jacobian.sx_in() if expand else jacobian.mx_in()
             dense = Evaluator(ca.Function("dense", inputs, [ca.densify(jacobian(*inputs))]))
             options["jac"] = lambda time, x: dense(x, held)[0].copy()
 
@@ -109,11 +110,12 @@ class CasADiCVODES(Peer):
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         setting, times = checked_run(case, setting, times)
-        kinked = case.equation().kinked_slope
-        weight = jacobian_weight(kinked, state_jacobian(kinked))
+        equation = case.equation()
+        kinked = equation.kinked_slope
+        weight = jacobian_weight(kinked, state_jacobian(kinked, is_expandable(equation)))
         tolerances = {"reltol": setting, "abstol": setting}
         options = {**tolerances, "max_num_steps": 1_000_000, "disable_internal_warnings": True}
-        solver = _solver("cvodes", kinked, times, options)
+        solver = _solver("cvodes", equation, times, options)
 
         def run() -> Solution:
             states = _run(solver, case)
@@ -148,7 +150,7 @@ class CasADiRK(Peer):
         # One grid interval repeated: on a grid of decimals CasADi may round to a step more.
         solver = _solver(
             "rk",
-            case.equation().kinked_slope,
+            case.equation(),
             np.arange(1.0, len(times) + 1),
             {"number_of_finite_elements": inner * len(times)},
             spacing,
@@ -167,10 +169,11 @@ class CasADiRK(Peer):
 
 @builds
 def _solver(
-    plugin: str, kinked: ca.Function, times: FloatArray, options: dict[str, Any], unit: float = 1.0
+    plugin: str, equation: Equation, times: FloatArray, options: dict[str, Any], unit: float = 1.0
 ) -> ca.Function:
     """Return the integrator on a grid of times in some unit, s."""
-    x, u = kinked.sx_in()
+    kinked = equation.kinked_slope
+    x, u = kinked.sx_in() if is_expandable(equation) else kinked.mx_in()
     problem = {"x": x, "p": u, "ode": unit * kinked(x, u)}
     # What goes wrong is told by an exception; it would be printed beside.
     options = {**options, "show_eval_warnings": False}

@@ -1,0 +1,121 @@
+"""Each measure of accuracy on structures whose bars share nodes, in the plane or with clusters."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.accuracy import Case
+from tenscontrol.accuracy.case import fastest_rate
+from tenscontrol.accuracy.measured_run import conserves_momentum, invariants
+from tenscontrol.accuracy.peers import CasADiCVODES, CasADiRK, MuJoCo, SciPy
+from tests import coupled
+
+
+@cache
+def tower_case(duration=0.5):
+    """A class-2 tower let go with a tenth less force along; no string goes slack."""
+    tower = coupled.tower()
+    model = tc.Model(tower, strings=tc.LinearStrings(100.0))
+    gamma = coupled.tower_force_density() * np.repeat([0.9, 1.0], [6, 9])
+    lengths = tc.to_rest_length(model, tower.nodes, gamma).rest_length
+    return Case(model, duration, input="rest_length", value=lengths)
+
+
+@cache
+def arm_case(duration=0.3):
+    """A planar arm on a roller under gravity, with a clustered string and payloads."""
+    model = tc.Model(coupled.arm(cluster=True), strings=tc.LinearStrings(500.0), gravity=9.81)
+    return Case(model, duration, input="rest_length", value=0.95 * model.structure.string_length())
+
+
+def d_bar_case(duration=2.0):
+    """A free D-bar in the plane, turning, whose strings go slack by turns."""
+    d_bar = coupled.d_bar()
+    model = tc.Model(d_bar, strings=tc.LinearStrings(100.0))
+    turning = np.vstack([-d_bar.nodes[1], d_bar.nodes[0]])
+    value = d_bar.string_length() + np.array([-0.1, 0.01])
+    return Case(model, duration, velocities=turning, input="rest_length", value=value)
+
+
+@pytest.mark.parametrize("make", [tower_case, arm_case])
+def test_methods_converge_at_their_order(make):
+    for method, order in (("rattle", 2), ("rk4", 4)):
+        found = tc.convergence_order(make(), method)
+        assert abs(found.order - order) < 0.2, method
+
+
+def test_work_and_precision_of_methods_and_peers():
+    found = tc.work_precision(
+        arm_case(), methods=["rattle", "dop853"], repeats=1, outputs=20,
+        settings={"rattle": [1e-3, 1e-4], "dop853": [1e-6, 1e-8]},
+        peers=[SciPy("DOP853", [1e-6, 1e-9]), SciPy("Radau", [1e-6]), CasADiCVODES([1e-9]),
+               CasADiRK([1e-4]), MuJoCo("rk4")],
+    )  # fmt: skip
+    rows = [row for row in found.rows if not row.failure]
+    assert len(rows) == len(found.rows) == 9  # MuJoCo has none: it is refused
+    for name in ("rattle", "dop853", "scipy dop853", "scipy radau", "casadi cvodes", "casadi rk"):
+        assert min(row.error for row in rows if row.method == name) < 2e-6, name
+    assert max(row.bar_length_drift for row in rows if row.method == "rattle") < 1e-13
+
+
+def test_a_long_run_keeps_energy_and_lengths():
+    found = tc.long_run(tower_case(), "rattle", 2e-3, steps=20_000, outputs=100)
+    assert found.of("bar length").largest < 1e-12
+    assert found.of("angular momentum").largest < 1e-11
+    assert found.of("energy").largest < 1e-2 * found.energy_scale
+
+
+def test_predictability_of_a_planar_arm():
+    found = tc.predictability(arm_case(), samples=2)
+    assert found.growth.max() < 100
+    assert found.horizon == arm_case().duration
+
+
+def test_stable_steps_over_stiffness_and_payload():
+    def near_rest(stiffness, mass_ratio):
+        structure = coupled.d_bar(point_mass=[0.0, mass_ratio, 0.0, mass_ratio])
+        model = tc.Model(structure, strings=tc.LinearStrings(stiffness))
+        lengths = (1 - 10.0 / stiffness) * structure.string_length()
+        spread = structure.nodes * [[1.0001], [1.0]]
+        nodes = tc.structure.restore_bar_lengths(structure, spread)
+        return Case(model, 1.0, nodes, input="rest_length", value=lengths)
+
+    found = tc.stability_map("rk4", [1e2, 1e4], [1e-1], case=near_rest, steps=500)
+    np.testing.assert_allclose(found.step / found.bound, 1.0, atol=0.05)
+
+
+def test_what_a_planar_motion_conserves():
+    case = d_bar_case()
+    run = tc.simulate(
+        case.model, case.duration, velocities=case.velocities, rest_length=case.value,
+        method="rattle", step=1e-3,
+    )  # fmt: skip
+    structure = case.structure
+    moments = zip(run.nodes.T, run.velocities.T, strict=True)
+    states = np.column_stack([tc.dynamics.pack_state(structure, N.T, V.T) for N, V in moments])
+    found = invariants(case, states)
+    assert found.momentum.shape[0] == 2
+    assert found.angular_momentum.shape[0] == 1
+    assert np.ptp(found.angular_momentum) < 1e-12
+    assert found.stretch.max() < 1e-13
+    assert conserves_momentum(case)
+    assert not conserves_momentum(arm_case())
+
+
+def test_a_bound_of_the_fastest_motion():
+    """Of the arm, that of its only motion: half the power of its two eigenvalues."""
+    assert fastest_rate(arm_case()) > 1.0
+    assert fastest_rate(tower_case()) == pytest.approx(29.7, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("case", "message"),
+    [(tower_case, "bar 0 joined to a bar"), (arm_case, "in the plane")],
+)  # fmt: skip
+def test_mujoco_refuses_by_name_what_it_cannot_do(case, message, monkeypatch):
+    from tenscontrol.accuracy.peers import rigid_bodies
+
+    monkeypatch.setattr(rigid_bodies, "find_spec", lambda name: True)
+    assert message in MuJoCo("rk4").refuse(case())
