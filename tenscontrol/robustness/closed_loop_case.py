@@ -258,7 +258,7 @@ class ClosedLoopCase:
             given = parameters["string_node_mass"]
             mass[points] *= per_member("string_node_mass", given, len(points), "string node")
         if (mass != structure.point_mass).any():
-            structure = replace(structure, point_mass=mass, string_node_mass=mass[points])
+            structure = replace(structure, point_mass=mass)
         for name, of_law in (("stiffness", _STIFFNESS), ("damping", ("damping",))):
             if name in parameters:
                 strings = _varied_strings(
