@@ -57,6 +57,7 @@ def values(tmp_path_factory):
         prism,
         rest,
         rest.stability,
+        rest.tangent_stiffness(100.0),
         plant,
         plant.coordinates,
         tc.modes(plant),

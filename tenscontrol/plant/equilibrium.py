@@ -39,6 +39,9 @@ _ESCAPES = 5
 # slack there are no others. Lengths, and forces where all are slack, are exact to this.
 _STRAIN, _EXACT = 1e-3, 1e-12
 
+# Newton's steps have nothing left to do below this part of the size.
+_ROUND_OFF = 1e-16
+
 # Without a load, strings that all pull less than this part of that force are slack.
 _SLACK = 1e-10
 
@@ -399,7 +402,7 @@ def _polished(
         worse = 0 if largest < least else worse + 1
         if largest < least:
             best, least = point, largest
-        if worse == _WORSE or largest == 0:
+        if worse == _WORSE or least < _ROUND_OFF * size:
             break
         point = point - columns * np.linalg.lstsq(system, off, rcond=_EXACT)[0]
     return best, least
