@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from scipy.sparse import csr_array
 
-# Added to the constraints of bars, in units of their inverse mass, so that dependent ones show:
-# they are left with little more than it. Bars left with less than the second number are looked at
+# Added to the constraints of bars, whose rows have length 1, so that dependent ones show: they
+# are left with little more than it. Bars left with less than the second number are looked at
 # again, by the motion that they stop: one of less than the third is none.
 _SHIFT, _DOUBTFUL, _DEPENDENT = 1e-13, 1e-6, 1e-9
 
@@ -187,16 +187,15 @@ def _ordered(
 def _independent(structure: Jointed, block: Block) -> IntArray:
     """Return bars of which none depends on the others, and all others on them."""
     from scipy.linalg import qr
-    from scipy.sparse import csc_array, csr_array
+    from scipy.sparse import csc_array, csr_array, eye_array
     from scipy.sparse.linalg import splu
 
     r, rows, bars = len(block.rows), block.rows, block.independent
-    mass = _row_mass(structure, block)
     J = bar_rows(structure, bars, structure.nodes)[:, rows]
-    # Scaled so that J M⁻¹ Jᵀ is of order one; a bar that holds nothing that moves has a row of 0.
-    size = np.sqrt((J * J) @ (1 / mass.diagonal()))
+    # Directions alone count, not masses or lengths; a bar that holds nothing that moves has none.
+    size = np.sqrt((J * J).sum(axis=1))
     J = J / np.maximum(size, np.finfo(float).eps * structure.bar_length[bars])[:, None]
-    matrix = csc_array(_saddle(mass, J, _SHIFT))
+    matrix = csc_array(_saddle(eye_array(r), J, _SHIFT))
     factors = splu(
         matrix[block.order][:, block.order], permc_spec="NATURAL", diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
@@ -206,7 +205,7 @@ def _independent(structure: Jointed, block: Block) -> IntArray:
     is_kept = -pivots[r:] > _DOUBTFUL
     doubtful = np.flatnonzero(~is_kept)
     if len(doubtful):
-        left = _admitted(mass, csr_array(J[is_kept]), J[doubtful].toarray().T)
+        left = _admitted(csr_array(J[is_kept]), J[doubtful].toarray().T)
         size = np.abs(left).max(axis=0)
         doubtful, left = doubtful[size > _DEPENDENT], left[:, size > _DEPENDENT]
         _, R, order = qr(left, mode="economic", pivoting=True)
@@ -214,14 +213,14 @@ def _independent(structure: Jointed, block: Block) -> IntArray:
     return np.asarray(bars[is_kept])
 
 
-def _admitted(mass: csr_array, J: csr_array, forces: FloatArray) -> FloatArray:
-    """Return the accelerations by forces, shape (r, ·), that bars with the rows J admit."""
-    from scipy.sparse import csc_array
+def _admitted(J: csr_array, motions: FloatArray) -> FloatArray:
+    """Return the parts of motions, shape (r, ·), that bars with the rows J admit."""
+    from scipy.sparse import csc_array, eye_array
     from scipy.sparse.linalg import splu
 
-    below = np.zeros((J.shape[0], forces.shape[1]))
-    solution = splu(csc_array(_saddle(mass, J))).solve(np.vstack([forces, below]))
-    return np.asarray(solution[: len(forces)])
+    below = np.zeros((J.shape[0], motions.shape[1]))
+    factors = splu(csc_array(_saddle(eye_array(len(motions)), J)))
+    return np.asarray(factors.solve(np.vstack([motions, below]))[: len(motions)])
 
 
 def restore_block(structure: Jointed, block: Block, nodes: FloatArray) -> FloatArray:
@@ -263,7 +262,7 @@ def restore_block(structure: Jointed, block: Block, nodes: FloatArray) -> FloatA
     )
 
 
-def _saddle(mass: csr_array, J: csr_array, shift: float = 0.0) -> csr_array:
+def _saddle(mass: Any, J: csr_array, shift: float = 0.0) -> csr_array:
     from scipy.sparse import block_array, eye_array
 
     return block_array([[mass, J.T], [J, -shift * eye_array(J.shape[0])]], format="csr")
@@ -283,9 +282,8 @@ def _row_mass(structure: Jointed, block: Block) -> csr_array:
 def _refuse_dead_centre(structure: Jointed, block: Block) -> None:
     """Raise if redundant bars are not so in a shape close by."""
     rows, nodes = block.rows, structure.nodes
-    J, mass = bar_rows(structure, block.independent, nodes)[:, rows], _row_mass(structure, block)
-    push = np.cos(np.arange(1.0, len(rows) + 1) ** 2)  # any motion
-    motion = _admitted(mass, J, (mass @ push)[:, None])[:, 0]
+    J = bar_rows(structure, block.independent, nodes)[:, rows]
+    motion = _admitted(J, np.cos(np.arange(1.0, len(rows) + 1) ** 2)[:, None])[:, 0]  # any one
     if np.abs(motion).max() < _DEPENDENT:
         return  # nothing moves
     length = structure.bar_length[block.bars]

@@ -95,7 +95,7 @@ def skin(
 
     The mass of a panel is spread evenly over its area. Each triangle of the final mesh gives its
     mass in equal parts to those of its corners that are new nodes: what a corner of the panel would
-    carry goes to the new nodes around, since bars and supports can carry no point mass. So the mass
+    carry goes to the new nodes around, so that the nodes of ``structure`` keep theirs. So the mass
     of a panel is exact, and its moments of inertia grow towards those of the sheet with n.
 
     One force density for all new strings pulls each new node evenly to all
@@ -321,13 +321,18 @@ def _named_panels(structure: Structure) -> dict[str, list[Loop]]:
     """Return the loops of each string group that is made of closed loops, and the sides."""
     named = {}
     for group in dict.fromkeys(structure.string_groups):
-        loops = _closed_loops(structure.strings[structure.strings_in(group)])
+        loops = _closed_loops(_segments_in(structure, group))
         if loops:
             named[group] = loops
     sides = _sides(structure, named)
     if sides:
         named.setdefault("sides", sides)
     return named
+
+
+def _segments_in(structure: Structure, group: str) -> IntArray:
+    """Return the end nodes of the segments of the strings of a group, shape (·, 2)."""
+    return structure.segments[np.isin(structure.segment_string, structure.strings_in(group))]
 
 
 def _closed_loops(strings: IntArray) -> list[Loop]:
@@ -345,7 +350,9 @@ def _closed_loops(strings: IntArray) -> list[Loop]:
             before, here = start, second
             while here != start:
                 loop.append(here)
-                before, here = here, next(i for i in near[here] if i != before)
+                before, here = here, next((i for i in near[here] if i != before), start)
+            if len(loop) < 3:  # two strings side by side
+                return []
             for node in loop:
                 del left[node]
             loops.append(tuple(loop))
@@ -358,7 +365,7 @@ def _sides(structure: Structure, named: dict[str, list[Loop]]) -> list[Loop]:
     if any(len(ring) != 1 for ring in rings) or "vertical" not in structure.string_groups:
         return []
     (top,), (bottom,) = rings
-    vertical = structure.strings[structure.strings_in("vertical")].tolist()
+    vertical = _segments_in(structure, "vertical").tolist()
     below = {node: other for pair in vertical for node, other in (pair, pair[::-1])}
     if set(below) != {*top, *bottom} or {below[i] for i in top} != set(bottom):
         return []

@@ -60,7 +60,7 @@ def subdivide(
     After Goyal & Skelton, *Dynamics of Class 1 Tensegrity Systems Including Cable Mass*, example 1.
 
     ``string_mass`` m is shared by the s − 1 new nodes, ``m/(s − 1)`` each: the ends of a string may
-    be bars, which cannot carry a point mass, and none of the mass is to be lost. The frequencies of
+    be held, and none of the mass is to be lost. The frequencies of
     a cut string then approach those of the uniform string with an error of order 1/s. ``node_mass =
     m/s`` leaves the two outer half segments without mass, and the error is of order 1/s².
 

@@ -481,3 +481,42 @@ def test_prestretch_gives_tension_and_its_lack_gives_none():
 def test_bad_prestretch_is_refused_by_name(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_a_skin_keeps_supports_payloads_and_clusters():
+    prism = tc.prism()
+    mass = np.array([0.5, 0, 0, 0, 0, 0])
+    over = tc.Structure(
+        prism.nodes, prism.bars, [(0, 1, 2, 0), *prism.strings[3:].tolist()], 1.0,
+        point_mass=mass, fixed=[3, (4, "z")], string_groups=["top", *prism.string_groups[3:]],
+    )  # fmt: skip
+    skinned = tc.skin(over, ["top", "bottom"], iterations=1, panel_mass=0.3)
+    assert skinned.paths[0] == (0, 1, 2, 0)
+    assert skinned.rollers == ((4, "z"),)
+    np.testing.assert_array_equal(skinned.point_mass, [*mass, 0.3, 0.3])
+    plain = tc.skin(prism, ["top", "bottom"], iterations=1, panel_mass=0.3)
+    np.testing.assert_array_equal(skinned.nodes, plain.nodes)
+    np.testing.assert_array_equal(skinned.segments, plain.segments)
+    of_skin = skinned.strings_in("skin")
+    np.testing.assert_allclose(skinned.string_length()[of_skin], 0.5, rtol=1e-14)
+    stretched = tc.structure.skin_rest_length(skinned, 0.8, prestretch=0.25)
+    np.testing.assert_allclose(stretched[of_skin], 0.4, rtol=1e-14)
+    assert len(stretched) == len(skinned.strings)
+
+
+def test_panels_of_joined_bars_are_covered():
+    tip = tc.library.d_bar_3d(sides=4)
+    skinned = tc.skin(tip, [(0, 1, 4)], iterations=1, node_mass=0.1)
+    assert len(skinned.strings) == len(tip.strings) + 3
+    assert len(skinned.blocks) == 1
+
+
+def test_strings_side_by_side_are_no_panel():
+    prism = tc.prism()
+    doubled = tc.Structure(
+        prism.nodes, prism.bars, [*prism.strings.tolist(), (0, 3), (3, 0)], 1.0,
+        string_groups=[*prism.string_groups, "pair", "pair"],
+    )  # fmt: skip
+    with pytest.raises(ValueError, match=r"panels\[0\] is 'pair', expected a name of panels"):
+        tc.skin(doubled, ["pair"], node_mass=0.1)
+    assert len(tc.skin(doubled, ["top"], node_mass=0.1).strings) == 14

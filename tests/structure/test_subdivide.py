@@ -1,6 +1,7 @@
 """Strings cut into segments: mass, statics and length of a string are those of its chain."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -369,3 +370,27 @@ def test_what_makes_no_sense_is_refused(case):
     call, exception, message = REFUSED[case]
     with pytest.raises(exception, match=re.escape(message)):
         call()
+
+
+def test_planar_structures_with_rollers_and_payloads_are_cut():
+    arm = tc.library.arm(sections=2)
+    mass = np.array([0, 0, 0, 0, 1.5, 0.0])
+    arm = replace(arm, fixed=[0, (1, "x"), (4, "y")], point_mass=mass)
+    cut = tc.subdivide(arm, segments=3, node_mass=0.1)
+    assert (cut.dimension, cut.structure_class) == (2, 2)
+    assert cut.rollers == arm.rollers
+    np.testing.assert_array_equal(cut.point_mass[:6], mass)
+    np.testing.assert_array_equal(cut.point_mass[6:], 0.1)
+    np.testing.assert_allclose(
+        tc.structure.to_strings(cut, "length", cut.string_length()), arm.string_length(), rtol=1e-14
+    )
+    assert len(cut.blocks) == len(arm.blocks)
+    for one, other in zip(cut.blocks, arm.blocks, strict=True):
+        np.testing.assert_array_equal(one.bars, other.bars)
+
+
+def test_clustered_strings_are_not_cut():
+    arm = tc.library.arm(sections=2)
+    over = replace(arm, strings=[(0, 2, 4), (1, 3)], string_groups=("string",) * 2)
+    with pytest.raises(ValueError, match=r"structure has clustered strings.*cannot be cut"):
+        tc.subdivide(over, segments=2, node_mass=0.1)
