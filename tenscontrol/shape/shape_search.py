@@ -34,6 +34,9 @@ _CLOSE = 1e-5
 # How often strings are pinned to bounds that Newton left.
 _PINNINGS = 3
 
+# A body is flat, so that it is its own mirror image, below this part of its size to the power 2 d.
+_FLAT = 1e-6
+
 # A demand is met when it is missed by less than this, in units of the size.
 MET = 1e-9
 
@@ -140,6 +143,22 @@ def _signed_distances(structure: Structure, nodes: FloatArray, N: Any) -> Any:
     return ca.vertcat(*rows) if rows else ca.SX(0, 1)
 
 
+def turned_over(structure: Structure, before: FloatArray, after: FloatArray) -> bool:
+    """Return whether a rigid body of bars is the mirror image of what it was."""
+    d = structure.dimension
+    for block in structure.blocks:
+        free = d * len(block.nodes)
+        if len(block.rows) == free == len(block.independent) + d * (d + 1) // 2:
+            one, other = (
+                nodes[:, block.nodes] - nodes[:, block.nodes].mean(axis=1, keepdims=True)
+                for nodes in (before, after)
+            )
+            size = (np.linalg.norm(one) * np.linalg.norm(other)) ** d
+            if np.linalg.det(one @ other.T) < -_FLAT * size:
+                return True
+    return False
+
+
 @builds
 def solve_shape(
     model: Model,
@@ -184,7 +203,9 @@ def solve_shape(
                 if not success:
                     break
                 values = _polished(problem, demanded, level, (low, high), guess)
-                if values is not None:
+                if values is not None and not turned_over(
+                    model.structure, start, problem.read(values)[0]
+                ):
                     yield values
             else:
                 return

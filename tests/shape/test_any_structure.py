@@ -15,6 +15,7 @@ from tenscontrol.shape import (
     shape_path,
     shape_target,
 )
+from tenscontrol.shape.shape_search import turned_over
 from tests import coupled
 
 STIFFNESS = 500.0
@@ -211,6 +212,18 @@ def test_a_vertebra_of_redundant_bars_is_balanced_as_a_rigid_body(symmetric):
     np.testing.assert_allclose(moment, 0.0, atol=1e-11)
     assert found.force_density.min() >= 5.0
     assert found.is_stable
+
+
+def test_a_mirror_image_of_a_rigid_body_is_no_shape():
+    structure = coupled.spine()
+    triangle = tc.Structure([[0, 1, 0, 3], [0, 0, 1, 3]], [[0, 1], [1, 2], [2, 0]],
+                            [[0, 3], [1, 3]], 1.0, fixed=[3])  # fmt: skip
+    turn = tc.RotationalSymmetry([[0, 1, 2]], axis=[1.0, 2.0, 3.0]).rotation()
+    assert not turned_over(structure, structure.nodes, turn @ structure.nodes)
+    assert turned_over(structure, structure.nodes, -structure.nodes)
+    assert not turned_over(triangle, triangle.nodes, -triangle.nodes)
+    assert turned_over(triangle, triangle.nodes, triangle.nodes[::-1])
+    assert not turned_over(coupled.d_bar(), coupled.d_bar().nodes, coupled.d_bar().nodes[::-1])
 
 
 # ---- demands in the plane ----
