@@ -395,6 +395,9 @@ def outcome(file, run=False):
 # Nodes of a scene that may take its time.
 LARGE = 300
 
+# MB after which the next scene gets a child of its own.
+HELD = 300.0
+
 
 def _judged(error, file):
     """Whether an error was raised by a check of ours and says where it belongs."""
@@ -526,6 +529,10 @@ def _feed(todo, done, arguments):
         if answer:
             found = json.loads(answer)
             done.put([*found[:3], max(size, found[3]), *found[4:]])
+            if found[5] > HELD:  # it may hold on to it, and the next would seem to need it
+                child.stdin.close()
+                child.wait()
+                child = None
             continue
         child.wait()
         kind = "hang" if late else f"crash with status {child.returncode}"
