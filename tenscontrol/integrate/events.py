@@ -125,9 +125,11 @@ def landing(step: ca.Function, equation: Equation) -> ca.Function:
     for _ in range(_ZOOMS):
         low, high, found = zoom(*within, low, high)
     inside, outside = room(*within, low), room(*within, high)
-    out = ca.mmin(outside)
-    # The string that is out first; several, where they are out together.
-    chosen = outside <= out + 0.5 * BAND * ca.mmin(u)
+    # The string that is out first, by the secants; several, where they go out together.
+    near, start = 0.5 * BAND * ca.mmin(u), ca.fmax(inside, 0)
+    first = ca.mmin(ca.if_else(outside < 0, start / ca.if_else(outside < 0, start - outside, 1), 1))
+    out = ca.logic_and(outside < 0, inside + first * (outside - inside) <= near)
+    chosen = ca.if_else(found, out, outside <= ca.mmin(outside) + near)
     before, after = (ca.dot(chosen, value) / ca.sum1(chosen) for value in (inside, outside))
     speed = (after - before) / (high - low)
     reached = _approach(step, equation).fold(_POLISHES)(
