@@ -296,7 +296,7 @@ def _found(
     w = free_coordinates(structure, load)
     forces = member_forces(structure, w)
     strings = np.flatnonzero(forces.live[: len(low)])
-    D, offset, gamma = forces.states, forces.particular, low
+    D, offset, gamma, most = forces.states, forces.particular, low, high
     low, high = low[strings], high[strings]
     count = len(strings)
     _refuse_unbalanced(
@@ -312,6 +312,7 @@ def _found(
         if least <= _ROUND_OFF * high.max():
             raise ValueError(_infeasible(forces, strings, np.ones(count), high, bool(w.any())))
         low = np.full(count, (1 - _BELOW) * least)
+        gamma = np.minimum(low[0], most)  # of strings between fixed nodes
     goal = float(low.max(initial=0.0)) if level is None else level
     if goal == 0 and not w.any():
         raise ValueError(
