@@ -164,7 +164,7 @@ def equilibrium(
     forces = member_forces(settled, free_coordinates(settled, load))
     rest = balanced(settled, forces, gamma, load, what, _HINT, least)
     if kind == "rest_length":
-        _warn_of_slack(rest)
+        _warn_of_slack(rest, forces.live)
     _warn_of_crossing(structure, start, settled.nodes)
     return rest
 
@@ -190,11 +190,13 @@ def _settled(structure: Structure, nodes: FloatArray) -> Structure:
         ) from None
 
 
-def _warn_of_slack(rest: Prestress) -> None:
-    slack = rest.slack_strings
+def _warn_of_slack(rest: Prestress, live: np.ndarray) -> None:
+    """Warn of strings without force, but for those between fixed nodes."""
+    moving = live[: len(rest.force_density)]
+    slack = np.flatnonzero((rest.force_density == 0) & moving)
     if len(slack) == 0:
         return
-    which = "all strings" if len(slack) == len(rest.force_density) else f"strings {listed(slack)}"
+    which = "all strings" if len(slack) == moving.sum() else f"strings {listed(slack)}"
     warnings.warn(
         f"in the equilibrium found, {which} are slack; shorter rest lengths would tighten them",
         UserWarning,

@@ -110,23 +110,31 @@ def can_be_positive(D: FloatArray, offset: FloatArray) -> np.ndarray | None:
     return np.asarray(answer.x[k + 1 :] > 0.5)
 
 
-def largest_share(D: FloatArray, offset: FloatArray, lower: FloatArray, upper: FloatArray) -> float:
-    """Return the largest t with ``t lower ≤ D x + o ≤ upper`` for some x; −∞ if there is none."""
+def largest_share(
+    D: FloatArray, offset: FloatArray, lower: FloatArray, upper: FloatArray, most: float | None = 1
+) -> float:
+    """Return the largest t with ``t lower ≤ D x + o ≤ upper`` for some x; −∞ if there is none.
+
+    It is at most ``most``. If that is None, ``upper`` bounds it.
+    """
     from scipy.optimize import linprog
 
-    scale = max(float(np.abs(part).max(initial=0.0)) for part in (offset, lower)) or 1.0
+    # Unknowns are x and t lower, in one unit.
+    sizes = [float(np.abs(part).max(initial=0.0)) for part in (offset, lower, upper)]
+    scale = max(sizes[:2] if most is not None else sizes[::2]) or 1.0
+    unit = sizes[1] or 1.0
     capped = upper < _NO_BOUND * scale
     k = D.shape[1]
     answer = linprog(
         c=np.append(np.zeros(k), -1.0),
         A_ub=np.vstack(
-            [np.column_stack([-D, lower / scale]), np.column_stack([D, np.zeros(len(D))])[capped]]
+            [np.column_stack([-D, lower / unit]), np.column_stack([D, np.zeros(len(D))])[capped]]
         ),
         b_ub=np.concatenate([offset, (upper - offset)[capped]]) / scale,
-        bounds=[(None, None)] * k + [(None, 1.0)],
+        bounds=[(None, None)] * k + [(None, None if most is None else most * unit / scale)],
         method="highs",
     )
-    return float(answer.x[-1]) if answer.status == 0 else -np.inf
+    return float(answer.x[-1]) * scale / unit if answer.status == 0 else -np.inf
 
 
 def _least_squares(A: FloatArray, b: FloatArray) -> FloatArray:

@@ -36,6 +36,9 @@ from tenscontrol.validation import (
 # round-off, far below what a real member contributes.
 _RANK_TOLERANCE = 1e-9
 
+# How far below the largest least force density strings may be, so that there is a choice.
+_BELOW = 1e-6
+
 # Force densities below this fraction of the largest are zero.
 _ROUND_OFF = 1e-12
 
@@ -191,7 +194,8 @@ def prestress(
         entry. With 0 for all, the least γ that carry the load. Strings between fixed nodes move
         nothing, and get their entry.
     max_force_density : float or array_like, shape (α,), optional
-        Largest γ of each string, N/m. It goes with ``min_force_density`` or with a single number.
+        Largest γ of each string, N/m. Alone, it makes the least γ of all strings with a free end as
+        large as can be (but for a part in 1e6), and of the γ that do, takes the most uniform one.
 
     Returns
     -------
@@ -230,9 +234,10 @@ def prestress(
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     alpha = len(structure.strings)
     is_bounded = min_force_density is not None or max_force_density is not None
-    if force_density is None and min_force_density is None:
+    if force_density is None and not is_bounded:
         raise TypeError(
-            "force_density is None, expected a number or an array in N/m, or min_force_density"
+            "force_density is None, expected a number or an array in N/m, or min_force_density or "
+            "max_force_density"
         )
     given = None if force_density is None else float_array("force_density", force_density)
     if alpha == 0 and (given is None or given.ndim == 0):
@@ -256,7 +261,8 @@ def prestress(
         return balanced(structure, forces, gamma, load, "force_density does not balance", hint)
     level = None if given is None else positive_number("force_density", float(given), "N/m")
     low, high = _bounds(alpha, min_force_density, max_force_density)
-    return _found(structure, load, level, reference, low, high)
+    as_high = level is None and min_force_density is None
+    return _found(structure, load, level, reference, low, high, as_high)
 
 
 def _bounds(alpha: int, least: object, most: object) -> tuple[FloatArray, FloatArray]:
@@ -280,23 +286,33 @@ def _bounds(alpha: int, least: object, most: object) -> tuple[FloatArray, FloatA
 
 def _found(
     structure: Structure, load: FloatArray, level: float | None, reference: str | None,
-    low: FloatArray, high: FloatArray,
+    low: FloatArray, high: FloatArray, as_high: bool,
 ) -> Prestress:  # fmt: skip
     """Return the balanced γ within bounds nearest to uniform, or raise and say why there is none.
 
     Uniform is ``level``, which is then the mean of the reference strings too, or the highest of the
-    lower bounds.
+    lower bounds; these are as high as can be where that is asked for.
     """
     w = free_coordinates(structure, load)
     forces = member_forces(structure, w)
     strings = np.flatnonzero(forces.live[: len(low)])
-    D, offset, gamma = forces.states, forces.particular, low
+    D, offset, gamma, most = forces.states, forces.particular, low, high
     low, high = low[strings], high[strings]
     count = len(strings)
     _refuse_unbalanced(
         structure, forces.matrix, offset, w, "no member forces balance external_force",
         "In this shape the load meets a mechanism; equilibrium(model, ...) lets the shape give",
     )  # fmt: skip
+    if count == 0:
+        raise ValueError(
+            "all strings run between fixed nodes, so that no force of theirs moves anything"
+        )
+    if as_high:
+        least = largest_share(D[:count], offset[:count], np.ones(count), high, None)
+        if least <= _ROUND_OFF * high.max():
+            raise ValueError(_infeasible(forces, strings, np.ones(count), high, bool(w.any())))
+        low = np.full(count, (1 - _BELOW) * least)
+        gamma = np.minimum(low[0], most)  # of strings between fixed nodes
     goal = float(low.max(initial=0.0)) if level is None else level
     if goal == 0 and not w.any():
         raise ValueError(
@@ -474,7 +490,7 @@ def _infeasible(
         )
     unbounded = np.full(count, np.inf)
     if share < 1 and largest_share(D[:count], offset[:count], low, unbounded) >= 1 - _ROUND_OFF:
-        level = f"; with it, strings have at most {share:.4g} times min_force_density"
+        level = f"; with it, all strings can have {share:.4g} times the least that is asked for"
         return (
             "max_force_density is too low: without it, there are force densities that balance"
             + (level if np.isfinite(share) and low.any() else "")

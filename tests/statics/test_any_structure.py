@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 import tenscontrol as tc
 from tenscontrol.dynamics import pack_state
@@ -150,6 +151,25 @@ def test_strings_have_bounds_of_their_own():
     assert at_level.force_density.max() <= 4.0 + 1e-12
 
 
+@pytest.mark.parametrize("most", [1e-3, 30.0, 1e6])
+def test_the_least_force_density_is_as_large_as_can_be(most):
+    rest = tc.prestress(tc.prism(), max_force_density=most)
+    np.testing.assert_allclose(rest.force_density[6:], most, rtol=1e-5)
+    np.testing.assert_allclose(rest.force_density[:6], most / np.sqrt(3), rtol=1e-5)
+    # Each of the two states of the arm of crosses has another bottleneck.
+    structure = two_crosses()
+    found = tc.prestress(structure, max_force_density=most).force_density
+    E = tc.statics.equilibrium_matrix(structure)[structure.free_rows] @ np.eye(11)
+    best = linprog(
+        np.r_[np.zeros(11), -1.0],
+        A_ub=np.column_stack([-np.eye(7, 11), np.ones(7)]), b_ub=np.zeros(7),
+        A_eq=np.column_stack([E, np.zeros(len(E))]), b_eq=np.zeros(len(E)),
+        bounds=[(0, 1.0)] * 7 + [(None, None)] * 5,
+    )  # fmt: skip
+    assert found.min() == pytest.approx(-best.fun * most, rel=1e-5)
+    assert found.max() <= most * (1 + 1e-8)
+
+
 def test_the_least_forces_that_carry_a_load():
     """A mass on two strings at right angles: γ l of each is W/√2."""
     structure = tc.Structure(
@@ -179,7 +199,7 @@ def test_strings_that_cannot_be_taut_are_named():
 
 
 def test_bounds_that_are_too_narrow_name_the_largest_level():
-    with pytest.raises(ValueError, match=r"too low: .* at most 0\.5774 times min_force_density"):
+    with pytest.raises(ValueError, match=r"too low: .* 0\.5774 times the least that is asked for"):
         tc.prestress(tc.prism(), min_force_density=10.0, max_force_density=10.0)
 
 
