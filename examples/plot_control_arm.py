@@ -103,19 +103,17 @@ for name, run in runs.items():
 # The shapes at the start and the end, the tip, and the winches of MPC.
 
 figure = plt.figure(figsize=(7.5, 7.0), layout="constrained")
-grid = figure.add_gridspec(3, 1, height_ratios=(1.6, 1.0, 1.0))
-ax = figure.add_subplot(grid[0])
-for k, color in ((0, "0.7"), (-1, "tab:blue")):
-    nodes = runs["MPC"].nodes[:, :, k]
-    ax.plot(*nodes[:, arm.strings.T], color=color, linewidth=0.8)
-    ax.plot(*nodes[:, arm.bars.T], color=color, linewidth=3.0)
-ax.set(xlabel="x, m", ylabel="y, m", aspect="equal", title="start (grey) and end of MPC")
+grid = figure.add_gridspec(3, 2, height_ratios=(1.3, 1.0, 1.0))
+for column, (k, title) in enumerate(((0, "start"), (-1, "end, MPC"))):
+    ax = figure.add_subplot(grid[0, column])
+    tc.plot.structure(arm, runs["MPC"].nodes[:, :, k], ax=ax, legend=False)
+    ax.set_title(title)
 wanted = np.interp(runs["MPC"].time, reference.time, reference.nodes[1, tip])
 tc.plot.history(
     runs["MPC"].time,
     {**lift, "reference": wanted - arm.nodes[1, tip]},
     "lift of the tip, m",
-    ax=figure.add_subplot(grid[1]),
+    ax=figure.add_subplot(grid[1, :]),
 )
 tc.plot.history(
     runs["MPC"].control.time,
@@ -124,7 +122,7 @@ tc.plot.history(
         for name in ("lower", "upper", "upright")
     },
     "winches of MPC, m/s",
-    ax=figure.add_subplot(grid[2]),
+    ax=figure.add_subplot(grid[2, :]),
     references={"limit out": 0.3, "limit in": -0.3},
 )
 

@@ -94,21 +94,19 @@ for name, run in runs.items():
 # The shapes, the way of the joint, and the force densities under NMPC.
 
 figure = plt.figure(figsize=(7.5, 7.5), layout="constrained")
-grid = figure.add_gridspec(3, 1, height_ratios=(1.6, 1.0, 1.0))
-ax = figure.add_subplot(grid[0])
-for k, color in ((0, "0.7"), (-1, "tab:blue")):
-    nodes = runs["NMPC"].nodes[:, :, k]
-    ax.plot(*nodes[:, t_bar.strings.T], color=color, linewidth=0.8)
-    ax.plot(*nodes[:, t_bar.bars.T], color=color, linewidth=3.0)
-ax.set(xlabel="x, m", ylabel="y, m", aspect="equal", title="start (grey) and end of NMPC")
+grid = figure.add_gridspec(3, 2, height_ratios=(1.3, 1.0, 1.0))
+for column, (k, title) in enumerate(((0, "start"), (-1, "end, NMPC"))):
+    ax = figure.add_subplot(grid[0, column])
+    tc.plot.structure(t_bar, runs["NMPC"].nodes[:, :, k], ax=ax, legend=False)
+    ax.set_title(title)
 time = runs["NMPC"].time
 wanted = np.interp(time, reference.time, reference.nodes[1, 1])
-tc.plot.history(time, {**aside, "reference": wanted}, "joint, m", ax=figure.add_subplot(grid[1]))
+tc.plot.history(time, {**aside, "reference": wanted}, "joint, m", ax=figure.add_subplot(grid[1, :]))
 tc.plot.history(
     time,
     {name: runs["NMPC"].force_density[t_bar.strings_in(name)] for name in ("side", "joint")},
     "γ, N/m",
-    ax=figure.add_subplot(grid[2]),
+    ax=figure.add_subplot(grid[2, :]),
 )
 
 if __name__ == "__main__":

@@ -84,6 +84,25 @@ def test_frequencies_in_the_plane_are_those_of_the_same_structure_in_space(held)
     assert found[0].label == found[1].label
 
 
+@pytest.mark.parametrize("held", ["force_density", "rest_length"])
+def test_frequencies_in_the_plane_are_among_those_in_space(held):
+    """Out of the plane the arm swings as well; both do not meet."""
+    flat = arm()
+    nodes = np.vstack([flat.nodes, np.zeros(5)])
+    deep = tc.Structure(nodes, flat.bars, flat.paths, flat.bar_mass, fixed=[0, 4, (3, "y")])
+    model, at = at_rest(flat, strings=LAW)
+    load = np.vstack([at.external_force, np.zeros(5)])
+    there = tc.Model(deep, external_force=load, strings=LAW)
+    above = tc.OperatingPoint(nodes, at.force_density, load)
+    plane, space = (
+        tc.modes(tc.linearize(*each, input=held, coordinates="minimal"))
+        for each in ((model, at), (there, above))
+    )
+    assert len(plane.pole) == 2 < len(space.pole)
+    inside = [np.abs(shape[2]).max() < 1e-9 for shape in np.moveaxis(space.shape, 2, 0)]
+    np.testing.assert_allclose(space.pole[inside], plane.pole, rtol=1e-10)
+
+
 def test_frequency_of_a_rhombus_in_closed_form():
     """A rhombus of angle a, with bars of one length, sheared as a whole: no spring if γ is held."""
     a, m, length = 0.7, 1.0, 1.0
