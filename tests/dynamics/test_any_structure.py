@@ -92,6 +92,19 @@ def test_known_structures_accelerate_as_the_oracle(name):
     assert_moves_as_the_oracle(KNOWN[name](), 1)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_mass_and_stiffness_matrices_give_the_motion(seed):
+    """N̈ M + N K = W in all coordinates that supports leave free."""
+    structure = any_structure(seed)
+    N, V, gamma, W = acted_on(structure, seed)
+    model = tc.Model(structure, external_force=True)
+    at = [part[:, structure.free] for part in (N, V)] + [gamma, W[:, structure.free]]
+    acceleration = np.zeros_like(N)
+    acceleration[:, structure.free] = np.array(model.acceleration(*at))
+    residual = acceleration @ model.mass_matrix() + N @ model.stiffness_matrix(*at).full() - W
+    assert np.abs(residual.T.ravel()[structure.free_rows]).max() < 1e-10
+
+
 def test_the_random_structures_are_of_all_kinds():
     some = [any_structure(seed) for seed in SEEDS]
     assert {each.structure_class for each in some} == set(range(1, 7))
