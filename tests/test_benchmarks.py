@@ -85,9 +85,10 @@ def test_coupled_cost(printed, monkeypatch, tmp_path):
 @needs_compiler
 def test_oracle_agreement(printed, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    text = printed("oracle_agreement", "--structures 3")
+    text = printed("oracle_agreement", "--structures 3 --motions 1")
     for name in ("λ ", "flat", "mapped", "loops"):
         assert row(text, name)[0] < 1e-12
+    assert row(text, "motions")[0] < 1e-10
 
 
 @needs_compiler

@@ -262,8 +262,12 @@ def block_mass(structure: Structure, block: Block) -> csr_array:
     """Return the mass matrix of a block's rows, sparse, shape (r, r), kg."""
     from scipy.sparse import eye_array, kron
 
-    mass = kron(node_mass(structure), eye_array(structure.dimension), format="csr")
-    return mass[block.rows][:, block.rows]
+    d = structure.dimension
+    place = np.zeros(structure.nodes.shape[1], dtype=int)
+    place[block.nodes] = np.arange(len(block.nodes))
+    rows = d * place[block.rows // d] + block.rows % d
+    mass = kron(node_mass(structure)[block.nodes][:, block.nodes], eye_array(d), format="csr")
+    return mass[rows][:, rows]
 
 
 class SaddlePoint:

@@ -2,7 +2,8 @@
 
 Run: ``python -m tests.benchmarks.oracle_agreement``. Structures of class 1 to 6 in space and in the
 plane. Printed are the largest differences, as parts of the largest acceleration and λ. Loops in C
-are compiled for one structure in ten.
+are compiled for one structure in ten. Then the largest difference of nodes over motions of 2 s, in
+which strings go slack and taut.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.dynamics import Evaluator, compiler, pack_state
 from tests.benchmarks.command_line import options
+from tests.dynamics.test_any_motion import both
 from tests.oracle import node_acceleration
 from tests.random_structures import any_motion_of, any_structure
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    count = options(__doc__, arguments, structures=200).structures
+    given = options(__doc__, arguments, structures=200, motions=12)
+    count = given.structures
     worst = dict.fromkeys(("λ", "flat", "mapped", "loops"), 0.0)
     for seed in range(count):
         for name, error in differences(seed, seed % 10 == 0 and compiler() is not None).items():
@@ -27,6 +30,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"largest relative difference on {count} random structures")
     for name, error in worst.items():
         print(f"{name:8s} {error:.1e}")
+    far, switched = 0.0, 0
+    for seed in range(given.motions):
+        structure = any_structure(seed)
+        found, expected, switches = both(structure, 0.3 * any_motion_of(structure, seed)[1])
+        far, switched = max(far, np.abs(found - expected).max()), switched + switches
+    print(f"motions  {far:.1e} m, {switched} switches")
 
 
 def differences(seed: int, compiles: bool) -> dict[str, float]:

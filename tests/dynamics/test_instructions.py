@@ -8,6 +8,35 @@ import tenscontrol as tc
 from tests.dynamics.scenes import random_structure, side_by_side, weighted_prism
 
 
+def standing():
+    """The prism with its bottom nodes fixed."""
+    prism = tc.prism()
+    return tc.Structure(prism.nodes, prism.bars, prism.strings, 1.0, fixed=[3, 4, 5])
+
+
+# Instructions of class 1 in space, damped strings, as they were before bars could share nodes:
+# dynamics, rest_length_dynamics, bar_force_density, kinetic_energy, momentum, and the operations
+# on all members with force densities and with rest lengths held.
+CLASS_1 = [
+    (tc.prism, (316, 553, 227, 102, 172, 62, 93)),
+    (lambda: tc.prism_tower(3), (1252, 2581, 989, 300, 514, 62, 93)),
+    (lambda: tc.net(4, 3, 0.1, 0.01), (282, 686, 0, 99, 193, 20, 53)),
+    (lambda: tc.subdivide(tc.prism(), 3, node_mass=0.01), (767, 1471, 344, 319, 605, 66, 97)),
+    (standing, (188, 335, 148, 39, 122, 46, 79)),
+]
+
+
+@pytest.mark.parametrize(("structure", "counts"), CLASS_1)
+def test_class_1_in_space_builds_what_it_always_built(structure, counts):
+    model = tc.Model(structure(), strings=tc.LinearStrings(100.0, 0.5))
+    functions = [
+        *(model.dynamics, model.rest_length_dynamics, model.bar_force_density),
+        *(model.kinetic_energy, model.momentum),
+        *(model.equation(u, form="mapped").slope for u in ("force_density", "rest_length")),
+    ]
+    assert tuple(function.n_instructions() for function in functions) == counts
+
+
 def cost(function):
     """Instructions and inputs of a function; an input matrix counts each of its entries."""
     return function.n_instructions(), function.nnz_in()

@@ -54,12 +54,9 @@ def loops_source(structure: Structure, law: StringLaw | None, load: FloatArray) 
     calls = {loop.over.name: loop.call for loop in loops}
     d, states, alpha = structure.dimension, 2 * len(structure.free_rows), len(structure.strings)
     switches, supported = 0 if law is None else alpha, len(structure.fixed_rows) > 0
-    sizes = {
-        "ENTRIES": structure.nodes.size,
-        "FREE": states // 2,
-        "LARGEST": max(states, alpha, 1),
-    }
-    work = 3 * structure.nodes.size + 2 * max(states, alpha, 1)
+    entries, largest = structure.nodes.size, max(states, alpha, 1)
+    sizes = {"ENTRIES": entries, "FREE": states // 2, "LARGEST": largest}
+    work = 3 * entries + 2 * largest
     tables: dict[str, Any] = {}
     if supported:
         # Free coordinates, node by node where no node rolls.
@@ -67,7 +64,7 @@ def loops_source(structure: Structure, law: StringLaw | None, load: FloatArray) 
         tables["free_rows"] = structure.free_rows[:: sizes["PIECE"]]
         tables["places"] = structure.nodes.ravel(order="F")
     if structure.rollers:
-        work += structure.nodes.size
+        work += entries
     if load.any():
         tables["load"] = load.ravel(order="F")
     if solver is not None:

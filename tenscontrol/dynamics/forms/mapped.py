@@ -90,9 +90,8 @@ def _accelerations(structure: Structure, arrays: dict[str, Any]) -> Any:
     d = structure.dimension
     passes = body_passes(structure)
     columns = [part for each in passes for part in _outputs(each, arrays)]
-    nodes = np.concatenate([[], *(write.at for each in passes for write in each.writes)]).astype(
-        int
-    )
+    ends = [write.at for each in passes for write in each.writes]
+    nodes = np.concatenate([np.arange(0), *ends])
     if not structure.blocks:
         return kernel.free_entries(structure, ca.horzcat(*columns)[:, np.argsort(nodes).tolist()])
     block = kernel.coupled_block(structure)
