@@ -200,7 +200,7 @@ BROKEN = {
     ),
     "a force in space on a planar node": (
         SQUARE + "[loads]\nforces = [{node = 2, force = [0, 0, 1]}]\n",
-        r":15: in \[loads\], forces\[0\].force is \[0, 0, 1\], expected 2 numbers in N",
+        r":15: in \[loads\], forces\[0\].force has 3 numbers, expected 2 in N",
     ),
     "velocities in space": (
         SQUARE + "[start]\nvelocities = [[0,0,0], [0,0,0], [0,0,0], [0,0,0]]\n",
