@@ -38,7 +38,7 @@ SIZES = {
     "snelson_x": {"width": 2.0, "height": 0.5, "dimension": 3, "bar_mass": 0.2},
     "spine": {"vertebrae": 3, "leg_length": 0.2, "spread": 1.0, "spacing": 0.15, "bar_mass": 0.2},
     "stedy_arm": {"bar_length": 0.5, "bar_mass": 0.2},
-    "t_bar": {"width": 1.0, "height": 1.0, "dimension": 2, "bar_mass": 0.2},
+    "t_bar": {"width": 1.0, "height": 1.0, "dimension": 2, "bar_mass": 0.2, "continuous": True},
     "thirty_bar_ball": {"bar_length": 2.0, "bar_mass": 0.2},
     "truncated_tetrahedron": {"bar_length": 2.0, "bar_mass": 0.2},
     "twelve_bar_ball": {"bar_length": 2.0, "bar_mass": 0.2},
