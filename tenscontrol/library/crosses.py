@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tenscontrol.structure import Structure, refuse_many_members
-from tenscontrol.validation import positive_number, whole_number
+from tenscontrol.validation import positive_number, truth, whole_number
 
 
 def snelson_x(
@@ -238,52 +238,66 @@ def d_bar_3d(
 
 
 def t_bar(
-    width: float = 2.0, height: float = 1.0, dimension: int = 2, bar_mass: object = 1.0
+    width: float = 2.0,
+    height: float = 1.0,
+    dimension: int = 2,
+    bar_mass: object = 1.0,
+    continuous: bool = False,
 ) -> Structure:
-    """Return the T-bar: four bars from a common node, in a loop of four strings.
+    """Return the T-bar: bars along and across that meet in a joint, in a loop of four strings.
 
-    Node 0 is the joint; then come left, lower, right, upper. The strings go around, from left to
-    lower. See :func:`kite` for two bars that cross without a joint.
+    Node 0 is the joint; then come left, lower, right, upper. Strings of the group ``"side"`` go
+    around, from left to lower. See :func:`kite` for two bars that cross without a joint.
 
-    One state of self-stress; no mechanism in the plane. In space it folds: two mechanisms.
+    One state of self-stress, two with a continuous bar; no mechanism in the plane. In space it
+    folds: two mechanisms.
 
     Parameters
     ----------
     width, height : float
-        Extent along x and y, m; each bar is half of it.
+        Extent along x and y, m.
     dimension : {2, 3}
         2 for a structure in the plane, 3 for one in space, at z = 0.
     bar_mass : float or array_like, shape (4,)
-        Mass of each bar, kg.
+        Mass of each bar, kg, in the order of the nodes at their ends; shape (3,) with a
+        continuous bar, which comes last.
+    continuous : bool
+        Whether the bar across is one from the lower to the upper node. It passes the joint, and two
+        strings more, group ``"joint"``, go from its ends there.
 
     Returns
     -------
     Structure
-        Of class 4.
+        Of class 4; of class 2 with a continuous bar.
 
     Raises
     ------
     TypeError, ValueError
-        If a number is not positive and finite, or the dimension is neither 2 nor 3.
+        If a number is not positive and finite, the dimension is neither 2 nor 3, or ``continuous``
+        is no truth value.
 
     Notes
     -----
     R. E. Skelton and M. C. de Oliveira, *Tensegrity Systems* (2009), chapter 3. The force density
-    of bars is twice that of strings.
+    of four bars is twice that of strings.
 
     Examples
     --------
     >>> import tenscontrol as tc
-    >>> tc.library.t_bar().structure_class
-    4
+    >>> [tc.library.t_bar(continuous=one).structure_class for one in (False, True)]
+    [4, 2]
     """
     half = positive_number("width", width, "m") / 2
     rise = positive_number("height", height, "m") / 2
+    bars, strings = [[0, 1], [0, 2], [0, 3], [0, 4]], [[1, 2], [2, 3], [3, 4], [4, 1]]
+    if truth("continuous", continuous, "whether the bar across is in one piece"):
+        bars, strings = [[0, 1], [0, 3], [2, 4]], [*strings, [0, 2], [0, 4]]
     return Structure(
         nodes=_flat([[0, -half, 0, half, 0], [0, 0, -rise, 0, rise]], dimension),
-        bars=[[0, 1], [0, 2], [0, 3], [0, 4]],
-        strings=[[1, 2], [2, 3], [3, 4], [4, 1]],
+        bars=bars,
+        strings=strings,
         bar_mass=bar_mass,  # type: ignore[arg-type]  # checked by Structure
+        string_groups=["side"] * 4 + ["joint"] * (len(strings) - 4),
     )
 
 

@@ -180,7 +180,7 @@ _MEANINGS: Keys = {
             "",
             "kind law per input method form solver prediction generator handedness group axis",
         ),
-        (TRUTH, "", "diagonals shape_gives ramp load floating"),
+        (TRUTH, "", "diagonals shape_gives ramp load floating continuous"),
         (WHOLE, "", "sides iterations seed node relative_to string"),
         (WHOLE, "", "stages sections vertebrae hoops spokes rows columns dimension"),
         (WHOLE, "", "horizon max_iterations plants substeps delay patience"),

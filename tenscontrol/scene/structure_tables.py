@@ -168,7 +168,8 @@ def build_loads(document: Document, structure: Structure) -> tuple[object, Float
             raise entry.error("node", f"{said} is on node {node} once more")
         if len(force) != structure.dimension:
             raise entry.error(
-                "force", f"{said}.force is {force}, expected {structure.dimension} numbers in N"
+                "force",
+                f"{said}.force has {len(force)} numbers, expected {structure.dimension} in N",
             )
         if not np.isfinite(force).all():
             raise entry.error("force", f"{said}.force is {force.tolist()}, not finite")

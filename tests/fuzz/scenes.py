@@ -169,6 +169,29 @@ damping = 1.0
 min_force_density = 1.0
 max_force_density = 60.0
 """
+PLANE = """\
+[structure]
+nodes = [[0, 0], [1, 0], [1, 1], [0, 1]]
+bars = [[0, 1], [1, 2]]
+strings = [[2, 3], [0, 3, 2], [0, 2]]
+bar_mass = 1.0
+point_mass = [0, 0, 0.5, 0.2]
+fixed = [0, [1, "y"]]
+string_groups = ["side", "over", "side"]
+[strings]
+law = "linear"
+stiffness = 100.0
+[loads]
+gravity = [0.0, -1.0]
+forces = [{node = 2, force = [0.1, 0.0]}]
+[prestress]
+force_density = {side = 3.0, over = 2.0}
+[start]
+disturbance = 0.001
+[run]
+duration = 0.05
+step = 1e-3
+"""
 # Those that take a second each are taken less often.
 _SLOW = {"prism_morph": 1, "prism_fault": 1, "prism_mpc": 4, "prism_standing": 5}
 # Most without comments, where a change changes nothing.
@@ -177,7 +200,7 @@ SOURCES = [
     for file in SHIPPED
 ]
 SOURCES.append((SHIPPED[0].read_text(encoding="utf-8"), 1))
-SOURCES += [(MEMBERS, 12), (EVERY, 8), (LOOP, 3), (PREDICTIVE, 2), (SHAPE, 4)]
+SOURCES += [(MEMBERS, 12), (PLANE, 8), (EVERY, 8), (LOOP, 3), (PREDICTIVE, 2), (SHAPE, 4)]
 
 
 def _words(text):

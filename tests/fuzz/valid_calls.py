@@ -1327,6 +1327,17 @@ call(
     },
     share=0.2,
 )
+call(
+    "plot.structure, plane",
+    lambda: {
+        "structure": tc.library.arm(),
+        "nodes": tc.library.arm().nodes,
+        "ax": flat(),
+        "force_density": np.ones(6),
+        "labels": True,
+        "member_labels": True,
+    },
+)
 call("plot.Drawing.update", lambda: {"nodes": nodes(), "force_density": None}, drawing)
 call(
     "plot.animate",

@@ -24,6 +24,8 @@ CASES = [
     ("d_bar_3d", {"sides": 5}, 5, 1, 0),
     ("t_bar", {}, 4, 1, 0),
     ("t_bar", {"dimension": 3}, 4, 1, 2),
+    ("t_bar", {"continuous": True}, 2, 2, 0),
+    ("t_bar", {"continuous": True, "dimension": 3}, 2, 2, 2),
     ("class2_tower", {}, 2, 2, 2),
     ("class2_tower", {"stages": 3, "floating": True}, 2, 3, 3),
     ("class2_tower", {"stages": 2, "sides": 5, "floating": True}, 2, 2, 6),
