@@ -226,6 +226,18 @@ def test_a_mirror_image_of_a_rigid_body_is_no_shape():
     assert not turned_over(coupled.d_bar(), coupled.d_bar().nodes, coupled.d_bar().nodes[::-1])
 
 
+def test_a_net_without_bars():
+    """Its middle hangs by W/(4 γ) below the mean of the four fixed nodes."""
+    nodes = [[1.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0, 0.0], [0.0, 0.0, 0.0, 0.0, -0.1]]
+    net = tc.Structure(
+        nodes, np.zeros((0, 2), int), [[i, 4] for i in range(4)], [], fixed=range(4),
+        point_mass=[0.0, 0.0, 0.0, 0.0, 2.0],
+    )  # fmt: skip
+    model = tc.Model(net, gravity=GRAVITY)
+    found = shape_target(model, force_density=10.0)
+    np.testing.assert_allclose(found.nodes[:, 4], [0.0, 0.0, -2.0 * GRAVITY / 40.0], atol=1e-12)
+
+
 # ---- a plant that follows ----
 
 
