@@ -87,7 +87,7 @@ class ShapeProblem:
         for j in structure.free.tolist():
             F[:, j] += body[:d] + _turned(body[d:], arms[:, j])
         unbalanced = ca.vec(F)[structure.free_rows.tolist()]
-        moving = self._bars.argmax(axis=0)
+        moving = self._bars.argmax(axis=0) if self._bars.size else np.zeros(0, np.int64)
         stretch = self._stretch(moving)
         # Equations that the symmetry makes equal are written once.
         self.equations = ca.vertcat(ca.mtimes(_sparse(red.basis.T), unbalanced), stretch)

@@ -1,12 +1,13 @@
 """Each measure of accuracy on structures whose bars share nodes, in the plane or with clusters."""
 
 from functools import cache
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy import Case
+from tenscontrol.accuracy import Case, extreme_cases
 from tenscontrol.accuracy.case import fastest_rate
 from tenscontrol.accuracy.measured_run import conserves_momentum, invariants
 from tenscontrol.accuracy.peers import CasADiCVODES, CasADiRK, MuJoCo, SciPy
@@ -119,3 +120,30 @@ def test_mujoco_refuses_by_name_what_it_cannot_do(case, message, monkeypatch):
 
     monkeypatch.setattr(rigid_bodies, "find_spec", lambda name: True)
     assert message in MuJoCo("rk4").refuse(case())
+
+
+def test_a_tendon_of_mujoco_runs_over_the_nodes_of_a_clustered_string():
+    from tenscontrol.accuracy.peers.rigid_bodies import RigidScene
+
+    (extreme, _) = extreme_cases._short_segment()
+    tendons = ElementTree.fromstring(RigidScene(extreme.case).xml).findall("tendon/spatial")
+    sites = [[site.get("site") for site in tendon] for tendon in tendons]
+    assert sites == [["n0", "n2", "n1"], ["n1", "n3"]]
+    assert MuJoCo("rk4").refuse(extreme.case) in (None, "mujoco is not installed: pip install "
+                                                  "'tenscontrol[bench]'")  # fmt: skip
+
+
+def test_new_scenes_of_the_suite_are_of_the_kinds_they_name():
+    kinds = {
+        extreme.group: extreme.case.structure
+        for make in (
+            extreme_cases._class_2_tower, extreme_cases._spine, extreme_cases._chain,
+            extreme_cases._short_segment, extreme_cases._d_bar,
+        )
+        for extreme in make()
+    }  # fmt: skip
+    assert [structure.structure_class for structure in kinds.values()] == [2, 4, 2, 1, 2]
+    assert all(block.is_redundant for block in kinds["spine of redundant bars"].blocks)
+    assert kinds["segment of a string"].has_clusters
+    assert kinds["D-bar through slack"].dimension == 2
+    assert np.ptp(np.log10(kinds["chain of 20 bars"].bar_mass)) == 6

@@ -1,5 +1,6 @@
 """Closed loops with plants that vary, of bars that share nodes, in the plane and with clusters."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -54,9 +55,10 @@ def test_factors_keep_supports_clusters_and_payloads():
 
 
 def test_a_sweep_of_an_arm():
-    found = tc.sweep(arm_loop(), {"bar_mass": tc.Uniform(0.9, 1.1, size=2)}, 3, seed=0)
+    case = replace(arm_loop(), duration=0.3)
+    found = tc.sweep(case, {"bar_mass": tc.Uniform(0.9, 1.1, size=2)}, 2, seed=0, processes=1)
     assert found.completed.all()
-    assert len(np.unique(found.figure("final_error"))) == 3
+    assert len(np.unique(found.figure("final_error"))) == 2
 
 
 def test_a_string_that_breaks():

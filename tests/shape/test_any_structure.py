@@ -226,6 +226,47 @@ def test_a_mirror_image_of_a_rigid_body_is_no_shape():
     assert not turned_over(coupled.d_bar(), coupled.d_bar().nodes, coupled.d_bar().nodes[::-1])
 
 
+def test_a_net_without_bars():
+    """Its middle hangs by W/(4 γ) below the mean of the four fixed nodes."""
+    nodes = [[1.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0, 0.0], [0.0, 0.0, 0.0, 0.0, -0.1]]
+    net = tc.Structure(
+        nodes, np.zeros((0, 2), int), [[i, 4] for i in range(4)], [], fixed=range(4),
+        point_mass=[0.0, 0.0, 0.0, 0.0, 2.0],
+    )  # fmt: skip
+    model = tc.Model(net, gravity=GRAVITY)
+    found = shape_target(model, force_density=10.0)
+    np.testing.assert_allclose(found.nodes[:, 4], [0.0, 0.0, -2.0 * GRAVITY / 40.0], atol=1e-12)
+
+
+# ---- a plant that follows ----
+
+
+@pytest.mark.parametrize("name", ["d_bar", "arm", "spine"])
+def test_mpc_moves_the_nonlinear_plant_along_a_path(name):
+    strings, winches = tc.LinearStrings(2000.0, damping=2.0), tc.Winches(rate=0.5)
+    forces = {"prestress": "least", "min_force_density": 20.0}
+    if name == "d_bar":
+        model = tc.Model(coupled.d_bar(), strings=strings)
+        demands, forces = [Height(h, [2], [0]) for h in (1.5, 1.2)], {"force_density": 40.0}
+    elif name == "arm":
+        model = tc.Model(coupled.arm(cluster=True), strings=strings, gravity=GRAVITY)
+        demands = [NodesAt([2], [[x]], directions="x") for x in (1.6, 1.3)]
+    else:
+        model = tc.Model(coupled.spine(), strings=strings, gravity=GRAVITY)
+        demands = [NodesAt([9], [[x], [0.0]], directions="xy") for x in (0.0, 0.03)]
+    start, goal = (shape_target(model, demand, **forces) for demand in demands)
+    path = shape_path(model, start, goal, winches=winches, duration=1.5)
+    (plant,) = path.plants(1, input="rest_length")
+    mpc = tc.MPC(plant, horizon=8, sample_time=0.02, winches=winches, reference=path.reference())
+    run = tc.simulate(
+        model, 2.5, start.nodes, controller=mpc, winches=winches, step=5e-3,
+        rest_length=path.rest_length[:, 0],
+    )  # fmt: skip
+    travel = np.abs(goal.nodes - start.nodes).max()
+    assert travel > 0.02
+    assert np.abs(run.nodes[:, :, -1] - goal.nodes).max() < 0.01 * travel
+
+
 # ---- demands in the plane ----
 
 
