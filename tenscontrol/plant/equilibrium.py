@@ -215,6 +215,9 @@ def _warn_of_crossing(structure: Structure, start: FloatArray, end: FloatArray) 
         mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))])
         end = Vt.T @ mirror @ U.T @ there + middle
     before = bar_distances(structure, start)
+    farthest = float(np.linalg.norm(end - start, axis=0).max())
+    if before.least > 2 * farthest:  # too far apart to meet
+        return
     for step in np.linspace(0, 1, _WAY)[1:]:
         after = bar_distances(structure, start + step * (end - start))
         pair = crossing(before, after)
