@@ -52,7 +52,7 @@ class Model:
     ------
     TypeError, ValueError
         If an argument is of the wrong kind, or the parameters of the string
-        law do not fit the number of strings.
+        law do not fit the number of strings, or there are none.
 
     Notes
     -----
@@ -86,6 +86,8 @@ class Model:
         instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
         if strings is not None:
             instance("strings", strings, StringLaw, "use LinearStrings(stiffness=...)")
+            if len(structure.strings) == 0:
+                raise ValueError("strings is given, but the structure has none; leave it out")
             strings = strings.for_count(len(structure.strings))
         shape = structure.nodes.shape
         constant = np.zeros(shape)

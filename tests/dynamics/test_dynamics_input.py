@@ -180,3 +180,9 @@ CASES = [*STRINGS, *MODEL, *COORDINATES, *FOUND_IN_REVIEW]
 @pytest.mark.parametrize(("call", "exception", "message"), CASES)
 def test_bad_input_is_refused_by_name(call, exception, message):
     assert_refused(call, exception, message)
+
+
+def test_a_string_law_without_strings_is_refused():
+    bars = tc.Structure([[0, 1, 2], [0, -1, -1]], [(0, 1), (1, 2)], [], 1.0, fixed=[0])
+    with pytest.raises(ValueError, match="strings is given, but the structure has none; leave it"):
+        tc.Model(bars, tc.LinearStrings(10.0))
