@@ -31,6 +31,7 @@ from tenscontrol.validation import (
     frozen,
     instance,
     non_negative,
+    per_member,
     positive,
     shaped,
     truth,
@@ -68,9 +69,6 @@ class OperatingPoint:
         γ, N/m, at least 0.
     external_force : array_like, shape (d, n), optional
         W, N.
-    rest_length : array_like, shape (α,), optional
-        Rest lengths, m, that give these γ. They say how slack strings with γ = 0 are: without
-        them, just not taut.
 
     Raises
     ------
@@ -92,7 +90,6 @@ class OperatingPoint:
     nodes: FloatArray
     force_density: FloatArray
     external_force: FloatArray | None = None
-    rest_length: FloatArray | None = None
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
@@ -101,7 +98,6 @@ class OperatingPoint:
             nodes: ArrayLike,
             force_density: ArrayLike,
             external_force: ArrayLike | None = None,
-            rest_length: ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -121,10 +117,6 @@ class OperatingPoint:
             load = frozen(
                 shaped("external_force", load, nodes.shape, "one force for each of nodes")
             )
-        if self.rest_length is not None:
-            rest = shaped("rest_length", self.rest_length, gamma.shape, "one per string")
-            positive("rest_length", rest, "length in m")
-            object.__setattr__(self, "rest_length", frozen(rest))
         object.__setattr__(self, "nodes", frozen(nodes))
         object.__setattr__(self, "force_density", frozen(gamma))
         object.__setattr__(self, "external_force", load)
@@ -136,6 +128,7 @@ def linearize(
     input: str = "force_density",
     coordinates: str = "internal",
     require_equilibrium: bool = True,
+    rest_length: object = None,
 ) -> LinearPlant:
     """Return the linear plant about a shape at rest, with exact derivatives.
 
@@ -152,6 +145,9 @@ def linearize(
     require_equilibrium : bool
         Whether to refuse a shape whose forces do not balance. If not, the
         plant carries the acceleration there as ``drift``.
+    rest_length : float or array_like, shape (α,), optional
+        Rest lengths, m, that give the γ of the operating point. They say how slack a string with
+        γ = 0 is; without them it is just not taut.
 
     Returns
     -------
@@ -164,8 +160,7 @@ def linearize(
         an equilibrium (the message says by how much), the model lacks a string
         law or a load input that is needed, or with ``input="rest_length"`` a
         string is at the border of slack, where no derivative exists. A string that is slack
-        beyond the border, by the rest length of the operating point, moves nothing: its column of
-        B is zero.
+        beyond the border, by ``rest_length``, moves nothing: its column of B is zero.
 
     Notes
     -----
@@ -189,23 +184,23 @@ def linearize(
     truth("require_equilibrium", require_equilibrium, "whether to refuse unbalanced forces")
     nodes, gamma, load = _checked_point(model, at)
     _refuse_other_load(model, load)
-    rest_length = None
+    wound = None
     if model.strings is not None:
         refuse_strings_without_length("at.nodes", model.structure, nodes)
-        rest_length = _rest_length(model.strings, model.structure.string_length(nodes), gamma, at)
-    elif input == "rest_length":
+        length = model.structure.string_length(nodes)
+        wound = _rest_length(model.strings, length, gamma, rest_length)
+    elif input == "rest_length" or rest_length is not None:
         raise ValueError(
             "the model has no string law, so the rest length is no input; "
             "build it as Model(structure, strings=LinearStrings(stiffness=...))"
         )
     if require_equilibrium:
         _refuse_unbalanced(model, nodes, gamma, load)
-    if input == "rest_length":
-        assert rest_length is not None  # there is a law
-        _refuse_kink(model, gamma, rest_length / model.structure.string_length(nodes))
-    held = gamma if input == "force_density" else rest_length
+    if wound is not None and input == "rest_length":
+        _refuse_kink(model, gamma, wound / length)
+    held = gamma if input == "force_density" else wound
     xdot, A_x, B_x = _derivatives(model, input, nodes, held, load)
-    plant = _reduced(model, input, nodes, coordinates, (xdot, A_x, B_x), gamma, rest_length, load)
+    plant = _reduced(model, input, nodes, coordinates, (xdot, A_x, B_x), gamma, wound, load)
     if require_equilibrium and plant.invariance_residual > _INVARIANCE_TOLERANCE:
         raise ValueError(
             f"coordinates={coordinates!r} leave out motions that take part: "
@@ -248,8 +243,10 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
         rest_length = plant.rest_length
         if rest_length is not None:
             rest_length = to_model_strings(plant, "rest_length", rest_length)
-        at = OperatingPoint(plant.nodes, gamma, plant.external_force, rest_length)
-        other = linearize(plant.model, at, plant.input, kind, require_equilibrium=False)
+        at = OperatingPoint(plant.nodes, gamma, plant.external_force)
+        other = linearize(
+            plant.model, at, plant.input, kind, require_equilibrium=False, rest_length=rest_length
+        )
         return other if plant.commanded is plant.model.structure else command_parents(other)
 
     choice("kind", kind, KINDS)
@@ -467,23 +464,23 @@ def _refuse_other_load(model: Model, load: FloatArray) -> None:
 
 
 def _rest_length(
-    law: StringLaw, length: FloatArray, gamma: FloatArray, at: Prestress | OperatingPoint
+    law: StringLaw, length: FloatArray, gamma: FloatArray, given: object
 ) -> FloatArray:
-    """Return rest lengths, those of slack strings as the operating point says."""
+    """Return the rest lengths at an operating point, those of slack strings as they are given."""
     found = law.rest_length(length, gamma)
-    given = at.rest_length if isinstance(at, OperatingPoint) else None
     if given is None:
         return found
-    given = shaped("at.rest_length", given, gamma.shape, "one per string")
-    off = np.abs(law.force_density(length, given) - gamma)
+    known = per_member("rest_length", given, len(gamma), "string")
+    positive("rest_length", known, "length in m")
+    off = np.abs(law.force_density(length, known) - gamma)
     if off.size and off.max() > _LAW_TOLERANCE * gamma.max(initial=0.0):
         i = int(off.argmax())
         raise ValueError(
-            f"at.rest_length[{i}] is {given[i]:g} m, at which string {i} of {length[i]:g} m has "
-            f"another force density than at.force_density[{i}] = {gamma[i]:g} N/m; expected "
+            f"rest_length[{i}] is {known[i]:g} m, at which string {i} of {length[i]:g} m has "
+            f"another force density than the {gamma[i]:g} N/m of the operating point; expected "
             f"{found[i]:g} m" + ("" if gamma[i] else " or more")
         )
-    return np.where(gamma > 0, found, given)
+    return np.where(gamma > 0, found, known)
 
 
 def _refuse_kink(model: Model, gamma: FloatArray, share: FloatArray) -> None:
@@ -497,6 +494,5 @@ def _refuse_kink(model: Model, gamma: FloatArray, share: FloatArray) -> None:
         raise ValueError(
             f"string {slack[0]} has γ = {gamma[slack[0]]:g} N/m, at the border between taut and "
             "slack, where its force has no derivative by the rest length. Give it some "
-            "prestress, say by OperatingPoint(..., rest_length=...) how slack it is, or use "
-            "input='force_density'"
+            "prestress, say by rest_length=... how slack it is, or use input='force_density'"
         )

@@ -173,15 +173,16 @@ def slack_arm():
     model = tc.Model(structure, external_force=load, strings=tc.LinearStrings(200.0))
     rest = tc.to_rest_length(model, structure.nodes, gamma).rest_length
     rest = rest + np.array([0.0, 0.0, 0.1])
-    return model, tc.OperatingPoint(structure.nodes, gamma, load, rest)
+    return model, tc.OperatingPoint(structure.nodes, gamma, load), rest
 
 
 def test_a_slack_string_moves_nothing_and_stops_nothing():
-    model, at = slack_arm()
-    plant = tc.linearize(model, at, input="rest_length", coordinates="minimal")
+    model, at, rest = slack_arm()
+    options = {"input": "rest_length", "coordinates": "minimal"}
+    plant = tc.linearize(model, at, **options, rest_length=rest)
     assert plant.slack.tolist() == [2]
     assert not plant.B[:, 2].any()
-    assert plant.rest_length[2] == at.rest_length[2]
+    assert plant.rest_length[2] == rest[2]
     of, r = acceleration(model, plant, at.external_force), plant.degrees_of_freedom
     u, step, du = plant.equilibrium_input, 1e-6, np.array([0.1, -0.2, 0.3])
     damped = LAW.damping
@@ -195,21 +196,22 @@ def test_a_slack_string_moves_nothing_and_stops_nothing():
     mpc = tc.MPC(plant, sample_time=0.02, horizon=5)
     command = mpc.command(0.0, plant.to_nodes(np.full(r, 0.01)), np.zeros_like(plant.nodes))
     assert str(command) == "ok"
-    assert command.value[2] == pytest.approx(at.rest_length[2], rel=1e-6)
+    assert command.value[2] == pytest.approx(rest[2], rel=1e-6)
     with pytest.raises(ValueError, match="string 2, which is slack"):
         tc.MPC(plant, sample_time=0.02, horizon=5, min_force_density=1.0)
 
 
 def test_only_at_the_kink_a_slack_string_is_refused():
-    model, at = slack_arm()
-    without = tc.OperatingPoint(at.nodes, at.force_density, at.external_force)
+    model, at, rest = slack_arm()
+    options = {"input": "rest_length", "coordinates": "minimal"}
     with pytest.raises(ValueError, match="at the border between taut and slack"):
-        tc.linearize(model, without, input="rest_length", coordinates="minimal")
-    wrong = tc.OperatingPoint(
-        at.nodes, at.force_density, at.external_force, at.rest_length * np.array([1.1, 1.0, 1.0])
-    )
-    with pytest.raises(ValueError, match=r"at.rest_length\[0\] is .* expected"):
-        tc.linearize(model, wrong, input="rest_length", coordinates="minimal")
+        tc.linearize(model, at, **options)
+    wrong = rest * np.array([1.1, 1.0, 1.0])
+    with pytest.raises(ValueError, match=r"rest_length\[0\] is .* expected"):
+        tc.linearize(model, at, **options, rest_length=wrong)
+    bare = tc.Model(model.structure, external_force=at.external_force)
+    with pytest.raises(ValueError, match="no string law"):
+        tc.linearize(bare, at, rest_length=rest)
 
 
 def test_a_dead_centre_is_refused():
