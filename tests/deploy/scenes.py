@@ -6,6 +6,7 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.demo import tour as demo
+from tests import coupled
 
 SAMPLE = 0.02
 SAMPLES = 200
@@ -190,6 +191,36 @@ def nonlinear_with_load():
         outputs=[tc.OutputLimit(height_row(), low=0.6, penalty=100.0)],
         max_iterations=100,
     )
+
+
+@cache
+def coupled_plant(name):
+    """Plants of class 2: a D-bar and an arm in the plane, and a tower on rollers."""
+    gravity = {}
+    if name == "d_bar":
+        structure = coupled.d_bar()
+    elif name == "tower":
+        structure = coupled.tower(fixed=[(i, "z") for i in range(3)])
+    else:
+        structure, gravity = coupled.arm(cluster=True), {"gravity": 9.81}
+    model = tc.Model(structure, strings=tc.LinearStrings(500.0, damping=1.0), **gravity)
+    if name == "tower":
+        rest = tc.prestress(structure, coupled.tower_force_density())
+    else:
+        rest = tc.shape_target(model, force_density=40.0).prestress
+    return tc.linearize(model, rest, input="rest_length")
+
+
+def rolling():
+    """A regulator of a tower that rolls on a table."""
+    plant = coupled_plant("tower")
+    return tc.lqr(plant, *tc.energy_weights(plant), sample_time=SAMPLE, max_change=0.05)
+
+
+def sliding():
+    """Winches of a planar arm with a slider and a clustered string."""
+    winches = tc.Winches(rate=0.5, shortest=0.1)
+    return tc.MPC(coupled_plant("arm"), horizon=4, sample_time=SAMPLE, winches=winches)
 
 
 def closed_loop(pair, pull=0.0, samples=SAMPLES, **options):

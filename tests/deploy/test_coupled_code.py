@@ -1,36 +1,16 @@
 """Controllers of structures of class 2, in the plane, on rollers and with clusters, as C code."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 
 import tenscontrol as tc
 from tenscontrol.dynamics.machine_code import compiler
-from tests import coupled
 from tests.deploy import scenes
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
 # Samples with a number that is not finite, and with a bar twice as long.
 SAMPLES, SPOILT, ABSURD = 60, (20, 21), (40,)
-
-
-@cache
-def plant(name):
-    gravity = {}
-    if name == "d_bar":
-        structure = coupled.d_bar()
-    elif name == "tower":
-        structure = coupled.tower(fixed=[(i, "z") for i in range(3)])
-    else:
-        structure, gravity = coupled.arm(cluster=True), {"gravity": 9.81}
-    model = tc.Model(structure, strings=tc.LinearStrings(500.0, damping=1.0), **gravity)
-    if name == "tower":
-        rest = tc.prestress(structure, coupled.tower_force_density())
-    else:
-        rest = tc.shape_target(model, force_density=40.0).prestress
-    return tc.linearize(model, rest, input="rest_length")
 
 
 def lqr(plant):
@@ -52,7 +32,7 @@ def nmpc(plant):
     [("d_bar", lqr), ("d_bar", nmpc), ("arm", mpc), ("tower", mpc)],
 )  # fmt: skip
 def test_code_commands_what_python_does(name, make, tmp_path):
-    at = plant(name)
+    at = scenes.coupled_plant(name)
     d, n = at.nodes.shape
     one = make(at)
     pair = scenes.Pair(one, tc.generate_c(one, tmp_path).compile(), SPOILT, ABSURD)
@@ -75,7 +55,7 @@ def test_code_commands_what_python_does(name, make, tmp_path):
 
 
 def test_a_node_off_its_roller_is_not_plausible(tmp_path):
-    at = plant("arm")
+    at = scenes.coupled_plant("arm")
     one = lqr(at)
     other = tc.generate_c(one, tmp_path).compile()
     for rise, what in ((1e-3, "ok"), (0.4, "measurement not plausible: equilibrium held")):

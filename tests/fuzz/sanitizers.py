@@ -149,6 +149,8 @@ CONTROLLERS = {
         scenes.nonlinear,
         scenes.nonlinear_of_rest_length,
         scenes.nonlinear_with_load,
+        scenes.rolling,
+        scenes.sliding,
     )
 }
 
@@ -218,7 +220,7 @@ def check_controller(name, count, flags=CHECKED):
 def without_check(folder):
     """Let the measurement check refuse only what is not finite."""
     data = folder / "controller_data.h"
-    text = re.sub(r"(#define (?:BARS|FIXED)) .*", r"\1 0", data.read_text())
+    text = re.sub(r"(#define (?:BARS|FIXED|ROLLERS)) .*", r"\1 0", data.read_text())
     limits = "FARTHEST|SPREAD|FASTEST|LARGEST_VELOCITY"
     data.write_text(re.sub(rf"(#define (?:{limits})) .*", r"\1 INFINITY", text))
 
