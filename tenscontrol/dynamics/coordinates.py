@@ -330,7 +330,7 @@ class Coordinates:
         matrix = ca.blockcat([[mass, -J_0.T], [J, ca.SX(len(bars), len(bars))]])
         right = ca.vertcat(ca.SX.zeros(len(rows)), change)
         order, back = block.order.tolist(), np.argsort(block.order).tolist()
-        found = _eliminated(matrix[order, order], right[order])[back]
+        found = kernel.eliminated(matrix[order, order], right[order])[back]
         return ca.Function("normal_step", [places, change], [found[: len(rows)]])
 
     def _with_lengths(self, nodes: FloatArray, block: Block, normal: FloatArray) -> FloatArray:
@@ -583,31 +583,6 @@ def _rows(nodes: IntArray, dimension: int) -> IntArray:
 def _across(vector: FloatArray) -> FloatArray:
     """Return orthonormal directions across a vector, shape (d, d − 1)."""
     return np.asarray(np.linalg.svd(vector[None, :])[2][1:].T)
-
-
-def _eliminated(matrix: Any, right: Any) -> Any:
-    """Return the solution of a sparse system by Gaussian elimination without pivoting, SX."""
-    size, side = matrix.shape[0], right.elements()
-    rows: list[dict[int, Any]] = [{} for _ in range(size)]
-    below: list[set[int]] = [set() for _ in range(size)]
-    for i, j, value in zip(*matrix.sparsity().get_triplet(), matrix.nonzeros(), strict=True):
-        if not value.is_zero():
-            rows[i][j] = value
-            below[j].add(i)
-    for k, pivot in enumerate(rows):
-        for i in sorted(each for each in below[k] if each > k):
-            factor = rows[i].pop(k) / pivot[k]
-            for j, value in pivot.items():
-                if j > k:
-                    rows[i][j] = rows[i].get(j, 0) - factor * value
-                    below[j].add(i)
-            side[i] -= factor * side[k]
-    for k in reversed(range(size)):
-        for j, value in rows[k].items():
-            if j > k:
-                side[k] -= value * side[j]
-        side[k] /= rows[k][k]
-    return ca.vertcat(*side)
 
 
 def _momenta(mass: object, basis: FloatArray) -> FloatArray:

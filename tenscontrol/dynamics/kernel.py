@@ -344,6 +344,31 @@ def _least_norm(
     return bars, ca.vertcat(lam - ca.mtimes(T, share), share)
 
 
+def eliminated(matrix: Symbolic, right: Symbolic) -> Symbolic:
+    """Return the solution of a sparse system by Gaussian elimination without pivoting, SX."""
+    size, side = matrix.shape[0], right.elements()
+    rows: list[dict[int, Any]] = [{} for _ in range(size)]
+    below: list[set[int]] = [set() for _ in range(size)]
+    for i, j, value in zip(*matrix.sparsity().get_triplet(), matrix.nonzeros(), strict=True):
+        if not value.is_zero():
+            rows[i][j] = value
+            below[j].add(i)
+    for k, pivot in enumerate(rows):
+        for i in sorted(each for each in below[k] if each > k):
+            factor = rows[i].pop(k) / pivot[k]
+            for j, value in pivot.items():
+                if j > k:
+                    rows[i][j] = rows[i].get(j, 0) - factor * value
+                    below[j].add(i)
+            side[i] -= factor * side[k]
+    for k in reversed(range(size)):
+        for j, value in rows[k].items():
+            if j > k:
+                side[k] -= value * side[j]
+        side[k] /= rows[k][k]
+    return ca.vertcat(*side)
+
+
 # ---- one member, or any number of them ----
 
 

@@ -40,7 +40,7 @@ def test_known_dimensions():
     assert counts["d_bar"] == 1
     assert counts["free_d_bar"] == 4
     assert counts["arm"] == 2
-    assert counts["spine"] == 12
+    assert counts["spine"] == 6
     assert counts["tower"] == 12
     assert frame(free_d_bar(), "internal").count == 1
     assert frame(spine(), "internal").count == 12

@@ -81,7 +81,7 @@ SCENES = {
     "free_d_bar": free_d_bar(),
     "tower": tower(),
     "arm": arm(),
-    "spine": spine(),
+    "spine": spine(1),
     **{f"random_{d}d_{seed}": random_joined(seed, d) for d in (2, 3) for seed in (1, 2)},
 }
 
