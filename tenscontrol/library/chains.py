@@ -214,7 +214,7 @@ def stedy_arm(bar_length: float = 1.0, bar_mass: object = 1.0) -> Structure:
 def spine(
     vertebrae: int = 2,
     leg_length: float = 0.15,
-    spread: float = 1.0471975511965976,
+    spread: float = np.pi / 3,
     spacing: float = 0.1,
     bar_mass: object = 0.1,
 ) -> Structure:
