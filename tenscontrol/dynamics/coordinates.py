@@ -19,8 +19,8 @@ from tenscontrol.structure import (
     Block,
     Structure,
     bar_rows,
+    block_mass,
     left_by_supports,
-    node_mass,
     refuse_wrong_bar_lengths,
     rigid_basis,
     rigid_motions,
@@ -326,7 +326,7 @@ class Coordinates:
             kernel.block_rows(self.structure, bars, rows, N)
             for N in (ca.reshape(at, *shape), reference)
         )
-        mass = ca.SX(ca.sparsify(ca.DM(_block_mass(self.structure, block))))
+        mass = ca.SX(ca.sparsify(ca.DM(block_mass(self.structure, block).toarray())))
         matrix = ca.blockcat([[mass, -J_0.T], [J, ca.SX(len(bars), len(bars))]])
         right = ca.vertcat(ca.SX.zeros(len(rows)), change)
         order, back = block.order.tolist(), np.argsort(block.order).tolist()
@@ -510,7 +510,7 @@ def bar_basis(structure: Structure, nodes: FloatArray) -> FloatArray:
         parts.append((rows, np.eye(len(rows)) / np.sqrt(mass)))
     for block in structure.blocks:
         # y = Lᵀ δ has the identity for a mass, where M = L Lᵀ.
-        L = np.linalg.cholesky(_block_mass(structure, block))
+        L = np.linalg.cholesky(block_mass(structure, block).toarray())
         constraints = _scaled_rows(structure, block, nodes, L)
         whole = np.linalg.qr(constraints.T, mode="complete")[0]
         parts.append((block.rows, np.linalg.solve(L.T, whole[:, len(constraints) :])))
@@ -547,7 +547,7 @@ def normal_basis(structure: Structure, block: Block, nodes: FloatArray) -> Float
 
     ``Z = M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹``: J Z = I, and Z is orthogonal in M to what keeps the lengths.
     """
-    L = np.linalg.cholesky(_block_mass(structure, block))
+    L = np.linalg.cholesky(block_mass(structure, block).toarray())
     constraints = _scaled_rows(structure, block, nodes, L)
     scale = np.linalg.norm(bar_rows(structure, block.independent, nodes).toarray(), axis=1)
     return np.asarray(np.linalg.solve(L.T, np.linalg.pinv(constraints)) / scale)
@@ -566,13 +566,6 @@ def _scaled_rows(structure: Structure, block: Block, nodes: FloatArray, L: Any) 
             "little"
         )
     return np.asarray(rows)
-
-
-def _block_mass(structure: Structure, block: Block) -> FloatArray:
-    """Return the mass matrix of a block's rows, shape (r, r)."""
-    d, rows = structure.dimension, block.rows
-    mass = node_mass(structure)[rows // d][:, rows // d].toarray()
-    return np.asarray(mass * (rows[:, None] % d == rows % d))
 
 
 def _rows(nodes: IntArray, dimension: int) -> IntArray:

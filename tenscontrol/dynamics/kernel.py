@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.structure import Block, Structure, node_mass
+from tenscontrol.structure import Block, Structure, block_mass, node_mass
 from tenscontrol.validation import FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+    pass
 
 # A string shorter than this part of its rest length has no direction to pull in.
 _NO_LENGTH = 1e-12
@@ -256,18 +256,6 @@ def block_rows(structure: Structure, bars: IntArray, rows: IntArray, N: Symbolic
     )
     values = ca.vertcat(B, -B)[moves]
     return type(N)(sparsity, values[list(order)])
-
-
-def block_mass(structure: Structure, block: Block) -> csr_array:
-    """Return the mass matrix of a block's rows, sparse, shape (r, r), kg."""
-    from scipy.sparse import eye_array, kron
-
-    d = structure.dimension
-    place = np.zeros(structure.nodes.shape[1], dtype=int)
-    place[block.nodes] = np.arange(len(block.nodes))
-    rows = d * place[block.rows // d] + block.rows % d
-    mass = kron(node_mass(structure)[block.nodes][:, block.nodes], eye_array(d), format="csr")
-    return mass[rows][:, rows]
 
 
 class SaddlePoint:

@@ -100,11 +100,11 @@ class LinearPlant:
         They move nothing there, and controllers take them to stay slack.
         """
         if self.input == "force_density":
-            return np.zeros(0, np.int64)
+            return frozen(np.zeros(0, np.int64))
         gamma = self.force_density
         if self.commanded is not self.model.structure:
             gamma = to_segments(self.model.structure, "force_density", gamma)
-        return np.flatnonzero(gamma == 0)
+        return frozen(np.flatnonzero(gamma == 0))
 
     @property
     def load_input(self) -> list[FloatArray]:

@@ -8,7 +8,7 @@ from tenscontrol.structure.bar_geometry import (
     refuse_wrong_bar_lengths,
     restore_bar_lengths,
 )
-from tenscontrol.structure.blocks import Block, bar_rows, node_mass
+from tenscontrol.structure.blocks import Block, bar_rows, block_mass, node_mass
 from tenscontrol.structure.connectivity import refuse_many_members
 from tenscontrol.structure.net import net
 from tenscontrol.structure.prism import prism, prism_radius, prism_tower
@@ -40,6 +40,7 @@ __all__ = [
     "affine_motions",
     "bar_distances",
     "bar_rows",
+    "block_mass",
     "crossing",
     "free_coordinates",
     "is_movable",

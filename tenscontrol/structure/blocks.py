@@ -235,7 +235,7 @@ def restore_block(structure: Jointed, block: Block, nodes: FloatArray) -> FloatA
     rows, bars = block.rows, block.independent
     if len(bars) == 0:
         return nodes
-    flat, mass = nodes.ravel(order="F"), _row_mass(structure, block)
+    flat, mass = nodes.ravel(order="F"), block_mass(structure, block)
     length = structure.bar_length[bars]
     best = np.inf
     for _ in range(_MOST):
@@ -268,8 +268,8 @@ def _saddle(mass: Any, J: csr_array, shift: float = 0.0) -> csr_array:
     return block_array([[mass, J.T], [J, -shift * eye_array(J.shape[0])]], format="csr")
 
 
-def _row_mass(structure: Jointed, block: Block) -> csr_array:
-    """Return the mass matrix of the rows of a block, kg."""
+def block_mass(structure: Jointed, block: Block) -> csr_array:
+    """Return the mass matrix of the rows of a block, sparse, shape (r, r), kg."""
     from scipy.sparse import eye_array, kron
 
     d = structure.dimension

@@ -135,6 +135,7 @@ RESULTS = {
     "simulation.Trajectory",
     "statics.Prestress",
     "statics.Stability",
+    "statics.TangentStiffness",
 }
 
 # Bases of a user's own classes and enumerations: nobody makes one of them.
@@ -167,6 +168,8 @@ WITHIN = {
     "dynamics.StringLaw.as_expressions",
     "dynamics.StringLaw.with_parameters",
     "dynamics.Equation.symbols",
+    "dynamics.Coordinates.expressions",
+    "dynamics.Coordinates.hidden",
     "Height.miss",
     "NodesAt.miss",
     "PointAt.miss",
@@ -493,6 +496,11 @@ call(
         "external_force": STILL,
     },
 )
+call(
+    "prestress, bounds",
+    lambda: {"structure": prism(), "min_force_density": 5.0, "max_force_density": np.full(9, 80.0)},
+)
+call("statics.Prestress.tangent_stiffness", lambda: {"stiffness": np.full(9, 100.0)}, rest)
 call("prestress, array", lambda: {"structure": prism(), "force_density": gamma()})
 call("statics.equilibrium_matrix", lambda: {"structure": prism(), "nodes": nodes()})
 call(

@@ -9,7 +9,7 @@ import numpy as np
 
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.forms.passes import Pass, Read, Write
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, block_mass
 from tenscontrol.validation import IntArray
 
 # Pairs of entries, each of which takes a product and a difference, that cost as much as a member.
@@ -48,7 +48,7 @@ class Elimination:
         block = kernel.coupled_block(structure)
         rows, unknowns = len(block.rows), len(block.order)
         position = np.argsort(block.order)
-        mass = kernel.block_mass(structure, block).tocoo()
+        mass = block_mass(structure, block).tocoo()
         one, other = position[mass.row], position[mass.col]
         # Entries of J: of each bar, which comes later, by the rows of both ends that are not held.
         d = structure.dimension
