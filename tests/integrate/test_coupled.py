@@ -104,14 +104,15 @@ def scene(name, damping=0.0, gravity=GRAVITY, stretch=0.0):
 
 @pytest.mark.parametrize(("name", "damping"), [*((n, 0.0) for n in SCENES), ("mixed", 1.0)])
 def test_a_motion_through_switches_is_the_oracles(name, damping):
-    structure, _, equation, lengths = scene(name, damping, stretch=0.005)
+    structure, model, equation, lengths = scene(name, damping, stretch=0.005)
+    smooth = model.equation("rest_length", form="mapped") if equation.form == "loops" else equation
     x, duration = moving(structure), 0.6 if name == "arm" else 0.3
     exact, switches = Oracle(structure, lengths, damping).motion(x, duration)
     assert switches >= 2
     span = METHODS["dop853"].integrator(equation, 1e-12).advance(x, lengths, duration, 1)
     np.testing.assert_allclose(span.states[:, -1], exact, rtol=0, atol=1e-9)
     assert span.work.switches == switches
-    loose = METHODS["cvodes"].integrator(equation, 1e-8).advance(x, lengths, duration, 1)
+    loose = METHODS["cvodes"].integrator(smooth, 1e-8).advance(x, lengths, duration, 1)
     np.testing.assert_allclose(loose.states[:, -1], exact, rtol=0, atol=2e-5)
     for each in (span, loose):
         assert max(errors_of_bars(structure, each.states)) < 1e-13
