@@ -15,16 +15,13 @@ Sign convention::
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.structure import Block, Structure, block_mass, node_mass
 from tenscontrol.validation import FloatArray, IntArray
-
-if TYPE_CHECKING:
-    pass
 
 # A string shorter than this part of its rest length has no direction to pull in.
 _NO_LENGTH = 1e-12
