@@ -3,7 +3,7 @@
 Run: ``python -m tests.benchmarks.oracle_agreement``. Structures of class 1 to 6 in space and in the
 plane. Printed are the largest differences, as parts of the largest acceleration and λ. Loops in C
 are compiled for one structure in ten. Then the largest difference of nodes over motions of 2 s, in
-which strings go slack and taut.
+which strings go slack and taut. With ``--library`` also those of the library, each by name.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ import tenscontrol as tc
 from tenscontrol.dynamics import Evaluator, compiler, pack_state
 from tests.benchmarks.command_line import options
 from tests.dynamics.test_any_motion import both
+from tests.library.structures import STRUCTURES
 from tests.oracle import node_acceleration
 from tests.random_structures import any_motion_of, any_structure
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__doc__, arguments, structures=200, motions=12)
+    given = options(__doc__, arguments, structures=200, motions=12, library=False)
     count = given.structures
     worst = dict.fromkeys(("λ", "flat", "mapped", "loops"), 0.0)
     for seed in range(count):
@@ -36,6 +37,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         found, expected, switches = both(structure, 0.3 * any_motion_of(structure, seed)[1])
         far, switched = max(far, np.abs(found - expected).max()), switched + switches
     print(f"motions  {far:.1e} m, {switched} switches")
+    for name, make in STRUCTURES.items() if given.library else ():
+        structure = make()
+        found, expected, switches = both(structure, 0.3 * any_motion_of(structure, 0)[1])
+        print(f"{name:24s} {np.abs(found - expected).max():.1e} m, {switches} switches", flush=True)
 
 
 def differences(seed: int, compiles: bool) -> dict[str, float]:

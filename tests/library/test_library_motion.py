@@ -1,55 +1,23 @@
-"""Every structure of the library moves as a dense oracle says: multipliers by least squares."""
+"""Every structure of the library moves as the dense oracle says."""
 
 import numpy as np
 import pytest
 
 import tenscontrol as tc
-
-NAMES = [name for name in tc.library.__all__ if name != "net"]
-SIZES = {"prism_tower": {"stages": 2}, "cable_net": {"rows": 4, "columns": 5}}
-
-
-def oracle(structure, nodes, velocities, force_density):
-    """Return accelerations, shape (d, n), by the masses and constraints of bars one by one."""
-    d, n = nodes.shape
-    mass, force = np.diag(structure.point_mass), np.zeros((d, n))
-    for (a, b), m in zip(structure.bars, structure.bar_mass, strict=True):
-        mass[np.ix_([a, b], [a, b])] += m / 6 * np.array([[2, 1], [1, 2]])
-    for (a, b), gamma in zip(structure.strings, force_density, strict=True):
-        pull = gamma * (nodes[:, b] - nodes[:, a])
-        force[:, a] += pull
-        force[:, b] -= pull
-    rows, due = np.zeros((len(structure.bars), n * d)), np.zeros(len(structure.bars))
-    for i, (a, b) in enumerate(structure.bars):
-        along = nodes[:, b] - nodes[:, a]
-        rows[i, d * a : d * a + d], rows[i, d * b : d * b + d] = -along, along
-        due[i] = -np.sum((velocities[:, b] - velocities[:, a]) ** 2)
-    free = structure.free_rows
-    M = np.kron(mass, np.eye(d))[np.ix_(free, free)]
-    J = rows[:, free]
-    c = len(J)
-    matrix = np.block([[M, J.T], [J, np.zeros((c, c))]])
-    right = np.concatenate([force.ravel(order="F")[free], due])
-    found = np.zeros(n * d)
-    found[free] = np.linalg.lstsq(matrix, right, rcond=1e-13)[0][: len(free)]
-    return found.reshape(nodes.shape, order="F"), J
+from tests.library.structures import STRUCTURES
+from tests.oracle import node_acceleration
+from tests.random_structures import any_motion_of
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_accelerations_are_those_of_the_oracle(name):
-    structure = getattr(tc.library, name)(**SIZES.get(name, {}))
-    random = np.random.default_rng(len(name))
-    gamma = random.uniform(0.0, 20.0, len(structure.strings))
-    still = np.zeros_like(structure.nodes)
-    _, J = oracle(structure, structure.nodes, still, gamma)
-    speed = random.normal(size=len(structure.free_rows))
-    speed -= np.linalg.pinv(J, rcond=1e-10) @ (J @ speed)  # as the bars allow
-    flat = np.zeros(structure.nodes.size)
-    flat[structure.free_rows] = speed
-    velocities = flat.reshape(structure.nodes.shape, order="F")
-    expected, _ = oracle(structure, structure.nodes, velocities, gamma)
-    free = structure.free
-    model = tc.Model(structure)
-    found = model.acceleration(structure.nodes[:, free], velocities[:, free], gamma).full()
-    off = np.abs(found - expected[:, free]).max() / np.abs(expected).max()
-    assert off < 1e-10
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_accelerations_and_bar_forces_are_those_of_the_oracle(name):
+    structure = STRUCTURES[name]()
+    gamma = np.random.default_rng(len(name)).uniform(0.0, 20.0, len(structure.strings))
+    N, V = any_motion_of(structure, len(name))
+    expected, compression = node_acceleration(structure, N, V, gamma)
+    model, free = tc.Model(structure), structure.free
+    found = model.acceleration(N[:, free], V[:, free], gamma).full()
+    assert np.abs(found - expected[:, free]).max() < 1e-10 * np.abs(expected).max()
+    lam = model.bar_force_density(N[:, free], V[:, free], gamma).full().ravel()
+    largest = np.abs(compression).max(initial=1e-300)
+    assert np.abs(lam - compression).max(initial=0.0) < 1e-10 * largest
