@@ -194,7 +194,8 @@ def _independent(structure: Jointed, block: Block) -> IntArray:
     J = bar_rows(structure, bars, structure.nodes)[:, rows]
     # Directions alone count, not masses or lengths; a bar that holds nothing that moves has none.
     size = np.sqrt((J * J).sum(axis=1))
-    J = J / np.maximum(size, np.finfo(float).eps * structure.bar_length[bars])[:, None]
+    least = np.finfo(float).eps * structure.bar_length[bars]
+    J = csr_array(J / np.maximum(size, least)[:, None])  # SciPy 1.13 returns another format
     matrix = csc_array(_saddle(eye_array(r), J, _SHIFT))
     factors = splu(
         matrix[block.order][:, block.order], permc_spec="NATURAL", diag_pivot_thresh=0.0,
@@ -205,7 +206,7 @@ def _independent(structure: Jointed, block: Block) -> IntArray:
     is_kept = -pivots[r:] > _DOUBTFUL
     doubtful = np.flatnonzero(~is_kept)
     if len(doubtful):
-        left = _admitted(csr_array(J[is_kept]), J[doubtful].toarray().T)
+        left = _admitted(J[is_kept], J[doubtful].toarray().T)
         size = np.abs(left).max(axis=0)
         doubtful, left = doubtful[size > _DEPENDENT], left[:, size > _DEPENDENT]
         _, R, order = qr(left, mode="economic", pivoting=True)
