@@ -22,7 +22,8 @@ CLASS_1 = [
     (lambda: tc.prism_tower(3), (1252, 2581, 989, 300, 514, 62, 93)),
     (lambda: tc.net(4, 3, 0.1, 0.01), (282, 686, 0, 99, 193, 20, 53)),
     (lambda: tc.subdivide(tc.prism(), 3, node_mass=0.01), (767, 1471, 344, 319, 605, 66, 97)),
-    (standing, (188, 335, 148, 39, 122, 46, 79)),
+    # CasADi 3.7 keeps products with what is fixed in energies and momenta.
+    (standing, (188, 335, 148, *((48, 130) if ca.__version__ < "3.8" else (39, 122)), 46, 79)),
 ]
 
 
