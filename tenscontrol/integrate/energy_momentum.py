@@ -355,7 +355,7 @@ def step_equations(equation: Equation) -> StepEquations:
 
     # Change of momentum less impulse of the forces: m l²/12 turns about the centre of a free bar,
     # m l²/3 about the fixed end of one that swings.
-    N0, N1 = (_all_nodes(structure, nodes) for nodes in (q0, q1))
+    N0, N1 = (kernel.placed(structure, nodes, structure.nodes) for nodes in (q0, q1))
     forces = _mean_forces(equation, N0, N1, u, h)
     forces = kernel.free_entries(structure, forces[:, structure.free.tolist()])
     on_points, on_vectors = bodies.resultants(bodies.columns(forces[bodies.alone]))
@@ -429,15 +429,6 @@ class _Held:
             by_length * coupled.excess(c1) / h,
             by_length * coupled.stretching(c1, rates1),
         )
-
-
-def _all_nodes(structure: Structure, free: Any) -> Any:
-    """Return the columns of all nodes, shape (d, n), from the coordinates that are free."""
-    if len(structure.fixed_rows) == 0:
-        return ca.reshape(free, *structure.nodes.shape)
-    flat = ca.SX(ca.DM(structure.nodes.ravel(order="F")))
-    flat[structure.free_rows.tolist()] = free
-    return ca.reshape(flat, *structure.nodes.shape)
 
 
 def _mean_forces(equation: Equation, N0: Any, N1: Any, u: Any, h: Any) -> Any:

@@ -193,14 +193,13 @@ class Coupled:
         N, V, N1, V1 = (
             self.nodes(given[0]), self.rates(given[1]), self.nodes(given[2]), self.rates(given[3])
         )  # fmt: skip
-        mass = node_mass(structure)
         for block in self._blocks:
             if len(block.rows) < structure.dimension * len(block.nodes):
                 continue  # a roller
             if np.isin(structure.bars[block.bars], structure.fixed).any():
                 continue
             nodes = block.nodes.tolist()
-            M = ca.DM(mass[nodes][:, nodes].toarray())
+            M = ca.DM(node_mass(structure, block).toarray())
             total = float(ca.sum1(ca.sum2(M)))
             arms = N1[:, nodes]
             arms -= ca.repmat(ca.sum2(ca.mtimes(arms, M)) / total, 1, len(nodes))
