@@ -70,7 +70,7 @@ controllers = {
         winches=winches,
         min_force_density=5.0,
     ),
-    "LQR": tc.lqr(goal, Q, 5 * R, sample_time=SAMPLE, winches=winches),
+    "LQR": tc.LQR(goal, Q, 5 * R, sample_time=SAMPLE, winches=winches),
 }
 runs = {
     name: tc.simulate(

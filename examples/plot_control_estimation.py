@@ -19,7 +19,7 @@ model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
 rest = tc.prestress(prism, force_density=17.320508)
 plant = tc.linearize(model, rest)
 Q, R = tc.energy_weights(plant)
-regulator = tc.lqr(plant, Q, 0.1 * R, sample_time=STEP, max_force_density=90.0)
+regulator = tc.LQR(plant, Q, 0.1 * R, sample_time=STEP, max_force_density=90.0)
 
 # %%
 # The filter must know what acts between samples. The LQR commands force densities, but winches
@@ -33,7 +33,9 @@ held = tc.linearize(model, rest, input="rest_length")
 # does not, and is refused with what to add.
 
 try:
-    tc.kalman(held, tc.Sensors(structure=prism, string_length=1e-3, strings=[0]), sample_time=STEP)
+    tc.KalmanFilter(
+        held, tc.Sensors(structure=prism, string_length=1e-3, strings=[0]), sample_time=STEP
+    )
 except ValueError as error:
     refusal = str(error)
     print(refusal)
@@ -71,7 +73,7 @@ def off_target(run):
 runs = {"motion seen": simulated()}
 for name, noise in choices.items():
     sensors = tc.Sensors(structure=prism, **noise, **faults)
-    runs[name] = simulated(estimator=tc.kalman(held, sensors, sample_time=STEP), seed=1)
+    runs[name] = simulated(estimator=tc.KalmanFilter(held, sensors, sample_time=STEP), seed=1)
 
 curves = {name: off_target(run) for name, run in runs.items()}
 left = {name: off[-50:].max() for name, off in curves.items()}

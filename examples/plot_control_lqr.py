@@ -25,7 +25,7 @@ designs = {}
 for held in ("force_density", "rest_length"):
     plant = tc.linearize(model, rest, input=held)
     Q, R = tc.energy_weights(plant, by_mode=held == "rest_length")
-    designs[held] = plant, tc.lqr(plant, Q, 0.1 * R)
+    designs[held] = plant, tc.LQR(plant, Q, 0.1 * R)
 
 print("input           fastest pole      slowest pole, open loop -> closed loop")
 for held, (plant, law) in designs.items():
@@ -42,7 +42,7 @@ start = designs["force_density"][0].to_nodes(0.004 * np.random.default_rng(0).no
 runs, off = {}, {}
 for held, (plant, _) in designs.items():
     Q, R = tc.energy_weights(plant, by_mode=held == "rest_length")
-    law = tc.lqr(plant, Q, 0.1 * R, sample_time=SAMPLE)
+    law = tc.LQR(plant, Q, 0.1 * R, sample_time=SAMPLE)
     runs[held] = tc.simulate(
         model, DURATION, start, controller=law, input=held, step=1e-3, output_step=SAMPLE
     )

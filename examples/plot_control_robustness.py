@@ -28,7 +28,7 @@ def estimators(plant):
     """Return a filter that does not know of loads, and one that does."""
     sensors = tc.Sensors(structure=prism, string_length=0.001, bar_direction=0.005, delay=1)
     return {
-        name: tc.kalman(plant, sensors, sample_time=0.04, process_noise=0.2, load=load)
+        name: tc.KalmanFilter(plant, sensors, sample_time=0.04, process_noise=0.2, load=load)
         for name, load in (("no load estimated", False), ("load estimated", True))
     }
 

@@ -60,7 +60,7 @@ reference = tc.Reference(
 Q, R = tc.energy_weights(goal, by_mode=True)
 controllers = {
     "MPC": tc.MPC(plant, horizon=6, sample_time=SAMPLE, reference=reference, winches=winches),
-    "LQR": tc.lqr(goal, Q, R, sample_time=SAMPLE, winches=winches),
+    "LQR": tc.LQR(goal, Q, R, sample_time=SAMPLE, winches=winches),
 }
 runs = {
     name: tc.simulate(

@@ -67,7 +67,7 @@ def off_target(run, after=-np.inf):
 # Every combination. What is left is the largest distance in the last half second.
 
 controllers = {
-    "LQR": tc.lqr(plant, Q, 0.1 * R, sample_time=SAMPLE, max_force_density=90.0),
+    "LQR": tc.LQR(plant, Q, 0.1 * R, sample_time=SAMPLE, max_force_density=90.0),
     "MPC": tc.MPC(plant, horizon=10, sample_time=SAMPLE, max_force_density=80.0),
 }
 cases = [(1, 0.0)] + [(s, share) for s in (2, 4, 8) for share in (0.001, 0.01, 0.05, 0.2)]
@@ -106,7 +106,7 @@ drawn.ax.set_yscale("log")
 heavy, nodes = plant_with_mass(2, 0.2)
 full = tc.plant.command_parents(tc.linearize(heavy, at_rest(heavy), input="rest_length"))
 weights = tc.energy_weights(full)
-regulator = tc.lqr(full, weights[0], 0.1 * weights[1])
+regulator = tc.LQR(full, weights[0], 0.1 * weights[1])
 run = tc.simulate(
     heavy, DURATION, nodes, controller=regulator, sample_time=0.005, step=1e-3, output_step=SAMPLE
 )

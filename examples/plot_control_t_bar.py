@@ -63,7 +63,7 @@ options = {
     "min_force_density": 1.0,
 }  # fmt: skip
 controllers = {
-    "LQR": tc.lqr(goal, Q, 2 * R, sample_time=SAMPLE, winches=winches),
+    "LQR": tc.LQR(goal, Q, 2 * R, sample_time=SAMPLE, winches=winches),
     "MPC": tc.MPC(plant, **options),
     "NMPC": tc.NMPC(plant, **options),
 }

@@ -447,7 +447,7 @@ class Task:
                 "max_force_density": self.reach if name == "force_density" else None,
                 "winches": self.winches if name == "rest_length" else None,
             }
-            laws[name] = tc.lqr(plant, **settings)
+            laws[name] = tc.LQR(plant, **settings)
             # That a law in γ will not hold is a figure of the report.
             with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
                 mpc = tc.MPC(plant, horizon=self.horizon, reference=self.reference, **settings)

@@ -77,6 +77,9 @@ from .actuation import (
     to_rest_length as to_rest_length,
 )
 from .control import (
+    LQR as LQR,
+)
+from .control import (
     MPC as MPC,
 )
 from .control import (
@@ -111,6 +114,9 @@ from .dynamics import (
 )
 from .dynamics import (
     Model as Model,
+)
+from .estimation import (
+    KalmanFilter as KalmanFilter,
 )
 from .estimation import (
     Sensors as Sensors,
@@ -213,6 +219,7 @@ from .structure import (
 )
 
 __all__ = [
+    "LQR",
     "MPC",
     "NMPC",
     "Case",
@@ -223,6 +230,7 @@ __all__ = [
     "GainSchedule",
     "HealthLimits",
     "Height",
+    "KalmanFilter",
     "LinearStrings",
     "LostMeasurement",
     "Model",

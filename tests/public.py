@@ -30,10 +30,11 @@ def named(full_name):
 
 @cache
 def public():
-    """Every public function and class by its name without ``tenscontrol.``."""
+    """Every public function and class by its name without ``tenscontrol.``, of two the first."""
+    names = {id(named(name)): name for name in sorted(interface()[0], reverse=True)}
     return {
         name.removeprefix("tenscontrol."): named(name)
-        for name in sorted(interface()[0])
+        for name in sorted(names.values())
         if callable(named(name))
     }
 

@@ -105,13 +105,13 @@ def rest_length():
 
 @cache
 def regulator(step=0.001, max_force_density=50.0):
-    return tc.lqr(plant(), Q=1.0, R=1e-3, sample_time=step, max_force_density=max_force_density)
+    return tc.LQR(plant(), Q=1.0, R=1e-3, sample_time=step, max_force_density=max_force_density)
 
 
 @cache
 def winch_regulator():
     """Commands rest lengths."""
-    return tc.lqr(
+    return tc.LQR(
         tc.linearize(elastic(), rest(), input="rest_length"), Q=1.0, R=1.0, sample_time=0.001
     )
 
@@ -120,7 +120,7 @@ def winch_regulator():
 def pentagon_regulator():
     """Commands fifteen strings."""
     pentagon = tc.prism(sides=5)
-    return tc.lqr(tc.linearize(tc.Model(pentagon), tc.prestress(pentagon, 17.0)), Q=1.0, R=1.0)
+    return tc.LQR(tc.linearize(tc.Model(pentagon), tc.prestress(pentagon, 17.0)), Q=1.0, R=1.0)
 
 
 @cache
@@ -156,7 +156,7 @@ def lengths(**options):
 
 @cache
 def estimator(step=0.001):
-    return tc.kalman(held_plant(), lengths(), sample_time=step)
+    return tc.KalmanFilter(held_plant(), lengths(), sample_time=step)
 
 
 def run(**changes):

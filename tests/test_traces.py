@@ -88,7 +88,7 @@ def test_building_an_mpc(scene):
         ("NMPC.command", lambda scene: tc.NMPC(scene.plant, **scene.usual), 12),
         (
             "LQR.command",
-            lambda scene: tc.lqr(
+            lambda scene: tc.LQR(
                 scene.plant, Q=1.0, R=1e-3, sample_time=SAMPLE, max_force_density=50.0
             ),
             10,

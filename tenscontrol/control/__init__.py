@@ -7,7 +7,7 @@ from tenscontrol.control.feedback_linearization import (
 )
 from tenscontrol.control.gain_schedule import GainSchedule
 from tenscontrol.control.held_loop import HeldLoop, held_loop
-from tenscontrol.control.lqr import LQR, lqr
+from tenscontrol.control.lqr import LQR
 from tenscontrol.control.mpc import (
     MPC,
     NMPC,
@@ -20,6 +20,9 @@ from tenscontrol.control.mpc import (
     clearance,
 )
 from tenscontrol.control.status import Fallback, Status
+
+#: The name of :class:`LQR` in 0.1.
+lqr = LQR
 
 __all__ = [
     "LQR",

@@ -66,7 +66,7 @@ class GainSchedule(Controller):
         if not given:
             raise ValueError("controllers is empty, expected at least one controller")
         for i, each in enumerate(given):
-            instance(f"controllers[{i}]", each, Controller, "make one by lqr(...) or MPC(...)")
+            instance(f"controllers[{i}]", each, Controller, "make one by LQR(...) or MPC(...)")
             _refuse_other(f"controllers[{i}]", each, given[0])
         lows, highs = zip(*(each.bounds for each in given), strict=True)
         first = given[0]

@@ -62,7 +62,7 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     plant : LinearPlant
         With ``input="force_density"``, of a model with a string law.
     gain : array_like, shape (α, 2r)
-        K, for example that of :func:`lqr`.
+        K, for example that of :class:`LQR`.
     sample_time : float
         Sample time, s.
 
@@ -86,7 +86,7 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     ...     model = tc.Model(prism, strings=tc.LinearStrings(stiffness))
     ...     plant = tc.linearize(model, tc.prestress(prism, force_density=17.3205))
     ...     Q, R = tc.energy_weights(plant)
-    ...     law = tc.lqr(plant, Q, 0.1 * R, sample_time=0.02)
+    ...     law = tc.LQR(plant, Q, 0.1 * R, sample_time=0.02)
     ...     print(held_loop(plant, law.gain, sample_time=law.sample_time).holds)
     True
     False

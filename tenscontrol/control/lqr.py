@@ -23,76 +23,15 @@ from tenscontrol.validation import FloatArray, frozen, instance, positive_number
 
 @final
 class LQR(Controller):
-    """The state feedback ``u = u₀ − K z``, kept within bounds. Made by :func:`lqr`.
+    """Linear-quadratic regulator: the state feedback that minimizes ``∫ zᵀ Q z + vᵀ R v dt``.
 
-    With a ramp input the state at the end of a sample depends on the previous input too:
-    ``u = u₀ − K z − H (u_previous − u₀)``.
+    It commands ``u = u₀ − K z``, kept within bounds. With a ramp input the state at the end of a
+    sample depends on the previous input too: ``u = u₀ − K z − H (u_previous − u₀)``.
 
     If the desired input is beyond the bounds, or farther from the previous input
     (:meth:`applied`) than a change may be, the status is ``"saturated"``. If the structure
     cannot have the measurement, γ of the operating point is commanded, or the previous
     rest lengths.
-
-    Attributes
-    ----------
-    gain : ndarray, shape (α, 2r)
-        K.
-    previous_input_gain : ndarray, shape (α, α), or None
-        H, for a ramp input.
-    poles : ndarray of complex, shape (2r,)
-        Closed-loop poles: of the s-plane, 1/s, or with a sample time of the z-plane. For a ramp
-        input there are 2r + α.
-    cost : ndarray, shape (2r, 2r)
-        Solution P of the Riccati equation: ``zᵀ P z`` is the cost to go. For a ramp input, of
-        ``[z; u_previous − u₀]``.
-    riccati_residual : float
-        Residual of the Riccati equation relative to its largest term.
-    """
-
-    def __init__(
-        self,
-        plant: LinearPlant,
-        sample_time: float | None,
-        bounds: tuple[FloatArray, FloatArray],
-        gain: FloatArray,
-        poles: np.ndarray,
-        cost: FloatArray,
-        riccati_residual: float,
-        change: FloatArray | None,
-    ) -> None:
-        super().__init__(plant, sample_time, *bounds, change)
-        states = len(plant.A)
-        ramp = gain.shape[1] > states
-        self.gain = frozen(gain[:, :states])
-        self.previous_input_gain = frozen(gain[:, states:]) if ramp else None
-        self.poles = frozen(poles)
-        self.cost = frozen(cost)
-        self.riccati_residual = riccati_residual
-
-    def _decide(self, time: float, state: FloatArray) -> Command:
-        equilibrium = self.plant.equilibrium_input
-        desired = equilibrium - self.gain @ state
-        if self.previous_input_gain is not None and self._previous_input is not None:
-            desired -= self.previous_input_gain @ (self._previous_input - equilibrium)
-        reached = np.array_equal(self._within_bounds(desired), desired)
-        return Command(desired, Status.OK if reached else Status.SATURATED)
-
-    def __repr__(self) -> str:
-        kind = "continuous" if self.sample_time is None else f"every {self.sample_time:g} s"
-        return f"LQR({self.plant!r}, {kind})"
-
-
-def lqr(
-    plant: LinearPlant,
-    Q: object = None,
-    R: object = None,
-    *,
-    sample_time: float | None = None,
-    max_force_density: object = None,
-    max_change: object = None,
-    winches: Winches | None = None,
-) -> LQR:
-    """Return the feedback that minimizes ``∫ zᵀ Q z + vᵀ R v dt``.
 
     Parameters
     ----------
@@ -116,9 +55,20 @@ def lqr(
         Speed and range that bound rest lengths. The feedback is designed for how they move, by
         their ``substeps``: a jump at the start of a sample, or a ramp over it.
 
-    Returns
-    -------
-    LQR
+    Attributes
+    ----------
+    gain : ndarray, shape (α, 2r)
+        K.
+    previous_input_gain : ndarray, shape (α, α), or None
+        H, for a ramp input.
+    poles : ndarray of complex, shape (2r,)
+        Closed-loop poles: of the s-plane, 1/s, or with a sample time of the z-plane. For a ramp
+        input there are 2r + α.
+    cost : ndarray, shape (2r, 2r)
+        Solution P of the Riccati equation: ``zᵀ P z`` is the cost to go. For a ramp input, of
+        ``[z; u_previous − u₀]``.
+    riccati_residual : float
+        Residual of the Riccati equation relative to its largest term.
 
     Raises
     ------
@@ -137,34 +87,68 @@ def lqr(
     >>> import tenscontrol as tc
     >>> prism = tc.prism()
     >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
-    >>> regulator = tc.lqr(plant, Q=1.0, R=1e-3)
+    >>> regulator = tc.LQR(plant, Q=1.0, R=1e-3)
     >>> regulator.gain.shape, bool(regulator.poles.real.max() < 0)
     ((9, 18), True)
     """
-    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    states, inputs = plant.B.shape
-    refuse_empty(plant)
-    if Q is None or R is None:
-        natural = energy_weights(plant)
-        Q, R = (own if given is None else given for own, given in zip(natural, (Q, R), strict=True))
-    state_weight = weight_matrix("Q", Q, states, definite=False)
-    input_weight = weight_matrix("R", R, inputs, definite=True)
-    if winches is not None:
-        instance("winches", winches, Winches, "make them by Winches(rate=...)")
-    if sample_time is not None:
-        sample_time = positive_number("sample_time", sample_time, "s")
-    bounds = input_bounds(plant, max_force_density, winches)
-    change = largest_change(plant, max_change, winches, sample_time)
-    if sample_time is None and winches is not None and winches.substeps > 1:
-        raise ValueError(
-            f"winches.substeps is {winches.substeps}: rest lengths are ramps over samples, so "
-            "give sample_time, s"
-        )
-    refuse_unreachable(plant)
 
-    if sample_time is None:
-        A, B = plant.A, plant.B
-    else:
-        A, B = sampled(plant, sample_time, 1 if winches is None else winches.substeps).augmented
-    _, feedback = regulator(plant, A, B, state_weight, input_weight, sample_time is not None)
-    return LQR(plant, sample_time, bounds, *feedback, change)
+    def __init__(
+        self,
+        plant: LinearPlant,
+        Q: object = None,
+        R: object = None,
+        *,
+        sample_time: float | None = None,
+        max_force_density: object = None,
+        max_change: object = None,
+        winches: Winches | None = None,
+    ) -> None:
+        instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        states, inputs = plant.B.shape
+        refuse_empty(plant)
+        if Q is None or R is None:
+            natural = energy_weights(plant)
+            Q, R = (
+                own if given is None else given for own, given in zip(natural, (Q, R), strict=True)
+            )
+        state_weight = weight_matrix("Q", Q, states, definite=False)
+        input_weight = weight_matrix("R", R, inputs, definite=True)
+        if winches is not None:
+            instance("winches", winches, Winches, "make them by Winches(rate=...)")
+        if sample_time is not None:
+            sample_time = positive_number("sample_time", sample_time, "s")
+        bounds = input_bounds(plant, max_force_density, winches)
+        change = largest_change(plant, max_change, winches, sample_time)
+        if sample_time is None and winches is not None and winches.substeps > 1:
+            raise ValueError(
+                f"winches.substeps is {winches.substeps}: rest lengths are ramps over samples, so "
+                "give sample_time, s"
+            )
+        refuse_unreachable(plant)
+
+        if sample_time is None:
+            A, B = plant.A, plant.B
+        else:
+            A, B = sampled(plant, sample_time, 1 if winches is None else winches.substeps).augmented
+        _, (gain, poles, cost, residual) = regulator(
+            plant, A, B, state_weight, input_weight, sample_time is not None
+        )
+        super().__init__(plant, sample_time, *bounds, change)
+        ramp = gain.shape[1] > states
+        self.gain = frozen(gain[:, :states])
+        self.previous_input_gain = frozen(gain[:, states:]) if ramp else None
+        self.poles = frozen(poles)
+        self.cost = frozen(cost)
+        self.riccati_residual = residual
+
+    def _decide(self, time: float, state: FloatArray) -> Command:
+        equilibrium = self.plant.equilibrium_input
+        desired = equilibrium - self.gain @ state
+        if self.previous_input_gain is not None and self._previous_input is not None:
+            desired -= self.previous_input_gain @ (self._previous_input - equilibrium)
+        reached = np.array_equal(self._within_bounds(desired), desired)
+        return Command(desired, Status.OK if reached else Status.SATURATED)
+
+    def __repr__(self) -> str:
+        kind = "continuous" if self.sample_time is None else f"every {self.sample_time:g} s"
+        return f"LQR({self.plant!r}, {kind})"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tenscontrol.actuation import Winches, to_rest_length
-from tenscontrol.control import LQR, MPC, energy_weights, lqr
+from tenscontrol.control import LQR, MPC, energy_weights
 from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.interrupt import check
 from tenscontrol.plant import LinearPlant, Modes, Reference, controllability, linearize, modes
@@ -106,7 +106,7 @@ def show_lqr(model: Model, plant: LinearPlant) -> LQR:
         f"{abs(test.pole[weakest]):.3f} rad/s, PBH margin {test.margin[weakest]:.3f}"
     )
     Q, R = energy_weights(plant)
-    regulator = lqr(plant, Q, 0.1 * R)
+    regulator = LQR(plant, Q, 0.1 * R)
     print("   closed-loop poles, 1/s:")
     upper = regulator.poles[regulator.poles.imag >= 0]
     for row in np.array_split(upper[np.argsort(upper.real)], 3):

@@ -58,7 +58,7 @@ def lqr_code(controller: LQR) -> LawCode:
     if controller.sample_time is None:
         raise ValueError(
             "controller is an LQR in continuous time, and code runs in samples: "
-            "make it by lqr(plant, Q, R, sample_time=...)"
+            "make it by LQR(plant, Q, R, sample_time=...)"
         )
     matrices = {"feedback": -controller.gain}
     if controller.previous_input_gain is not None:

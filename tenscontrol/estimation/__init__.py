@@ -1,7 +1,9 @@
 """State estimation: sensors, and a Kalman filter in reduced coordinates."""
 
-from tenscontrol.estimation.kalman import kalman
 from tenscontrol.estimation.kalman_filter import Estimate, FilterStatistics, KalmanFilter
 from tenscontrol.estimation.sensors import KINDS, Sensors
+
+#: The name of :class:`KalmanFilter` in 0.1.
+kalman = KalmanFilter
 
 __all__ = ["KINDS", "Estimate", "FilterStatistics", "KalmanFilter", "Sensors", "kalman"]

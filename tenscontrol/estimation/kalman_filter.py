@@ -6,13 +6,14 @@ from collections import Counter, deque
 from dataclasses import dataclass
 from typing import Any, final
 
-import casadi as ca
 import numpy as np
 
+from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Evaluator, Exclusive, exclusive
 from tenscontrol.estimation.correction import Correction
+from tenscontrol.estimation.filter_design import FilterDesign, filter_design
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.plant import LinearPlant, Sampled
+from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray, IntArray, frozen, measured, shaped
 
 OK, PARTLY, LOST, REFUSED = "ok", "partly used", "lost", "refused"
@@ -23,30 +24,6 @@ _WIDER = 10.0
 
 # A variance so many times that of the start says nothing any more, and would overflow in the end.
 _NOTHING_KNOWN = 1e12
-
-
-@dataclass(frozen=True, eq=False)
-class FilterDesign:
-    """A filter made by :func:`kalman`, in the coordinates of ``plant``.
-
-    Where a load is estimated, z has r more entries: the acceleration q̈ that it gives. Covariances
-    have the shape (s, s), ``outputs`` is ``(z, u) -> (y, ∂y/∂z)``, and ``motion`` is ``(z, u) ->
-    (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)`` over a substep, None for a linear prediction.
-    """
-
-    plant: LinearPlant
-    sensors: Sensors
-    sample_time: float
-    load: bool
-    substeps: int
-    sampled: Sampled
-    process_covariance: FloatArray
-    start_covariance: FloatArray
-    start: FloatArray
-    outputs: ca.Function
-    motion: ca.Function | None
-    gate: float
-    patience: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,12 +153,51 @@ class Tally:
 
 @final
 class KalmanFilter:
-    """Estimates the motion of a plant from readings, sample by sample. Made by :func:`kalman`.
+    """Estimates the motion of a plant from readings, sample by sample.
 
     At each sample call :meth:`update` with the readings, and :meth:`predict` with
     the input that is then held. The covariance is carried along, since readings are lost
     and refused; while all are used near the operating point it settles at the steady one. A
     pickled filter is loaded without memory.
+
+    The plant's input must be what the actuators hold between samples: for winches linearize
+    with ``input="rest_length"``, whatever the controller commands. To internal coordinates the
+    motions as one body that the readings see are added.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        In internal or minimal coordinates.
+    sensors : Sensors
+        Of the structure of the plant's model.
+    sample_time : float
+        Sample time, s; a reading is taken at the start of each sample.
+    process_noise : float
+        Standard deviation of an unknown acceleration in each coordinate, constant over a
+        sample and independent from one to the next, as a part of the root mean square
+        acceleration that each string would give if it pulled alone with its tension
+        at the operating point.
+    load : bool
+        Whether to estimate an unknown load, an acceleration q̈ in each coordinate. Without it
+        such a load, or strings of another stiffness, shift the estimate.
+    load_noise : float
+        Standard deviation of the change of that acceleration from one sample to the next, in the
+        unit of ``process_noise``. A larger one follows faster and filters less.
+    prediction : {"linear", "nonlinear"}
+        By the plant, near its operating point, or by the equations of motion.
+    gate : float
+        Probability that a good reading is refused, above 0 and below 1.
+    patience : int
+        After so many samples in a row with most readings refused, the filter restarts from the
+        readings. At least 1.
+    start : array_like, shape (d, n), optional
+        Expected shape at the start, m, at rest; the operating point if not given.
+    start_spread : float
+        Standard deviation of the nodes from there, as a part of the size of the structure; that
+        of the speeds follows from the forces of the strings over this distance.
+    winches : Winches, optional
+        Winches with ramps, ``Winches(substeps=...)``, which the prediction follows. Their limits
+        do not matter.
 
     Attributes
     ----------
@@ -195,23 +211,89 @@ class KalmanFilter:
         Of the steady filter, in the z-plane.
     riccati_residual : float
         Residual of the Riccati equation relative to its largest term.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or does not fit; if an undamped motion, or the load,
+        is not observable (the message says which readings in addition would do); if no string
+        pulls at the operating point; if the Riccati solution fails its check.
+
+    Notes
+    -----
+    ``z⁺ = Φ z + Γ v + d + Ψ (w + a)``, ``y = h(z, u) + e``, with Φ, Γ and Ψ exact for what
+    is held over a sample; a ramp adds ``Γ_p v_previous``. The acceleration a by the unknown load
+    has ``a⁺ = a + w'`` where it is estimated, and is 0 otherwise. The steady gain for
+    ``C = ∂h/∂z`` at the operating point is that of python-control's ``dlqr`` for the dual
+    problem, solved with whitened readings, and checked.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> sensors = tc.Sensors(structure=prism, string_length=0.001, node_position=0.005)
+    >>> estimator = tc.KalmanFilter(plant, sensors, sample_time=0.02)
+    >>> estimator
+    KalmanFilter(30 states, 15 readings, sample time 0.02 s, linear prediction)
+    >>> bool(abs(estimator.poles).max() < 1)
+    True
+
+    The length of one string does not tell of all motions:
+
+    >>> few = tc.Sensors(structure=prism, string_length=0.001, strings=[0])
+    >>> tc.KalmanFilter(plant, few, sample_time=0.02)  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    ValueError: 10 of the 18 states are not seen by ...
     """
 
     def __init__(
         self,
+        plant: LinearPlant,
+        sensors: Sensors,
+        *,
+        sample_time: float,
+        process_noise: float = 0.02,
+        load: bool = False,
+        load_noise: float = 0.05,
+        prediction: str = "linear",
+        gate: float = 1e-4,
+        patience: int = 5,
+        start: object = None,
+        start_spread: float = 0.03,
+        winches: Winches | None = None,
+    ) -> None:
+        self._begin(
+            *filter_design(
+                plant,
+                sensors,
+                sample_time=sample_time,
+                process_noise=process_noise,
+                load=load,
+                load_noise=load_noise,
+                prediction=prediction,
+                gate=gate,
+                patience=patience,
+                start=start,
+                start_spread=start_spread,
+                winches=winches,
+            )
+        )
+
+    def _begin(
+        self,
         design: FilterDesign,
         C: FloatArray,
-        gain: FloatArray,
-        covariance: FloatArray,
-        poles: np.ndarray,
-        riccati_residual: float,
+        steady: tuple[FloatArray, FloatArray, np.ndarray, float],
     ) -> None:
+        """Take a design, and be as after a reset."""
+        self.C = C
+        self.gain, self.covariance, self.poles, self.riccati_residual = steady
         #: The thread that uses the filter: another one is refused meanwhile.
         self.in_use = Exclusive("this KalmanFilter")
         self._design = design
         self._size = len(design.start)
-        self.C, self.gain, self.covariance, self.poles = C, gain, covariance, poles
-        self.riccati_residual = riccati_residual
         self._motion = None if design.motion is None else Evaluator(design.motion)
         self._correction = Correction(design.plant, design.sensors, design.outputs, design.gate)
         structure, T = design.plant.model.structure, design.plant.basis
@@ -259,9 +341,9 @@ class KalmanFilter:
         Parameters
         ----------
         state : array_like, shape (s,), optional
-            z at the start; that of :func:`kalman` if not given.
+            z at the start; that of the constructor if not given.
         covariance : array_like, shape (s, s), optional
-            Its covariance; by ``start_spread`` of :func:`kalman` if not given.
+            Its covariance; by ``start_spread`` of the constructor if not given.
         held : array_like, shape (α,), optional
             Input at the start, as for :meth:`predict`. If not given, the first sample uses no
             tensions and has no ramp.
@@ -427,9 +509,12 @@ class KalmanFilter:
             status=self._tally.last,
         )
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        steady = self.C, self.gain, self.covariance, self.poles, self.riccati_residual
-        return KalmanFilter, (self._design, *steady)
+    def __getstate__(self) -> tuple[Any, ...]:
+        steady = self.gain, self.covariance, self.poles, self.riccati_residual
+        return self._design, self.C, steady
+
+    def __setstate__(self, parts: tuple[Any, ...]) -> None:
+        self._begin(*parts)
 
     def __repr__(self) -> str:
         kind = "linear" if self._motion is None else "nonlinear"

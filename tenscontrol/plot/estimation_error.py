@@ -52,9 +52,9 @@ def estimate(
     >>> import matplotlib.pyplot as plt, tenscontrol as tc
     >>> prism = tc.prism()
     >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
-    >>> regulator = tc.lqr(plant, Q=1.0, R=1e-2, sample_time=0.02)
+    >>> regulator = tc.LQR(plant, Q=1.0, R=1e-2, sample_time=0.02)
     >>> sensors = tc.Sensors(structure=prism, string_length=0.001)
-    >>> estimator = tc.kalman(plant, sensors, sample_time=0.02)
+    >>> estimator = tc.KalmanFilter(plant, sensors, sample_time=0.02)
     >>> run = tc.simulate(
     ...     tc.Model(prism), 0.2, controller=regulator, step=1e-3, estimator=estimator)
     >>> panels = tc.plot.estimate(run)

@@ -106,7 +106,7 @@ def sweep(
     >>> rest = tc.prestress(prism, force_density=17.3205)
     >>> plant = tc.linearize(tc.Model(prism, strings=strings), rest, input="rest_length")
     >>> case = tc.ClosedLoopCase(
-    ...     prism, strings, tc.lqr(plant, sample_time=0.02), 0.3, 5e-3, 0.02)
+    ...     prism, strings, tc.LQR(plant, sample_time=0.02), 0.3, 5e-3, 0.02)
     >>> with ThreadPoolExecutor(1) as executor:
     ...     report = tc.sweep(
     ...         case, {"stiffness": tc.Uniform(0.7, 1.3, size=9)}, 5, seed=0, executor=executor)

@@ -144,7 +144,7 @@ class ClosedLoopCase:
     >>> plant = tc.linearize(tc.Model(prism, strings=strings), rest, input="rest_length")
     >>> Q, R = tc.energy_weights(plant)
     >>> case = tc.ClosedLoopCase(
-    ...     prism, strings, tc.lqr(plant, Q, 0.1 * R, sample_time=0.02),
+    ...     prism, strings, tc.LQR(plant, Q, 0.1 * R, sample_time=0.02),
     ...     duration=1.0, step=5e-3, tolerance=0.03)
     >>> outcome = case({"stiffness": np.linspace(0.7, 1.3, 9)}, np.random.default_rng(0))
     >>> outcome.success, round(outcome.figures["final_error"], 4)
@@ -171,7 +171,7 @@ class ClosedLoopCase:
 
     def __post_init__(self) -> None:
         instance("structure", self.structure, Structure, "for example prism()")
-        instance("controller", self.controller, Controller, "make one by lqr(...) or MPC(...)")
+        instance("controller", self.controller, Controller, "make one by LQR(...) or MPC(...)")
         if self.winches is not None:
             instance("winches", self.winches, Winches, "make them by Winches(rate=...)")
         put = object.__setattr__  # the dataclass is frozen for everyone else
@@ -194,11 +194,11 @@ class ClosedLoopCase:
             lengths = per_member("rest_length", self.rest_length, count, "string of the controller")
             put(self, "rest_length", frozen(positive("rest_length", lengths, "length in m")))
         if self.estimator is not None:
-            instance("estimator", self.estimator, KalmanFilter, "make one by kalman(...)")
+            instance("estimator", self.estimator, KalmanFilter, "make one by KalmanFilter(...)")
         if self.sensors is not None:
             instance("sensors", self.sensors, Sensors, "make them by Sensors(structure=..., ...)")
             if self.estimator is None:
-                raise ValueError("sensors go with an estimator; kalman(...) makes one")
+                raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
         if self.input is not None:
             choice("input", self.input, ("rest_length", "force_density"))
         held = "force_density" if self.strings is None else "rest_length"

@@ -107,7 +107,7 @@ def sweep(
     >>> plant = tc.linearize(model, rest, input="rest_length")
     >>> Q, R = tc.energy_weights(plant)
     >>> case = tc.ClosedLoopCase(
-    ...     prism, model.strings, tc.lqr(plant, Q, 0.1 * R, sample_time=0.02),
+    ...     prism, model.strings, tc.LQR(plant, Q, 0.1 * R, sample_time=0.02),
     ...     duration=0.5, step=5e-3, tolerance=0.03)
     >>> with ThreadPoolExecutor(1) as executor:
     ...     report = tc.sweep(

@@ -10,7 +10,7 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.control import MPC, Controller, GainSchedule, OutputLimit, energy_weights
 from tenscontrol.dynamics import Model
-from tenscontrol.estimation import KalmanFilter, Sensors, kalman
+from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.limits import LARGEST_SEED, MOST_DESIGNS
 from tenscontrol.plant import Reference, linearize
 from tenscontrol.scene import schema
@@ -232,7 +232,7 @@ def build_estimator(
     with estimator.checked():
         plant = linearize(model, rest, input=input)
         settings = estimator.without("kind")
-        return kalman(plant, readings, sample_time=sample_time, winches=winches, **settings)
+        return KalmanFilter(plant, readings, sample_time=sample_time, winches=winches, **settings)
 
 
 def build_faults(document: Document, strings: int, winches: int | None) -> tuple[Fault, ...]:

@@ -92,7 +92,7 @@ def load_scene(file: str | Path) -> Scene:
         a controller in continuous time.
     ``[controller]``
         ``kind = "mpc"``, ``"nmpc"``, ``"feedback_linearization"`` or ``"lqr"`` with the arguments
-        of :class:`MPC`, :class:`NMPC`, :class:`FeedbackLinearization` or :func:`lqr`. ``input`` as
+        of :class:`MPC`, :class:`NMPC`, :class:`FeedbackLinearization` or :class:`LQR`. ``input`` as
         for :func:`linearize`; with ``"rest_length"``, MPC and NMPC know the winches of the scene.
         It is designed about the prestress, on the structure with its strings whole. With
         ``plants = 8``, MPCs are designed at eight shapes along the reference and take turns as a
@@ -110,7 +110,7 @@ def load_scene(file: str | Path) -> Scene:
         The arguments of :class:`Winches`.
     ``[sensors]``, ``[estimator]``
         The arguments of :class:`Sensors`, with ``seed`` of their noise;
-        ``kind = "kalman"`` with the arguments of :func:`kalman`, which knows the winches
+        ``kind = "kalman"`` with the arguments of :class:`KalmanFilter`, which knows the winches
         of the scene. The controller then gets the estimate.
     ``[[faults]]``
         ``kind = "cut_string"``, ``"stuck_winch"`` or ``"lost_measurement"`` with the

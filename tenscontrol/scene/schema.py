@@ -15,16 +15,16 @@ from typing import TypeVar
 from tenscontrol import library
 from tenscontrol.actuation import Winches
 from tenscontrol.control import (
+    LQR,
     MPC,
     NMPC,
     Controller,
     FeedbackLinearization,
     MPCSettings,
     OutputLimit,
-    lqr,
 )
 from tenscontrol.dynamics import ElasticStrings, LinearStrings
-from tenscontrol.estimation import Sensors, kalman
+from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.limits import LARGEST_WHOLE
 from tenscontrol.simulation import CutString, LostMeasurement, StuckWinch
 from tenscontrol.structure import Structure, skin, subdivide
@@ -278,7 +278,7 @@ LAWS = _named(
     elastic=_keys("law", ElasticStrings) | _keys("per"),
 )
 CONTROLLERS: Mapping[str, Callable[..., Controller]] = _named(
-    lqr=lqr, mpc=MPC, nmpc=NMPC, feedback_linearization=FeedbackLinearization
+    lqr=LQR, mpc=MPC, nmpc=NMPC, feedback_linearization=FeedbackLinearization
 )
 CONTROLLER_KEYS: Mapping[str, Keys] = MappingProxyType(
     {
@@ -314,7 +314,7 @@ TABLES = _named(
     controller={key: each for keys in CONTROLLER_KEYS.values() for key, each in keys.items()},
     winches=_keys("", Winches),
     sensors=_keys("", Sensors) | _keys("seed"),
-    estimator=_keys("kind", kalman, without="sample_time start"),
+    estimator=_keys("kind", KalmanFilter, without="sample_time start"),
     faults={key: each for keys in FAULT_KEYS.values() for key, each in keys.items()},
 )
 # Those of which a file has a list, each with a heading like [[faults]].

@@ -180,7 +180,7 @@ def _refuse_misfits(
     if estimator.substeps != substeps:
         raise ValueError(
             f"estimator predicts winches with substeps={estimator.substeps}, but those of the run "
-            f"have substeps={substeps}: give them to kalman(..., winches=...) as well"
+            f"have substeps={substeps}: give them to KalmanFilter(..., winches=...) as well"
         )
     seen, known = controller.plant.model.structure, estimator.plant.model.structure
     if not same_members(known, seen):

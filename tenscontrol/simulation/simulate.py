@@ -100,7 +100,7 @@ def simulate(
     force_density : float or array_like, shape (α,), optional
         γ, N/m.
     controller : Controller, optional
-        For example ``lqr(...)`` or ``MPC(...)``. It is reset first. One that
+        For example ``LQR(...)`` or ``MPC(...)``. It is reset first. One that
         was designed on the parent of a subdivided structure sees the parent's
         nodes and commands the parent's strings.
     input : {"rest_length", "force_density"}, optional
@@ -143,8 +143,8 @@ def simulate(
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
     estimator : KalmanFilter, optional
-        From :func:`kalman`. The controller then gets its estimate in place of the motion, and
-        the estimator the applied input. It is reset first. Its sample time and the substeps of
+        The controller then gets its estimate in place of the motion, and the estimator the applied
+        input. It is reset first. Its sample time and the substeps of
         its winches are those of the run.
     sensors : Sensors, optional
         The actual sensors, if noise, delay or losses differ from those of the estimator.
@@ -214,12 +214,12 @@ def simulate(
     if limits is not None:
         instance("limits", limits, HealthLimits, "make them by HealthLimits(bar_length_error=...)")
     if controller is not None:
-        instance("controller", controller, Controller, "make one by lqr(...) or MPC(...)")
+        instance("controller", controller, Controller, "make one by LQR(...) or MPC(...)")
     if estimator is not None:
-        how = "make one by kalman(plant, sensors, sample_time=...)"
+        how = "make one by KalmanFilter(plant, sensors, sample_time=...)"
         instance("estimator", estimator, KalmanFilter, how)
     if estimator is None and (sensors is not None or seed is not None):
-        raise ValueError("sensors and seed go with an estimator; kalman(...) makes one")
+        raise ValueError("sensors and seed go with an estimator; KalmanFilter(...) makes one")
     if not len(model.structure.free):
         raise ValueError("every node of the model is fixed: nothing can move")
     if start is not None:

@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     wound = {"rest_length": scenes.plant("rest_length").rest_length, "input": "rest_length"}
     controllers = {
         "LQR": (
-            tc.lqr(
+            tc.LQR(
                 plant, *tc.energy_weights(plant), sample_time=scenes.SAMPLE, max_force_density=80.0
             ),
             {},

@@ -55,7 +55,7 @@ def closed_loop(load: bool, duration: float = DURATION) -> tc.ClosedLoopCase:
     rest = tc.prestress(prism, force_density=17.320508)
     plant = tc.linearize(tc.Model(prism, strings=strings), rest, input="rest_length")
     sensors = tc.Sensors(structure=prism, string_length=0.001, bar_direction=0.005, delay=1)
-    estimator = tc.kalman(plant, sensors, sample_time=0.04, process_noise=0.2, load=load)
+    estimator = tc.KalmanFilter(plant, sensors, sample_time=0.04, process_noise=0.2, load=load)
     mpc = tc.MPC(plant, horizon=8, sample_time=0.04, max_force_density=65.0, load_gain=0.1)
     return tc.ClosedLoopCase(
         prism, strings, mpc, duration, 1e-2, tolerance=0.02, estimator=estimator

@@ -43,7 +43,7 @@ def laws(stiffness, held, winches=None, reference=None):
     limit = None
     if held == "force_density":
         R, limit, winches = 0.1 * R, 3 * REST.force_density.max(), None
-    law = tc.lqr(plant, Q, R, sample_time=SAMPLE, max_force_density=limit, winches=winches)
+    law = tc.LQR(plant, Q, R, sample_time=SAMPLE, max_force_density=limit, winches=winches)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # that it will not hold is known
         mpc = tc.MPC(
@@ -210,7 +210,7 @@ def test_weights_of_the_user_are_those_of_all_four(short):
     )
     assert seen == ["force_density", "rest_length"]
     plant = tc.linearize(model_of(1e3), REST)
-    law = tc.lqr(plant, *faster(plant), sample_time=SAMPLE)
+    law = tc.LQR(plant, *faster(plant), sample_time=SAMPLE)
     loop = tc.control.held_loop(plant, law.gain, sample_time=SAMPLE)
     assert fast.rows[0].held.radius == loop.radius
     assert fast.rows[0].held.radius != short.rows[1].held.radius
@@ -338,7 +338,7 @@ def test_a_shape_target_on_supports_under_its_weight_is_held():
     found = stiffness_report(goal, [1e3], sample_time=SAMPLE, damping=1.0, duration=0.3)
     plant = tc.linearize(model, goal.prestress, input="rest_length")
     Q, R = tc.energy_weights(plant, by_mode=True)
-    law = tc.lqr(plant, Q, R, sample_time=SAMPLE)
+    law = tc.LQR(plant, Q, R, sample_time=SAMPLE)
     assert found.rows[0].radius == pytest.approx(np.abs(law.poles).max(), rel=1e-9)
     assert found.runs("LQR", "rest_length")[0].error < 2e-3
 

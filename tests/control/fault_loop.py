@@ -48,7 +48,7 @@ def controller(kind, held, **changes):
         limits = {"winches": tc.Winches(RATE, *RANGE)}
     if kind == "lqr":
         Q, R = tc.energy_weights(at)
-        return tc.lqr(at, Q, R, sample_time=STEP, **limits, **changes)
+        return tc.LQR(at, Q, R, sample_time=STEP, **limits, **changes)
     made = {"mpc": tc.MPC, "nmpc": tc.NMPC}[kind]
     return made(at, horizon=HORIZON[kind], sample_time=STEP, **limits, **changes)
 

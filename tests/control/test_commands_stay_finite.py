@@ -61,8 +61,8 @@ class Own(Controller):
 def made(name):
     """A controller, used once."""
     kinds = {
-        "LQR": lambda: tc.lqr(plant(), sample_time=0.02),
-        "LQR, ramps": lambda: tc.lqr(held_plant(), sample_time=0.02, winches=RAMPS),
+        "LQR": lambda: tc.LQR(plant(), sample_time=0.02),
+        "LQR, ramps": lambda: tc.LQR(held_plant(), sample_time=0.02, winches=RAMPS),
         "MPC": lambda: tc.MPC(plant(), max_force_density=60.0, load_gain=0.5, **PREDICT),
         "MPC, ramps": lambda: tc.MPC(held_plant(), winches=RAMPS, load_gain=0.5, **PREDICT),
         "NMPC": lambda: tc.NMPC(plant(), max_force_density=60.0, load_gain=0.5, **PREDICT),
@@ -147,7 +147,9 @@ def test_inputs_of_any_size_are_followed_by_commands_within_bounds(name):
 
 @pytest.mark.parametrize("prediction", ["linear", "nonlinear"])
 def test_estimates_stay_finite(prediction):
-    filter_ = tc.kalman(held_plant(), lengths(delay=1), sample_time=0.02, prediction=prediction)
+    filter_ = tc.KalmanFilter(
+        held_plant(), lengths(delay=1), sample_time=0.02, prediction=prediction
+    )
     states, wound = len(filter_.poles), held_plant().rest_length
     exact = filter_.sensors.measure(nodes())
     for method in (filter_.update, filter_.predict, lambda bad: filter_.reset(state=bad)):
@@ -245,7 +247,7 @@ def test_a_way_around_is_a_reference():
 def test_an_estimate_starts_from_a_shape_in_reach():
     for shape in (turned(),):
         with pytest.raises(ValueError, match=r"start|bar"):
-            tc.kalman(held_plant(), lengths(), sample_time=0.02, start=shape)
+            tc.KalmanFilter(held_plant(), lengths(), sample_time=0.02, start=shape)
     assert estimator().sample_time == 0.001
 
 

@@ -118,7 +118,7 @@ def test_measurements_that_cannot_be_are_refused(kind, held):
 def test_bars_may_seem_a_tenth_off(stretched, refused):
     """The threshold as it is documented."""
     at = plant("force_density")
-    regulator = tc.lqr(at, *tc.energy_weights(at), sample_time=STEP)
+    regulator = tc.LQR(at, *tc.energy_weights(at), sample_time=STEP)
     nodes = at.nodes.copy()
     i, j = at.model.structure.bars[0]
     nodes[:, j] = nodes[:, i] + stretched * (nodes[:, j] - nodes[:, i])
@@ -128,7 +128,7 @@ def test_bars_may_seem_a_tenth_off(stretched, refused):
 
 def test_far_fast_and_moved_supports_are_refused_and_travel_is_not():
     at = plant("force_density")
-    regulator = tc.lqr(at, *tc.energy_weights(at), sample_time=STEP)
+    regulator = tc.LQR(at, *tc.energy_weights(at), sample_time=STEP)
     size = np.ptp(at.nodes, axis=1).max()
     fast = np.zeros((3, 6))
     fast[0, 0] = 10 * size / STEP
@@ -144,7 +144,7 @@ def test_far_fast_and_moved_supports_are_refused_and_travel_is_not():
     held = tc.Structure(prism.nodes, prism.bars, prism.strings, 1.0, fixed=[0])
     gamma = tc.prestress(prism, 17.3205).force_density
     fixed = tc.linearize(tc.Model(held), tc.prestress(held, gamma))
-    regulator = tc.lqr(fixed, *tc.energy_weights(fixed), sample_time=STEP)
+    regulator = tc.LQR(fixed, *tc.energy_weights(fixed), sample_time=STEP)
     assert regulator.command(0.0, prism.nodes, STILL).status == "ok"
     away = regulator.command(0.0, prism.nodes + 0.2 * size, STILL).status
     assert away.startswith("measurement not plausible")
@@ -358,7 +358,7 @@ def test_regulator_says_where_it_is_limited():
     at = plant("rest_length")
     Q, R = tc.energy_weights(at)
     winches = tc.Winches(RATE, *RANGE)
-    limited, free = (tc.lqr(at, Q, R, sample_time=STEP, winches=w) for w in (winches, None))
+    limited, free = (tc.LQR(at, Q, R, sample_time=STEP, winches=w) for w in (winches, None))
     np.testing.assert_array_equal(limited.bounds[0], RANGE[0])
     np.testing.assert_array_equal(limited.bounds[1], RANGE[1])
     far = pushed("rest_length", 0.05)
@@ -370,6 +370,6 @@ def test_regulator_says_where_it_is_limited():
     expected = np.clip(wish.value, at.rest_length - RATE * STEP, at.rest_length + RATE * STEP)
     np.testing.assert_allclose(command.value, expected, rtol=1e-14)
     with pytest.raises(ValueError, match=r"winches\.rate limits changes .*: give sample_time"):
-        tc.lqr(at, Q, R, winches=winches)
+        tc.LQR(at, Q, R, winches=winches)
     with pytest.raises(ValueError, match=r"max_change limits changes .*: give sample_time"):
-        tc.lqr(at, Q, R, max_change=0.01)
+        tc.LQR(at, Q, R, max_change=0.01)

@@ -144,10 +144,10 @@ def test_bars_may_be_turned_beyond_the_coordinates():
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     plant = tc.linearize(model, tc.prestress(prism, 17.3205), input="rest_length")
     regulator, rng = (
-        tc.lqr(plant, *tc.energy_weights(plant), sample_time=SAMPLE),
+        tc.LQR(plant, *tc.energy_weights(plant), sample_time=SAMPLE),
         np.random.default_rng(0),
     )
-    schedule = tc.GainSchedule([tc.lqr(plant, *tc.energy_weights(plant), sample_time=SAMPLE)])
+    schedule = tc.GainSchedule([tc.LQR(plant, *tc.energy_weights(plant), sample_time=SAMPLE)])
     start, end = prism.bars.T
     middle = (prism.nodes[:, start] + prism.nodes[:, end]) / 2
     beyond = 0
@@ -168,7 +168,7 @@ def test_a_regulator_can_be_scheduled():
     laws = []
     for plant in plants:
         Q, R = tc.energy_weights(plant, by_mode=True)
-        laws.append(tc.lqr(plant, Q, R, sample_time=SAMPLE))
+        laws.append(tc.LQR(plant, Q, R, sample_time=SAMPLE))
     found = tc.GainSchedule(laws)
     nodes = plants[1].to_nodes(1e-4 * np.ones(9))
     expected = laws[1].command(0.0, nodes, STILL).value

@@ -63,12 +63,12 @@ def test_prediction_is_what_a_small_motion_does():
     model = tc.Model(prism, strings=tc.LinearStrings(2e3))
     plant = tc.linearize(model, tc.prestress(prism, 17.3205))
     Q, R = tc.energy_weights(plant)
-    law = tc.lqr(plant, Q, 0.1 * R, sample_time=SAMPLE)
+    law = tc.LQR(plant, Q, 0.1 * R, sample_time=SAMPLE)
     loop = held_loop(plant, law.gain, sample_time=SAMPLE)
     assert loop.radius > 1
     assert not loop.holds
     start = plant.to_nodes(1e-6 * np.random.default_rng(0).normal(size=9))
-    law = tc.lqr(plant, Q, 0.1 * R, sample_time=SAMPLE, max_force_density=1e3)
+    law = tc.LQR(plant, Q, 0.1 * R, sample_time=SAMPLE, max_force_density=1e3)
     run = tc.simulate(model, 8.0, start, controller=law, step=5e-4)
     at = np.searchsorted(run.time, run.control.time[-151:] - 1e-9)
     size = [np.linalg.norm(plant.measure(run.nodes[:, :, k], run.velocities[:, :, k])) for k in at]

@@ -32,7 +32,7 @@ def settled(run, plant, goal=None):
 def test_lqr_brings_the_nonlinear_plant_to_rest(structure, held):
     plant = plant_of(structure, held, LAW if held == "rest_length" else None)
     assert tc.controllability(plant).is_controllable
-    law = tc.lqr(plant, sample_time=SAMPLE)
+    law = tc.LQR(plant, sample_time=SAMPLE)
     assert np.abs(law.poles).max() < 1
     run = tc.simulate(plant.model, 5.0, controller=law, nodes=pushed(plant), output_step=SAMPLE)
     assert settled(run, plant) < 1e-3
@@ -115,8 +115,8 @@ def test_a_filter_finds_the_shape(name, prediction):
     plant = plant_of(structure)
     sensors = tc.Sensors(structure=structure, string_length=1e-3, node_position=1e-2,
                          bar_direction=1e-2, outlier_rate=0.05)  # fmt: skip
-    estimator = tc.kalman(plant, sensors, sample_time=SAMPLE, prediction=prediction)
-    law = tc.lqr(plant, sample_time=SAMPLE)
+    estimator = tc.KalmanFilter(plant, sensors, sample_time=SAMPLE, prediction=prediction)
+    law = tc.LQR(plant, sample_time=SAMPLE)
     run = tc.simulate(
         plant.model, 1.0, controller=law, estimator=estimator, nodes=pushed(plant),
         output_step=SAMPLE, seed=1,
@@ -127,7 +127,7 @@ def test_a_filter_finds_the_shape(name, prediction):
 
 def test_a_node_off_its_roller_is_not_plausible():
     plant = plant_of(d_bar())
-    law = tc.lqr(plant)
+    law = tc.LQR(plant)
     nodes = plant.nodes.copy()
     still = np.zeros_like(nodes)
     assert str(law.command(0.0, nodes, still)) == "ok"
@@ -145,24 +145,24 @@ def test_motions_that_no_string_reaches_are_refused_by_name():
     plant = tc.linearize(model, tc.OperatingPoint(nodes, [5.0, 5.0]), input="rest_length")
     assert tc.controllability(plant).unreachable > 0
     with pytest.raises(ValueError, match="out of reach of the strings"):
-        tc.lqr(plant)
+        tc.LQR(plant)
 
 
 def test_a_law_in_force_densities_with_rest_lengths_held():
     from tenscontrol.control import held_loop
 
     plant = plant_of(arm(), "force_density")
-    law = tc.lqr(plant, sample_time=SAMPLE)
+    law = tc.LQR(plant, sample_time=SAMPLE)
     found = held_loop(plant, law.gain, sample_time=SAMPLE)
     assert found.designed_radius == pytest.approx(np.abs(law.poles).max(), rel=1e-9)
 
 
 def test_controllers_at_several_shapes_take_turns():
     plant = plant_of(arm(), "force_density", None)
-    laws = [tc.lqr(plant, sample_time=SAMPLE), tc.lqr(plant, sample_time=SAMPLE)]
+    laws = [tc.LQR(plant, sample_time=SAMPLE), tc.LQR(plant, sample_time=SAMPLE)]
     schedule = tc.GainSchedule(laws)
     command = schedule.command(0.0, pushed(plant), np.zeros_like(plant.nodes))
     assert command.value.shape == (3,)
-    other = tc.lqr(plant_of(d_bar(), "force_density", None), sample_time=SAMPLE)
+    other = tc.LQR(plant_of(d_bar(), "force_density", None), sample_time=SAMPLE)
     with pytest.raises(ValueError, match="other bars"):
         tc.GainSchedule([laws[0], other])

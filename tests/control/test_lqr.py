@@ -46,7 +46,7 @@ def farthest(plant, run):
 def test_all_poles_lie_in_the_open_left_half_plane(model, rest, kind):
     plant = tc.linearize(model, rest, input=kind)
     Q, R = tc.energy_weights(plant)
-    regulator = tc.lqr(plant, Q, 0.1 * R)
+    regulator = tc.LQR(plant, Q, 0.1 * R)
     assert regulator.poles.real.max() < -0.1
     closed = np.linalg.eigvals(plant.A - plant.B @ regulator.gain)
     assert np.allclose(np.sort(closed.real), np.sort(regulator.poles.real), rtol=1e-6, atol=1e-6)
@@ -55,7 +55,7 @@ def test_all_poles_lie_in_the_open_left_half_plane(model, rest, kind):
 
 def test_gain_and_cost_solve_the_continuous_riccati_equation(model, rest):
     plant = tc.linearize(model, rest)
-    regulator = tc.lqr(plant, 2.0, 1e-2)
+    regulator = tc.LQR(plant, 2.0, 1e-2)
     P = solve_continuous_are(plant.A, plant.B, 2 * np.eye(18), 1e-2 * np.eye(9))
     assert np.allclose(regulator.cost, P, rtol=1e-7, atol=1e-7 * abs(P).max())
     assert np.allclose(regulator.gain, 100 * plant.B.T @ P, rtol=1e-6, atol=1e-6)
@@ -63,7 +63,7 @@ def test_gain_and_cost_solve_the_continuous_riccati_equation(model, rest):
 
 def test_gain_and_cost_solve_the_discrete_riccati_equation(model, rest):
     plant = tc.linearize(model, rest)
-    regulator = tc.lqr(plant, 2.0, 1e-2, sample_time=0.02)
+    regulator = tc.LQR(plant, 2.0, 1e-2, sample_time=0.02)
     transition, inputs, _ = plant.discretize(0.02)
     P = solve_discrete_are(transition, inputs, 2 * np.eye(18), 1e-2 * np.eye(9))
     assert np.allclose(regulator.cost, P, rtol=1e-7, atol=1e-7 * abs(P).max())
@@ -89,7 +89,7 @@ def test_gain_brings_a_centimetre_below_a_tenth_of_a_millimetre(
 ):
     plant = tc.linearize(model, rest)
     Q, R = tc.energy_weights(plant)
-    regulator = tc.lqr(plant, Q, 0.1 * R, max_force_density=90.0)
+    regulator = tc.LQR(plant, Q, 0.1 * R, max_force_density=90.0)
     start = displaced(plant, 0.01, seed)
     assert np.linalg.norm(start - plant.nodes, axis=0).max() == pytest.approx(0.01)
     run = tc.simulate(
@@ -103,14 +103,14 @@ def test_gain_brings_a_centimetre_below_a_tenth_of_a_millimetre(
 def test_rest_length_plant_is_regulated_by_rest_lengths(model, rest):
     plant = tc.linearize(model, rest, input="rest_length")
     Q, R = tc.energy_weights(plant)
-    regulator = tc.lqr(plant, Q, 0.1 * R)
+    regulator = tc.LQR(plant, Q, 0.1 * R)
     start = displaced(plant, 0.01)
     run = tc.simulate(model, 8.0, start, controller=regulator, sample_time=0.01, step=2e-3)
     assert farthest(plant, run) < 1e-4
 
 
 def test_command_at_rest_is_the_equilibrium_input(model, rest):
-    regulator = tc.lqr(tc.linearize(model, rest), 1.0, 1e-3)
+    regulator = tc.LQR(tc.linearize(model, rest), 1.0, 1e-3)
     command = regulator.command(0.0, rest.structure.nodes, np.zeros((3, 6)))
     assert command.status == "ok"
     assert np.allclose(command.value, rest.force_density, atol=1e-9)
@@ -118,7 +118,7 @@ def test_command_at_rest_is_the_equilibrium_input(model, rest):
 
 def test_saturated_commands_stay_within_bounds_and_say_so(model, rest):
     plant = tc.linearize(model, rest)
-    regulator = tc.lqr(plant, 1e4, 1e-3, max_force_density=50.0)
+    regulator = tc.LQR(plant, 1e4, 1e-3, max_force_density=50.0)
     command = regulator.command(0.0, displaced(plant, 0.05), np.zeros((3, 6)))
     assert command.status == "saturated"
     assert command.value.min() == 0.0
@@ -126,7 +126,7 @@ def test_saturated_commands_stay_within_bounds_and_say_so(model, rest):
 
 
 def test_measurement_that_is_not_finite_gives_the_equilibrium(model, rest):
-    regulator = tc.lqr(tc.linearize(model, rest), 1.0, 1e-3)
+    regulator = tc.LQR(tc.linearize(model, rest), 1.0, 1e-3)
     nodes = rest.structure.nodes.copy()
     nodes[0, 0] = np.nan
     command = regulator.command(0.0, nodes, np.zeros((3, 6)))
@@ -144,7 +144,7 @@ def test_measurement_that_is_not_finite_gives_the_equilibrium(model, rest):
 def test_forms_with_unreachable_states_are_refused_with_a_count(model, rest, kind, expected):
     plant = tc.linearize(model, rest, coordinates=kind)
     with pytest.raises(ValueError, match=expected + ".*coordinates='internal'"):
-        tc.lqr(plant, 1.0, 1.0)
+        tc.LQR(plant, 1.0, 1.0)
 
 
 def solver(change):
@@ -162,7 +162,7 @@ def test_a_wrong_riccati_solution_is_not_passed_on(model, rest, monkeypatch):
     wrong = solver(lambda K, P, poles: (K, 1.01 * P, poles))
     monkeypatch.setattr(riccati, "_solve", wrong)
     with pytest.raises(ValueError, match=r"left with a residual of .* not to be trusted"):
-        tc.lqr(plant, 1.0, 1e-3)
+        tc.LQR(plant, 1.0, 1e-3)
 
 
 @pytest.mark.parametrize("pole", [0.0, 0.1])
@@ -171,7 +171,7 @@ def test_poles_that_do_not_decay_are_not_passed_on(model, rest, monkeypatch, pol
     unstable = solver(lambda K, P, poles: (K, P, np.r_[pole, poles[1:]]))
     monkeypatch.setattr(riccati, "_solve", unstable)
     with pytest.raises(ValueError, match="closed loop is not stable"):
-        tc.lqr(plant, 1.0, 1e-3)
+        tc.LQR(plant, 1.0, 1e-3)
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_design_does_not_depend_on_units(length, mass, gamma):
         prism = tc.prism(radius=0.5 * length, height=length, bar_mass=mass)
         plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3) * gamma))
         Q, R = tc.energy_weights(plant)
-        regulator = tc.lqr(plant, Q, 0.1 * R)
+        regulator = tc.LQR(plant, Q, 0.1 * R)
         # Node displacement 1 % of the length in the direction of the first basis-free shape.
         nodes = plant.nodes + 0.01 * length * np.sin(np.arange(18)).reshape(3, 6)
         return regulator.command(0.0, nodes, np.zeros((3, 6))).value / gamma
@@ -198,12 +198,12 @@ def test_unreachable_changes_of_shape_are_told_from_motions_as_one_body(prism):
     bare = tc.prestress(prism, np.zeros(9))
     expected = "12 are motions of the structure as one body and 2 are changes of shape"
     with pytest.raises(ValueError, match=expected):
-        tc.lqr(tc.linearize(tc.Model(prism), bare, coordinates="minimal"), 1.0, 1.0)
+        tc.LQR(tc.linearize(tc.Model(prism), bare, coordinates="minimal"), 1.0, 1.0)
     with pytest.raises(ValueError, match=r"2 of the 18 .* 2 are changes of shape, at the poles 0"):
-        tc.lqr(tc.linearize(tc.Model(prism), bare), 1.0, 1.0)
+        tc.LQR(tc.linearize(tc.Model(prism), bare), 1.0, 1.0)
 
 
 def test_mode_without_weight_is_refused(model, rest):
     plant = tc.linearize(model, rest)
     with pytest.raises(ValueError, match="weight"):
-        tc.lqr(plant, 0.0, 1.0)
+        tc.LQR(plant, 0.0, 1.0)

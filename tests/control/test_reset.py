@@ -21,7 +21,7 @@ def shape_control():
 
 def regulator():
     plant = scenes.plant("force_density")
-    return tc.lqr(
+    return tc.LQR(
         plant,
         *tc.energy_weights(plant),
         sample_time=scenes.SAMPLE,

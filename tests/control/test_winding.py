@@ -181,7 +181,7 @@ def test_both_forms_give_the_same_inputs(form):
 
 def regulator(plant, pieces):
     Q, R = tc.energy_weights(plant)
-    return tc.lqr(plant, Q, R, sample_time=SAMPLE, winches=tc.Winches(rate=0.5, substeps=pieces))
+    return tc.LQR(plant, Q, R, sample_time=SAMPLE, winches=tc.Winches(rate=0.5, substeps=pieces))
 
 
 def test_the_regulator_is_that_of_the_state_and_of_what_winches_hold():
@@ -228,4 +228,4 @@ def test_the_regulator_knows_winches_that_wind():
 def test_a_regulator_without_samples_knows_no_winding():
     plant = plant_of()
     with pytest.raises(ValueError, match=r"winches\.substeps is 5.*give sample_time"):
-        tc.lqr(plant, 1.0, 1.0, winches=tc.Winches(substeps=5))
+        tc.LQR(plant, 1.0, 1.0, winches=tc.Winches(substeps=5))

@@ -214,7 +214,7 @@ def coupled_plant(name):
 def rolling():
     """A regulator of a tower that rolls on a table."""
     plant = coupled_plant("tower")
-    return tc.lqr(plant, *tc.energy_weights(plant), sample_time=SAMPLE, max_change=0.05)
+    return tc.LQR(plant, *tc.energy_weights(plant), sample_time=SAMPLE, max_change=0.05)
 
 
 def sliding():

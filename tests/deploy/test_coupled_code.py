@@ -14,7 +14,7 @@ SAMPLES, SPOILT, ABSURD = 60, (20, 21), (40,)
 
 
 def lqr(plant):
-    return tc.lqr(plant, *tc.energy_weights(plant), sample_time=scenes.SAMPLE, max_change=0.05)
+    return tc.LQR(plant, *tc.energy_weights(plant), sample_time=scenes.SAMPLE, max_change=0.05)
 
 
 def mpc(plant):

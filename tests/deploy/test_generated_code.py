@@ -53,7 +53,7 @@ def test_winches_that_wind_under_an_unknown_load(tmp_path):
 
 def test_regulator_of_winches_that_wind(tmp_path):
     plant = scenes.plant("rest_length")
-    law = tc.lqr(
+    law = tc.LQR(
         plant, *tc.energy_weights(plant), sample_time=scenes.SAMPLE, winches=scenes.WINDING
     )
     pair = scenes.pair_of(law, tmp_path)
@@ -77,7 +77,7 @@ def test_lqr(held, tmp_path):
     plant = scenes.plant(held)
     limits = {"max_force_density": 30.1} if held == "force_density" else {}
     change = 2.0 if held == "force_density" else 0.01
-    lqr = tc.lqr(
+    lqr = tc.LQR(
         plant, *tc.energy_weights(plant), sample_time=scenes.SAMPLE, max_change=change, **limits
     )
     pair = scenes.pair_of(lqr, tmp_path)
@@ -100,7 +100,7 @@ def test_lqr(held, tmp_path):
 def test_a_schedule_says_why_the_code_falls_back(tmp_path):
     """It judges a measurement before the code does; no bar is three times as long as it is."""
     plant = scenes.plant("rest_length")
-    lqr = tc.lqr(plant, *tc.energy_weights(plant), sample_time=scenes.SAMPLE)
+    lqr = tc.LQR(plant, *tc.energy_weights(plant), sample_time=scenes.SAMPLE)
     pair = lqr, tc.generate_c(lqr, tmp_path / "code").compile()
     found = [tc.GainSchedule([each]).command(0.0, 3 * plant.nodes, STILL) for each in pair]
     assert [str(each) for each in found] == ["measurement not plausible: equilibrium held"] * 2

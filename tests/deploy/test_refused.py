@@ -14,7 +14,7 @@ from tests.deploy import scenes
 
 def regulator(step=scenes.SAMPLE):
     plant = scenes.plant("force_density")
-    return tc.lqr(plant, *tc.energy_weights(plant), sample_time=step)
+    return tc.LQR(plant, *tc.energy_weights(plant), sample_time=step)
 
 
 def test_law_in_continuous_time(tmp_path):

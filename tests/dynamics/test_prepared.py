@@ -103,7 +103,7 @@ def test_a_second_closed_loop_builds_nothing(options):
     plant = tc.linearize(
         model, tc.prestress(tc.prism(), force_density=17.3205), input="rest_length"
     )
-    controller = tc.lqr(plant)
+    controller = tc.LQR(plant)
     run = partial(tc.simulate, model, controller=controller, sample_time=0.01, **options)
     run(0.05)
     push = np.outer([0.0, 0.1, 0.0], np.ones(6))

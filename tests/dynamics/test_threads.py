@@ -218,8 +218,8 @@ class TestMemory:
     def test_a_simulation_keeps_its_controller_and_filter(self):
         plant = fuzz.plant_of(fuzz.SHARED)
         sensors = tc.Sensors(structure=fuzz.PRISM, string_length=1e-3, node_position=5e-3)
-        estimator = tc.kalman(plant, sensors, sample_time=0.02)
-        controller = tc.lqr(plant, sample_time=0.02)
+        estimator = tc.KalmanFilter(plant, sensors, sample_time=0.02)
+        controller = tc.LQR(plant, sample_time=0.02)
         found = []
 
         def look(time):
@@ -261,7 +261,7 @@ class TestMemory:
 def case():
     plant = fuzz.plant_of(fuzz.SHARED)
     Q, R = tc.energy_weights(plant)
-    controller = tc.lqr(plant, Q, 0.1 * R, sample_time=0.02)
+    controller = tc.LQR(plant, Q, 0.1 * R, sample_time=0.02)
     law = tc.LinearStrings(100.0, damping=0.5)
     return tc.ClosedLoopCase(fuzz.PRISM, law, controller, duration=0.1, step=5e-3, tolerance=0.03)
 

@@ -32,7 +32,7 @@ def flipped():
 def kalman(**changes):
     """A filter for the prism, with some arguments replaced."""
     arguments = {"plant": held_plant(), "sensors": lengths(), "sample_time": 0.01} | changes
-    return tc.kalman(**arguments)
+    return tc.KalmanFilter(**arguments)
 
 
 # fmt: off
@@ -184,7 +184,8 @@ ESTIMATION = [
     refused("estimator of another sample time", lambda: closed(estimator=estimator(0.002)),
             ValueError, r"estimator has the sample time 0\.002 s, expected .* 0\.001 s"),
     refused("estimator that is told something else",
-            lambda: closed(estimator=tc.kalman(plant(), lengths(), sample_time=0.001)), ValueError,
+            lambda: closed(estimator=tc.KalmanFilter(plant(), lengths(), sample_time=0.001)),
+            ValueError,
             r"estimator knows the effect of force_density, but the actuators hold rest_length"),
     refused("sensors of other readings",
             lambda: closed(estimator=estimator(), sensors=lengths(strings=(0, 1))), ValueError,

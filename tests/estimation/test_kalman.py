@@ -56,7 +56,9 @@ def noise_of(estimator, share=0.02):
     [("held", tuple(EVERY)), ("by_force", ("node_position",)), ("held", ("string_length",))],
 )
 def test_the_steady_gain_is_that_of_the_riccati_equation(request, which, kinds, sensors_of):
-    estimator = tc.kalman(request.getfixturevalue(which), sensors_of(*kinds), sample_time=STEP)
+    estimator = tc.KalmanFilter(
+        request.getfixturevalue(which), sensors_of(*kinds), sample_time=STEP
+    )
     assert estimator.riccati_residual < 1e-11
     P = recursion(estimator, noise_of(estimator), 1000)
     size = np.sqrt(np.diag(P))
@@ -77,7 +79,7 @@ def test_the_steady_gain_is_that_of_the_riccati_equation(request, which, kinds, 
 
 
 def test_the_running_filter_settles_at_the_steady_one(held, sensors_of):
-    estimator = tc.kalman(held, sensors_of(*EVERY), sample_time=STEP)
+    estimator = tc.KalmanFilter(held, sensors_of(*EVERY), sample_time=STEP)
     y = still(estimator)
     for _ in range(300):
         estimator.update(y)
@@ -103,7 +105,9 @@ def monte_carlo(held):
     small = 1e-4
     noise = {kind: small * value for kind, value in EVERY.items()}
     sensors = tc.Sensors(structure=held.model.structure, **noise)
-    estimator = tc.kalman(held, sensors, sample_time=STEP, process_noise=0.02 * small, gate=1e-12)
+    estimator = tc.KalmanFilter(
+        held, sensors, sample_time=STEP, process_noise=0.02 * small, gate=1e-12
+    )
     F = estimator.plant.discretize(STEP)[0]
     push = np.linalg.cholesky(
         noise_of(estimator, 0.02 * small) + 1e-12 * np.diag(np.diag(estimator.covariance))
@@ -165,8 +169,8 @@ def test_innovations_are_white(monte_carlo):
 def test_poles_of_the_loop_are_those_of_the_regulator_and_of_the_filter(request, which, sensors_of):
     plant = request.getfixturevalue(which)
     Q, R = tc.energy_weights(plant)
-    regulator = tc.lqr(plant, Q, R, sample_time=STEP)
-    estimator = tc.kalman(plant, sensors_of("string_length"), sample_time=STEP)
+    regulator = tc.LQR(plant, Q, R, sample_time=STEP)
+    estimator = tc.KalmanFilter(plant, sensors_of("string_length"), sample_time=STEP)
     F, G, _ = plant.discretize(STEP)
     y0, s = still(estimator), len(F)
 

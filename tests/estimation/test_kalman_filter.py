@@ -48,7 +48,7 @@ def off(estimate, run, k):
 @pytest.mark.parametrize("delay", [0, 3])
 def test_without_noise_the_nonlinear_estimate_becomes_the_motion(held, sensors_of, motion, delay):
     sensors = sensors_of(*EVERY, delay=delay)
-    estimator = tc.kalman(held, sensors, sample_time=STEP, prediction="nonlinear")
+    estimator = tc.KalmanFilter(held, sensors, sample_time=STEP, prediction="nonlinear")
     estimates = follow(estimator, motion, 201)
     first = off(estimates[0], motion, 0)[0]
     last = max(off(estimates[k], motion, k)[0] for k in (170, 200))
@@ -57,14 +57,14 @@ def test_without_noise_the_nonlinear_estimate_becomes_the_motion(held, sensors_o
     assert off(estimates[200], motion, 200)[1] < 2e-5
     if delay == 0:
         # A linear prediction is off by what it leaves out.
-        linear = follow(tc.kalman(held, sensors, sample_time=STEP), motion, 201)
+        linear = follow(tc.KalmanFilter(held, sensors, sample_time=STEP), motion, 201)
         assert off(linear[200], motion, 200)[0] > 10 * last
 
 
 def test_a_delayed_estimate_is_the_prediction_of_the_undelayed_one(held, sensors_of, motion):
     delay = 4
-    prompt = tc.kalman(held, sensors_of(*EVERY), sample_time=STEP)
-    late = tc.kalman(held, sensors_of(*EVERY, delay=delay), sample_time=STEP)
+    prompt = tc.KalmanFilter(held, sensors_of(*EVERY), sample_time=STEP)
+    late = tc.KalmanFilter(held, sensors_of(*EVERY, delay=delay), sample_time=STEP)
     early, later = follow(prompt, motion, 60), follow(late, motion, 60)
     F, G, d = prompt.plant.discretize(STEP)
     assert [each.status for each in later[:5]] == ["waiting"] * 4 + ["partly used"]
@@ -95,7 +95,7 @@ def test_a_bad_measurement_is_a_prediction_bit_for_bit(
     held, sensors_of, motion, delay, spoil, status
 ):
     one, other = (
-        tc.kalman(held, sensors_of(*EVERY, delay=delay), sample_time=STEP) for _ in range(2)
+        tc.KalmanFilter(held, sensors_of(*EVERY, delay=delay), sample_time=STEP) for _ in range(2)
     )
     bad = follow(one, motion, 24, lambda k, y: spoil(y) if k == 20 else y)
     gap = follow(other, motion, 24, lambda k, y: None if k == 20 else y)
@@ -115,7 +115,7 @@ def test_a_bad_reading_leaves_the_others_in_use(held, sensors_of, motion, bad):
             y[4] = value
         return y
 
-    one, other = (tc.kalman(held, sensors_of(*EVERY), sample_time=STEP) for _ in range(2))
+    one, other = (tc.KalmanFilter(held, sensors_of(*EVERY), sample_time=STEP) for _ in range(2))
     spoilt = follow(one, motion, 24, lambda k, y: spoil(k, y, bad))
     without = follow(other, motion, 24, lambda k, y: spoil(k, y, NAN))
     assert spoilt[20].status == "partly used"
@@ -136,7 +136,7 @@ def test_a_sensor_that_sticks_is_refused_for_good(held, sensors_of, motion):
         y[7] += 0.3
         return y
 
-    estimator = tc.kalman(held, sensors_of(*EVERY), sample_time=STEP, prediction="nonlinear")
+    estimator = tc.KalmanFilter(held, sensors_of(*EVERY), sample_time=STEP, prediction="nonlinear")
     estimates = follow(estimator, motion, 100, stick)
     found = estimator.statistics
     # Once the start is forgotten; the reading of node 2 never comes in again.
@@ -147,7 +147,7 @@ def test_a_sensor_that_sticks_is_refused_for_good(held, sensors_of, motion):
 
 @pytest.mark.parametrize("patience", [1, 5])
 def test_a_filter_that_is_wrong_does_not_shut_out_good_readings(held, sensors_of, motion, patience):
-    estimator = tc.kalman(
+    estimator = tc.KalmanFilter(
         held,
         sensors_of("node_position"),
         sample_time=STEP,
@@ -168,7 +168,7 @@ def test_a_filter_that_is_wrong_does_not_shut_out_good_readings(held, sensors_of
 
 def test_a_start_far_beyond_the_spread_is_found_all_the_same(held, sensors_of, motion):
     # The spread grows from one start anew to the next until the readings pass.
-    estimator = tc.kalman(
+    estimator = tc.KalmanFilter(
         held,
         sensors_of("node_position"),
         sample_time=STEP,
@@ -182,7 +182,7 @@ def test_a_start_far_beyond_the_spread_is_found_all_the_same(held, sensors_of, m
 
 
 def test_an_estimate_of_no_shape_starts_again_from_the_operating_point(held, sensors_of):
-    estimator = tc.kalman(held, sensors_of("string_length"), sample_time=STEP)
+    estimator = tc.KalmanFilter(held, sensors_of("string_length"), sample_time=STEP)
     state = np.r_[np.zeros(9), 40.0 * np.ones(9)]  # so fast that bars turn over in a sample
     estimator.reset(state=state)
     assert estimator.update(None).status == "lost"
@@ -195,7 +195,7 @@ def test_an_estimate_of_no_shape_starts_again_from_the_operating_point(held, sen
 
 
 def test_a_known_start_stays_known_and_an_unknown_one_is_given_up(held, sensors_of, motion):
-    estimator = tc.kalman(held, sensors_of("string_length"), sample_time=STEP)
+    estimator = tc.KalmanFilter(held, sensors_of("string_length"), sample_time=STEP)
     estimator.reset(covariance=np.zeros((18, 18)))
     estimate = estimator.update(readings(estimator.sensors, motion, 0) * np.nan)
     np.testing.assert_array_equal(estimate.covariance, 0.0)
@@ -210,7 +210,7 @@ def test_a_known_start_stays_known_and_an_unknown_one_is_given_up(held, sensors_
 
 def test_the_filter_starts_where_it_is_told(held, sensors_of, motion):
     start = motion.nodes[:, :, 0]
-    estimator = tc.kalman(held, sensors_of("node_position"), sample_time=STEP, start=start)
+    estimator = tc.KalmanFilter(held, sensors_of("node_position"), sample_time=STEP, start=start)
     np.testing.assert_allclose(estimator.update(None).nodes, start, rtol=0, atol=1e-9)
 
 
@@ -221,7 +221,7 @@ def test_a_structure_that_travels_is_not_one_that_changes_its_shape(held, sensor
         output_step=STEP,
     )  # fmt: skip
     sensors = sensors_of("node_position", scale=0.1)
-    estimator = tc.kalman(held, sensors, sample_time=STEP)
+    estimator = tc.KalmanFilter(held, sensors, sample_time=STEP)
     rng = np.random.default_rng(0)
     estimates = follow(estimator, run, 101, lambda k, y: sensors.disturb(y, rng))
     apart, speed = off(estimates[100], run, 100)
@@ -234,7 +234,7 @@ def test_a_structure_that_travels_is_not_one_that_changes_its_shape(held, sensor
 
 
 def test_velocities_and_nodes_of_an_estimate_are_those_bars_can_have(held, sensors_of, motion):
-    estimate = follow(tc.kalman(held, sensors_of(*EVERY), sample_time=STEP), motion, 30)[-1]
+    estimate = follow(tc.KalmanFilter(held, sensors_of(*EVERY), sample_time=STEP), motion, 30)[-1]
     structure = motion.structure
     bars, rates = (structure.bar_vectors(part) for part in (estimate.nodes, estimate.velocities))
     length = np.linalg.norm(bars, axis=0)
@@ -243,7 +243,7 @@ def test_velocities_and_nodes_of_an_estimate_are_those_bars_can_have(held, senso
 
 
 def test_reset_forgets(held, sensors_of, motion):
-    estimator = tc.kalman(held, sensors_of(*EVERY, delay=1), sample_time=STEP)
+    estimator = tc.KalmanFilter(held, sensors_of(*EVERY, delay=1), sample_time=STEP)
     first = follow(estimator, motion, 20)
     estimator.reset()
     assert estimator.statistics.status_count == {}

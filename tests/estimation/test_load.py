@@ -59,7 +59,7 @@ def test_two_newtons_do_not_shift_the_estimate(held, sensors_of, prediction):
     assert farthest(nodes, held.nodes) > 0.01
     off = {}
     for known in (False, True):
-        estimator = tc.kalman(
+        estimator = tc.KalmanFilter(
             held, sensors_of(*KINDS), sample_time=STEP, load=known, prediction=prediction
         )
         last = watched(estimator, nodes, 150)[-1]
@@ -73,7 +73,7 @@ def test_two_newtons_do_not_shift_the_estimate(held, sensors_of, prediction):
 
 def test_a_small_load_is_found_as_it_is(held, sensors_of):
     nodes, load = pulled(held, 0.02)
-    estimator = tc.kalman(held, sensors_of(*KINDS), sample_time=STEP, load=True)
+    estimator = tc.KalmanFilter(held, sensors_of(*KINDS), sample_time=STEP, load=True)
     last = watched(estimator, nodes, 200)[-1]
     T = estimator.plant.basis
     found, wanted = (T.T @ each.ravel(order="F") for each in (last.load, load))
@@ -85,7 +85,7 @@ def test_noise_leaves_no_bias_either(held, sensors_of):
     nodes, _ = pulled(held, 2.0)
     shift = {}
     for known in (False, True):
-        estimator = tc.kalman(held, sensors_of(*KINDS), sample_time=STEP, load=known)
+        estimator = tc.KalmanFilter(held, sensors_of(*KINDS), sample_time=STEP, load=known)
         found = watched(estimator, nodes, 400, np.random.default_rng(4))[100:]
         mean = np.mean([each.nodes for each in found], axis=0)
         shift[known] = np.abs((mean - nodes) / found[-1].node_deviation).max()
@@ -101,29 +101,29 @@ def test_noise_leaves_no_bias_either(held, sensors_of):
 )  # fmt: skip
 def test_it_is_refused_exactly_where_the_test_of_hautus_fails_at_zero(held, sensors_of, kinds):
     sensors = sensors_of(*kinds)
-    known = tc.kalman(held, sensors, sample_time=STEP)
+    known = tc.KalmanFilter(held, sensors, sample_time=STEP)
     A, C = known.plant.A, known.C / sensors.noise[:, None]
     r = len(A) // 2
     top = np.hstack([A, np.vstack([np.zeros((r, r)), np.eye(r)])])
     whole = np.vstack([top, np.hstack([C, np.zeros((len(C), r))])])
     lost = 3 * r - np.linalg.matrix_rank(whole, tol=1e-8 * np.linalg.norm(whole, 2))
     if not lost:
-        assert tc.kalman(held, sensors, sample_time=STEP, load=True).riccati_residual < 1e-8
+        assert tc.KalmanFilter(held, sensors, sample_time=STEP, load=True).riccati_residual < 1e-8
         return
     message = rf"load: {lost} of the {r} ways to shift .*Measure in addition .*node_position"
     with pytest.raises(ValueError, match=message):
-        tc.kalman(held, sensors, sample_time=STEP, load=True)
+        tc.KalmanFilter(held, sensors, sample_time=STEP, load=True)
 
 
 def test_a_mechanism_that_changes_no_length_is_such_a_case(held, sensors_of):
     with pytest.raises(ValueError, match="load: 1 of the 9 ways"):
-        tc.kalman(held, sensors_of("string_length"), sample_time=STEP, load=True)
+        tc.KalmanFilter(held, sensors_of("string_length"), sample_time=STEP, load=True)
 
 
 @pytest.mark.parametrize("options", [{}, {"load": True, "prediction": "nonlinear"}])
 def test_a_pickled_filter_is_a_new_one(held, sensors_of, options):
     sensors = sensors_of(*KINDS, delay=1)
-    used, new = (tc.kalman(held, sensors, sample_time=STEP, **options) for _ in range(2))
+    used, new = (tc.KalmanFilter(held, sensors, sample_time=STEP, **options) for _ in range(2))
     watched(used, held.nodes, 5, np.random.default_rng(0))
     loaded = pickle.loads(pickle.dumps(used))
     assert not loaded.statistics.status_count
@@ -136,8 +136,8 @@ def test_a_pickled_filter_is_a_new_one(held, sensors_of, options):
 
 
 def test_no_load_is_told_where_none_is_estimated(held, sensors_of):
-    estimator = tc.kalman(held, sensors_of(*KINDS), sample_time=STEP)
+    estimator = tc.KalmanFilter(held, sensors_of(*KINDS), sample_time=STEP)
     assert estimator.update(None).load is None
-    assert repr(tc.kalman(held, sensors_of(*KINDS), sample_time=STEP, load=True)).startswith(
+    assert repr(tc.KalmanFilter(held, sensors_of(*KINDS), sample_time=STEP, load=True)).startswith(
         "KalmanFilter(36 states, "
     )

@@ -115,20 +115,20 @@ def test_a_mechanism_that_no_length_shows_is_seen_by_its_vibration(held, sensors
     C = output_matrix(held, sensors)
     sizes = np.linalg.svd(C[:, :9], compute_uv=False)
     assert sizes[-1] < 1e-12 * sizes[0]
-    assert np.abs(tc.kalman(held, sensors, sample_time=STEP).poles).max() < 1
+    assert np.abs(tc.KalmanFilter(held, sensors, sample_time=STEP).poles).max() < 1
 
 
 def test_what_is_not_seen_is_refused_with_what_would_do(by_force, model):
     sensors = tc.Sensors(structure=model.structure, string_length=1e-3, strings=[0])
     with pytest.raises(ValueError, match=r"10 of the 18 states are not seen") as raised:
-        tc.kalman(undamped(by_force), sensors, sample_time=STEP)
+        tc.KalmanFilter(undamped(by_force), sensors, sample_time=STEP)
     text = str(raised.value)
     assert "string_length of all strings" in text
     # What is said to do does.
     for kind in EVERY:
         assert f"{kind} of all" in text
         more = {"string_length": 1e-3, "strings": [0]} if kind != "string_length" else {}
-        tc.kalman(
+        tc.KalmanFilter(
             undamped(by_force),
             tc.Sensors(structure=model.structure, **more, **{kind: 1e-3}),
             sample_time=STEP,
@@ -138,7 +138,7 @@ def test_what_is_not_seen_is_refused_with_what_would_do(by_force, model):
 def test_minimal_coordinates_need_readings_of_the_motion_as_one_body(held, sensors_of):
     minimal = tc.plant.in_coordinates(held, "minimal")
     with pytest.raises(ValueError, match=r"12 of the 30 states.*node_position of all nodes"):
-        tc.kalman(minimal, sensors_of("string_length"), sample_time=STEP)
+        tc.KalmanFilter(minimal, sensors_of("string_length"), sample_time=STEP)
 
 
 def undamped(plant):

@@ -29,10 +29,10 @@ def built(monkeypatch):
 def test_a_second_filter_on_a_plant_builds_nothing(model, built, prediction, load):
     plant = tc.linearize(model, tc.prestress(model.structure, 17.3205), input="rest_length")
     options = {"sample_time": STEP, "prediction": prediction, "load": load}
-    first = tc.kalman(plant, tc.Sensors(structure=model.structure, **EVERY), **options)
+    first = tc.KalmanFilter(plant, tc.Sensors(structure=model.structure, **EVERY), **options)
     assert built
     built.clear()
-    again = tc.kalman(plant, tc.Sensors(structure=model.structure, **EVERY), **options)
+    again = tc.KalmanFilter(plant, tc.Sensors(structure=model.structure, **EVERY), **options)
     assert built == []
     np.testing.assert_array_equal(first.gain, again.gain)
 
@@ -41,9 +41,9 @@ def test_other_sensors_get_functions_of_their_own(model, built):
     plant = tc.linearize(model, tc.prestress(model.structure, 17.3205), input="rest_length")
     lengths = tc.Sensors(structure=model.structure, string_length=1e-3)
     every = tc.Sensors(structure=model.structure, **EVERY)
-    assert tc.kalman(plant, lengths, sample_time=STEP).C.shape[0] == 9
+    assert tc.KalmanFilter(plant, lengths, sample_time=STEP).C.shape[0] == 9
     built.clear()
-    assert tc.kalman(plant, every, sample_time=STEP).C.shape[0] == len(every.noise)
+    assert tc.KalmanFilter(plant, every, sample_time=STEP).C.shape[0] == len(every.noise)
     assert "readings" in built
 
 

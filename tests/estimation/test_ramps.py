@@ -42,7 +42,7 @@ def stiff():
 def blind(plant, prediction):
     """A filter that knows the start, and is shown nothing after it."""
     sensors = tc.Sensors(structure=plant.model.structure, string_length=1e-3)
-    made = tc.kalman(plant, sensors, sample_time=STEP, prediction=prediction, winches=WINCHES)
+    made = tc.KalmanFilter(plant, sensors, sample_time=STEP, prediction=prediction, winches=WINCHES)
     size = len(plant.A)
     made.reset(state=np.zeros(size), covariance=np.zeros((size, size)), held=plant.rest_length)
     return made
@@ -51,7 +51,7 @@ def blind(plant, prediction):
 @pytest.mark.parametrize("prediction", ["linear", "nonlinear"])
 def test_a_load_acts_through_every_piece(stiff, prediction):
     sensors = tc.Sensors(structure=stiff.model.structure, string_length=1e-3, bar_direction=1e-3)
-    made = tc.kalman(
+    made = tc.KalmanFilter(
         stiff, sensors, sample_time=STEP, load=True, prediction=prediction, winches=WINCHES
     )
     r = made.plant.degrees_of_freedom  # with the rotations that bar directions show
@@ -109,7 +109,9 @@ def test_the_nonlinear_prediction_is_the_simulated_motion(stiff):
 def test_tensions_are_those_of_the_rest_lengths_at_the_sample(stiff):
     """1 mm of winding is 10 N, a hundred times the noise: with the mean, most would be refused."""
     sensors = tc.Sensors(structure=stiff.model.structure, string_length=1e-4, string_tension=0.1)
-    estimator = tc.kalman(stiff, sensors, sample_time=STEP, prediction="nonlinear", winches=WINCHES)
+    estimator = tc.KalmanFilter(
+        stiff, sensors, sample_time=STEP, prediction="nonlinear", winches=WINCHES
+    )
     run = tc.simulate(
         stiff.model, 1.0, controller=Winding(stiff), winches=WINCHES, rest_length=stiff.rest_length,
         step=5e-4, estimator=estimator,
@@ -127,7 +129,9 @@ def test_tensions_are_those_of_the_rest_lengths_at_the_sample(stiff):
 def test_a_stuck_winch_and_a_lost_measurement_while_it_winds(stiff, delay):
     """The filter is told what stands; blind, it goes on by that."""
     sensors = tc.Sensors(structure=stiff.model.structure, node_position=1e-5, delay=delay)
-    estimator = tc.kalman(stiff, sensors, sample_time=STEP, prediction="nonlinear", winches=WINCHES)
+    estimator = tc.KalmanFilter(
+        stiff, sensors, sample_time=STEP, prediction="nonlinear", winches=WINCHES
+    )
     faults = [tc.StuckWinch(7, time=0.2), tc.LostMeasurement(time=0.3, until=0.38)]
     run = tc.simulate(
         stiff.model, 0.5, controller=Winding(stiff), winches=WINCHES, rest_length=stiff.rest_length,
@@ -148,15 +152,15 @@ def test_a_stuck_winch_and_a_lost_measurement_while_it_winds(stiff, delay):
 def test_winches_that_do_not_fit_are_refused(stiff):
     sensors = tc.Sensors(structure=stiff.model.structure, string_length=1e-3)
     options = {"rest_length": stiff.rest_length, "winches": WINCHES}
-    plain = tc.kalman(stiff, sensors, sample_time=STEP)
+    plain = tc.KalmanFilter(stiff, sensors, sample_time=STEP)
     with pytest.raises(
-        ValueError, match=r"with substeps=1, but .* have substeps=8: give them to kalm"
+        ValueError, match=r"with substeps=1, but .* have substeps=8: give them to Kalman"
     ):
         tc.simulate(stiff.model, 0.1, controller=Winding(stiff), estimator=plain, **options)
     with pytest.raises(TypeError, match=r"winches is a int, expected Winches"):
-        tc.kalman(stiff, sensors, sample_time=STEP, winches=8)
+        tc.KalmanFilter(stiff, sensors, sample_time=STEP, winches=8)
     by_force = tc.linearize(stiff.model, tc.prestress(tc.prism(), 17.3205))
     with pytest.raises(ValueError, match=r"winches set rest lengths, but plant has input='force"):
-        tc.kalman(by_force, sensors, sample_time=STEP, winches=WINCHES)
+        tc.KalmanFilter(by_force, sensors, sample_time=STEP, winches=WINCHES)
     with pytest.raises(ValueError, match=r"held has shape \(8,\), expected \(9,\)"):
         plain.reset(held=np.ones(8))

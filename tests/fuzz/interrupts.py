@@ -79,7 +79,7 @@ def example():
         lengths=rest_lengths(prism, paper_force_density(9.0), 100.0),
         held=held,
         nodes=held.to_nodes(0.01 * np.random.default_rng(0).normal(size=9)),
-        lqr=tc.lqr(force, Q, 0.1 * R, sample_time=SAMPLE, max_force_density=90.0),
+        lqr=tc.LQR(force, Q, 0.1 * R, sample_time=SAMPLE, max_force_density=90.0),
         mpc=tc.MPC(held, sample_time=SAMPLE, horizon=20),
         nmpc=tc.NMPC(held, sample_time=SAMPLE, horizon=10),
     )
@@ -92,7 +92,7 @@ def estimator():
         structure=example().model.structure, delay=2, string_length=1e-3, bar_direction=1e-2,
         node_position=2e-3,
     )  # fmt: skip
-    return tc.kalman(example().held, sensors, sample_time=SAMPLE)
+    return tc.KalmanFilter(example().held, sensors, sample_time=SAMPLE)
 
 
 def open_loop(method, **options):

@@ -133,7 +133,7 @@ int main(void)
 def regulator():
     """An LQR that limits changes."""
     plant = scenes.plant("rest_length")
-    return tc.lqr(
+    return tc.LQR(
         plant, *tc.energy_weights(plant), sample_time=scenes.SAMPLE, winches=scenes.WINDING
     )
 

@@ -71,7 +71,7 @@ def linearize(seed):
 
 
 def lqr(seed):
-    return [commands(tc.lqr(plant_of(SHARED), sample_time=0.02), seed)]
+    return [commands(tc.LQR(plant_of(SHARED), sample_time=0.02), seed)]
 
 
 def mpc(seed):
@@ -101,7 +101,7 @@ def kalman(seed):
     plant = plant_of(SHARED, "force_density")
     sensors = tc.Sensors(structure=PRISM, string_length=1e-3, node_position=5e-3)
     prediction = "nonlinear" if seed else "linear"
-    estimator = tc.kalman(plant, sensors, sample_time=0.02, prediction=prediction)
+    estimator = tc.KalmanFilter(plant, sensors, sample_time=0.02, prediction=prediction)
     rng, found = np.random.default_rng(seed), []
     for _ in range(3):
         reading = sensors.disturb(sensors.measure(PRISM.nodes), rng)
@@ -211,7 +211,7 @@ def designs(count, threads):
 
     def design(k):
         plant = plant_of(tc.Model(PRISM, strings=tc.LinearStrings(80.0 + k)))
-        return [tc.lqr(plant).gain if k % 4 else tc.MPC(plant, sample_time=0.02, horizon=4).bounds]
+        return [tc.LQR(plant).gain if k % 4 else tc.MPC(plant, sample_time=0.02, horizon=4).bounds]
 
     alone = [design(k) for k in range(count)]
     with ThreadPoolExecutor(threads) as pool:

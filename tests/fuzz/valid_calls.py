@@ -90,7 +90,6 @@ RESULTS = {
     "control.Command",
     "control.FeedbackLinearizationStatistics",
     "control.HeldLoop",
-    "control.LQR",
     "control.MPCStatistics",
     "control.NMPCStatistics",
     "control.QPSolution",
@@ -101,7 +100,6 @@ RESULTS = {
     "dynamics.Equation",
     "estimation.Estimate",
     "estimation.FilterStatistics",
-    "estimation.KalmanFilter",
     "integrate.Choice",
     "integrate.IntegrationError",
     "integrate.IntegrationInterrupt",
@@ -728,7 +726,7 @@ call("Reference.then", lambda: {"other": reference(), "pause": 0.5}, reference)
 # ---- control ----
 
 call(
-    "lqr",
+    "LQR",
     lambda: {
         "plant": plant(),
         "Q": np.ones(18),
@@ -740,7 +738,7 @@ call(
     share=0.5,
 )
 call(
-    "lqr, winches",
+    "LQR, winches",
     lambda: {
         "plant": held_plant(),
         "sample_time": 0.01,
@@ -918,7 +916,7 @@ call(
     "Sensors.disturb", lambda: {"exact": np.ones(9), "generator": np.random.default_rng(0)}, lengths
 )
 call(
-    "kalman",
+    "KalmanFilter",
     lambda: {
         "plant": held_plant(),
         "sensors": lengths(),
@@ -935,7 +933,7 @@ call(
     share=0.3,
 )
 call(
-    "kalman, winches",
+    "KalmanFilter, winches",
     lambda: {
         "plant": held_plant(),
         "sensors": lengths(),
@@ -946,21 +944,21 @@ call(
     share=0.1,
 )
 call(
-    "estimation.KalmanFilter.update",
+    "KalmanFilter.update",
     lambda: {"measurement": lengths().measure(nodes())},
     fresh(estimator),
     0.5,
     lambda: estimate_after(estimator()),
 )
 call(
-    "estimation.KalmanFilter.predict",
+    "KalmanFilter.predict",
     lambda: {"held": rest_length()},
     fresh(estimator),
     0.5,
     lambda: estimate_after(estimator()),
 )
 call(
-    "estimation.KalmanFilter.reset",
+    "KalmanFilter.reset",
     lambda: {"state": np.full(18, 1e-3), "covariance": np.eye(18), "held": rest_length()},
     estimator,
     0.5,

@@ -37,7 +37,7 @@ def test_a_regulator_designed_with_string_mass_damps_the_strings_as_well():
     """Strings of 20 % of the mass of the bars, wound as a whole."""
     whole = tc.plant.command_parents(massive_plant("rest_length", mass=0.2 * 3 / 9))
     Q, R = tc.energy_weights(whole)
-    regulator = tc.lqr(whole, Q, 0.1 * R)
+    regulator = tc.LQR(whole, Q, 0.1 * R)
     assert regulator.gain.shape == (9, 2 * whole.degrees_of_freedom)
     start = whole.to_nodes(0.001 * np.random.default_rng(0).normal(size=whole.degrees_of_freedom))
     wound = tc.structure.spread_rest_length(whole.model.structure, whole.rest_length)
@@ -52,7 +52,7 @@ def test_force_densities_of_whole_strings_cannot_damp_every_swing_of_the_strings
     whole = tc.plant.command_parents(massive_plant("force_density"))
     assert tc.controllability(whole).unreachable == 18
     with pytest.raises(ValueError, match="18 are changes of shape"):
-        tc.lqr(whole, *tc.energy_weights(whole))
+        tc.LQR(whole, *tc.energy_weights(whole))
 
 
 def test_only_subdivided_plants_have_parents_to_command():

@@ -69,7 +69,7 @@ def test_the_loaded_prism_is_linearized_and_regulated():
     plant = tc.linearize(model, rest)
     assert plant.invariance_residual < 1e-12
     Q, R = tc.energy_weights(plant)
-    regulator = tc.lqr(plant, Q, 0.1 * R, max_force_density=400.0)
+    regulator = tc.LQR(plant, Q, 0.1 * R, max_force_density=400.0)
     start = plant.to_nodes(0.01 * np.ones(plant.degrees_of_freedom))
     run = tc.simulate(model, 6.0, start, controller=regulator, sample_time=0.01, step=1e-3)
     off = np.linalg.norm(run.nodes - plant.nodes[:, :, None], axis=0).max(axis=0)

@@ -191,7 +191,7 @@ def test_a_slack_string_moves_nothing_and_stops_nothing():
     slope = (of(still, u + step * du) - of(still, u - step * du)) / (2 * step)
     np.testing.assert_allclose(slope, (plant.B @ du)[r:], rtol=1e-6)
     assert tc.plant.in_coordinates(plant, "nodes").slack.tolist() == [2]
-    law = tc.lqr(plant)
+    law = tc.LQR(plant)
     assert not law.gain[2].any()
     mpc = tc.MPC(plant, sample_time=0.02, horizon=5)
     command = mpc.command(0.0, plant.to_nodes(np.full(r, 0.01)), np.zeros_like(plant.nodes))

@@ -62,5 +62,5 @@ def test_numbers_beyond_double_precision_are_refused_without_a_warning():
 def test_weights_of_any_size_are_symmetric_to_the_solver():
     plant = tc.linearize(tc.Model(tc.prism()), tc.prestress(tc.prism(), force_density=17.3205))
     half = np.random.default_rng(0).normal(size=(18, 18))
-    law = tc.lqr(plant, Q=1e12 * half.T @ half, R=1e6, sample_time=0.02)
+    law = tc.LQR(plant, Q=1e12 * half.T @ half, R=1e6, sample_time=0.02)
     assert abs(law.poles).max() < 1

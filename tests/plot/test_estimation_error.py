@@ -18,9 +18,9 @@ def run(prism, rest):
         model,
         1.0,
         plant.to_nodes(0.005 * np.ones(9)),
-        controller=tc.lqr(plant, Q=1.0, R=1e-2, sample_time=0.02),
+        controller=tc.LQR(plant, Q=1.0, R=1e-2, sample_time=0.02),
         step=1e-3,
-        estimator=tc.kalman(plant, sensors, sample_time=0.02),
+        estimator=tc.KalmanFilter(plant, sensors, sample_time=0.02),
         seed=2,
     )
 

@@ -182,7 +182,7 @@ def broken_run():
     prism = tc.prism()
     model = tc.Model(prism, strings=tc.LinearStrings(100.0))
     plant = tc.linearize(model, tc.prestress(prism, 17.3205), "rest_length")
-    regulator = tc.lqr(plant, *tc.energy_weights(plant), sample_time=0.02)
+    regulator = tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.02)
     faults = [tc.StuckWinch(4, 0.02, 0.06), tc.CutString(6, 0.07), tc.LostMeasurement(0.04, 9.0)]
     late = tc.CutString(1, 5.0)  # the run is over by then
     return tc.simulate(model, 0.1, controller=regulator, step=2e-3, faults=[*faults, late])

@@ -27,7 +27,7 @@ def plant(prism, strings):
 @pytest.fixture(scope="module")
 def regulator(plant):
     Q, R = tc.energy_weights(plant)
-    return tc.lqr(plant, Q, 0.1 * R, sample_time=0.02)
+    return tc.LQR(plant, Q, 0.1 * R, sample_time=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_what_is_wrong_with_a_draw_is_named(case):
 
 def test_strings_without_the_parameter_stop_the_sweep(prism):
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 17.32))
-    regulator = tc.lqr(plant, *tc.energy_weights(plant), sample_time=0.02, max_force_density=60.0)
+    regulator = tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.02, max_force_density=60.0)
     case = tc.ClosedLoopCase(prism, None, regulator, DURATION, STEP, 0.02)
     assert case({"bar_mass": 1.1}, RNG).success
     with pytest.raises(
@@ -136,7 +136,7 @@ def test_a_pickled_mpc_commands_what_a_new_one_does(prism, strings, plant, kind)
 def watched(prism, strings, plant, regulator):
     """The regulator on what a filter makes of readings."""
     sensors = tc.Sensors(structure=prism, string_length=1e-3, bar_direction=[5e-3, 6e-3, 7e-3])
-    estimator = tc.kalman(plant, sensors, sample_time=0.02)
+    estimator = tc.KalmanFilter(plant, sensors, sample_time=0.02)
     return tc.ClosedLoopCase(
         prism, strings, regulator, 0.2, STEP, tolerance=0.02, estimator=estimator
     )

@@ -21,7 +21,7 @@ def arm_loop(**options):
     rest = tc.shape_target(model, force_density=60.0).prestress
     plant = tc.linearize(model, rest, input="rest_length")
     Q, R = tc.energy_weights(plant)
-    law = tc.lqr(plant, Q, R, sample_time=0.02)
+    law = tc.LQR(plant, Q, R, sample_time=0.02)
     return tc.ClosedLoopCase(
         structure, STRINGS, law, duration=1.0, step=5e-3, tolerance=0.02, gravity=9.81,
         nodes=plant.nodes, **options,
@@ -70,7 +70,7 @@ def test_no_point_mass_to_vary():
     d_bar = coupled.d_bar()
     model = tc.Model(d_bar, strings=STRINGS)
     plant = tc.linearize(model, tc.prestress(d_bar, force_density=10.0), input="rest_length")
-    law = tc.lqr(plant, *tc.energy_weights(plant), sample_time=0.02)
+    law = tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.02)
     case = tc.ClosedLoopCase(d_bar, STRINGS, law, duration=0.1, step=5e-3, tolerance=0.02)
     with pytest.raises(SweepError, match="no node has one"):
         outcome(case, point_mass=1.1)

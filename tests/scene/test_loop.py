@@ -220,7 +220,7 @@ time = 0.205
         bar_direction=0.01, node_position=0.01, nodes=[1], string_tension=0.5,
         tension_strings=[2], delay=1, drop_rate=0.1, outlier_rate=0.01,
     )  # fmt: skip
-    estimator = tc.kalman(
+    estimator = tc.KalmanFilter(
         plant,
         sensors,
         sample_time=0.02,
@@ -241,7 +241,7 @@ time = 0.205
         scene.model,
         0.3,
         scene.nodes,
-        controller=tc.lqr(plant, natural_Q, 0.1 * natural_R, sample_time=0.02),
+        controller=tc.LQR(plant, natural_Q, 0.1 * natural_R, sample_time=0.02),
         rest_length=scene.rest_length,
         step=2e-3,
         faults=faults,
@@ -367,7 +367,7 @@ def test_an_lqr_with_a_sample_time_is_designed_for_samples(load):
     plant = discrete.controller.plant
     Q, R = tc.energy_weights(plant)
     for scene, own in ((discrete, 0.02), (continuous, None)):
-        same = tc.lqr(plant, Q, 0.1 * R, sample_time=own)
+        same = tc.LQR(plant, Q, 0.1 * R, sample_time=own)
         assert scene.controller.sample_time == own
         np.testing.assert_array_equal(scene.controller.gain, same.gain)
         assert scene.sample_time == (None if own else 0.02)

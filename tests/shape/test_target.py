@@ -428,6 +428,6 @@ def test_a_target_is_an_operating_point_for_control():
     target = shape_target(free(), Height(0.85, TOP, BOTTOM), force_density=LEVEL)
     plant = tc.linearize(target.model, target.prestress)
     assert np.abs(plant.drift).max() < 1e-10
-    assert tc.lqr(plant, 1.0, 1e-3).poles.real.max() < 0
+    assert tc.LQR(plant, 1.0, 1e-3).poles.real.max() < 0
     still = tc.simulate(target.model, 1.0, target.nodes, rest_length=target.rest_length, step=1e-3)
     np.testing.assert_allclose(still.nodes[:, :, -1], target.nodes, atol=1e-10)

@@ -173,7 +173,7 @@ def controller(kind, held, **changes):
     if held == "rest_length":
         limits = {"winches": winches()}
     if kind == "lqr":
-        return tc.lqr(
+        return tc.LQR(
             plant(held), *tc.energy_weights(plant(held)), sample_time=STEP, **limits, **changes
         )
     made = {"mpc": tc.MPC, "nmpc": tc.NMPC}[kind]

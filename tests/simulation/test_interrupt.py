@@ -134,7 +134,7 @@ def test_in_a_command(example, press, estimated):
     if estimated:
         kinds = {"string_length": 1e-3, "bar_direction": 1e-2, "node_position": 2e-3}
         sensors = tc.Sensors(structure=example.model.structure, **kinds)
-        estimator = tc.kalman(example.plant, sensors, sample_time=SAMPLE)
+        estimator = tc.KalmanFilter(example.plant, sensors, sample_time=SAMPLE)
     with pytest.warns(InterruptionWarning, match=r"stopped at 0\.18 s"):
         run = tc.simulate(
             example.model, 5.0, controller=Pressed(example.plant, press), estimator=estimator,

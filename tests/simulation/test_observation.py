@@ -37,7 +37,7 @@ def held(model, rest):
 @pytest.fixture(scope="module")
 def regulator(plant):
     Q, R = tc.energy_weights(plant)
-    return tc.lqr(plant, Q, 0.1 * R, sample_time=STEP, max_force_density=90.0)
+    return tc.LQR(plant, Q, 0.1 * R, sample_time=STEP, max_force_density=90.0)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,9 @@ def errors(held, run, kept=None):
 def test_the_prism_comes_to_rest_by_any_kind_of_reading(
     model, held, regulator, start, wound, kinds, left_at_most, off_at_most, prediction
 ):
-    estimator = tc.kalman(held, sensors_of(model, *kinds), sample_time=STEP, prediction=prediction)
+    estimator = tc.KalmanFilter(
+        held, sensors_of(model, *kinds), sample_time=STEP, prediction=prediction
+    )
     run = tc.simulate(
         model, 3.0, start, controller=regulator, step=2e-3, output_step=STEP, rest_length=wound,
         estimator=estimator,
@@ -112,7 +114,7 @@ def test_the_prism_comes_to_rest_by_any_kind_of_reading(
 
 
 def test_good_sensors_give_the_loop_that_sees_the_motion(model, held, regulator, start, wound):
-    estimator = tc.kalman(
+    estimator = tc.KalmanFilter(
         held, sensors_of(model, *NOISE, scale=1e-4), sample_time=STEP, prediction="nonlinear"
     )
     options = {"controller": regulator, "step": 2e-3, "rest_length": wound}
@@ -131,7 +133,7 @@ def test_delay_losses_and_corrupt_readings_are_borne(model, held, regulator, sta
     )
     run = tc.simulate(
         model, 4.0, start, controller=regulator, step=2e-3, output_step=STEP, rest_length=wound,
-        estimator=tc.kalman(held, sensors, sample_time=STEP), seed=3,
+        estimator=tc.KalmanFilter(held, sensors, sample_time=STEP), seed=3,
     )  # fmt: skip
     off, left = errors(held, run, kept=100)
     found = run.control.estimate
@@ -153,7 +155,7 @@ def test_the_filter_is_told_what_is_held_and_the_controller_what_is_estimated(
 ):
     by = held if hold == "rest_length" else plant
     sensors = sensors_of(model, "string_tension", "string_length", delay=1)
-    estimator = tc.kalman(by, sensors, sample_time=STEP)
+    estimator = tc.KalmanFilter(by, sensors, sample_time=STEP)
     options = {}
     if hold == "rest_length":
         options = {"rest_length": wound, "winches": tc.Winches(rate=0.05)}
@@ -196,7 +198,7 @@ def test_the_filter_is_told_what_is_held_and_the_controller_what_is_estimated(
 
 def test_the_same_seed_gives_the_same_run(model, held, regulator, start):
     sensors = sensors_of(model, "string_length", drop_rate=0.2, outlier_rate=0.1)
-    estimator = tc.kalman(held, sensors, sample_time=STEP)
+    estimator = tc.KalmanFilter(held, sensors, sample_time=STEP)
 
     def run(**options):
         return tc.simulate(
@@ -213,7 +215,7 @@ def test_the_same_seed_gives_the_same_run(model, held, regulator, start):
 
 
 def test_sensors_may_be_worse_than_the_filter_believes(model, held, regulator, start, wound):
-    estimator = tc.kalman(
+    estimator = tc.KalmanFilter(
         held, sensors_of(model, "string_length", "node_position"), sample_time=STEP
     )
     worse = sensors_of(model, "string_length", "node_position", scale=1.5, drop_rate=0.3)
@@ -235,7 +237,7 @@ def test_sensors_of_the_parent_serve_a_structure_with_string_mass(model, held, r
     massive = tc.subdivide(prism, 2, string_mass=mass)
     nodes = tc.subdivide(moved, 2, string_mass=mass).nodes
     cut = tc.Model(massive, strings=tc.LinearStrings(100.0 * tc.structure.segment_counts(massive)))
-    estimator = tc.kalman(held, sensors_of(model, *NOISE), sample_time=STEP)
+    estimator = tc.KalmanFilter(held, sensors_of(model, *NOISE), sample_time=STEP)
     run = tc.simulate(
         cut, 2.0, nodes, controller=regulator, step=1e-3, estimator=estimator, output_step=STEP
     )
@@ -270,7 +272,7 @@ def test_large_motions_need_the_nonlinear_prediction(model, lowered, needs):
     off, restarts = {}, {}
     for prediction in ("linear", "nonlinear"):
         mpc = tc.MPC(plant, horizon=15, sample_time=STEP, max_force_density=80.0, reference=path)
-        estimator = tc.kalman(
+        estimator = tc.KalmanFilter(
             held, sensors, sample_time=STEP, prediction=prediction, start=prism.nodes
         )
         run = tc.simulate(

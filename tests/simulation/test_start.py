@@ -66,7 +66,7 @@ def controllers(example):
     force = tc.linearize(example.model, example.rest)
     Q, R = tc.energy_weights(force)
     return {
-        "lqr": (tc.lqr(force, Q, 0.1 * R, sample_time=SAMPLE, max_force_density=90.0), None),
+        "lqr": (tc.LQR(force, Q, 0.1 * R, sample_time=SAMPLE, max_force_density=90.0), None),
         "mpc": (tc.MPC(example.plant, sample_time=SAMPLE, horizon=10, winches=winches), winches),
         "nmpc": (tc.NMPC(example.plant, sample_time=SAMPLE, horizon=5), None),
     }
@@ -80,7 +80,7 @@ def test_a_controller_goes_on(example, name):
         structure=example.model.structure, delay=2, string_length=1e-3, bar_direction=1e-2,
         node_position=2e-3, string_tension=0.1,
     )  # fmt: skip
-    estimator = tc.kalman(example.plant, sensors, sample_time=SAMPLE, winches=winches)
+    estimator = tc.KalmanFilter(example.plant, sensors, sample_time=SAMPLE, winches=winches)
     faults = [tc.StuckWinch(3, time=0.1, until=0.5), tc.LostMeasurement(0.34, until=0.38)]
     options = {"controller": controller, "estimator": estimator, "winches": winches, "step": 5e-3}
     start = {"nodes": example.nodes, "rest_length": example.plant.rest_length, "faults": faults}

@@ -149,7 +149,7 @@ def test_unconstrained_first_input_is_that_of_the_discrete_lqr(plant):
     mpc = tc.MPC(
         plant, horizon=5, sample_time=0.02, max_force_density=300.0, Q=Q, R=R, tolerance=1e-9
     )
-    regulator = tc.lqr(plant, Q, R, sample_time=0.02)
+    regulator = tc.LQR(plant, Q, R, sample_time=0.02)
     nodes = pushed(plant, 0.001)
     assert np.allclose(
         mpc.command(0.0, nodes, STILL).value, regulator.command(0.0, nodes, STILL).value, atol=1e-5

@@ -64,7 +64,7 @@ def test_target_is_held_after_a_push_whatever_the_stiffness(stiffness, kind):
         controller = tc.MPC(plant, horizon=20, sample_time=SAMPLE)
     else:
         Q, R = tc.energy_weights(plant, by_mode=True)
-        controller = tc.lqr(plant, Q, R, sample_time=SAMPLE)
+        controller = tc.LQR(plant, Q, R, sample_time=SAMPLE)
         assert controller.riccati_residual < 1e-9
     start, duration = kick(plant), 2.0 if stiffness < 1e5 else 0.5
     run = tc.simulate(
@@ -114,7 +114,7 @@ def test_first_input_without_active_limits_is_that_of_the_discrete_lqr(stiffness
     mpc = tc.MPC(
         plant, horizon=5, sample_time=SAMPLE, Q=Q, R=R, tolerance=1e-9, max_iterations=20000
     )
-    law = tc.lqr(plant, Q, R, sample_time=SAMPLE)
+    law = tc.LQR(plant, Q, R, sample_time=SAMPLE)
     pushed = kick(plant, share=1e-3)
     for velocities in (STILL, pushed):
         found, wanted = (

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.estimation.kalman_filter import FilterDesign, KalmanFilter
 from tenscontrol.estimation.observability import (
     observed_plant,
     output_function,
@@ -19,6 +18,7 @@ from tenscontrol.estimation.observability import (
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.plant import (
     LinearPlant,
+    Sampled,
     acceleration_response,
     filter_riccati,
     reduced_shape,
@@ -45,100 +45,48 @@ _START_TOLERANCE = 1e-3
 _LOAD_START = 0.3
 
 
-def kalman(
+@dataclass(frozen=True, eq=False)
+class FilterDesign:
+    """What a filter computes with, in the coordinates of ``plant``.
+
+    Where a load is estimated, z has r more entries: the acceleration q̈ that it gives. Covariances
+    have the shape (s, s), ``outputs`` is ``(z, u) -> (y, ∂y/∂z)``, and ``motion`` is ``(z, u) ->
+    (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)`` over a substep, None for a linear prediction.
+    """
+
+    plant: LinearPlant
+    sensors: Sensors
+    sample_time: float
+    load: bool
+    substeps: int
+    sampled: Sampled
+    process_covariance: FloatArray
+    start_covariance: FloatArray
+    start: FloatArray
+    outputs: ca.Function
+    motion: ca.Function | None
+    gate: float
+    patience: int
+
+
+def filter_design(
     plant: LinearPlant,
     sensors: Sensors,
     *,
     sample_time: float,
-    process_noise: float = 0.02,
-    load: bool = False,
-    load_noise: float = 0.05,
-    prediction: str = "linear",
-    gate: float = 1e-4,
-    patience: int = 5,
-    start: object = None,
-    start_spread: float = 0.03,
-    winches: Winches | None = None,
-) -> KalmanFilter:
-    """Return a Kalman filter that estimates the motion of a plant from readings.
+    process_noise: float,
+    load: bool,
+    load_noise: float,
+    prediction: str,
+    gate: float,
+    patience: int,
+    start: object,
+    start_spread: float,
+    winches: Winches | None,
+) -> tuple[FilterDesign, FloatArray, tuple[FloatArray, FloatArray, np.ndarray, float]]:
+    """Return the design of a filter, the derivative C of its readings, and the Riccati solution.
 
-    The plant's input must be what the actuators hold between samples: for winches linearize
-    with ``input="rest_length"``, whatever the controller commands. To internal coordinates the
-    motions as one body that the readings see are added.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-        In internal or minimal coordinates.
-    sensors : Sensors
-        Of the structure of the plant's model.
-    sample_time : float
-        Sample time, s; a reading is taken at the start of each sample.
-    process_noise : float
-        Standard deviation of an unknown acceleration in each coordinate, constant over a
-        sample and independent from one to the next, as a part of the root mean square
-        acceleration that each string would give if it pulled alone with its tension
-        at the operating point.
-    load : bool
-        Whether to estimate an unknown load, an acceleration q̈ in each coordinate. Without it
-        such a load, or strings of another stiffness, shift the estimate.
-    load_noise : float
-        Standard deviation of the change of that acceleration from one sample to the next, in the
-        unit of ``process_noise``. A larger one follows faster and filters less.
-    prediction : {"linear", "nonlinear"}
-        By the plant, near its operating point, or by the equations of motion.
-    gate : float
-        Probability that a good reading is refused, above 0 and below 1.
-    patience : int
-        After so many samples in a row with most readings refused, the filter restarts from the
-        readings. At least 1.
-    start : array_like, shape (d, n), optional
-        Expected shape at the start, m, at rest; the operating point if not given.
-    start_spread : float
-        Standard deviation of the nodes from there, as a part of the size of the structure; that
-        of the speeds follows from the forces of the strings over this distance.
-    winches : Winches, optional
-        Winches with ramps, ``Winches(substeps=...)``, which the prediction follows. Their limits
-        do not matter.
-
-    Returns
-    -------
-    KalmanFilter
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or does not fit; if an undamped motion, or the load,
-        is not observable (the message says which readings in addition would do); if no string
-        pulls at the operating point; if the Riccati solution fails its check.
-
-    Notes
-    -----
-    ``z⁺ = Φ z + Γ v + d + Ψ (w + a)``, ``y = h(z, u) + e``, with Φ, Γ and Ψ exact for what
-    is held over a sample; a ramp adds ``Γ_p v_previous``. The acceleration a by the unknown load
-    has ``a⁺ = a + w'`` where it is estimated, and is 0 otherwise. The steady gain for
-    ``C = ∂h/∂z`` at the operating point is that of python-control's ``dlqr`` for the dual
-    problem, solved with whitened readings, and checked.
-
-    Examples
-    --------
-    >>> import tenscontrol as tc
-    >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
-    >>> sensors = tc.Sensors(structure=prism, string_length=0.001, node_position=0.005)
-    >>> estimator = tc.kalman(plant, sensors, sample_time=0.02)
-    >>> estimator
-    KalmanFilter(30 states, 15 readings, sample time 0.02 s, linear prediction)
-    >>> bool(abs(estimator.poles).max() < 1)
-    True
-
-    The length of one string does not tell of all motions:
-
-    >>> few = tc.Sensors(structure=prism, string_length=0.001, strings=[0])
-    >>> tc.kalman(plant, few, sample_time=0.02)  # doctest: +ELLIPSIS
-    Traceback (most recent call last):
-        ...
-    ValueError: 10 of the 18 states are not seen by ...
+    Arguments are those of :class:`KalmanFilter`.
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
@@ -195,9 +143,7 @@ def kalman(
         none = np.zeros((2 * r, r))
         push = np.block([[push, none], [none[:r], walk * pull * np.eye(r)]])
         C = np.hstack([C, np.zeros((len(C), r))])
-    return KalmanFilter(
-        design, frozen(C), *filter_riccati(design.sampled.transition, push, C, sensors.noise)
-    )
+    return design, frozen(C), filter_riccati(design.sampled.transition, push, C, sensors.noise)
 
 
 def _substeps(plant: LinearPlant, winches: Winches | None) -> int:
