@@ -45,8 +45,9 @@ class Model:
         True: the functions take a load W on the free nodes, N, as a further
         input. An array: that load is built in.
     gravity : float or array_like, shape (d,), optional
-        Acceleration of free fall, m/s²; a number is downward, along −z, in the plane
-        along −y. The weight of a bar acts half at each end.
+        Acceleration of free fall, m/s²; a number, at least 0, is downward, along −z, in the
+        plane along −y; a vector has the direction of the fall. The weight of a bar acts half at
+        each end.
 
     Raises
     ------
@@ -432,6 +433,11 @@ def _suitable_form(structure: Structure) -> str:
 def _gravity_vector(gravity: object, dimension: int) -> FloatArray:
     vector = float_array("gravity", gravity)
     if vector.ndim == 0:
+        if vector < 0:
+            raise ValueError(
+                f"gravity is {vector:g} m/s², expected at least 0: a number is the size of an "
+                f"acceleration that points down. Give {-vector:g}, or a vector"
+            )
         return np.append(np.zeros(dimension - 1), -float(vector))
     if vector.shape != (dimension,):
         raise ValueError(

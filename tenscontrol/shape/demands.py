@@ -333,7 +333,7 @@ class Twist(Demand):
     Parameters
     ----------
     angle : float
-        rad.
+        rad, at most a whole turn.
     top, bottom : sequence of int, length k
         Nodes in pairs: the turn that brings the k-th of ``bottom`` in line
         with the k-th of ``top``, in the mean of least squares.
@@ -373,7 +373,13 @@ class Twist(Demand):
                 f"top has {len(self.top)} nodes and bottom {len(self.bottom)}, "
                 "expected as many of each, two at least: they are compared in pairs"
             )
-        return {"angle": number("angle", self.angle, "rad")}
+        angle = number("angle", self.angle, "rad")
+        if abs(angle) > 2 * np.pi:
+            raise ValueError(
+                f"angle is {angle:g} rad, more than a whole turn; angles are in radians: for "
+                f"degrees give np.radians({angle:g}) = {np.radians(angle):.4g}"
+            )
+        return {"angle": angle}
 
     @property
     def names(self) -> tuple[str, ...]:

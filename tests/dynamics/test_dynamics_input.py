@@ -91,6 +91,8 @@ MODEL = [
             ValueError, r"external_force has shape \(6, 3\), expected \(3, 6\)"),
     refused("Model gravity of two", lambda: tc.Model(prism(), gravity=[0.0, 9.81]), ValueError,
             r"gravity has shape \(2,\), expected \(\) or \(3,\)"),
+    refused("Model gravity upward", lambda: tc.Model(prism(), gravity=-9.81), ValueError,
+            r"gravity is -9\.81 m/s², expected at least 0: .* Give 9\.81, or a vector"),
     refused("Model gravity nan", lambda: tc.Model(prism(), gravity=NAN), ValueError,
             r"gravity is nan"),
     refused("Model keyword", lambda: tc.Model(prism(), g=9.81), TypeError, r"argument 'g'"),

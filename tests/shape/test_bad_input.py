@@ -115,6 +115,12 @@ DEMANDS = [
     refused("height text", lambda: Height("high", TOP, BOTTOM), TypeError, "height must be"),
     refused("axis", lambda: Height(1.0, TOP, BOTTOM, axis=[0, 0, 0]), ValueError, "axis is 0"),
     refused("angle", lambda: Twist(NAN, TOP, BOTTOM), ValueError, "angle is nan"),
+    refused(
+        "angle in degrees",
+        lambda: Twist(30.0, TOP, BOTTOM),
+        ValueError,
+        r"angle is 30 rad, more than a whole turn; .* give np\.radians\(30\) = 0\.5236",
+    ),
     refused("pairs", lambda: Twist(0.1, TOP, [3, 4]), ValueError, "top has 3 nodes and bottom 2"),
     refused("cycles", lambda: RotationalSymmetry([]), ValueError, "cycles is empty"),
     refused("cycles text", lambda: RotationalSymmetry("abc"), TypeError, "cycles is 'abc'"),
