@@ -96,7 +96,7 @@ def refuse_repeats(bars: IntArray) -> None:
     low, high = bars.min(axis=1), bars.max(axis=1)
     if len(np.unique(low * (1 + high.max(initial=0)) + high)) == len(bars):
         return
-    pairs, first, which = np.unique(np.sort(bars), axis=0, return_index=True, return_inverse=True)
+    _, first, which = np.unique(np.sort(bars), axis=0, return_index=True, return_inverse=True)
     again = int(np.argmax(first[which.ravel()] != np.arange(len(bars))))
     one, other = sorted(bars[again].tolist())
     raise ValueError(
