@@ -81,7 +81,6 @@ run = tc.simulate(
     method="rattle",
     step=1e-3,
     output_step=SAMPLE,
-    machine_code=True,
 )
 
 # %%

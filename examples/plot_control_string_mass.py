@@ -13,7 +13,7 @@ import numpy as np
 
 import tenscontrol as tc
 
-STIFFNESS, DURATION, SAMPLE = 100.0, 4.0, 0.02
+STIFFNESS, DURATION, SAMPLE = 100.0, 3.0, 0.02
 
 prism = tc.prism()
 rest = tc.prestress(prism, force_density=17.320508)
@@ -42,7 +42,7 @@ def plant_with_mass(segments, share):
 def step_for(model):
     """Return a step within which the fastest string turns by two radians at most."""
     fastest = np.abs(np.linalg.eigvals(tc.linearize(model, at_rest(model), "rest_length").A)).max()
-    return min(1e-3, 2.0 / fastest)
+    return min(2e-3, 2.0 / fastest)
 
 
 def at_rest(model):

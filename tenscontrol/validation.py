@@ -53,7 +53,7 @@ def _brief(value: object) -> str:
 def float_array(name: str, value: object) -> FloatArray:
     """Return ``value`` as a finite float array, or say which entry is none or is too large."""
     array = _real_array(name, value)
-    if not (np.abs(array) <= LARGEST).all():
+    if not np.abs(array).max(initial=0.0) <= LARGEST:  # what is not a number makes it false
         bad = np.argwhere(~(np.abs(array) <= LARGEST))
         where = "" if array.ndim == 0 else f"[{', '.join(str(i) for i in bad[0])}]"
         found = array[tuple(bad[0])]
@@ -78,6 +78,8 @@ def measured(
 
 def _real_array(name: str, value: object) -> FloatArray:
     """Return ``value`` as a new float array, if it is made of real numbers."""
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        return value.astype(float)
     if value is None:
         raise TypeError(f"{name} is None, expected an array of real numbers")
     if isinstance(value, np.ma.MaskedArray):

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import settings
 
 import tenscontrol as tc
+from tenscontrol.dynamics import machine_code
 from tests.dynamics.scenes import TOP_FORCE_DENSITY, paper_force_density, rest_lengths
 from tests.oracle import HeldRestLength, RigidBars
 
@@ -20,6 +21,16 @@ settings.load_profile("tenscontrol")
 # A shell starts what runs in its background with Ctrl-C ignored, and tests of it would fail there.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def compiled_quickly():
+    """Libraries are compiled in half the time, to the same numbers. Return what users have."""
+    flags = machine_code.FLAGS
+    with pytest.MonkeyPatch.context() as patch:
+        quick = tuple("-O1" if flag == "-O3" else flag for flag in flags)
+        patch.setattr(machine_code, "FLAGS", quick)
+        yield flags
 
 
 @pytest.fixture(scope="session")

@@ -132,7 +132,7 @@ class Coordinates:
         if self.kind == "internal":
             if len(self.structure.fixed) < 2 and not self.structure.rollers:
                 turn, centre = self._alignment(N)
-                N, V = turn @ (N - centre) + self._centre(self.nodes), turn @ V
+                N, V = turn @ (N - centre) + self._reference[0], turn @ V
             elif self._is_loose:
                 N, V = self._along_supports(N, V)
         q = self._projection @ (N - self.nodes).ravel(order="F")
@@ -391,8 +391,20 @@ class Coordinates:
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
+        weights, total = self._weights
+        return np.asarray(nodes @ weights / total)[:, None]
+
+    @cached_property
+    def _weights(self) -> tuple[FloatArray, float]:
+        """Weights of the nodes in the centre of mass, and their sum."""
         weights = self._mass.sum(axis=1)
-        return np.asarray(nodes @ weights / weights.sum())[:, None]
+        return weights, weights.sum()
+
+    @cached_property
+    def _reference(self) -> tuple[FloatArray, FloatArray]:
+        """Centre of the reference shape, (d, 1), and its moments about it, (d, n)."""
+        centre = self._centre(self.nodes)
+        return centre, (self.nodes - centre) @ self._mass
 
     def _alignment(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the turn and the centre of mass that lay the shape over the reference.
@@ -402,7 +414,7 @@ class Coordinates:
         part along a rigid motion.
         """
         centre = self._centre(nodes)
-        spread = (self.nodes - self._centre(self.nodes)) @ self._mass @ (nodes - centre).T
+        spread = self._reference[1] @ (nodes - centre).T
         U, _, Vt = np.linalg.svd(spread)
         U[:, -1] *= np.linalg.det(U @ Vt)
         return U @ Vt, centre

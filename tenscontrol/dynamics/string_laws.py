@@ -277,7 +277,10 @@ class StringLaw(ABC):
         own = {name: np.asarray(getattr(self, name)) for name in self._names()}
         member_parameters({**arrays, **own})
         shape = np.broadcast(*arrays.values(), *own.values()).shape
-        return [np.broadcast_to(array, shape) for array in arrays.values()]
+        return [
+            array if array.shape == shape else np.broadcast_to(array, shape)
+            for array in arrays.values()
+        ]
 
     @built
     def _force_density_function(self) -> ca.Function:
@@ -409,7 +412,7 @@ def _evaluated(function: ca.Function, *arguments: FloatArray) -> FloatArray:
     columns = [np.atleast_1d(argument) for argument in arguments]
     if function.size1_in(0) == 1:
         columns = [column[None, :] for column in columns]
-    return np.array(function(*columns), dtype=float).reshape(shape)
+    return function.call(columns)[0].full().reshape(shape)
 
 
 def _representable(what: str, values: FloatArray, fine: bool) -> FloatArray:

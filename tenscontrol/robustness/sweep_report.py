@@ -227,18 +227,16 @@ class SweepReport:
             If there is no such figure, it is the same in all runs, or fewer than
             three runs were completed.
         """
-        from scipy.stats import rankdata
-
         values = self.figure(choice("figure", figure, self.figures))
         if len(values) < 3 or np.ptp(values) == 0:
             raise ValueError(
                 f"figure {figure!r} has {len(np.unique(values))} values in {len(values)} completed "
                 "runs, expected different ones in at least 3"
             )
-        ranks, completed = rankdata(values), self.completed
+        ranks, completed = _ranks(values), self.completed
         drawn = {name: column[completed] for name, column in self.columns.items()}
         found = {
-            name: float(np.corrcoef(rankdata(column), ranks)[0, 1])
+            name: float(np.corrcoef(_ranks(column), ranks)[0, 1])
             for name, column in drawn.items()
             if np.ptp(column) > 0
         }
@@ -298,3 +296,9 @@ def collected(header: store.Header, records: dict[int, Record]) -> SweepReport:
     """Return the report of the first runs, as many as the header says, in their order."""
     ordered = tuple(records[run] for run in sorted(records) if run < header.count)
     return SweepReport(header.case, header.seed, header.count, ordered)
+
+
+def _ranks(values: FloatArray) -> FloatArray:
+    """Return the place of each value in ascending order, from 1; equal ones share the mean."""
+    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(counts) - (counts - 1) / 2)[which.ravel()])

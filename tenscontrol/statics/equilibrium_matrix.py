@@ -126,22 +126,28 @@ def affine_picture(structure: Structure) -> csr_array:
     A flat or slender shape loses no digits in it. Forces F are pictured as ``P F``, and motions of
     the picture are those of the shape by ``Pᵀ``. With rollers, the directions are x, y and z.
     """
-    from scipy.sparse import csr_array, eye_array, kron
+    from scipy.sparse import csr_array
 
     axes, sizes = picture_axes(structure)
-    rows, n = structure.free_rows, structure.nodes.shape[1]
-    return csr_array(kron(eye_array(n), axes / sizes[:, None], format="csr")[rows][:, rows])
+    d, rows = structure.dimension, structure.free_rows
+    place = np.full(structure.nodes.size, -1)
+    place[rows] = np.arange(len(rows))
+    columns = place[(rows - rows % d)[:, None] + np.arange(d)]
+    kept = columns >= 0
+    values = (axes / sizes[:, None])[rows % d]
+    ends = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
+    return csr_array((values[kept], columns[kept], ends), shape=(len(rows), len(rows)))
 
 
 def member_basis(
-    structure: Structure, E: FloatArray
+    picture: csr_array, E: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return U, sizes and Vᵀ of columns of the equilibrium matrix, and the lengths of columns.
 
     E has the rows of the free coordinates. The rank is the same in every affine picture of the
     shape, so it is counted in one that is as long in all directions, with members of length 1.
     """
-    pictured = affine_picture(structure) @ E
+    pictured = picture @ E
     length = np.linalg.norm(pictured, axis=0)
     length = np.where(length > 0, length, 1.0)
     U, sizes, Vt = np.linalg.svd(pictured / length)
@@ -181,10 +187,10 @@ def member_forces(structure: Structure, load: FloatArray) -> MemberForces:
     size = f"structure has {rows} free coordinates and {count} members"
     refuse_memory(size, (rows + count) ** 2, "numbers in E and its singular vectors", 8)
     E = equilibrium_matrix(structure)[structure.free_rows][:, live]
-    U, sizes, Vt, length = member_basis(structure, E)
+    picture = affine_picture(structure)
+    U, sizes, Vt, length = member_basis(picture, E)
     rank = matrix_rank(sizes)
     states = np.linalg.qr(Vt[rank:].T / length[:, None])[0]
-    pictured = affine_picture(structure) @ load
-    particular = Vt[:rank].T @ ((U[:, :rank].T @ pictured) / sizes[:rank]) / length
+    particular = Vt[:rank].T @ ((U[:, :rank].T @ (picture @ load)) / sizes[:rank]) / length
     particular -= states @ (states.T @ particular)
     return MemberForces(live, E, sizes, states, particular)

@@ -205,7 +205,7 @@ def _left_free(
     that is told from none, as a part of the gross one.
     """
     rows, picture = structure.free_rows, affine_picture(structure)
-    U, sizes, _, _ = member_basis(structure, equilibrium_matrix(structure)[rows][:, members])
+    U, sizes, _, _ = member_basis(picture, equilibrium_matrix(structure)[rows][:, members])
     rank = matrix_rank(sizes)
     lost = sizes[rank:].max(initial=0.0) / sizes.max(initial=1.0)
     # A motion v of the shape is (P Pᵀ)⁻¹ P v in the picture, where motions are well apart.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from tenscontrol.validation import FloatArray, IntArray, frozen
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from scipy.sparse import csr_array
+    from scipy.sparse import csc_array, csr_array
 
 # Added to the constraints of bars, whose rows have length 1, so that dependent ones show: they
 # are left with little more than it. Bars left with less than the second number are looked at
@@ -187,18 +187,17 @@ def _ordered(
 def _independent(structure: Jointed, block: Block) -> IntArray:
     """Return bars of which none depends on the others, and all others on them."""
     from scipy.linalg import qr
-    from scipy.sparse import csc_array, csr_array, eye_array
     from scipy.sparse.linalg import splu
 
     r, rows, bars = len(block.rows), block.rows, block.independent
     J = bar_rows(structure, bars, structure.nodes)[:, rows]
     # Directions alone count, not masses or lengths; a bar that holds nothing that moves has none.
-    size = np.sqrt((J * J).sum(axis=1))
+    row = np.repeat(np.arange(len(bars)), np.diff(J.indptr))
+    size = np.sqrt(np.bincount(row, J.data**2, minlength=len(bars)))
     least = np.finfo(float).eps * structure.bar_length[bars]
-    J = csr_array(J / np.maximum(size, least)[:, None])  # SciPy 1.13 returns another format
-    matrix = csc_array(_saddle(eye_array(r), J, _SHIFT))
+    J.data /= np.maximum(size, least)[row]
     factors = splu(
-        matrix[block.order][:, block.order], permc_spec="NATURAL", diag_pivot_thresh=0.0,
+        _saddle(None, J, _SHIFT, block.order), permc_spec="NATURAL", diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )  # fmt: skip
     pivots = np.empty(len(block.order))
@@ -216,11 +215,10 @@ def _independent(structure: Jointed, block: Block) -> IntArray:
 
 def _admitted(J: csr_array, motions: FloatArray) -> FloatArray:
     """Return the parts of motions, shape (r, ·), that bars with the rows J admit."""
-    from scipy.sparse import csc_array, eye_array
     from scipy.sparse.linalg import splu
 
     below = np.zeros((J.shape[0], motions.shape[1]))
-    factors = splu(csc_array(_saddle(eye_array(len(motions)), J)))
+    factors = splu(_saddle(None, J))
     return np.asarray(factors.solve(np.vstack([motions, below]))[: len(motions)])
 
 
@@ -230,7 +228,6 @@ def restore_block(structure: Jointed, block: Block, nodes: FloatArray) -> FloatA
     By Newton's iteration to round-off, each change the least in the metric of the mass. Raises
     ValueError if it does not converge: the shape is too far off.
     """
-    from scipy.sparse import csc_array
     from scipy.sparse.linalg import splu
 
     rows, bars = block.rows, block.independent
@@ -248,7 +245,7 @@ def restore_block(structure: Jointed, block: Block, nodes: FloatArray) -> FloatA
             return nodes
         best = min(best, off)
         try:
-            factors = splu(csc_array(_saddle(mass, bar_rows(structure, bars, nodes)[:, rows])))
+            factors = splu(_saddle(mass, bar_rows(structure, bars, nodes)[:, rows]))
         except RuntimeError:  # exactly singular
             break
         change = factors.solve(np.concatenate([np.zeros(len(rows)), excess]))[: len(rows)]
@@ -263,10 +260,27 @@ def restore_block(structure: Jointed, block: Block, nodes: FloatArray) -> FloatA
     )
 
 
-def _saddle(mass: Any, J: csr_array, shift: float = 0.0) -> csr_array:
-    from scipy.sparse import block_array, eye_array
+def _saddle(
+    mass: csr_array | None, J: csr_array, shift: float = 0.0, order: IntArray | None = None
+) -> csc_array:
+    """Return [M, Jᵀ; J, −shift], M = 1 if there is none, its rows and columns in this order."""
+    from scipy.sparse import csc_array
 
-    return block_array([[mass, J.T], [J, -shift * eye_array(J.shape[0])]], format="csr")
+    (c, r), J = J.shape, J.tocoo()
+    diagonal = np.arange(r + c)
+    row, column, values = diagonal[:r], diagonal[:r], np.ones(r)
+    if mass is not None:
+        coo = mass.tocoo()
+        row, column, values = coo.row, coo.col, coo.data
+    row, column = (
+        np.concatenate([row, J.row + r, J.col, diagonal[r:]]),
+        np.concatenate([column, J.col, J.row + r, diagonal[r:]]),
+    )
+    if order is not None:
+        place = np.argsort(order)
+        row, column = place[row], place[column]
+    values = np.concatenate([values, J.data, J.data, np.full(c, -shift)])
+    return csc_array((values, (row, column)), shape=(r + c, r + c))
 
 
 def block_mass(structure: Jointed, block: Block) -> csr_array:

@@ -93,14 +93,16 @@ def checked_supports(fixed: Any, rollers: Any, shape: tuple[int, ...]) -> tuple[
 
 def refuse_repeats(bars: IntArray) -> None:
     """Raise if two bars join the same nodes."""
-    pairs, first, which = np.unique(np.sort(bars), axis=0, return_index=True, return_inverse=True)
-    if len(pairs) < len(bars):
-        again = int(np.argmax(first[which.ravel()] != np.arange(len(bars))))
-        one, other = sorted(bars[again].tolist())
-        raise ValueError(
-            f"bars[{again}] joins nodes {one} and {other}, as bars[{first[which.ravel()[again]]}] "
-            "does; remove one"
-        )
+    low, high = bars.min(axis=1), bars.max(axis=1)
+    if len(np.unique(low * (1 + high.max(initial=0)) + high)) == len(bars):
+        return
+    _, first, which = np.unique(np.sort(bars), axis=0, return_index=True, return_inverse=True)
+    again = int(np.argmax(first[which.ravel()] != np.arange(len(bars))))
+    one, other = sorted(bars[again].tolist())
+    raise ValueError(
+        f"bars[{again}] joins nodes {one} and {other}, as bars[{first[which.ravel()[again]]}] "
+        "does; remove one"
+    )
 
 
 def refuse_untouched_nodes(bars: IntArray, segments: IntArray, count: int) -> None:

@@ -64,9 +64,9 @@ def left_by_supports(structure: Structure, fields: FloatArray) -> FloatArray:
 
 def rigid_basis(structure: Structure) -> FloatArray:
     """Return an orthonormal basis of the motions as one body that the supports leave."""
-    fields = left_by_supports(structure, rigid_motions(structure.nodes))
-    U, sizes, _ = np.linalg.svd(fields, full_matrices=False)
-    largest = np.linalg.norm(rigid_motions(structure.nodes), 2)
+    motions = rigid_motions(structure.nodes)
+    U, sizes, _ = np.linalg.svd(left_by_supports(structure, motions), full_matrices=False)
+    largest = np.linalg.norm(motions, 2)
     return np.asarray(U[:, sizes > _RANK_TOLERANCE * largest])
 
 

@@ -29,8 +29,9 @@ needs_owners = pytest.mark.skipif(os.name == "nt", reason="Windows has no modes 
 
 
 @pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    """The cache folder of the test."""
+def cache(tmp_path, monkeypatch, compiled_quickly):
+    """The cache folder of the test, in which libraries are those of users."""
+    monkeypatch.setattr(machine_code, "FLAGS", compiled_quickly)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return tmp_path / "cache" / "tenscontrol"
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import Evaluator, machine_code, pack_state
+from tenscontrol.dynamics import Evaluator, pack_state
 from tenscontrol.dynamics.forms import loops_source
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.model import LARGEST_FLAT
@@ -17,10 +17,8 @@ FORMS = ["mapped", pytest.param("loops", marks=needs_compiler)]
 
 @pytest.fixture(autouse=True, scope="module")
 def own_cache(tmp_path_factory):
-    """Libraries are made anew, quickly, and not left behind."""
-    quick = tuple("-O1" if flag == "-O3" else flag for flag in machine_code.FLAGS)
+    """Libraries are made anew and not left behind."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(machine_code, "FLAGS", quick)
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
 
