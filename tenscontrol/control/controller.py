@@ -12,7 +12,14 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.control.status import Fallback, Status
 from tenscontrol.dynamics import Exclusive, exclusive
-from tenscontrol.plant import LinearPlant, regulator_riccati, state_units
+from tenscontrol.plant import (
+    LinearPlant,
+    Modes,
+    reached_states,
+    regulator_riccati,
+    state_units,
+    warn_of_left_alone,
+)
 from tenscontrol.validation import (
     FloatArray,
     float_array,
@@ -44,6 +51,9 @@ _SHORTEST = 0.01
 
 # Relative size of what counts as round-off in a weight matrix.
 _TOLERANCE = 1e-12
+
+# Input weight, in units of energy_weights, when the user gives none.
+_INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
 
 # Methods of controllers that use what they remember of the samples before.
 _WITH_MEMORY = {"applied", "command", "fall_back", "follow", "prepare", "reset", "take_over"}
@@ -224,6 +234,14 @@ class Controller(ABC):
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Least and largest command, shape (α,) each."""
         return self._low, self._high
+
+    @property
+    def left_alone(self) -> Modes:
+        """The modes of the plant that no string reaches; empty if there are none.
+
+        To first order no command changes them: what swings in them goes on, or decays by itself.
+        """
+        return reached_states(self._plant).unreached
 
     @property
     def largest_change(self) -> FloatArray | None:
@@ -541,11 +559,35 @@ def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArra
     return Q, np.eye(plant.B.shape[1]) * (largest / highest) ** 2
 
 
+def natural_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
+    """Return Q and R that controllers take if the user gives none."""
+    Q, R = energy_weights(plant, by_mode=plant.input == "rest_length")
+    return Q, _INPUT_WEIGHT[plant.input] * R
+
+
+def warn_of_unreached(controller: Controller, stacklevel: int) -> None:
+    """Warn of modes that a controller leaves alone and that do not decay."""
+    warn_of_left_alone(
+        controller.left_alone,
+        "no string reaches",
+        "What swings there goes on swinging whatever is commanded; the other modes are controlled.",
+        stacklevel + 1,
+    )
+
+
 def regulator(
     plant: LinearPlant, A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, discrete: bool
 ) -> tuple[FloatArray, tuple[FloatArray, np.ndarray, FloatArray, float]]:
-    """Return the weight of ``z`` or ``[z; v_previous]``, and the Riccati solution."""
+    """Return the weight of ``z`` or ``[z; v_previous]``, and the Riccati solution.
+
+    What no string reaches is left alone: :func:`reached_states` says what that is.
+    """
     units, level = state_units(plant)
-    added = len(A) - len(Q)
+    found, s, added = reached_states(plant), len(Q), len(A) - len(Q)
     weight, units = np.pad(Q, (0, added)), np.concatenate([units, np.full(added, level)])
-    return weight, regulator_riccati(A, B, weight, R, units, level, discrete=discrete)
+    count = found.count + added
+    basis = np.zeros((len(A), len(A)))
+    basis[:s, : found.count], basis[:s, count:] = np.split(found.basis, [found.count], axis=1)
+    basis[s:, found.count : count] = np.eye(added)
+    solution = regulator_riccati(A, B, weight, R, units, level, (basis, count), discrete=discrete)
+    return weight, solution

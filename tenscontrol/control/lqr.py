@@ -10,10 +10,11 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import (
     Command,
     Controller,
-    energy_weights,
     input_bounds,
     largest_change,
+    natural_weights,
     regulator,
+    warn_of_unreached,
     weight_matrix,
 )
 from tenscontrol.control.status import Status
@@ -36,13 +37,15 @@ class LQR(Controller):
     Parameters
     ----------
     plant : LinearPlant
-        In ``"internal"`` coordinates; ``"nodes"`` and ``"minimal"`` have
-        states that no string reaches.
+        In ``"internal"`` coordinates; free structures drift and turn in ``"nodes"`` and
+        ``"minimal"`` coordinates, and no string reaches that. Modes that no string reaches and
+        that do not grow are left alone: :attr:`left_alone`.
     Q : float or array_like, shape (2r,) or (2r, 2r), optional
         Weight of the state ``z = [q; q̇]``, positive semidefinite. If not given, that of
-        :func:`energy_weights`.
+        :func:`energy_weights`, by mode where the input is the rest length, as for :class:`MPC`.
     R : float or array_like, shape (α,) or (α, α), optional
-        Weight of the input, positive definite. If not given, that of :func:`energy_weights`.
+        Weight of the input, positive definite. If not given, that of :func:`energy_weights`; a
+        tenth of it for γ.
     sample_time : float, optional
         Sample time, s. With it the plant is discretized exactly, and the sum
         over samples is minimized in place of the integral.
@@ -63,24 +66,32 @@ class LQR(Controller):
         H, for a ramp input.
     poles : ndarray of complex, shape (2r,)
         Closed-loop poles: of the s-plane, 1/s, or with a sample time of the z-plane. For a ramp
-        input there are 2r + α.
+        input there are 2r + α. The last are those of what is left alone.
     cost : ndarray, shape (2r, 2r)
         Solution P of the Riccati equation: ``zᵀ P z`` is the cost to go. For a ramp input, of
-        ``[z; u_previous − u₀]``.
+        ``[z; u_previous − u₀]``. Without the share that belongs to what is left alone by itself,
+        which no input changes and which has no end where it does not decay.
     riccati_residual : float
         Residual of the Riccati equation relative to its largest term.
 
     Raises
     ------
     TypeError, ValueError
-        If an argument does not fit; if an unstable pole cannot be reached (the
+        If an argument does not fit; if no string reaches a motion that grows or drifts (the
         message says which and what to do); if the solution of the Riccati
         equation fails the check of its residual and poles.
+
+    Warns
+    -----
+    RuntimeWarning
+        If no string reaches a mode that does not decay, naming it.
 
     Notes
     -----
     The Riccati equation is solved by SciPy. Its answer is checked, since it
-    can be wrong without an error if an undamped mode is not controllable.
+    can be wrong without an error if an undamped mode is not controllable. It is that of the
+    states that strings reach; the gain on the others is the feedforward that a Sylvester equation
+    gives, zero where they disturb nothing and share no weight.
 
     Examples
     --------
@@ -107,10 +118,9 @@ class LQR(Controller):
         states, inputs = plant.B.shape
         refuse_empty(plant)
         if Q is None or R is None:
-            natural = energy_weights(plant)
-            Q, R = (
-                own if given is None else given for own, given in zip(natural, (Q, R), strict=True)
-            )
+            natural_Q, natural_R = natural_weights(plant)
+            Q = natural_Q if Q is None else Q
+            R = natural_R if R is None else R
         state_weight = weight_matrix("Q", Q, states, definite=False)
         input_weight = weight_matrix("R", R, inputs, definite=True)
         if winches is not None:
@@ -134,6 +144,7 @@ class LQR(Controller):
             plant, A, B, state_weight, input_weight, sample_time is not None
         )
         super().__init__(plant, sample_time, *bounds, change)
+        warn_of_unreached(self, stacklevel=3)
         ramp = gain.shape[1] > states
         self.gain = frozen(gain[:, :states])
         self.previous_input_gain = frozen(gain[:, states:]) if ramp else None

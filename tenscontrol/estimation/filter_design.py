@@ -12,12 +12,13 @@ from tenscontrol.estimation.observability import (
     observed_plant,
     output_function,
     output_matrix,
-    refuse_unobservable,
     refuse_unseen_loads,
+    unseen,
 )
 from tenscontrol.estimation.sensors import Sensors
 from tenscontrol.plant import (
     LinearPlant,
+    Modes,
     Sampled,
     acceleration_response,
     filter_riccati,
@@ -67,6 +68,7 @@ class FilterDesign:
     motion: ca.Function | None
     gate: float
     patience: int
+    left_alone: Modes
 
 
 def filter_design(
@@ -114,10 +116,15 @@ def filter_design(
     if not len(plant.A):
         raise ValueError("plant has no states, so there is nothing to estimate")
     C = output_matrix(plant, sensors)
-    refuse_unobservable(plant, sensors, C)
+    apart = unseen(plant, sensors, C)
     if load:
         refuse_unseen_loads(plant, sensors, C)
-    pull, by_load = _pull(plant), acceleration_response(plant, sample_time)
+    pull = _pull(plant)
+    # No noise drives what is left alone: nothing would ever correct that.
+    seen = apart.basis[:, : apart.count]
+    by_load = acceleration_response(plant, sample_time)
+    if apart.count < len(plant.A):
+        by_load = seen @ (seen.T @ by_load)
     motion: ca.Function | None = None
     if prediction == "nonlinear":
         motion = sampled_dynamics(plant, sample_time / substeps)[1]
@@ -135,6 +142,7 @@ def filter_design(
         motion=motion,
         gate=gate,
         patience=patience,
+        left_alone=apart.left_alone,
     )
     push = share * pull * by_load
     if load:
@@ -143,7 +151,10 @@ def filter_design(
         none = np.zeros((2 * r, r))
         push = np.block([[push, none], [none[:r], walk * pull * np.eye(r)]])
         C = np.hstack([C, np.zeros((len(C), r))])
-    return design, frozen(C), filter_riccati(design.sampled.transition, push, C, sensors.noise)
+    # Where a load is estimated, nothing is unseen.
+    split = None if load else (apart.basis, apart.count)
+    solution = filter_riccati(design.sampled.transition, push, C, sensors.noise, split)
+    return design, frozen(C), solution
 
 
 def _substeps(plant: LinearPlant, winches: Winches | None) -> int:

@@ -13,7 +13,7 @@ from tenscontrol.dynamics import Evaluator, Exclusive, exclusive
 from tenscontrol.estimation.correction import Correction
 from tenscontrol.estimation.filter_design import FilterDesign, filter_design
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.plant import LinearPlant
+from tenscontrol.plant import LinearPlant, Modes, warn_of_left_alone
 from tenscontrol.validation import FloatArray, IntArray, frozen, measured, shaped
 
 OK, PARTLY, LOST, REFUSED = "ok", "partly used", "lost", "refused"
@@ -162,7 +162,8 @@ class KalmanFilter:
 
     The plant's input must be what the actuators hold between samples: for winches linearize
     with ``input="rest_length"``, whatever the controller commands. To internal coordinates the
-    motions as one body that the readings see are added.
+    motions as one body that the readings see are added. Undamped modes that neither readings show
+    nor strings reach are left alone: :attr:`left_alone`.
 
     Parameters
     ----------
@@ -215,9 +216,15 @@ class KalmanFilter:
     Raises
     ------
     TypeError, ValueError
-        If an argument is of the wrong kind or does not fit; if an undamped motion, or the load,
-        is not observable (the message says which readings in addition would do); if no string
+        If an argument is of the wrong kind or does not fit; if an undamped motion that strings
+        reach or that drifts, or the load, is not observable (the message says which readings in
+        addition would do); if no string
         pulls at the operating point; if the Riccati solution fails its check.
+
+    Warns
+    -----
+    RuntimeWarning
+        If modes are left alone, naming them.
 
     Notes
     -----
@@ -280,6 +287,12 @@ class KalmanFilter:
                 winches=winches,
             )
         )
+        warn_of_left_alone(
+            self.left_alone,
+            "no reading shows and no string reaches",
+            "They are predicted from the start, as uncertain as that.",
+            stacklevel=3,
+        )
 
     def _begin(
         self,
@@ -308,6 +321,15 @@ class KalmanFilter:
     def plant(self) -> LinearPlant:
         """The plant in the coordinates of the filter."""
         return self._design.plant
+
+    @property
+    def left_alone(self) -> Modes:
+        """The undamped modes that no reading shows and no string reaches; empty if there are none.
+
+        They are predicted from the start and never corrected; no process noise drives them, so
+        that their covariance stays as it was at the start.
+        """
+        return self._design.left_alone
 
     @property
     def sensors(self) -> Sensors:

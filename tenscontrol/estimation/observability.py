@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -12,14 +12,18 @@ import numpy as np
 from tenscontrol.dynamics import kernel
 from tenscontrol.estimation.sensors import KINDS, Sensors
 from tenscontrol.plant import (
+    LeftSpace,
     LinearPlant,
-    distinct_poles,
+    Modes,
     in_coordinates,
+    left_spaces,
     model_input,
+    modes_of_spaces,
     near_symbol,
-    reached_dimension,
+    reached_states,
     reduced_motion,
     settled,
+    state_units,
 )
 from tenscontrol.structure import left_by_supports, rigid_motions
 from tenscontrol.validation import FloatArray, frozen
@@ -32,6 +36,18 @@ _TOLERANCE = 1e-9
 
 # Poles this far left of the axis, relative to the largest, decay by themselves.
 _SLOW = 1e-6
+
+# Parts of a plant that move each other by less than this fraction are apart.
+_APART = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class UnseenStates:
+    """States that a filter leaves alone: an orthonormal basis with them after ``count`` others."""
+
+    basis: FloatArray  # (s, s)
+    count: int
+    left_alone: Modes
 
 
 def output_function(plant: LinearPlant, sensors: Sensors, more: int = 0) -> ca.Function:
@@ -120,22 +136,54 @@ def _restricted(plant: LinearPlant, keep: FloatArray) -> LinearPlant:
     )
 
 
-def refuse_unobservable(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> None:
-    """Refuse readings that leave a motion which does not decay unseen, and say what would do."""
+def unseen(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> UnseenStates:
+    """Return what no reading shows and no string reaches; refuse what only the strings reach.
+
+    Decaying motions are not among it: an estimate forgets them.
+    """
     seen = C / sensors.noise[:, None]
-    poles = unseen_poles(plant, seen)
-    if not len(poles):
-        return
-    advice = _remedy(
-        plant, sensors, lambda more: not len(unseen_poles(plant, np.vstack([seen, more])))
+    A, scaled, unit, rate = _scaled(plant, seen)
+    lost = _lasting(A, scaled)
+    reached = reached_states(plant)
+    told = reached.basis[:, : reached.count]
+    refused = [each for each in lost if each.grows or not _is_apart(A, told, each.unreached)]
+    if refused:
+        advice = _remedy(
+            plant,
+            sensors,
+            lambda more: not _lasting(*_scaled(plant, np.vstack([seen, more]))[:2]),
+        )
+        count = sum(each.unreached.shape[1] for each in refused)
+        listed = ", ".join(f"{rate * each.pole:.4g}" for each in refused)
+        raise ValueError(
+            f"{count} of the {len(A)} states are not seen by {sensors!r}. At the poles {listed} "
+            f"1/s they do not decay by themselves. {advice}"
+        )
+    spaces = [each.unreached for each in lost]
+    whole = np.hstack([np.zeros((len(A), 0)), *(unit[:, None] * each for each in spaces)])
+    count = len(A) - whole.shape[1]
+    basis = np.linalg.qr(whole, mode="complete")[0]
+    return UnseenStates(
+        basis=frozen(np.hstack([basis[:, len(A) - count :], basis[:, : len(A) - count]])),
+        count=count,
+        left_alone=modes_of_spaces(plant, A, rate, spaces),
     )
-    A, scaled, _ = _scaled(plant, seen)
-    count = len(A) - reached_dimension(A.T, scaled.T)
-    listed = ", ".join(f"{pole:.4g}" for pole in poles)
-    raise ValueError(
-        f"{count} of the {len(A)} states are not seen by {sensors!r}. At the poles {listed} 1/s "
-        f"they do not decay by themselves. {advice}"
-    )
+
+
+def _lasting(A: FloatArray, C: FloatArray) -> list[LeftSpace]:
+    """Return what neither decays nor is seen by C, pole by pole; both are of size 1."""
+    return [
+        each
+        for each in left_spaces(A.T, C.T)
+        if each.unreached.shape[1] and each.pole.real >= -_SLOW
+    ]
+
+
+def _is_apart(A: FloatArray, reached: FloatArray, space: FloatArray) -> bool:
+    """Whether strings do not reach a space of states that A keeps, and others do not drive it."""
+    others = A - (A @ space) @ space.T
+    coupling = (np.linalg.norm(part, 2) for part in (reached.T @ space, space.T @ others))
+    return all(size < _APART for size in coupling if size)
 
 
 def refuse_unseen_loads(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> None:
@@ -176,25 +224,10 @@ def _rank(rows: FloatArray) -> int:
     return int(np.count_nonzero(sizes > _TOLERANCE * sizes.max(initial=0.0)))
 
 
-def unseen_poles(plant: LinearPlant, C: FloatArray) -> np.ndarray:
-    """Return poles, Im s ≥ 0, that neither decay nor are seen by C, by Hautus's test (1969)."""
-    A, seen, highest = _scaled(plant, C)
-    poles = distinct_poles(plant.A)
-    slow = poles[poles.real >= -_SLOW * highest]
-    eye = np.eye(len(A))
-    lost = []
-    for pole in slow:
-        sizes = np.linalg.svd(np.vstack([pole / highest * eye - A, seen]), compute_uv=False)
-        if sizes[-1] < _TOLERANCE * sizes[0]:
-            lost.append(pole)
-    return np.array(lost, dtype=complex)
-
-
-def _scaled(plant: LinearPlant, C: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return A and C in time units of the highest frequency, C of unit size, and that frequency."""
-    r = plant.degrees_of_freedom
-    highest = plant.spectral_radius or 1.0
-    scale = np.r_[np.full(r, highest), np.ones(r)]
-    seen = C / scale
+def _scaled(plant: LinearPlant, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return A and C in units of the state, of size 1, these units and the highest frequency."""
+    unit, _ = state_units(plant)
+    rate = plant.spectral_radius or 1.0
+    seen = C * unit
     size = max(float(np.linalg.norm(seen, 2)), 1e-300)
-    return scale[:, None] * plant.A / scale / highest, seen / size, highest
+    return plant.A * unit / unit[:, None] / rate, seen / size, unit, rate

@@ -2,12 +2,14 @@
 
 from tenscontrol.plant.controllability import (
     Controllability,
+    LeftSpace,
     controllability,
-    distinct_poles,
-    lost_poles,
-    reached_dimension,
+    left_spaces,
+    modes_of_spaces,
+    reached_states,
     refuse_empty,
     refuse_unreachable,
+    warn_of_left_alone,
 )
 from tenscontrol.plant.equilibrium import equilibrium, held_value
 from tenscontrol.plant.linear_plant import (
@@ -57,6 +59,7 @@ from tenscontrol.plant.string_outputs import (
 __all__ = [
     "INPUTS",
     "Controllability",
+    "LeftSpace",
     "LinearPlant",
     "Modes",
     "OperatingPoint",
@@ -73,18 +76,18 @@ __all__ = [
     "checked_tracked",
     "command_parents",
     "controllability",
-    "distinct_poles",
     "equilibrium",
     "explicit_substeps",
     "filter_riccati",
     "held_value",
     "in_coordinates",
+    "left_spaces",
     "linearize",
-    "lost_poles",
     "model_input",
     "modes",
+    "modes_of_spaces",
     "near_symbol",
-    "reached_dimension",
+    "reached_states",
     "reduced_acceleration",
     "reduced_motion",
     "reduced_shape",
@@ -101,4 +104,5 @@ __all__ = [
     "to_commanded_strings",
     "to_model_strings",
     "tracked_motion",
+    "warn_of_left_alone",
 ]

@@ -1,41 +1,69 @@
-"""Controllability of a linear plant, pole by pole."""
+"""What strings reach of a linear plant, mode by mode, and what has to be left alone."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
 from tenscontrol.dynamics import coordinates
-from tenscontrol.plant.linear_plant import LinearPlant
-from tenscontrol.validation import FloatArray, frozen, instance
+from tenscontrol.plant.linear_plant import LinearPlant, kept
+from tenscontrol.plant.modes import (
+    Modes,
+    clusters,
+    in_order,
+    is_undamped,
+    kinds_of_motion,
+    label_of,
+    squared_frequencies,
+    unmixed,
+)
+from tenscontrol.plant.riccati import state_units
+from tenscontrol.validation import FloatArray, freeze_arrays, frozen, instance
 
 # A direction or margin below this fraction of its surroundings does not exist.
 _TOLERANCE = 1e-9
 
-# Eigenvalues closer than this fraction of the largest are one: round-off splits
-# a double pole by about 1e-8.
+# Poles closer than this fraction of the largest are one cluster: round-off splits the double
+# poles of Jordan blocks by about 1e-8. Within a cluster they are told apart.
 _SAME_POLE = 1e-6
+
+# Round-off in the entries of A, relative to its size, and in the real part of a single pole.
+_ROUND_OFF, _UPRIGHT = 1e-11, 1e-9
+
+# Round-off of the eigenvectors of A, for one of size 1 and distances of 1.
+_NOISE = 1e-14
+
+# Modes that a warning names.
+_LISTED = 4
+
+# Eigenvectors of a cluster that are this close to dependent make a Jordan block.
+_DEPENDENT = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Controllability:
-    """Result of the PBH test. Made by :func:`controllability`.
+    """What the inputs reach. Made by :func:`controllability`.
 
     Attributes
     ----------
     pole : ndarray of complex, shape (k,)
         The different poles with Im s ≥ 0, 1/s, by size.
     margin : ndarray, shape (k,)
-        Smallest singular value of ``[s I − A, B]``: how far A and B must
-        change, in the plant's units, before the inputs lose the pole.
+        How well the inputs reach the modes of the pole, 0 to 1, whatever the units: the least
+        acceleration of a mode by inputs of size 1, over the largest that they give to any motion.
+        Of modes that share a pole, that of the combination reached least.
     unreachable : int
         Number of states that no input reaches, rate states included.
+    unreached : Modes
+        The modes that no input reaches.
     """
 
     pole: np.ndarray
     margin: FloatArray
     unreachable: int
+    unreached: Modes
 
     @property
     def is_controllable(self) -> bool:
@@ -56,7 +84,7 @@ class Controllability:
 
 
 def controllability(plant: LinearPlant) -> Controllability:
-    """Test by Popov, Belevitch and Hautus whether the inputs reach every pole.
+    """Test whether the inputs reach every mode.
 
     Parameters
     ----------
@@ -73,8 +101,10 @@ def controllability(plant: LinearPlant) -> Controllability:
 
     Notes
     -----
-    Hautus (1969): (A, B) is controllable if and only if ``[s I − A, B]`` has
-    full row rank at every eigenvalue s of A.
+    Popov, Belevitch and Hautus (Hautus 1969): (A, B) is controllable if and only if no left
+    eigenvector w of A has ``wᵀ B = 0``. One decomposition gives all w: of the symmetric stiffness
+    where nothing is damped, else of A. Modes that share a pole are tested together, and where
+    they have too few eigenvectors (a drift), on the space that belongs to the pole.
 
     Examples
     --------
@@ -83,30 +113,258 @@ def controllability(plant: LinearPlant) -> Controllability:
     >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
     >>> print(tc.controllability(plant).table())
     pole 1/s                margin
-       0.0000   +0.0000j          1
-       0.0000  +14.2830j     0.0584
-       0.0000  +14.6810j     0.0246
-       0.0000  +15.3523j     0.0966
+       0.0000   +0.0000j      0.663
+       0.0000  +14.2830j      0.443
+       0.0000  +14.6810j       0.11
+       0.0000  +15.3523j      0.649
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    poles = distinct_poles(plant.A)
-    margins = [_margin(plant.A, plant.B, pole) for pole in poles]
+    found = reached_states(plant)
+    order = np.argsort(np.abs(found.pole), kind="stable")
     return Controllability(
-        pole=frozen(poles),
-        margin=frozen(np.array(margins)),
-        unreachable=len(plant.A) - reached_dimension(*_scaled(plant)[:2]),
+        pole=frozen(found.pole[order]),
+        margin=frozen(found.margin[order]),
+        unreachable=len(plant.A) - found.count,
+        unreached=found.unreached,
     )
 
 
-def lost_poles(plant: LinearPlant) -> np.ndarray:
-    """Return the poles, Re s ≥ 0, that no input reaches; whatever the units of the plant."""
-    poles = distinct_poles(plant.A)
-    A, B, highest = _scaled(plant)
-    if B.shape[1]:
-        B = B / max(float(np.linalg.norm(B, 2)), 1e-300)
-    slow = poles.real >= -_SAME_POLE * np.abs(poles).max(initial=0.0)
-    lost = [pole for pole in poles[slow] if _margin(A, B, pole / highest) < _TOLERANCE]
-    return np.array(lost, dtype=complex)
+@dataclass(frozen=True, eq=False)
+class ReachedStates:
+    """The states of a plant that its inputs reach, and those that they do not; not for users.
+
+    ``z = unit · (basis y)`` with an orthonormal basis, in which A is ``[[A11, A12], [0, A22]]`` and
+    B is ``[B1; 0]``: the first ``count`` entries of y are reached.
+    """
+
+    pole: np.ndarray
+    margin: FloatArray
+    unit: FloatArray  # (s,)
+    basis: FloatArray  # (s, s)
+    count: int
+    unreached: Modes
+    growing: np.ndarray  # poles of what is not reached and grows or drifts, 1/s
+    growing_states: int
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+@kept
+def reached_states(plant: LinearPlant) -> ReachedStates:
+    """Return what the inputs of a plant reach."""
+    return (_by_stiffness if is_undamped(plant) else _by_poles)(plant)
+
+
+def _by_stiffness(plant: LinearPlant) -> ReachedStates:
+    """Return what is reached of ``q̈ + K q = B₂ v``: K is symmetric, so left modes are modes."""
+    r, kinds = plant.degrees_of_freedom, kinds_of_motion(plant)
+    squares, modes = squared_frequencies(-plant.A[r:, :r])
+    rows = modes.T @ _normalized(plant.B[r:])
+    sizes_of_one = np.linalg.norm(rows, axis=1)
+    noise = _NOISE * np.abs(squares).max(initial=0.0)
+    poles, margins, growing = [], [], []
+    reached, lost, lost_squares, labels = [], [], [], []
+    for first, last in clusters(squares):
+        turn, sizes = _left_directions(rows[first:last])
+        own, square = modes[:, first:last] @ turn, squares[first:last].mean()
+        mixed = _mixed(squares, slice(first, last), noise, sizes_of_one)
+        count = int(np.count_nonzero(sizes > max(_TOLERANCE, mixed)))
+        pair = [np.sqrt(complex(-square))]
+        if square < 0:
+            pair.append(-pair[0])
+        poles += pair
+        margins += len(pair) * [sizes[-1]]
+        reached.append(own[:, :count])
+        if count < last - first:
+            left, names = unmixed(own[:, count:], kinds)
+            lost.append(left)
+            labels += names
+            lost_squares += len(names) * [square]
+            if square <= 0:
+                growing += len(names) * [pair[0]]
+    basis = np.zeros((2 * r, 0))
+    empty = np.zeros((r, 0))
+    for part in (np.hstack([empty, *reached]), np.hstack([empty, *lost])):
+        basis = np.hstack([basis, np.kron(np.eye(2), part)])
+    return ReachedStates(
+        pole=np.array(poles, dtype=complex),
+        margin=np.array(margins, dtype=float),
+        unit=state_units(plant)[0],
+        basis=basis,
+        count=2 * (r - len(labels)),
+        unreached=in_order(
+            plant, np.sqrt(-np.array(lost_squares, complex)), np.hstack([empty, *lost]), labels
+        ),
+        growing=np.array(growing, dtype=complex),
+        growing_states=2 * len(growing),
+    )
+
+
+def _by_poles(plant: LinearPlant) -> ReachedStates:
+    """Return what is reached of any plant, from the left eigenvectors of A."""
+    r = plant.degrees_of_freedom
+    unit, _ = state_units(plant)
+    rate = 1 / unit[0] if r else 1.0
+    A = plant.A * unit / unit[:, None] / rate
+    found = left_spaces(A, _normalized(plant.B))
+    lost = [each for each in found if each.unreached.shape[1]]
+    spaces = np.hstack([np.zeros((2 * r, 0)), *(each.unreached for each in lost)])
+    count = 2 * r - spaces.shape[1]
+    away = np.linalg.qr(spaces, mode="complete")[0]
+    growing = [each for each in lost if each.grows]
+    return ReachedStates(
+        pole=rate * np.array([each.pole for each in found], dtype=complex),
+        margin=np.array([each.margin for each in found], dtype=float),
+        unit=unit,
+        basis=np.hstack([away[:, 2 * r - count :], away[:, : 2 * r - count]]),
+        count=count,
+        unreached=modes_of_spaces(plant, A, rate, [each.unreached for each in lost]),
+        growing=rate * np.array([each.pole for each in growing], dtype=complex),
+        growing_states=sum(each.unreached.shape[1] for each in growing),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class LeftSpace:
+    """A pole s, Im s ≥ 0, how well inputs reach it, and what inputs do not reach of its states."""
+
+    pole: complex
+    margin: float  # least size of Bᵀ w, w a left eigenvector whose rates have the norm 1
+    unreached: FloatArray  # orthonormal, (s, k); Aᵀ maps it into itself
+    grows: bool  # whether what is not reached grows or drifts
+
+
+def left_spaces(A: FloatArray, B: FloatArray) -> list[LeftSpace]:
+    """Return what B does not reach of ``ż = A z``, pole by pole; both are of size 1."""
+    from scipy import linalg
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(A):
+        return []
+    poles, left = linalg.eig(A.T)  # wᵀ A = s wᵀ
+    count, cluster = connected_components(np.abs(poles[:, None] - poles) < _SAME_POLE)
+    spaces = []
+    nothing = np.zeros((len(A), 0))
+    sizes_of_one = np.linalg.norm(left.T @ B, axis=1)
+    rates = np.linalg.norm(left[len(A) // 2 :], axis=0)
+    for each in range(count):
+        mine = cluster == each
+        pole = complex(poles[mine].mean())
+        if pole.imag < -_SAME_POLE / 2:  # the conjugate of another
+            continue
+        # Left and right eigenvectors of a slow pole are nearly orthogonal.
+        noise = _NOISE / max(abs(pole), _SAME_POLE)
+        tolerance = max(_TOLERANCE, _mixed(poles, mine, noise, sizes_of_one))
+        if mine.sum() == 1 and sizes_of_one[mine] > tolerance:
+            margin = sizes_of_one[mine] / rates[mine]
+            spaces.append(LeftSpace(pole, float(margin[0]), nothing, grows=False))
+            continue
+        vectors, sizes, _ = np.linalg.svd(left[:, mine], full_matrices=False)
+        basis = vectors
+        if sizes[-1] < _DEPENDENT * sizes[0]:
+            reach = np.abs(poles[mine] - pole).max() + _SAME_POLE / 2
+            _, basis, found = linalg.schur(
+                A.T, output="complex", sort=lambda s, at=pole, reach=reach: abs(s - at) <= reach
+            )
+            basis = basis[:, :found]
+        unreached, grows = _unreached_of(A, B, pole, basis, tolerance)
+        vectors = vectors[:, sizes >= _DEPENDENT * sizes[0]]
+        spaces.append(LeftSpace(pole, _margin(vectors, B), unreached, grows))
+    return spaces
+
+
+def _unreached_of(
+    A: FloatArray, B: FloatArray, pole: complex, basis: np.ndarray, tolerance: float
+) -> tuple[FloatArray, bool]:
+    """Return what is not reached of the left space of a pole, and whether it grows."""
+    T: np.ndarray | None = None
+    reached = np.zeros((basis.shape[1], 0), dtype=complex)
+    block = basis.conj().T @ B
+    while block.shape[1]:
+        directions, sizes = _left_directions(block - reached @ (reached.conj().T @ block))
+        fresh = directions[:, sizes > tolerance]
+        reached = np.hstack([reached, fresh])
+        if len(reached) == reached.shape[1]:
+            return np.zeros((len(A), 0)), False
+        if T is None:
+            T = basis.conj().T @ A.T @ basis
+            shifted = T - np.eye(len(T)) * np.trace(T) / len(T)
+            away = float(np.linalg.norm(shifted, 2))
+        if away <= _ROUND_OFF:  # one pole with all its eigenvectors
+            break
+        block = shifted.conj().T @ fresh / away
+        tolerance = max(tolerance, 1e-3 * _ROUND_OFF / away)
+    left = np.linalg.qr(reached, mode="complete")[0][:, reached.shape[1] :]
+    grows = pole.real > _UPRIGHT
+    if abs(pole.real) <= _UPRIGHT:
+        sizes = np.linalg.svd(np.linalg.eig(left.conj().T @ T @ left)[1], compute_uv=False)
+        grows = bool(sizes[-1] < _DEPENDENT * sizes[0])
+    vectors, is_pair = basis @ left, pole.imag > _SAME_POLE / 2
+    parts = np.hstack([vectors.real, vectors.imag])
+    return np.linalg.svd(parts, full_matrices=False)[0][:, : (1 + is_pair) * left.shape[1]], grows
+
+
+def _mixed(values: np.ndarray, mine: object, noise: float, sizes: FloatArray) -> float:
+    """Return how much of the reach of others round-off adds to that of some eigenvectors.
+
+    A change of A by ``noise`` turns an eigenvector towards another one by the noise over the
+    distance of their values: soft modes beside stiff ones lose digits.
+    """
+    others = np.ones(len(values), bool)
+    others[mine] = False
+    away = np.abs(values[others] - values[mine].mean())
+    return float(np.linalg.norm(noise / away * sizes[others]))
+
+
+def _left_directions(rows: np.ndarray) -> tuple[np.ndarray, FloatArray]:
+    """Return orthonormal directions of the left side, (m, m), and their sizes, descending."""
+    count, columns = rows.shape
+    directions, sizes, _ = np.linalg.svd(rows, full_matrices=columns < count)
+    return directions, np.r_[sizes, np.zeros(count - len(sizes))]
+
+
+def _normalized(B: FloatArray) -> FloatArray:
+    """Return B of norm 1; a column of zeros where there are no inputs."""
+    size = float(np.linalg.norm(B, 2)) if B.size else 0.0
+    return B / size if size > 0 else np.zeros((len(B), 1))
+
+
+def _margin(vectors: np.ndarray, B: FloatArray) -> float:
+    """Return the least size of Bᵀ w for left eigenvectors w whose rates have the norm 1."""
+    r = len(vectors) // 2
+    # The rest of a left eigenvector follows from its last rows.
+    own = np.linalg.svd(vectors[r:], full_matrices=False)[0]
+    return float(_left_directions(own.conj().T @ B[r:])[1][-1])
+
+
+def modes_of_spaces(
+    plant: LinearPlant, A: FloatArray, rate: float, spaces: list[FloatArray]
+) -> Modes:
+    """Return the modes of spaces of states that Aᵀ keeps; A is that of the plant over ``rate``."""
+    r, kinds = plant.degrees_of_freedom, kinds_of_motion(plant)
+    poles, shapes = np.zeros(0, complex), np.zeros((r, 0), complex)
+    for space in spaces:
+        own, moved = _own_modes(A, space)
+        poles, shapes = np.r_[poles, rate * own], np.hstack([shapes, moved])
+    return in_order(plant, poles, shapes, [label_of(shape, kinds) for shape in shapes.T])
+
+
+def _own_modes(A: FloatArray, space: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+    """Return poles, Im s ≥ 0, and shapes q of the motion in a real space that Aᵀ keeps."""
+    r = len(A) // 2
+    poles, vectors = np.linalg.eig(space.T @ A @ space)
+    moved = space @ vectors
+    lengths = np.linalg.norm(moved[:r], axis=0) >= np.linalg.norm(moved[r:], axis=0)
+    shapes = np.where(lengths, moved[:r], moved[r:])
+    still = np.abs(poles) < _SAME_POLE
+    zero, sizes, _ = np.linalg.svd(shapes[:, still], full_matrices=False)
+    zero = zero[:, sizes > _DEPENDENT * sizes.max(initial=0.0)]
+    others = ~still & (poles.imag >= 0)
+    return (
+        np.r_[np.zeros(zero.shape[1], complex), poles[others]],
+        np.hstack([zero, shapes[:, others]]),
+    )
 
 
 def refuse_empty(plant: LinearPlant) -> None:
@@ -119,11 +377,11 @@ def refuse_empty(plant: LinearPlant) -> None:
 
 
 def refuse_unreachable(plant: LinearPlant) -> None:
-    """Raise if a pole that does not decay is out of reach, saying which and what to do."""
-    lost = lost_poles(plant)
-    if len(lost) == 0:
+    """Raise if a motion that grows or drifts is out of reach, saying which and what to do."""
+    found = reached_states(plant)
+    if not found.growing_states:
         return
-    kind, unreachable = plant.coordinates.kind, controllability(plant).unreachable
+    kind = plant.coordinates.kind
     counts = {
         each: coordinates(plant.model, plant.nodes, each).count
         for each in ("nodes", "minimal", "internal")
@@ -136,63 +394,38 @@ def refuse_unreachable(plant: LinearPlant) -> None:
     if kind != "internal":
         rigid = 2 * (counts["minimal"] - counts["internal"])
         what.append((rigid, "are motions of the structure as one body"))
-    inner = unreachable - sum(count for count, _ in what)
+    inner = found.growing_states - sum(count for count, _ in what)
     if inner:
-        poles = ", ".join(f"{pole:.4g}" for pole in lost)
+        poles = ", ".join(f"{pole:.4g}" for pole in found.growing)
         what.append((inner, f"are changes of shape, at the poles {poles} 1/s"))
     advice = (
-        "Damping, other strings or another prestress would mend that; controllability(plant) "
-        "says more"
+        "A prestress that makes the shape stable would mend that, or strings that change their "
+        "lengths with it; controllability(plant).unreached has the shapes"
         if inner
         else "Internal forces change neither: linearize with coordinates='internal'"
     )
     listed = " and ".join(f"{count} {meaning}" for count, meaning in what if count)
     raise ValueError(
-        f"{unreachable} of the {len(plant.A)} states of the plant in {kind!r} coordinates are out "
-        f"of reach of the strings, and do not decay by themselves: {listed}. {advice}"
+        f"{found.growing_states} of the {len(plant.A)} states of the plant in {kind!r} coordinates "
+        f"are out of reach of the strings, and grow or drift: {listed}. {advice}"
     )
 
 
-def distinct_poles(A: FloatArray) -> np.ndarray:
-    """Return the different eigenvalues with Im s ≥ 0, by size; equal ones are averaged."""
-    values = np.linalg.eigvals(A)
-    same = _SAME_POLE * max(float(np.abs(values).max(initial=0.0)), 1e-300)
-    groups: list[list[complex]] = []
-    for value in sorted(values, key=abs):
-        near = next((group for group in groups if abs(group[0] - value) < same), None)
-        if near is None:
-            groups.append([value])
-        else:
-            near.append(value)
-    means = np.array([np.mean(group) for group in groups], dtype=complex)
-    # A pole within round-off of an axis is on it.
-    means.real[np.abs(means.real) < same] = 0.0
-    means.imag[np.abs(means.imag) < same] = 0.0
-    return means[means.imag >= 0]
-
-
-def _margin(A: FloatArray, B: FloatArray, pole: complex) -> float:
-    pencil = np.hstack([pole * np.eye(len(A)) - A, B])
-    return float(np.linalg.svd(pencil, compute_uv=False)[-1])
-
-
-def _scaled(plant: LinearPlant) -> tuple[FloatArray, FloatArray, float]:
-    """Return A and B in time units of the highest frequency, and that frequency, rad/s."""
-    r = plant.degrees_of_freedom
-    highest = plant.spectral_radius or 1.0
-    scale = np.r_[np.full(r, highest), np.ones(r)]
-    return scale[:, None] * plant.A / scale / highest, scale[:, None] * plant.B, highest
-
-
-def reached_dimension(A: FloatArray, block: FloatArray) -> int:
-    """Return the dimension of the Krylov space of A and a block, (s, k), by block Arnoldi."""
-    basis = np.zeros((len(A), 0))
-    while block.shape[1] and basis.shape[1] < len(A):
-        size = float(np.linalg.norm(block, 2))
-        for _ in range(2):  # twice is enough (Kahan, Parlett)
-            block = block - basis @ (basis.T @ block)
-        U, sizes, _ = np.linalg.svd(block, full_matrices=False)
-        fresh = U[:, np.asarray(sizes) > _TOLERANCE * max(size, 1e-300)]
-        basis = np.hstack([basis, fresh])
-        block = A @ fresh
-    return int(basis.shape[1])
+def warn_of_left_alone(modes: Modes, what: str, meaning: str, stacklevel: int) -> None:
+    """Warn of modes left alone that do not decay: what is so of them, and what that means."""
+    swinging = [
+        f"{frequency:.4g} Hz ({label})"
+        for frequency, damping, label in zip(
+            modes.frequency, modes.damping, modes.label, strict=True
+        )
+        if damping < _UPRIGHT
+    ]
+    if swinging:
+        count = f"{len(swinging)} mode{'s' if len(swinging) > 1 else ''}"
+        more = ", …" if len(swinging) > _LISTED else ""
+        warnings.warn(
+            f"{what} {count} of the plant, at {', '.join(swinging[:_LISTED])}{more}: left alone. "
+            f"{meaning} left_alone has the shapes, for plot.mode_shapes",
+            RuntimeWarning,
+            stacklevel=stacklevel + 1,
+        )

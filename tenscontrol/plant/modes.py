@@ -20,6 +20,9 @@ _ZERO = 1e-11
 # Eigenvalues this close to each other, relative to themselves, are one frequency.
 _EQUAL = 1e-7
 
+# Round-off of ω², relative to the largest: soft modes beside stiff ones.
+_NOISE = 1e-13
+
 # A stiffness matrix this far from symmetric, relative to its size, is not that of a rest.
 _SYMMETRIC = 1e-9
 
@@ -73,7 +76,12 @@ class Modes:
             lines.append(f"{i:4d}  {self.frequency[i]:12.5f}  {self.damping[i]:7.4f}  {label}")
         return "\n".join(lines)
 
+    def __len__(self) -> int:
+        return len(self.label)
+
     def __repr__(self) -> str:
+        if not self.label:
+            return "Modes(0)"
         return (
             f"Modes({len(self.label)}, {self.frequency.min():.3g} to {self.frequency.max():.3g} Hz)"
         )
@@ -127,16 +135,23 @@ def modes(plant: LinearPlant) -> Modes:
     stiffness, friction = -plant.A[r:, :r], -plant.A[r:, r:]
     if plant.coordinates.kind == "nodes":
         poles, vectors, labels = _node_modes(plant)
-    elif not friction.any() and _is_symmetric(stiffness):
-        poles, vectors, labels = _undamped(stiffness, _kinds(plant))
+    elif is_undamped(plant):
+        poles, vectors, labels = _undamped(stiffness, kinds_of_motion(plant))
     else:
-        poles, vectors, labels = _general(stiffness, friction, _kinds(plant))
+        poles, vectors, labels = _general(stiffness, friction, kinds_of_motion(plant))
+    return in_order(plant, poles, vectors, labels)
+
+
+def in_order(
+    plant: LinearPlant, poles: np.ndarray, vectors: np.ndarray, labels: list[str]
+) -> Modes:
+    """Return modes of a plant, of poles and displacements q, in order of frequency."""
     order = np.lexsort([_rank(labels), np.round(np.abs(poles), 9)])
     poles, vectors = poles[order], vectors[:, order]
     size = np.abs(poles)
     d, n = plant.nodes.shape
     shape = (plant.basis @ vectors).reshape(n, d, len(order)).swapaxes(0, 1)
-    shape = shape / np.linalg.norm(shape, axis=0).max(axis=0)
+    shape = shape / np.linalg.norm(shape, axis=0).max(axis=0, initial=0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         damping = np.where(size > 0, -poles.real / size, 0.0)
     return Modes(
@@ -153,7 +168,16 @@ def _rank(labels: list[str]) -> IntArray:
     return np.array([names.index(label) for label in labels], dtype=np.int64)
 
 
-def _kinds(plant: LinearPlant) -> dict[str, FloatArray]:
+def is_undamped(plant: LinearPlant) -> bool:
+    """Whether ``q̈ + K q = 0`` with symmetric K describes a plant."""
+    r = plant.degrees_of_freedom
+    stiffness, friction = plant.A[r:, :r], plant.A[r:, r:]
+    asymmetry = np.abs(stiffness - stiffness.T).max(initial=0.0)
+    largest = np.abs(stiffness).max(initial=0.0)
+    return not friction.any() and bool(asymmetry <= _SYMMETRIC * largest)
+
+
+def kinds_of_motion(plant: LinearPlant) -> dict[str, FloatArray]:
     """Return orthonormal bases of the rigid, affine and mechanism motions in q."""
     structure, nodes = plant.model.structure, plant.nodes
     S = structure.string_vectors(nodes)
@@ -201,18 +225,19 @@ def _undamped(
     stiffness: FloatArray, kinds: dict[str, FloatArray]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Modes of q̈ + K q = 0 with symmetric K: real shapes, sorted within equal frequencies."""
+    values, vectors = squared_frequencies(stiffness)
+    labels: list[str] = []
+    for first, last in clusters(values):
+        vectors[:, first:last], found = unmixed(vectors[:, first:last], kinds)
+        labels += found
+    return np.sqrt((-values).astype(complex)), vectors, labels
+
+
+def squared_frequencies(stiffness: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return ω² and orthonormal modes of ``q̈ + K q = 0``, ascending; round-off is zero."""
     values, vectors = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
     values[np.abs(values) < _ZERO * np.abs(values).max(initial=0.0)] = 0.0
-    labels: list[str] = []
-    for first, last in _clusters(values):
-        vectors[:, first:last], found = _unmixed(vectors[:, first:last], kinds)
-        labels += found
-    poles = np.sqrt((-values).astype(complex))
-    return poles, vectors, labels
-
-
-def _is_symmetric(matrix: FloatArray) -> bool:
-    return bool(np.abs(matrix - matrix.T).max() <= _SYMMETRIC * np.abs(matrix).max())
+    return values, vectors
 
 
 def _general(
@@ -230,8 +255,8 @@ def _general(
     poles, vectors = np.linalg.eig(A)
     keep = poles.imag >= 0
     shapes = held @ vectors[:size, keep]
-    free, free_labels = _unmixed(free, kinds)
-    labels = free_labels + [_label(shape, kinds) for shape in shapes.T]
+    free, free_labels = unmixed(free, kinds)
+    labels = free_labels + [label_of(shape, kinds) for shape in shapes.T]
     return np.r_[np.zeros(free.shape[1], complex), poles[keep]], np.hstack([free, shapes]), labels
 
 
@@ -261,14 +286,15 @@ def _node_modes(plant: LinearPlant) -> tuple[np.ndarray, np.ndarray, list[str]]:
     )
 
 
-def _clusters(values: FloatArray) -> list[tuple[int, int]]:
-    """Return the runs of equal values in a sorted array."""
-    breaks = np.flatnonzero(np.diff(values) > _EQUAL * np.abs(values[1:])) + 1
+def clusters(values: FloatArray) -> list[tuple[int, int]]:
+    """Return the runs of equal ω² in a sorted array."""
+    noise = _NOISE * np.abs(values).max(initial=0.0)
+    breaks = np.flatnonzero(np.diff(values) > _EQUAL * np.abs(values[1:]) + noise) + 1
     edges = [0, *breaks.tolist(), len(values)]
     return list(pairwise(edges))
 
 
-def _unmixed(vectors: np.ndarray, kinds: dict[str, FloatArray]) -> tuple[np.ndarray, list[str]]:
+def unmixed(vectors: np.ndarray, kinds: dict[str, FloatArray]) -> tuple[np.ndarray, list[str]]:
     """Turn a basis of a space of equal modes so that each kind shows unmixed."""
     sorted_parts, labels = [], []
     rest = vectors
@@ -284,7 +310,8 @@ def _unmixed(vectors: np.ndarray, kinds: dict[str, FloatArray]) -> tuple[np.ndar
     return np.hstack([*sorted_parts, rest]), labels + ["elastic"] * rest.shape[1]
 
 
-def _label(shape: np.ndarray, kinds: dict[str, FloatArray]) -> str:
+def label_of(shape: np.ndarray, kinds: dict[str, FloatArray]) -> str:
+    """Return the kind of motion that has most of the kinetic energy of a shape."""
     whole = float(np.linalg.norm(shape)) ** 2
     for kind, basis in kinds.items():
         if float(np.linalg.norm(basis.T @ shape)) ** 2 >= _SHARE * whole:

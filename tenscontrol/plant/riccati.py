@@ -49,13 +49,17 @@ def regulator_riccati(
     input_weight: FloatArray,
     unit: FloatArray,
     level: float,
+    split: tuple[FloatArray, int] | None = None,
     *,
     discrete: bool,
 ) -> tuple[FloatArray, np.ndarray, FloatArray, float]:
     """Return gain K, closed-loop poles, cost P and Riccati residual of a regulator, checked.
 
     Solved with states in units of ``unit``, shape (s,), and inputs in units of ``level``: a stiff
-    plant cannot be solved otherwise. A ValueError says why there is no good solution.
+    plant cannot be solved otherwise. Where there is a ``split``, inputs reach the first columns
+    alone of an orthonormal basis of states in these units, so many, and the others move by
+    themselves: the equation is solved for the first, and the others are fed forward where they
+    disturb. A ValueError says why there is no good solution.
     """
     scaled = (
         A * unit / unit[:, None],
@@ -63,32 +67,84 @@ def regulator_riccati(
         _symmetric(unit[:, None] * state_weight * unit),
         _symmetric(level**2 * input_weight),
     )
-    K, P, poles = _solve(*scaled, discrete, _REGULATOR)
-    residual = riccati_residual(*scaled, P, discrete=discrete)
-    check_riccati(residual, poles, discrete, _REGULATOR)
+    K, P, poles, residual = _split_solution(*scaled, split, discrete, _REGULATOR)
     return level * K / unit, poles, P / unit[:, None] / unit, residual
 
 
 def filter_riccati(
-    transition: FloatArray, drive: FloatArray, C: FloatArray, noise: FloatArray
+    transition: FloatArray,
+    drive: FloatArray,
+    C: FloatArray,
+    noise: FloatArray,
+    split: tuple[FloatArray, int] | None = None,
 ) -> tuple[FloatArray, FloatArray, np.ndarray, float]:
     """Return steady gain, covariance of predictions, poles and residual of a filter, checked.
 
     Φ is the ``transition`` of a sample, and ``drive`` Ψ, shape (s, m): what independent noises of
     variance 1 add to the state over a sample. ``noise``, shape (p,), are standard deviations of
-    the readings. Solved as the dual problem. A ValueError says why there is no good solution.
+    the readings. Where there is a ``split``, they see the first columns alone of an orthonormal
+    basis, so many, and nothing drives the others. Solved as the dual problem. A ValueError says
+    why there is no good solution.
     """
     whitened = C / noise[:, None]
     unit = 1 / float(np.linalg.norm(whitened, 2))
     output, driven = unit * whitened, drive / unit
     eye = np.eye(len(C))
     dual = transition.T, output.T, _symmetric(driven @ driven.T), eye
-    _, P, _ = _solve(*dual, True, _FILTER)
-    residual = riccati_residual(*dual, P, discrete=True)
+    _, P, poles, residual = _split_solution(*dual, split, True, _FILTER)
     gain = np.linalg.solve(output @ P @ output.T + eye, output @ P).T
-    poles = np.linalg.eigvals(transition @ (np.eye(len(P)) - gain @ output))
-    check_riccati(residual, poles, True, _FILTER)
     return frozen(unit * gain / noise), frozen(unit**2 * P), frozen(poles), residual
+
+
+def _split_solution(
+    A: FloatArray,
+    B: FloatArray,
+    Q: FloatArray,
+    R: FloatArray,
+    split: tuple[FloatArray, int] | None,
+    discrete: bool,
+    messages: _Messages,
+) -> tuple[FloatArray, FloatArray, np.ndarray, float]:
+    """Return gain, solution, poles and residual of an equation, checked on what is reached.
+
+    In the basis A is ``[[A11, A12], [0, A22]]`` and B ``[B1; 0]``. P11 and K1 are those of
+    (A11, B1); then P12 solves a linear equation and gives K2. P22 is a cost that no input changes:
+    the least that leaves P positive semidefinite is taken, since there may be no finite one.
+    """
+    if split is None or split[1] == len(A):
+        K, P, poles = _solve(A, B, Q, R, discrete, messages)
+        residual = riccati_residual(A, B, Q, R, P, discrete=discrete)
+        check_riccati(residual, poles, discrete, messages)
+        return K, P, poles, residual
+    basis, count = split
+    first, rest = basis[:, :count], basis[:, count:]
+    A11, A12, A22 = first.T @ A @ first, first.T @ A @ rest, rest.T @ A @ rest
+    B1, Q12 = first.T @ B, first.T @ Q @ rest
+    reached = A11, B1, _symmetric(first.T @ Q @ first), R
+    K1, P11, poles = _solve(*reached, discrete, messages)
+    residual = riccati_residual(*reached, P11, discrete=discrete)
+    check_riccati(residual, poles, discrete, messages)
+    from scipy import linalg
+
+    closed = A11 - B1 @ K1
+    if discrete:
+        P12 = _discrete_sylvester(closed.T, A22, Q12 + closed.T @ P11 @ A12)
+        K2 = np.linalg.solve(R + B1.T @ P11 @ B1, B1.T @ (P11 @ A12 + P12 @ A22))
+    else:
+        P12 = linalg.solve_sylvester(closed.T, A22, -(P11 @ A12 + Q12))
+        K2 = np.linalg.solve(R, B1.T @ P12)
+    P22 = P12.T @ np.linalg.lstsq(P11, P12, rcond=None)[0]
+    P = basis @ np.block([[P11, P12], [P12.T, P22]]) @ basis.T
+    poles = np.r_[poles, np.linalg.eigvals(A22)]
+    return np.hstack([K1, K2]) @ basis.T, _symmetric(P), poles, residual
+
+
+def _discrete_sylvester(F: FloatArray, G: FloatArray, C: FloatArray) -> FloatArray:
+    """Return X of ``X = F X G + C`` by Smith's doubling; F decays, and powers of G are bounded."""
+    X = C
+    while np.linalg.norm(F) * np.linalg.norm(G) > np.finfo(float).eps:
+        X, F, G = X + F @ X @ G, F @ F, G @ G
+    return X
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:

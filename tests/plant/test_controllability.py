@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import tenscontrol as tc
+from tenscontrol.plant import reached_states
 from tests.plant.scenes import INPUTS, KINDS, prism_plant
 
 UNREACHABLE = {"nodes": 18, "minimal": 12, "internal": 0}
@@ -28,7 +29,7 @@ def test_the_weakest_mode_is_the_twist(rest):
     plant = prism_plant(rest, "force_density")
     found = tc.controllability(plant)
     weakest = found.margin.argmin()
-    assert found.margin[weakest] == pytest.approx(0.025, abs=5e-4)
+    assert found.margin[weakest] == pytest.approx(0.110, abs=5e-4)
     assert found.pole[weakest] == pytest.approx(14.681j, abs=5e-4)
     pushed = np.linalg.svd(plant.B, compute_uv=False)
     assert np.count_nonzero(pushed > 1e-10 * pushed[0]) == 8
@@ -42,14 +43,137 @@ def test_the_self_stress_pushes_nowhere(rest):
 
 
 @every_input
-def test_margins_are_those_of_the_matrix_pencil(rest, held):
-    plant = prism_plant(rest, held)
+@pytest.mark.parametrize("damping", [0.0, 0.5])
+def test_margins_are_those_of_the_quadratic_pencil(rest, held, damping):
+    """``y (s² + D s + K) = 0``, ‖y‖ = 1: the margin is ‖y B₂‖ / ‖B₂‖, least among equal poles."""
+    plant = prism_plant(rest, held, damping=damping * (held == "rest_length"))
     found = tc.controllability(plant)
+    push = plant.B[9:]
     for pole, margin in zip(found.pole, found.margin, strict=True):
-        pencil = np.hstack([pole * np.eye(18) - plant.A, plant.B])
+        pencil = pole**2 * np.eye(9) - pole * plant.A[9:, 9:] - plant.A[9:, :9]
+        U, sizes, _ = np.linalg.svd(pencil)
+        y = U[:, sizes < 1e-6 * sizes[0]]
         # By the Gram matrix, not by singular values.
-        gram = np.linalg.eigvalsh(pencil @ pencil.conj().T)
-        assert margin == pytest.approx(np.sqrt(gram[0]), rel=1e-6)
+        gram = np.linalg.eigvalsh(y.conj().T @ push @ push.T @ y)
+        assert margin == pytest.approx(np.sqrt(gram[0]) / np.linalg.norm(push, 2), rel=1e-6)
+
+
+@every_input
+def test_margins_do_not_depend_on_units(rest, held):
+    plant = prism_plant(rest, held)
+    expected = tc.controllability(plant)
+    fast = np.r_[np.full(9, 1e3), np.ones(9)]  # seconds as milliseconds
+    A = replace(plant, A=plant.A * 1e3 / fast * fast[:, None] / 1.0, B=1e9 * plant.B)
+    A.A[:9, 9:], A.A[9:, :9] = np.eye(9), 1e6 * plant.A[9:, :9]
+    found = tc.controllability(A)
+    np.testing.assert_allclose(found.margin, expected.margin, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(found.pole, 1e3 * expected.pole, rtol=1e-6, atol=1e-3)
+
+
+# ---- parts that no input reaches ----
+
+
+def plant_of(rest, stiffness, friction, push):
+    """Return a plant ``q̈ + D q̇ + K q = B₂ v`` on nine coordinates, otherwise that of the prism."""
+    plant = prism_plant(rest, "rest_length")
+    A = np.block([[np.zeros((9, 9)), np.eye(9)], [-stiffness, -friction]])
+    return replace(plant, A=A, B=np.vstack([np.zeros_like(push), push]))
+
+
+def turned(seed=0):
+    return np.linalg.qr(np.random.default_rng(seed).normal(size=(9, 9)))[0]
+
+
+def assert_split(plant, unreachable, growing=0, round_off=1e-8):
+    """The count is as expected, and A and B have their form in the basis."""
+    found = reached_states(plant)
+    assert len(plant.A) - found.count == unreachable
+    assert found.growing_states == growing
+    T, n = found.basis, found.count
+    np.testing.assert_allclose(T.T @ T, np.eye(len(T)), atol=1e-12)
+    A = T.T @ (plant.A * found.unit / found.unit[:, None]) @ T
+    B = T.T @ (plant.B / found.unit[:, None])
+    assert np.abs(A[n:, :n]).max(initial=0) < round_off * np.abs(A).max()
+    assert np.abs(B[n:]).max(initial=0) < round_off * np.abs(B).max()
+    return found
+
+
+FREQUENCIES = np.array([1.0, 2.0, 2.0, 2.0, 3.0, 3.0, 4.0, 5.0, 6.0]) ** 2
+
+
+@pytest.mark.parametrize("stiff", [1.0, 1e9])
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_of_equal_frequencies_inputs_reach_some_combinations(rest, stiff, size):
+    """Two inputs on three equal modes, mixed: one combination is out of reach, beside one mode."""
+    V = turned()
+    push = np.zeros((9, 9))
+    push[:, :2] = np.random.default_rng(1).normal(size=(9, 2))
+    push[7] = 0  # the mode at 5 rad/s
+    squares = FREQUENCIES.copy()
+    squares[8] *= stiff
+    plant = plant_of(rest, V @ np.diag(squares) @ V.T, np.zeros((9, 9)), size * V @ push)
+    # Soft modes beside stiff ones lose digits.
+    found = assert_split(plant, 4, round_off=1e-15 * max(stiff, 1e7))
+    lost = found.unreached
+    np.testing.assert_allclose(2 * np.pi * lost.frequency, [2.0, 5.0], rtol=1e-4)
+    np.testing.assert_array_equal(lost.damping, 0.0)
+
+
+def test_a_drift_that_nothing_reaches_grows(rest):
+    """Double zeros: three, on which one input pushes."""
+    V = turned(2)
+    push = np.zeros((9, 9))
+    push[:, 0] = 1.0
+    squares = np.r_[np.zeros(3), np.arange(1.0, 7.0)]
+    for friction in (0.0, 1e-300):  # by the stiffness, and by poles
+        K, D = V @ np.diag(squares) @ V.T, np.full((9, 9), friction)
+        found = assert_split(plant_of(rest, K, D, V @ push), 4, growing=4)
+        assert list(found.unreached.frequency) == [0.0, 0.0]
+
+
+def test_damped_modes_out_of_reach_are_left_alone_and_undamped_ones_found_among_them(rest):
+    V = turned(3)
+    push = np.random.default_rng(4).normal(size=(9, 9))
+    push[[2, 6]] = 0
+    damping = np.full(9, 0.3)
+    damping[6] = 0.0
+    plant = plant_of(rest, V @ np.diag(FREQUENCIES) @ V.T, V @ np.diag(damping) @ V.T, V @ push)
+    found = assert_split(plant, 4)
+    np.testing.assert_allclose(2 * np.pi * found.unreached.frequency, [2.0, 4.0], rtol=1e-9)
+    np.testing.assert_allclose(found.unreached.damping, [0.3 / 4, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("reached", [True, False])
+def test_a_critically_damped_pair_is_one_eigenvector(rest, reached):
+    """s = −2 twice with one eigenvector: a defective pole."""
+    V = turned(5)
+    push = np.random.default_rng(6).normal(size=(9, 9))
+    push[6] *= reached
+    damping = np.full(9, 0.1)
+    damping[6] = 8.0  # 2 ω
+    plant = plant_of(rest, V @ np.diag(FREQUENCIES) @ V.T, V @ np.diag(damping) @ V.T, V @ push)
+    found = assert_split(plant, 0 if reached else 2)
+    if not reached:
+        np.testing.assert_allclose(found.unreached.damping, 1.0, atol=1e-6)
+
+
+def test_a_mode_that_grows_out_of_reach(rest):
+    V = turned(7)
+    push = np.random.default_rng(8).normal(size=(9, 9))
+    push[0] = 0
+    squares = np.r_[-4.0, np.arange(1.0, 9.0)]
+    for friction in (0.0, 0.2):
+        plant = plant_of(rest, V @ np.diag(squares) @ V.T, friction * np.eye(9), V @ push)
+        found = assert_split(plant, 2, growing=2 if friction == 0 else 1)
+        with pytest.raises(ValueError, match="out of reach of the strings, and grow"):
+            tc.LQR(plant)
+        assert found.unreached.damping.min() == -1.0
+
+
+def test_no_inputs_reach_nothing(rest):
+    plant = prism_plant(rest, "rest_length")
+    assert tc.controllability(replace(plant, B=plant.B[:, :0])).unreachable == 18
+    assert tc.controllability(replace(plant, B=0 * plant.B)).unreachable == 18
 
 
 @every_kind

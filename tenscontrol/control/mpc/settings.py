@@ -11,10 +11,11 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import (
     Controller,
-    energy_weights,
     input_bounds,
     largest_change,
+    natural_weights,
     regulator,
+    warn_of_unreached,
     weight_matrix,
 )
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
@@ -54,9 +55,6 @@ from tenscontrol.validation import (
     positive_number,
     whole_number,
 )
-
-# Input weight, in units of energy_weights, when the user gives none.
-_INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
 
 # Price of a violation by one level, against the cost of an input one level off.
 _PENALTY = 1e2
@@ -273,14 +271,10 @@ def design(plant: LinearPlant, settings: MPCSettings) -> Design:
     states, count = plant.B.shape
     refuse_empty(plant)
     low, high = _command_range(plant, settings)
-    natural_Q, natural_R = energy_weights(plant, by_mode=plant.input == "rest_length")
+    natural_Q, natural_R = natural_weights(plant)
     Q, R = settings.Q, settings.R
     state_weight = natural_Q if Q is None else weight_matrix("Q", Q, states, definite=False)
-    input_weight = (
-        _INPUT_WEIGHT[plant.input] * natural_R
-        if R is None
-        else weight_matrix("R", R, count, definite=True)
-    )
+    input_weight = natural_R if R is None else weight_matrix("R", R, count, definite=True)
     refuse_unreachable(plant)
     level = float(plant.force_density.max()) or float(high.max())
     if plant.input == "rest_length":
@@ -401,6 +395,7 @@ class PredictiveController(Controller):
 
     def __init__(self, plant: LinearPlant, settings: MPCSettings, made: Design) -> None:
         super().__init__(plant, settings.sample_time, made.low, made.high, made.problem.change)
+        warn_of_unreached(self, stacklevel=4)
         self._longest_time = settings.longest_time
         self._observer: LoadObserver | None = None
         if settings.load_gain is not None:
