@@ -112,6 +112,9 @@ from .dynamics import (
 from .dynamics import (
     Model as Model,
 )
+from .dynamics import (
+    Profile as Profile,
+)
 from .estimation import (
     Sensors as Sensors,
 )
@@ -232,6 +235,7 @@ __all__ = [
     "OperatingPoint",
     "OutputLimit",
     "PointAt",
+    "Profile",
     "Reference",
     "RotationalSymmetry",
     "Sensors",
