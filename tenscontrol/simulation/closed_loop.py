@@ -9,7 +9,6 @@ import numpy as np
 
 from tenscontrol.actuation import Winches, WinchMove
 from tenscontrol.control import Command, Controller
-from tenscontrol.dynamics import unpack_states
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.interrupt import check
 from tenscontrol.limits import refuse_memory
@@ -61,7 +60,7 @@ def run_closed_loop(
     # A controller that goes on knows its previous input, unless there is none or it did not come.
     knows = start is not None and start.stopped is None and rest_length is None
     if actuators.start is not None and not (knows and controller.status_count):
-        N = unpack_states(loop.model.structure, state[:, None])[0][:, :, 0]
+        N, _ = loop.motion(state)
         controller.applied(actuators.applied_input(N))
     observation = None
     if estimation is not None:
@@ -91,7 +90,7 @@ def run_closed_loop(
         loop.now = (begin + k) * sample
         if np.abs(state).max() > LARGEST:
             raise loop.stopped(f"the motion has run away, beyond {LARGEST:g} in m and m/s")
-        N, V = (part[:, :, 0] for part in unpack_states(loop.model.structure, state[:, None]))
+        N, V = loop.motion(state)
         moment = loop.now + 1e-9 * sample  # a fault that begins at the sample is there
         lost = loop.faults.lost(moment)
         if observation is None:

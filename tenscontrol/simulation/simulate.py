@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller
-from tenscontrol.dynamics import Model, pack_state
+from tenscontrol.dynamics import Model, Pieces, Profile, as_pieces, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Method, Projector, largest_frequency, state_scale
 from tenscontrol.interrupt import InterruptionWarning, interruptible
@@ -22,6 +22,7 @@ from tenscontrol.simulation.faults import Fault, Faults
 from tenscontrol.simulation.loop import Loop, SimulationError
 from tenscontrol.simulation.trajectory import AccuracyWarning, HealthLimits, Trajectory
 from tenscontrol.structure import (
+    carried_by_supports,
     refuse_moved_supports,
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
@@ -46,6 +47,9 @@ _OUTPUTS = 1000
 # the first part of that is round-off, the second what RK4 leaves in a motion that has died out.
 _EXACT, _PROJECTED = 1e-8, 1e-3
 _ROUND_OFF, _LEFT = 1e-12, 1e-6
+
+# A support that goes on from another place, by more than this part of the size, jumps.
+_ROUND_OFF_MOTION = 1e-9
 
 
 def simulate(
@@ -74,6 +78,7 @@ def simulate(
     sensors: Sensors | None = None,
     seed: int | None = None,
     start: Trajectory | None = None,
+    support_motion: object = None,
 ) -> Trajectory:
     """Return the motion of a model.
 
@@ -243,10 +248,18 @@ def simulate(
     breaking.refuse_unknown(len(model.structure.strings), winch_count)
     stopped = None
     with interruptible() as interruption:  # CasADi may lose a key while it builds
+        now = 0.0 if start is None else float(start.time[-1])
+        span = now, now + duration
+        held = None
+        if controller is None:
+            held = _inputs(model, rest_length, force_density, *span)
+        offset = None
+        if support_motion is not None:
+            offset = _support_motion(model, support_motion, *span)
         loop = Loop(
             model,
             input=what,
-            load=checked_load(model, external_force),
+            load=_load(model, external_force, *span),
             duration=duration,
             method=method,
             tolerance=tolerance,
@@ -254,18 +267,23 @@ def simulate(
             faults=breaking,
             project=project,
             machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
+            degree=0 if held is None else held.degree,
+            offset=offset,
         )
         loop.output_step = _output_step(loop, output_step, duration)
-        held = None
-        if controller is None:
-            if winches is not None or sample_time is not None or estimator is not None:
-                raise ValueError("estimator, winches and sample_time go with a controller")
-            held = held_value(model, rest_length, force_density)
+        loop.now = now
+        if controller is None and (
+            winches is not None or sample_time is not None or estimator is not None
+        ):
+            raise ValueError("estimator, winches and sample_time go with a controller")
+        N, V = _beside(loop, start, nodes, velocities)
         if start is None:
-            state, loop.note = initial_state(model, nodes, velocities, loop.input, held)
+            first = None if held is None else held.at(np.zeros(1))[:, 0]
+            state, loop.note = initial_state(model, N, V, loop.input, first)
         else:
-            loop.now = float(start.time[-1])
-            state = pack_state(model.structure, start.nodes[:, :, -1], start.velocities[:, :, -1])
+            assert N is not None  # of the run
+            assert V is not None
+            state = pack_state(model.structure, N, V)
         try:
             end = loop.now + duration
             with progress_bar(end, shown=True) if progress else nullcontext() as loop.report:
@@ -344,6 +362,113 @@ def _output_step(loop: Loop, output_step: float | None, duration: float) -> floa
     keep = ". A longer output_step keeps fewer"
     refuse_memory(f"{name} is {value:g} s", duration / value, "states", size, keep)
     return value
+
+
+def _changes(value: object) -> bool:
+    """Return whether an argument may change in time."""
+    return isinstance(value, Profile) or callable(value)
+
+
+def _inputs(
+    model: Model, rest_length: object, force_density: object, start: float, end: float
+) -> Pieces:
+    """Return what is held, or changes: the one of the two that is not None, checked."""
+    name = "rest_length" if force_density is None else "force_density"
+    value = rest_length if force_density is None else force_density
+    if not _changes(value):
+        return Pieces.constant(held_value(model, rest_length, force_density))
+    shape = (len(model.structure.strings),)
+    pieces = as_pieces(name, value, shape, "one per string", start, end)
+    least, time = pieces.least(start, end)
+    if least < 0 or (least == 0 and name == "rest_length"):
+        what = "a positive length in m" if name == "rest_length" else "at least 0"
+        raise ValueError(
+            f"{name} falls to {least:.3g} at {time:.6g} s, expected {what}. Cubic pieces may swing "
+            "below the values given; linear ones do not"
+        )
+    return pieces
+
+
+def _load(model: Model, external_force: object, start: float, end: float) -> FloatArray | Pieces:
+    """Return all that acts on the nodes from outside, N, shape (d, n), or in time."""
+    if not (model.has_external_force and _changes(external_force)):
+        return checked_load(model, external_force)
+    shape = model.structure.nodes.shape
+    pieces = as_pieces("external_force", external_force, shape, "one force per node", start, end)
+    return Pieces.added([pieces, Pieces.constant(model.constant_force.ravel(order="F"))])
+
+
+def _support_motion(model: Model, value: object, start: float, end: float) -> Pieces:
+    """Return by how much each node moves with supports, m, node by node, after checking it can."""
+    structure = model.structure
+    d, n = structure.nodes.shape
+    fixed, size = structure.fixed, float(np.ptp(structure.nodes, axis=1).max())
+    if not len(fixed):
+        raise ValueError(
+            "support_motion is given, but no node of the structure is fixed; fix some by "
+            "Structure(..., fixed=[...])"
+        )
+    shape, meaning = (d, len(fixed)), "m, one column a fixed node, in the order of structure.fixed"
+    given = as_pieces("support_motion", value, shape, meaning, start, end)
+    jump, time = given.jumps(start, end)
+    if jump > _ROUND_OFF_MOTION * size:
+        raise ValueError(
+            f"support_motion jumps by {jump:.3g} m at {time:.6g} s, expected a continuous motion: "
+            "interpolate by 'linear' or 'cubic'"
+        )
+    carried = carried_by_supports(structure)
+    column = np.searchsorted(fixed, carried)
+    motions = given.coefficients.reshape(len(given.start), len(fixed), d, -1)
+    largest = np.abs(motions).max(initial=0.0)
+    for i, node in enumerate(fixed):
+        if np.abs(motions[:, i] - motions[:, column[node]]).max() > 1e-12 * largest:
+            raise ValueError(
+                f"support_motion moves the fixed nodes {carried[node]} and {node} differently, but "
+                "bars lead from one to the other: give both the same displacement"
+            )
+    for node, axis in structure.rollers:
+        if carried[node] >= 0 and motions[:, column[node], "xyz".index(axis)].any():
+            raise ValueError(
+                f"support_motion moves the fixed node {carried[node]} along {axis}, but bars lead "
+                f"from it to node {node}, which a roller holds along {axis}"
+            )
+    every = np.zeros((n, d, len(fixed), d))
+    nodes = np.flatnonzero(carried >= 0)
+    for i in range(d):
+        every[nodes, i, column[nodes], i] = 1.0
+    return given.mapped(every.reshape(d * n, -1))
+
+
+def _beside(
+    loop: Loop, start: Trajectory | None, nodes: object, velocities: object
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Return nodes and velocities at the start beside the motion of supports, and tell the loop.
+
+    None for what is not given.
+    """
+    structure = loop.model.structure
+    if loop.offset is None and start is None:
+        given = ("nodes", nodes), ("velocities", velocities)
+        N, V = (None if v is None else structure.checked_nodes(name, v) for name, v in given)
+        return N, V
+    N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
+    V = None if velocities is None else structure.checked_nodes("velocities", velocities)
+    if start is not None:
+        N, V = start.nodes[:, :, -1], start.velocities[:, :, -1]
+    carried = carried_by_supports(structure)
+    before = np.zeros_like(N) if V is None else np.where(carried >= 0, V[:, carried], 0.0)
+    if loop.offset is None and before.any():
+        raise ValueError("supports move at the end of start: give support_motion, how it goes on")
+    if loop.offset is not None:
+        loop.offset_rate = before.ravel(order="F")
+        displaced = loop.offset.at(np.array([loop.now])).reshape(N.shape, order="F")
+        N = N if nodes is None and start is None else N - displaced
+    try:
+        refuse_moved_supports("nodes" if start is None else "start", structure, N)
+    except ValueError as error:
+        by = f"less what support_motion displaces it by at {loop.now:g} s"
+        raise ValueError(f"{error}, {by}") from None
+    return N, np.zeros_like(N) if V is None else V - before
 
 
 def checked_load(model: Model, external_force: object) -> FloatArray:
