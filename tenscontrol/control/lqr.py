@@ -8,17 +8,15 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import (
-    Command,
     Controller,
     energy_weights,
     input_bounds,
     largest_change,
     regulator,
-    weight_matrix,
 )
-from tenscontrol.control.status import Status
+from tenscontrol.control.status import Command, Status
 from tenscontrol.plant import LinearPlant, refuse_empty, refuse_unreachable, sampled
-from tenscontrol.validation import FloatArray, frozen, instance, positive_number
+from tenscontrol.validation import FloatArray, frozen, instance, positive_number, weight_matrix
 
 
 @final

@@ -15,7 +15,7 @@ from tenscontrol.limits import LARGEST_SEED, MOST_DESIGNS
 from tenscontrol.plant import Reference, linearize
 from tenscontrol.scene import schema
 from tenscontrol.scene.document import Document, Table
-from tenscontrol.scene.structure_tables import columns, per_string, whole
+from tenscontrol.scene.structure_tables import columns, per_string
 from tenscontrol.shape import (
     Demand,
     Height,
@@ -28,7 +28,7 @@ from tenscontrol.shape import (
 )
 from tenscontrol.simulation import Fault
 from tenscontrol.statics import Prestress
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, whole_strings
 from tenscontrol.validation import FloatArray, non_negative, positive_number, whole_number
 
 # Of energy_weights, where the scene gives no R.
@@ -208,7 +208,7 @@ def build_winches(document: Document, structure: Structure) -> Winches | None:
     table = document.table("winches")
     settings = table.given("ramp", "substeps")
     for key in table.without("ramp", "substeps"):
-        settings[key] = per_string(table, key, whole(structure))
+        settings[key] = per_string(table, key, whole_strings(structure))
     with table.checked():
         return Winches(**settings)
 

@@ -15,7 +15,6 @@ from tenscontrol.control.controller import (
     input_bounds,
     largest_change,
     regulator,
-    weight_matrix,
 )
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
 from tenscontrol.control.mpc.constraints import OutputLimit, output_block
@@ -52,6 +51,7 @@ from tenscontrol.validation import (
     per_member,
     positive,
     positive_number,
+    weight_matrix,
     whole_number,
 )
 
