@@ -200,19 +200,25 @@ class FunctionController(BaseController):
 
 
 def as_controller(
-    controller: object, structure: Structure, input: str, sample_time: object = None
+    controller: object,
+    structure: Structure,
+    held: str,
+    sample_time: object = None,
+    **settings: Any,
 ) -> BaseController:
     """Return a controller as it is, or a function as one on a structure with whole strings.
 
-    ``input`` is what it commands, and ``sample_time`` when, unless it says so itself.
+    It commands what is ``held``, unless it says otherwise, and so for the sample time. Settings
+    are those of :class:`FunctionController`.
     """
     if isinstance(controller, BaseController):
         return controller
     _called("controller", controller)
-    own: Any = (_own("input", controller) or input, _own("sample_time", controller) or sample_time)
-    return FunctionController(
-        whole_strings(structure), controller, input=own[0], sample_time=own[1]
-    )
+    own = {
+        "input": _own("input", controller) or held,
+        "sample_time": _own("sample_time", controller) or sample_time,
+    }
+    return FunctionController(whole_strings(structure), controller, **own | settings)
 
 
 def _own(name: str, given: object) -> Any:

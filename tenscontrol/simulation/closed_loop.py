@@ -159,7 +159,7 @@ def _sample_time(
     controller: BaseController, sample_time: float | None, step: float | None
 ) -> float:
     if controller.sample_time is not None:
-        if sample_time is not None:
+        if sample_time is not None and sample_time != controller.sample_time:
             raise ValueError(
                 f"the controller has a sample time of its own, {controller.sample_time:g} s; "
                 "leave sample_time out"

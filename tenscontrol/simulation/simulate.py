@@ -242,8 +242,6 @@ def simulate(
     law: BaseController | None = None
     if controller is not None:
         law = as_controller(controller, model.structure, what, sample_time)
-        if law is not controller and law.sample_time == sample_time:
-            sample_time = None  # the function has it now
     breaking = Faults(faults, float(np.ptp(model.structure.nodes, axis=1).max()), what)
     winch_count = None if law is None else len(law.commanded.strings)
     breaking.refuse_unknown(len(model.structure.strings), winch_count)
