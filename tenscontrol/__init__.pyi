@@ -89,6 +89,9 @@ from .control import (
     FeedbackLinearization as FeedbackLinearization,
 )
 from .control import (
+    FunctionController as FunctionController,
+)
+from .control import (
     GainSchedule as GainSchedule,
 )
 from .control import (
@@ -230,6 +233,7 @@ __all__ = [
     "CutString",
     "ElasticStrings",
     "FeedbackLinearization",
+    "FunctionController",
     "GainSchedule",
     "HealthLimits",
     "Height",

@@ -20,6 +20,9 @@ IntArray = NDArray[np.int64]
 # Squares and fourth powers must stay within double precision.
 LARGEST = 1e70
 
+# Relative size of what counts as round-off in a weight matrix.
+_SYMMETRIC = 1e-12
+
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
     """Return a read-only copy of an array, so that a value handed out cannot change."""
@@ -295,3 +298,22 @@ def file_path(name: str, value: object, endings: Iterable[str] = ()) -> Path:
     if allowed and path.suffix.lower() not in allowed:
         raise ValueError(f"{name} is {str(path)!r}, expected a name ending in {', '.join(allowed)}")
     return path
+
+
+def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatArray:
+    """Return a symmetric weight, shape (size, size), of a number, a diagonal or a matrix."""
+    array = float_array(name, value)
+    if array.shape not in ((), (size,), (size, size)):
+        raise ValueError(
+            f"{name} has shape {array.shape}, expected (), ({size},) or ({size}, {size}): "
+            "a number, a diagonal or a matrix"
+        )
+    matrix = array if array.ndim == 2 else np.diag(np.broadcast_to(array, (size,)))
+    largest = float(np.abs(matrix).max(initial=0.0))
+    if np.abs(matrix - matrix.T).max(initial=0.0) > _SYMMETRIC * largest:
+        raise ValueError(f"{name} is not symmetric")
+    least = float(np.linalg.eigvalsh(matrix).min()) if size else 0.0
+    if least < -_SYMMETRIC * largest or (definite and least <= 0):
+        wanted = "positive" if definite else "at least 0"
+        raise ValueError(f"{name} has the eigenvalue {least:.3g}, expected {wanted}")
+    return np.array(matrix)

@@ -1,10 +1,11 @@
-"""Controllers: LQR, MPC, nonlinear MPC, feedback linearization, gain schedules."""
+"""Controllers: LQR, MPC, nonlinear MPC, feedback linearization, gain schedules, functions."""
 
-from tenscontrol.control.controller import Command, Controller, energy_weights
+from tenscontrol.control.controller import BaseController, Controller, energy_weights
 from tenscontrol.control.feedback_linearization import (
     FeedbackLinearization,
     FeedbackLinearizationStatistics,
 )
+from tenscontrol.control.function_controller import FunctionController, as_controller
 from tenscontrol.control.gain_schedule import GainSchedule
 from tenscontrol.control.held_loop import HeldLoop, held_loop
 from tenscontrol.control.lqr import LQR
@@ -19,7 +20,7 @@ from tenscontrol.control.mpc import (
     QPSolver,
     clearance,
 )
-from tenscontrol.control.status import Fallback, Status
+from tenscontrol.control.status import Command, Fallback, Status
 
 #: The name of :class:`LQR` in 0.1.
 lqr = LQR
@@ -28,11 +29,13 @@ __all__ = [
     "LQR",
     "MPC",
     "NMPC",
+    "BaseController",
     "Command",
     "Controller",
     "Fallback",
     "FeedbackLinearization",
     "FeedbackLinearizationStatistics",
+    "FunctionController",
     "GainSchedule",
     "HeldLoop",
     "MPCSettings",
@@ -42,6 +45,7 @@ __all__ = [
     "QPSolution",
     "QPSolver",
     "Status",
+    "as_controller",
     "clearance",
     "energy_weights",
     "held_loop",

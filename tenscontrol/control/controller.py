@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control.status import Fallback, Status
+from tenscontrol.control.status import Command, Fallback, Status
 from tenscontrol.dynamics import Exclusive, exclusive
 from tenscontrol.plant import (
+    INPUTS,
     LinearPlant,
     Modes,
     reached_states,
@@ -20,9 +21,10 @@ from tenscontrol.plant import (
     state_units,
     warn_of_left_alone,
 )
+from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
-    float_array,
+    choice,
     frozen,
     instance,
     measured,
@@ -49,9 +51,6 @@ _SPEED = 10.0
 # A rest length is kept above this fraction of its value at the operating point.
 _SHORTEST = 0.01
 
-# Relative size of what counts as round-off in a weight matrix.
-_TOLERANCE = 1e-12
-
 # Input weight, in units of energy_weights, when the user gives none.
 _INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
 
@@ -59,43 +58,12 @@ _INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
 _WITH_MEMORY = {"applied", "command", "fall_back", "follow", "prepare", "reset", "take_over"}
 
 
-@dataclass(frozen=True, eq=False)
-class Command:
-    """Command of a controller for one sample.
-
-    Attributes
-    ----------
-    value : ndarray, shape (α,)
-        γ, N/m, or rest lengths, m, as the controller's ``input`` says. Finite
-        and within the controller's bounds, always; where the change is limited,
-        no farther than that from the previous input.
-    status : Status
-        ``Status.OK``, or why the command is not what the controller wanted.
-    fallback : Fallback or None
-        What was commanded instead; None if the command is the controller's decision.
-    detail : str
-        Figures that explain the status.
-    """
-
-    value: FloatArray
-    status: Status = Status.OK
-    fallback: Fallback | None = None
-    detail: str = ""
-
-    def __str__(self) -> str:
-        """Return status, fallback and detail in one line."""
-        return ": ".join(filter(None, (self.status, self.fallback, self.detail)))
-
-
 class MeasurementCheck:
     """Which measurements a structure can have; a controller does not use any other."""
 
-    def __init__(self, plant: LinearPlant, sample_time: float | None) -> None:
-        structure = plant.model.structure
-        size = float(np.ptp(plant.nodes, axis=1).max())
-        rate = plant.spectral_radius
-        if sample_time is not None:
-            rate = max(rate, 1 / sample_time)
+    def __init__(self, structure: Structure, nodes: FloatArray, rate: float) -> None:
+        # ``nodes``, (d, n), are those of the usual shape, m; ``rate`` is the fastest, 1/s.
+        size = float(np.ptp(nodes, axis=1).max())
         # Largest difference of velocities of two nodes along an axis, m/s. A plant without
         # stiffness, run at any sample time, gives no limit.
         self.fastest = _SPEED * size * rate if rate > 0 else np.finfo(float).max / _FAR
@@ -103,13 +71,13 @@ class MeasurementCheck:
         # Largest velocity, m/s, and coordinate, m, of a node along an axis.
         self.largest_velocity, self.farthest = _FAR * self.fastest, _FAR * size
         self.support_distance = _SUPPORT * size  # of a fixed node from its place, m
-        self.fixed, self.places = structure.fixed, plant.nodes[:, structure.fixed]
-        rolling = np.setdiff1d(structure.fixed_rows // len(plant.nodes), self.fixed)
-        is_held = np.zeros(plant.nodes.size, bool)
+        self.fixed, self.places = structure.fixed, nodes[:, structure.fixed]
+        rolling = np.setdiff1d(structure.fixed_rows // len(nodes), self.fixed)
+        is_held = np.zeros(nodes.size, bool)
         is_held[structure.fixed_rows] = True
         # Nodes on rollers, along which axes they are held, and where.
-        self.rolling, self.held = rolling, is_held.reshape(plant.nodes.shape, order="F")[:, rolling]
-        self.held_at = plant.nodes[:, rolling]
+        self.rolling, self.held = rolling, is_held.reshape(nodes.shape, order="F")[:, rolling]
+        self.held_at = nodes[:, rolling]
         self.bars = structure.bars.T
         # Least and largest square of the lengths of bars, m².
         self.squares = (
@@ -142,60 +110,38 @@ class MeasurementCheck:
         return None if plausible else Status.MEASUREMENT_NOT_PLAUSIBLE
 
 
-class Controller(ABC):
-    """Turns measured motion into commands, one a sample.
+class BaseController(ABC):
+    """What every controller has: check of measurements, bounds, fallback, counts.
 
-    A controller of your own is a subclass with ``_decide``. Give it ``_fall_back`` if holding the
-    previous input is not safe, and ``reset`` if it has a memory.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-        The plant that it was designed on.
-    sample_time : float or None
-        Sample time, s. None for a law in continuous time, which is run at
-        whatever sample time the simulation is given.
-    low, high : ndarray, shape (α,)
-        Least and largest command.
-    change : ndarray, shape (α,), optional
-        Largest change from the previous input; no limit if not given.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument does not fit, or no finite command is within the bounds.
-
-    Examples
-    --------
-    >>> import numpy as np, tenscontrol as tc
-    >>> from tenscontrol.control import Command, Controller
-    >>> class Damper(Controller):
-    ...     def _decide(self, time, state):
-    ...         rates = state[self.plant.degrees_of_freedom:]
-    ...         return Command(self.plant.equilibrium_input - self.plant.B[len(rates):].T @ rates)
-    >>> prism = tc.prism()
-    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
-    >>> damper = Damper(plant, 0.02, np.zeros(9), np.full(9, 60.0))
-    >>> str(damper.command(0.0, prism.nodes, np.zeros((3, 6))))
-    'ok'
+    Parameters are those of :class:`Controller`, and the ``structure`` whose nodes it is given;
+    ``commanded``, whose strings it commands, if that is the parent; the ``equilibrium_input``,
+    shape (α,), commanded where there is neither a decision nor a previous input; the ``check`` of
+    measurements, if not that of the shape of the structure.
     """
 
     def __init__(
         self,
-        plant: LinearPlant,
+        structure: Structure,
+        input: str,
         sample_time: float | None,
         low: FloatArray,
         high: FloatArray,
         change: FloatArray | None = None,
+        *,
+        commanded: Structure | None = None,
+        equilibrium_input: FloatArray | None = None,
+        check: MeasurementCheck | None = None,
     ) -> None:
         #: The thread that uses the controller: another one is refused meanwhile.
         self.in_use = Exclusive(f"this {type(self).__name__}")
-        instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        instance("structure", structure, Structure, "for example prism()")
         if sample_time is not None:
             sample_time = positive_number("sample_time", sample_time, "s")
-        self._plant = plant
+        self._structure = structure
+        self._commanded = structure if commanded is None else commanded
+        self._input = choice("input", input, INPUTS)
         self._sample_time = sample_time
-        shape = plant.equilibrium_input.shape
+        shape = (len(self._commanded.strings),)
         self._low = frozen(shaped("low", low, shape, "one per string"))
         self._high = frozen(measured("high", high, shape, "one per string"))
         wrong = np.flatnonzero(~(self._low <= self._high))
@@ -208,7 +154,9 @@ class Controller(ABC):
         if change is not None:
             change = shaped("change", change, shape, "one per string")
             self._change = frozen(positive("change", change, "change of the input"))
-        self._measurement_check = MeasurementCheck(plant, sample_time)
+        self._equilibrium_input = equilibrium_input
+        rate = 0.0 if sample_time is None else 1 / sample_time
+        self._measurement_check = check or MeasurementCheck(structure, structure.nodes, rate)
         self._called = 0.0  # start of the last command, by perf_counter
         # Input over the last sample: as applied() says, else the last command; None before.
         self._previous_input: FloatArray | None = None
@@ -216,9 +164,19 @@ class Controller(ABC):
         self._fallback_count: Counter[Fallback] = Counter()
 
     @property
-    def plant(self) -> LinearPlant:
-        """The linear plant that the controller was designed on."""
-        return self._plant
+    def name(self) -> str:
+        """What it is called in the record of a run."""
+        return type(self).__name__
+
+    @property
+    def structure(self) -> Structure:
+        """The structure whose nodes it is given."""
+        return self._structure
+
+    @property
+    def commanded(self) -> Structure:
+        """The structure whose strings it commands."""
+        return self._commanded
 
     @property
     def sample_time(self) -> float | None:
@@ -228,20 +186,12 @@ class Controller(ABC):
     @property
     def input(self) -> str:
         """What it commands: ``"force_density"`` or ``"rest_length"``."""
-        return self._plant.input
+        return self._input
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Least and largest command, shape (α,) each."""
         return self._low, self._high
-
-    @property
-    def left_alone(self) -> Modes:
-        """The modes of the plant that no string reaches; empty if there are none.
-
-        To first order no command changes them: what swings in them goes on, or decays by itself.
-        """
-        return reached_states(self._plant).unreached
 
     @property
     def largest_change(self) -> FloatArray | None:
@@ -290,7 +240,7 @@ class Controller(ABC):
         """
         self._called = perf_counter()
         time = number("time", time, "s")
-        shape = self._plant.coordinates.nodes.shape
+        shape = self._structure.nodes.shape
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
         state, fault = self._measure(N, V)
         if fault is not None:
@@ -326,11 +276,8 @@ class Controller(ABC):
     def _measure(
         self, nodes: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, Status | None]:
-        """Return the reduced state z for ``_decide``, and what is wrong with the measurement."""
-        fault = self._measurement_check.fault(nodes, velocities)
-        if fault is not None:
-            return np.zeros(0), fault
-        return self._plant.coordinates.measure(nodes, velocities), None
+        """Return the state for ``_decide``, and what is wrong with the measurement."""
+        return np.stack([nodes, velocities]), self._measurement_check.fault(nodes, velocities)
 
     def _issue(self, desired: Command) -> Command:
         """Return the nearest command within bounds; note it as the previous input and count it."""
@@ -369,14 +316,16 @@ class Controller(ABC):
         """The previous input within bounds: changes are limited from here."""
         previous = self._previous_input
         if previous is None:
-            previous = self._plant.equilibrium_input
+            previous = self._equilibrium_input
+        assert previous is not None  # a law on a plant has the second, others are asked before
         # Bounds come before the limit of change, wherever the actuators are.
         return np.clip(previous, self._low, self._high)
 
     @property
     def _sample_bounds(self) -> tuple[FloatArray, FloatArray]:
         """Least and largest command of this sample, the limit of change included."""
-        if self._change is None:
+        unknown = self._previous_input is None and self._equilibrium_input is None
+        if self._change is None or unknown:
             return self._low, self._high
         previous = self._previous_within_bounds
         low, high = previous - self._change, previous + self._change
@@ -410,17 +359,23 @@ class Controller(ABC):
 
     @abstractmethod
     def _decide(self, time: float, state: FloatArray) -> Command:
-        """Return the desired input at a reduced state; it need not be within bounds."""
+        """Return the desired input at a state; it need not be within bounds."""
 
     def _fall_back(self, status: Status) -> Command:
         """Return a safe input where there is no usable measurement or decision."""
         return self._hold(status)
 
     def _hold(self, status: Status) -> Command:
-        """Return the previous rest lengths, or γ of the operating point."""
-        if self.input == "rest_length" and self._previous_input is not None:
-            return Command(self._previous_input, status, Fallback.PREVIOUS_INPUT_HELD)
-        return Command(self._plant.equilibrium_input, status, Fallback.EQUILIBRIUM_HELD)
+        """Return the previous rest lengths, or γ of the operating point if it is known."""
+        usual, previous = self._equilibrium_input, self._previous_input
+        if previous is not None and (self.input == "rest_length" or usual is None):
+            return Command(previous, status, Fallback.PREVIOUS_INPUT_HELD)
+        if usual is None:
+            raise ValueError(
+                f"{status} at the first sample, where there is no previous input to hold: give "
+                "simulate the rest_length at the start, or FunctionController an equilibrium_input"
+            )
+        return Command(usual, status, Fallback.EQUILIBRIUM_HELD)
 
     @property
     def status_count(self) -> dict[Status, int]:
@@ -431,6 +386,88 @@ class Controller(ABC):
     def fallback_count(self) -> dict[Fallback, int]:
         """How often each fallback was taken since the last reset."""
         return dict(self._fallback_count)
+
+
+class Controller(BaseController):
+    """Turns measured motion into commands, one a sample, by a law designed on a linear plant.
+
+    A controller of your own is a subclass with ``_decide``. Give it ``_fall_back`` if holding the
+    previous input is not safe, and ``reset`` if it has a memory. A function needs no class: see
+    :class:`FunctionController`.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        The plant that it was designed on.
+    sample_time : float or None
+        Sample time, s. None for a law in continuous time, which is run at
+        whatever sample time the simulation is given.
+    low, high : ndarray, shape (α,)
+        Least and largest command.
+    change : ndarray, shape (α,), optional
+        Largest change from the previous input; no limit if not given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit, or no finite command is within the bounds.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> from tenscontrol.control import Command, Controller
+    >>> class Damper(Controller):
+    ...     def _decide(self, time, state):
+    ...         rates = state[self.plant.degrees_of_freedom:]
+    ...         return Command(self.plant.equilibrium_input - self.plant.B[len(rates):].T @ rates)
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> damper = Damper(plant, 0.02, np.zeros(9), np.full(9, 60.0))
+    >>> str(damper.command(0.0, prism.nodes, np.zeros((3, 6))))
+    'ok'
+    """
+
+    def __init__(
+        self,
+        plant: LinearPlant,
+        sample_time: float | None,
+        low: FloatArray,
+        high: FloatArray,
+        change: FloatArray | None = None,
+    ) -> None:
+        instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+        self._plant = plant
+        rate = plant.spectral_radius
+        if sample_time is not None:
+            rate = max(rate, 1 / positive_number("sample_time", sample_time, "s"))
+        structure = plant.model.structure
+        super().__init__(
+            structure, plant.input, sample_time, low, high, change,
+            commanded=plant.commanded, equilibrium_input=plant.equilibrium_input,
+            check=MeasurementCheck(structure, plant.nodes, rate),
+        )  # fmt: skip
+
+    @property
+    def left_alone(self) -> Modes:
+        """The modes of the plant that no string reaches; empty if there are none.
+
+        To first order no command changes them: what swings in them goes on, or decays by itself.
+        """
+        return reached_states(self._plant).unreached
+
+    @property
+    def plant(self) -> LinearPlant:
+        """The linear plant that the controller was designed on."""
+        return self._plant
+
+    def _measure(
+        self, nodes: FloatArray, velocities: FloatArray
+    ) -> tuple[FloatArray, Status | None]:
+        """Return the reduced state z, and what is wrong with the measurement."""
+        fault = self._measurement_check.fault(nodes, velocities)
+        if fault is not None:
+            return np.zeros(0), fault
+        return self._plant.coordinates.measure(nodes, velocities), None
 
 
 def input_bounds(
@@ -490,25 +527,6 @@ def largest_change(
         reach = per_member("winches.rate", rate, count, "string") * sample_time
         change = reach if change is None else np.minimum(change, reach)
     return change
-
-
-def weight_matrix(name: str, value: object, size: int, definite: bool) -> FloatArray:
-    """Return a symmetric weight, shape (size, size), of a number, a diagonal or a matrix."""
-    array = float_array(name, value)
-    if array.shape not in ((), (size,), (size, size)):
-        raise ValueError(
-            f"{name} has shape {array.shape}, expected (), ({size},) or ({size}, {size}): "
-            "a number, a diagonal or a matrix"
-        )
-    matrix = array if array.ndim == 2 else np.diag(np.broadcast_to(array, (size,)))
-    largest = float(np.abs(matrix).max(initial=0.0))
-    if np.abs(matrix - matrix.T).max(initial=0.0) > _TOLERANCE * largest:
-        raise ValueError(f"{name} is not symmetric")
-    least = float(np.linalg.eigvalsh(matrix).min()) if size else 0.0
-    if least < -_TOLERANCE * largest or (definite and least <= 0):
-        wanted = "positive" if definite else "at least 0"
-        raise ValueError(f"{name} has the eigenvalue {least:.3g}, expected {wanted}")
-    return np.array(matrix)
 
 
 def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArray, FloatArray]:

@@ -8,10 +8,10 @@ from typing import final
 
 import numpy as np
 
-from tenscontrol.control.controller import Command, Controller, input_bounds, largest_change
+from tenscontrol.control.controller import Controller, input_bounds, largest_change
 from tenscontrol.control.held_loop import warn_of_slow_errors
 from tenscontrol.control.mpc import OSQPSolver, QPSolution
-from tenscontrol.control.status import Fallback, Status
+from tenscontrol.control.status import Command, Fallback, Status
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import (
     LinearPlant,

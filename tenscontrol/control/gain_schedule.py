@@ -7,8 +7,8 @@ from typing import Any, final
 
 import numpy as np
 
-from tenscontrol.control.controller import Command, Controller
-from tenscontrol.control.status import Status
+from tenscontrol.control.controller import Controller
+from tenscontrol.control.status import Command, Status
 from tenscontrol.validation import FloatArray, instance
 
 

@@ -8,18 +8,16 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import (
-    Command,
     Controller,
     input_bounds,
     largest_change,
     natural_weights,
     regulator,
     warn_of_unreached,
-    weight_matrix,
 )
-from tenscontrol.control.status import Status
+from tenscontrol.control.status import Command, Status
 from tenscontrol.plant import LinearPlant, refuse_empty, refuse_unreachable, sampled
-from tenscontrol.validation import FloatArray, frozen, instance, positive_number
+from tenscontrol.validation import FloatArray, frozen, instance, positive_number, weight_matrix
 
 
 @final

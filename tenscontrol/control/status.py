@@ -1,8 +1,11 @@
-"""Status of a command, and the fallback that replaced a decision."""
+"""A command, its status, and the fallback that replaced a decision."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
+
+from tenscontrol.validation import FloatArray
 
 
 class Status(StrEnum):
@@ -32,3 +35,31 @@ class Fallback(StrEnum):
     PLAN_CONTINUED = "plan continued"
     PREVIOUS_INPUT_HELD = "previous input held"
     EQUILIBRIUM_HELD = "equilibrium held"
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """Command of a controller for one sample.
+
+    Attributes
+    ----------
+    value : ndarray, shape (α,)
+        γ, N/m, or rest lengths, m, as the controller's ``input`` says. Finite
+        and within the controller's bounds, always; where the change is limited,
+        no farther than that from the previous input.
+    status : Status
+        ``Status.OK``, or why the command is not what the controller wanted.
+    fallback : Fallback or None
+        What was commanded instead; None if the command is the controller's decision.
+    detail : str
+        Figures that explain the status.
+    """
+
+    value: FloatArray
+    status: Status = Status.OK
+    fallback: Fallback | None = None
+    detail: str = ""
+
+    def __str__(self) -> str:
+        """Return status, fallback and detail in one line."""
+        return ": ".join(filter(None, (self.status, self.fallback, self.detail)))

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from tenscontrol.control import LQR, MPC, NMPC, Controller
+from tenscontrol.control import LQR, MPC, NMPC, Controller, FunctionController
 from tenscontrol.deploy.code_text import code_files
 from tenscontrol.deploy.compiled_controller import CompiledController
 from tenscontrol.deploy.controllers import LawCode, lqr_code, mpc_code, nmpc_code
@@ -184,8 +184,13 @@ def _law_code(controller: object) -> LawCode:
         return nmpc_code(controller)
     if isinstance(controller, LQR):
         return lqr_code(controller)
+    which = (
+        f"FunctionController of {controller.name}, which is Python"
+        if isinstance(controller, FunctionController)
+        else type(controller).__name__
+    )
     raise TypeError(
-        f"controller is a {type(controller).__name__}, expected an LQR with a sample time, an "
+        f"controller is a {which}, expected an LQR with a sample time, an "
         "MPC or an NMPC: only these can be written as C code"
     )
 

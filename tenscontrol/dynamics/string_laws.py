@@ -412,7 +412,7 @@ def _evaluated(function: ca.Function, *arguments: FloatArray) -> FloatArray:
     columns = [np.atleast_1d(argument) for argument in arguments]
     if function.size1_in(0) == 1:
         columns = [column[None, :] for column in columns]
-    return function.call(columns)[0].full().reshape(shape)
+    return np.asarray(function.call(columns)[0].full()).reshape(shape)
 
 
 def _representable(what: str, values: FloatArray, fine: bool) -> FloatArray:

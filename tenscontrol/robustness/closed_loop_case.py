@@ -9,8 +9,8 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control import Controller, Status
-from tenscontrol.dynamics import Model, StringLaw
+from tenscontrol.control import Controller, Status, as_controller
+from tenscontrol.dynamics import Coordinates, Model, StringLaw, coordinates
 from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
 from tenscontrol.plant import LinearPlant, checked_reference
 from tenscontrol.robustness.distributions import one_number
@@ -96,10 +96,10 @@ class ClosedLoopCase:
     For :func:`sweep`. The parameters it knows: ``"bar_mass"``, ``"string_node_mass"``,
     ``"point_mass"``, ``"stiffness"`` and ``"damping"`` are factors on the nominal values, one for
     all or one a member, of point masses one a node; ``"start"`` is where the structure starts,
-    coordinates q of the controller's plant, m √kg. With an estimator, ``"noise"`` is a factor on
-    the standard deviations of all readings, and ``"delay"`` how many samples late they come: draw
-    it by :class:`OneOf`. The estimator is not told, as the controller is not. The noise itself is
-    drawn from the run's generator.
+    coordinates q of the controller's plant, m √kg, for a function internal ones about the target.
+    With an estimator, ``"noise"`` is a factor on the standard deviations of all readings, and
+    ``"delay"`` how many samples late they come: draw it by :class:`OneOf`. The estimator is not
+    told, as the controller is not. The noise itself is drawn from the run's generator.
 
     The figures of a run: ``final_error``, m, the largest distance of a node from
     its place in the last tenth of the run, motion of the structure as one body
@@ -113,8 +113,9 @@ class ClosedLoopCase:
         Nominal; the one that the controller was designed on, or its subdivision.
     strings : StringLaw or None
         Nominal; None where γ is held.
-    controller : Controller
-        Its plant says where the nodes are to be.
+    controller : Controller, or function or object as for :func:`simulate`
+        Its plant says where the nodes are to be; for a function ``target`` does, or the shape of
+        the structure. Workers get it pickled: a function at the top of a module, not a lambda.
     duration : float
         s.
     step : float
@@ -153,7 +154,7 @@ class ClosedLoopCase:
 
     structure: Structure
     strings: StringLaw | None
-    controller: Controller
+    controller: Any
     duration: float
     step: float
     tolerance: float
@@ -168,10 +169,11 @@ class ClosedLoopCase:
     estimator: KalmanFilter | None = None
     sensors: Sensors | None = None
     faults: Sequence[Fault] = ()
+    # In which the nodes are to be at their place.
+    _coordinates: Coordinates = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         instance("structure", self.structure, Structure, "for example prism()")
-        instance("controller", self.controller, Controller, "make one by LQR(...) or MPC(...)")
         if self.winches is not None:
             instance("winches", self.winches, Winches, "make them by Winches(rate=...)")
         put = object.__setattr__  # the dataclass is frozen for everyone else
@@ -183,14 +185,27 @@ class ClosedLoopCase:
             put(self, "nodes", frozen(self.structure.checked_nodes("nodes", self.nodes)))
             refuse_wrong_bar_lengths("nodes", self.structure, self.nodes)
             refuse_moved_supports("nodes", self.structure, self.nodes)
-        plant = self.controller.plant
-        if self.target is not None:
-            shape = checked_reference(plant, self.target, "target")[0].nodes[:, :, 0]
-            put(self, "target", frozen(shape))
+        if self.input is not None:
+            choice("input", self.input, ("rest_length", "force_density"))
+        held = self.input or ("force_density" if self.strings is None else "rest_length")
+        law = as_controller(self.controller, self.structure, held, self.sample_time)
+        put(self, "controller", law)
+        if isinstance(law, Controller):
+            put(self, "_coordinates", law.plant.coordinates)
+            if self.target is not None:
+                shape = checked_reference(law.plant, self.target, "target")[0].nodes[:, :, 0]
+                put(self, "target", frozen(shape))
+        else:
+            if self.target is not None:
+                shape = law.structure.checked_nodes("target", self.target)
+                refuse_wrong_bar_lengths("target", law.structure, shape)
+                refuse_moved_supports("target", law.structure, shape)
+                put(self, "target", frozen(shape))
+            put(self, "_coordinates", coordinates(Model(law.structure), self.target))
         if self.gravity is not None:
             put(self, "gravity", frozen(float_array("gravity", self.gravity)))
         if self.rest_length is not None:
-            count = plant.B.shape[1]
+            count = len(law.commanded.strings)
             lengths = per_member("rest_length", self.rest_length, count, "string of the controller")
             put(self, "rest_length", frozen(positive("rest_length", lengths, "length in m")))
         if self.estimator is not None:
@@ -199,12 +214,9 @@ class ClosedLoopCase:
             instance("sensors", self.sensors, Sensors, "make them by Sensors(structure=..., ...)")
             if self.estimator is None:
                 raise ValueError("sensors go with an estimator; KalmanFilter(...) makes one")
-        if self.input is not None:
-            choice("input", self.input, ("rest_length", "force_density"))
-        held = "force_density" if self.strings is None else "rest_length"
         size = float(np.ptp(self.structure.nodes, axis=1).max())
-        winches = len(plant.commanded.strings)
-        faults = Faults(self.faults, size, self.input or held)
+        winches = len(law.commanded.strings)
+        faults = Faults(self.faults, size, held)
         faults.refuse_unknown(len(self.structure.strings), winches)
         put(self, "faults", tuple(self.faults))
         self._model({})  # refuses strings and gravity that do not fit
@@ -270,22 +282,22 @@ class ClosedLoopCase:
         if "start" not in parameters:
             nodes: FloatArray | None = self.nodes
             return nodes
-        plant = self.controller.plant
-        if plant.nodes.shape != self.structure.nodes.shape:
+        known = self._coordinates
+        if known.nodes.shape != self.structure.nodes.shape:
             raise SweepError(
-                f"start gives the {plant.nodes.shape[1]} nodes of the controller's plant a place, "
+                f"start gives the {known.nodes.shape[1]} nodes of the controller's plant a place, "
                 f"but the structure has {self.structure.nodes.shape[1]}: give nodes instead"
             )
-        return plant.to_nodes(parameters["start"])
+        return known.to_nodes(parameters["start"])
 
     def _judged(self, run: Trajectory) -> Outcome:
         record = run.control
         assert record is not None  # a controller was given
-        plant = self.controller.plant
+        known = self._coordinates
         late = run.time >= (1 - _SETTLED) * run.time[-1]
         # Of a subdivision, the nodes of its parent come first.
-        nodes = run.nodes[:, : plant.nodes.shape[1], late]
-        error = farthest_node(plant, nodes, plant.nodes if self.target is None else self.target)
+        nodes = run.nodes[:, : known.nodes.shape[1], late]
+        error = farthest_node(known, nodes, known.nodes if self.target is None else self.target)
         figures = {
             "final_error": error,
             "least_force_density": float(run.force_density.min()),
@@ -331,15 +343,15 @@ def _varied_sensors(sensors: Sensors | None, parameters: Mapping[str, object]) -
     return sensors
 
 
-def farthest_node(plant: LinearPlant, nodes: FloatArray, target: FloatArray) -> float:
+def farthest_node(plant: LinearPlant | Coordinates, nodes: FloatArray, target: FloatArray) -> float:
     """Return the largest distance of a node from its place, m, over all moments.
 
-    Motions that the coordinates of the plant leave out do not count: in internal coordinates,
-    those of the structure as one body.
+    Motions that the coordinates of the plant, or those given in its place, leave out do not
+    count: in internal coordinates, those of the structure as one body.
 
     Parameters
     ----------
-    plant : LinearPlant
+    plant : LinearPlant or Coordinates
     nodes : ndarray, shape (d, n, T)
         m.
     target : ndarray, shape (d, n)
@@ -355,15 +367,17 @@ def farthest_node(plant: LinearPlant, nodes: FloatArray, target: FloatArray) -> 
     >>> farthest_node(plant, raised[:, :, None], prism.nodes) < 1e-12
     True
     """
-    instance("plant", plant, LinearPlant, "make one by linearize(model, at)")
-    target = plant.model.structure.checked_nodes("target", target)
+    if not isinstance(plant, Coordinates):
+        instance("plant", plant, LinearPlant, "make one by linearize(model, at)")
+    known = plant if isinstance(plant, Coordinates) else plant.coordinates
+    target = known.structure.checked_nodes("target", target)
     nodes = float_array("nodes", nodes)
     if nodes.ndim != 3 or nodes.shape[:2] != target.shape:
         raise ValueError(f"nodes has shape {nodes.shape}, expected {(*target.shape, 'T')}")
-    r, at_rest = plant.degrees_of_freedom, np.zeros_like(plant.nodes)
+    r, at_rest = known.count, np.zeros_like(known.nodes)
     # Both are measured in the coordinates, which leave out what they do not know.
     wanted, *found = (
-        plant.to_nodes(plant.measure(shape, at_rest)[:r])
+        known.to_nodes(known.measure(shape, at_rest)[:r])
         for shape in (target, *np.moveaxis(nodes, 2, 0))
     )
     return max((float(np.linalg.norm(N - wanted, axis=0).max()) for N in found), default=0.0)

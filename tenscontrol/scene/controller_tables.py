@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control import MPC, Controller, GainSchedule, OutputLimit, energy_weights
+from tenscontrol.control import (
+    MPC,
+    BaseController,
+    Controller,
+    GainSchedule,
+    OutputLimit,
+    as_controller,
+    energy_weights,
+)
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.limits import LARGEST_SEED, MOST_DESIGNS
 from tenscontrol.plant import Reference, linearize
 from tenscontrol.scene import schema
 from tenscontrol.scene.document import Document, Table
-from tenscontrol.scene.structure_tables import columns, per_string, whole
+from tenscontrol.scene.structure_tables import columns, per_string
 from tenscontrol.shape import (
     Demand,
     Height,
@@ -28,18 +41,34 @@ from tenscontrol.shape import (
 )
 from tenscontrol.simulation import Fault
 from tenscontrol.statics import Prestress
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, whole_strings
 from tenscontrol.validation import FloatArray, non_negative, positive_number, whole_number
 
 # Of energy_weights, where the scene gives no R.
 _INPUT_WEIGHT = 0.1
 
 
+# What is designed on: the model with its strings whole, about its equilibrium.
+Design = tuple[Model, Prestress]
+
+
 def build_controller(
-    document: Document, model: Model, rest: Prestress, winches: Winches | None
-) -> Controller:
-    """Return the controller, designed on whole strings about an equilibrium."""
+    document: Document,
+    design: Callable[[], Design],
+    structure: Structure,
+    force_density: FloatArray,
+    winches: Winches | None,
+    held: str,
+) -> BaseController:
+    """Return the controller, designed on whole strings about an equilibrium.
+
+    ``structure`` and its γ, shape (α,), are those with whole strings; ``held`` is what the
+    actuators hold.
+    """
     kind, table = document.table("controller").chosen("kind", schema.CONTROLLER_KEYS)
+    if kind == "python":
+        return _own_controller(table, design, structure, force_density, held)
+    model, rest = design()
     input = table.choice("input", ("force_density", "rest_length"), "force_density")
     if "sample_time" in table:
         with table.checked("sample_time"):
@@ -48,7 +77,6 @@ def build_controller(
         table.need(key)
     if kind in ("mpc", "nmpc") and input == "force_density":
         table.need("max_force_density")
-    structure = model.structure
     arguments: dict[str, Any] = {
         key: per_string(table, key, structure) if isinstance(value, dict) else value
         for key, value in table.without("kind", "input", "plants").items()
@@ -76,6 +104,76 @@ def build_controller(
             arguments = {"Q": Q, "R": _INPUT_WEIGHT * R} | arguments
         controller: Controller = schema.CONTROLLERS[kind](plant, **arguments)
     return controller
+
+
+def _own_controller(
+    table: Table,
+    design: Callable[[], Design],
+    structure: Structure,
+    force_density: FloatArray,
+    held: str,
+) -> BaseController:
+    """Return the controller that Python code gives: a function, or what a factory makes."""
+    given = [key for key in ("function", "factory") if key in table]
+    if len(given) != 1:
+        what = "both" if given else "neither"
+        raise table.error(None, f"{table.title} expects one of function and factory, found {what}")
+    if given == ["function"] and "settings" in table:
+        raise table.error("settings", f"in {table.title}, settings are arguments of a factory")
+    input = table.choice("input", ("force_density", "rest_length"), held)
+    found = _imported(table, given[0])
+    if given == ["factory"]:
+        with table.checked("factory"):
+            found = found(linearize(*design(), input=input), **table.get("settings", {}))
+    limits: dict[str, Any] = {
+        key: per_string(table, key, structure)
+        for key in ("low", "high", "max_change")
+        if key in table
+    }
+    settings = limits | table.given("input", "sample_time")
+    beside = sorted(settings.keys() - {"input"})
+    if isinstance(found, BaseController) and beside:
+        said = f"{given[0]} gives {found!r}, which has limits and a sample time of its own"
+        raise table.error(beside[0], f"in {table.title}, {said}")
+    with table.checked(given[0]):
+        # In place of a decision γ is that of the prestress; rest lengths are those at the start.
+        if settings.get("input", getattr(found, "input", held)) == "force_density":
+            settings["equilibrium_input"] = force_density
+        return as_controller(found, structure, held, **settings)
+
+
+def _imported(table: Table, key: str) -> Any:
+    """Return what ``"module:name"`` or ``"file.py:name"`` names; that runs the code there."""
+    text = str(table.need(key))
+    place, _, name = text.rpartition(":")
+    is_file = place.endswith(".py")
+    if not name.isidentifier() or not (is_file or all(map(str.isidentifier, place.split(".")))):
+        raise table.error(
+            key, f"in {table.title}, {key} is {text!r:.60}, expected 'file.py:name', as seen from "
+            "the scene file, or 'module:name'"
+        )  # fmt: skip
+    try:
+        module = _run_file(Path(table.document.file).parent / place) if is_file else None
+        module = module or import_module(place)
+    except (ImportError, OSError, SyntaxError, ValueError) as error:  # ValueError: a NUL
+        raise table.error(
+            key, f"in {table.title}, {key}: {place} is not loaded: {error}"
+        ) from error
+    if not hasattr(module, name):
+        raise table.error(key, f"in {table.title}, {key}: {place} has no {name}")
+    return getattr(module, name)
+
+
+def _run_file(path: Path) -> ModuleType:
+    """Return a Python file as a module."""
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {str(path)!r}")
+    spec = spec_from_file_location(f"_scene_{path.stem}", path)
+    assert spec is not None and spec.loader is not None  # it ends in .py  # noqa: PT018
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses and pickle look for it there
+    spec.loader.exec_module(module)
+    return module
 
 
 def _schedule(table: Table, model: Model, arguments: dict[str, Any], input: str) -> GainSchedule:
@@ -208,7 +306,7 @@ def build_winches(document: Document, structure: Structure) -> Winches | None:
     table = document.table("winches")
     settings = table.given("ramp", "substeps")
     for key in table.without("ramp", "substeps"):
-        settings[key] = per_string(table, key, whole(structure))
+        settings[key] = per_string(table, key, whole_strings(structure))
     with table.checked():
         return Winches(**settings)
 
@@ -220,11 +318,9 @@ def build_estimator(
     input: str,
     sample_time: float,
     winches: Winches | None,
-) -> KalmanFilter | None:
-    """Return the Kalman filter on whole strings, for the input of the actuators, or None."""
+) -> KalmanFilter:
+    """Return the Kalman filter on whole strings, for the input of the actuators."""
     sensors, estimator = document.table("sensors"), document.table("estimator")
-    if not document.has("estimator"):
-        return None
     estimator.choice("kind", ("kalman",))
     with sensors.checked():
         whole_number("seed", sensors.get("seed", 0), 0, LARGEST_SEED)

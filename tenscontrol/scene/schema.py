@@ -286,6 +286,16 @@ CONTROLLER_KEYS: Mapping[str, Keys] = MappingProxyType(
         | _keys("plants" if kind == "mpc" else "")
         for kind, make in CONTROLLERS.items()
     }
+    | {
+        "python": _keys(
+            "kind function factory settings input sample_time low high max_change",
+            function=(TEXT, ""),
+            factory=(TEXT, ""),
+            settings=(Kind("a table", _is_table), ""),
+            low=(BY_STRING, "N/m or m"),
+            high=(BY_STRING, "N/m or m"),
+        )
+    }
 )
 FAULTS: Mapping[str, type[CutString | StuckWinch | LostMeasurement]] = _named(
     cut_string=CutString, stuck_winch=StuckWinch, lost_measurement=LostMeasurement

@@ -29,6 +29,7 @@ from tenscontrol.structure import (
     subdivide,
     to_segments,
     to_strings,
+    whole_strings,
 )
 from tenscontrol.validation import (
     FloatArray,
@@ -101,13 +102,6 @@ def columns(table: Table, key: str, dimension: int | None = None) -> FloatArray:
     return np.array(rows, dtype=float).reshape(-1, d).T
 
 
-def whole(structure: Structure) -> Structure:
-    """Return the structure with its strings whole: its parent if it was cut."""
-    if structure.string_parent is None or structure.parent is None:
-        return structure
-    return structure.parent
-
-
 def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
     """Return one value for each string: given as a number, a list or a table by group."""
     value = table.need(key)
@@ -137,14 +131,14 @@ def build_law(document: Document, structure: Structure) -> tuple[StringLaw, Stri
     table.need(main)
     make = LinearStrings if kind == "linear" else ElasticStrings
     by_string = table.choice("per", _PER, "string") == "string"
-    given = whole(structure) if by_string else structure
+    given = whole_strings(structure) if by_string else structure
     values = {main: per_string(table, main, given)}
     values["damping"] = np.zeros(len(given.strings))
     if "damping" in table:
         values["damping"] = per_string(table, "damping", given)
     with table.checked():
         law: StringLaw = make(**values)
-        if whole(structure) is structure:
+        if whole_strings(structure) is structure:
             return law, law
         convert = to_segments if by_string else to_strings
         other = make(**{name: convert(structure, name, each) for name, each in values.items()})
@@ -192,7 +186,7 @@ def build_force_density(document: Document, structure: Structure, load: FloatArr
         return np.zeros(0)
     table = document.table("prestress")
     by_string = table.choice("per", _PER, "string") == "string"
-    given = whole(structure) if by_string else structure
+    given = whole_strings(structure) if by_string else structure
     bounds = [key for key in ("min_force_density", "max_force_density") if key in table]
     key = "force_density" if "force_density" in table else (bounds or ["force_density"])[0]
     value = table.need(key)
@@ -237,7 +231,7 @@ def build_design(
     gamma: FloatArray,
 ) -> tuple[Model, Prestress]:
     """Return the model with its strings whole, and its equilibrium, for the controller."""
-    design = whole(structure)
+    design = whole_strings(structure)
     load: Any = False if forces is None else forces[:, : design.nodes.shape[1]]
     model = Model(design, strings=law, external_force=load, gravity=gravity)
     with document.table("prestress").checked("force_density", "for a controller "):

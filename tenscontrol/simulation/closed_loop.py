@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 
 from tenscontrol.actuation import Winches, WinchMove
-from tenscontrol.control import Command, Controller
+from tenscontrol.control import BaseController, Command
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.interrupt import check
 from tenscontrol.limits import refuse_memory
@@ -36,7 +36,7 @@ def run_closed_loop(
     loop: Loop,
     state: FloatArray,
     duration: float,
-    controller: Controller,
+    controller: BaseController,
     rest_length: object,
     winches: Winches | None,
     sample_time: float | None,
@@ -48,7 +48,7 @@ def run_closed_loop(
     ``estimation`` is the estimator, the sensors and the seed; ``start`` the run to go on from.
     """
     sample = _sample_time(controller, sample_time, loop.step)
-    kept = 1500 + 48 * len(controller.plant.commanded.strings)  # bytes of objects and numbers
+    kept = 1500 + 48 * len(controller.commanded.strings)  # bytes of objects and numbers
     refuse_memory(f"sample_time is {sample:g} s", duration / sample, "samples", kept)
     # In samples; whole, so that the same numbers are multiplied as in a run of one part.
     begin = round(loop.now / sample)
@@ -78,11 +78,10 @@ def run_closed_loop(
         stood = None
         if loop.input == "rest_length":
             stood = rows[0][2].rest_length if actuators.start is None else actuators.start
-        return _control_record(rows, stood, sample, observation)
+        return _control_record(controller.name, rows, stood, sample, observation)
 
-    seen = controller.plant.coordinates.nodes.shape[
-        1
-    ]  # of a subdivision, the nodes of its parent come first
+    # Of a subdivision, the nodes of its parent come first.
+    seen = controller.structure.nodes.shape[1]
     loop.record = record
     # The allowance keeps round-off from adding a last sample of no length.
     until = loop.now + duration
@@ -99,7 +98,14 @@ def run_closed_loop(
             estimate = observation.estimate(N, V, lost)
             motion = estimate.nodes, estimate.velocities
         began = perf_counter()
-        command = controller.command(loop.now, *motion)
+        try:
+            command = controller.command(loop.now, *motion)
+        except Exception as error:
+            said = f"the controller {controller.name} raised {type(error).__name__}: {error}"
+            if loop.spans and not isinstance(error, MemoryError):
+                raise loop.stopped(said) from error
+            error.add_note(f"{said}, at {loop.now:.6g} s")  # there is no motion, or no room for it
+            raise
         taken = perf_counter() - began
         check()  # a command that was interrupted is not applied
         move, inputs = actuators.apply(command, N, loop.faults.stuck(moment))
@@ -117,6 +123,7 @@ def run_closed_loop(
 
 
 def _control_record(
+    controller: str,
     rows: list[tuple[float, Command, WinchMove, float]],
     rest_length: FloatArray | None,
     sample_time: float,
@@ -132,6 +139,7 @@ def _control_record(
     if rest_length is not None:
         rate = np.diff(applied, axis=1, prepend=rest_length[:, None]) / sample_time
     return ControlRecord(
+        controller=controller,
         time=time,
         command=frozen(np.column_stack([command.value for command in commands])),
         applied=frozen(applied),
@@ -146,9 +154,11 @@ def _control_record(
     )
 
 
-def _sample_time(controller: Controller, sample_time: float | None, step: float | None) -> float:
+def _sample_time(
+    controller: BaseController, sample_time: float | None, step: float | None
+) -> float:
     if controller.sample_time is not None:
-        if sample_time is not None:
+        if sample_time is not None and sample_time != controller.sample_time:
             raise ValueError(
                 f"the controller has a sample time of its own, {controller.sample_time:g} s; "
                 "leave sample_time out"
@@ -173,7 +183,7 @@ class Actuators:
     def __init__(
         self,
         loop: Loop,
-        controller: Controller,
+        controller: BaseController,
         winches: Winches | None,
         rest_length: object,
         sample_time: float,
@@ -181,7 +191,7 @@ class Actuators:
     ) -> None:
         self._structure = loop.model.structure
         self._by_segment = _commands_parent(loop, controller)
-        self._count = len(controller.plant.commanded.strings)
+        self._count = len(controller.commanded.strings)
         if winches is not None:
             instance("winches", winches, Winches, "make them by Winches(rate=...)")
         self._held = loop.input
@@ -308,10 +318,10 @@ class Actuators:
             )
 
 
-def _commands_parent(loop: Loop, controller: Controller) -> bool:
+def _commands_parent(loop: Loop, controller: BaseController) -> bool:
     """Return whether a controller commands the strings of the plant's parent, or refuse it."""
-    structure, designed = loop.model.structure, controller.plant.commanded
-    seen, parent = controller.plant.model.structure, structure.parent
+    structure, designed = loop.model.structure, controller.commanded
+    seen, parent = controller.structure, structure.parent
     by_segment = not same_members(designed, structure)
     fits = same_members(seen, structure)
     if by_segment:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tenscontrol.control import Controller
+from tenscontrol.control import BaseController
 from tenscontrol.dynamics import Evaluator, Model, pack_state
 from tenscontrol.estimation import Estimate, FilterStatistics, KalmanFilter, Sensors
 from tenscontrol.limits import LARGEST_SEED
@@ -72,7 +72,7 @@ class Observation:
         seed: int | None,
         model: Model,
         input: str,
-        controller: Controller,
+        controller: BaseController,
         sample: float,
         start: FloatArray | None,
         substeps: int,
@@ -163,7 +163,7 @@ def _refuse_misfits(
     estimator: KalmanFilter,
     sensors: Sensors,
     input: str,
-    controller: Controller,
+    controller: BaseController,
     sample: float,
     substeps: int,
 ) -> None:
@@ -182,16 +182,16 @@ def _refuse_misfits(
             f"estimator predicts winches with substeps={estimator.substeps}, but those of the run "
             f"have substeps={substeps}: give them to KalmanFilter(..., winches=...) as well"
         )
-    seen, known = controller.plant.model.structure, estimator.plant.model.structure
+    seen, known = controller.structure, estimator.plant.model.structure
     if not same_members(known, seen):
         raise ValueError(
             f"estimator was designed on {known!r}, but the controller on {seen!r} with other "
             "nodes, bars or strings"
         )
-    if len(estimator.plant.commanded.strings) != len(controller.plant.commanded.strings):
+    if len(estimator.plant.commanded.strings) != len(controller.commanded.strings):
         raise ValueError(
             f"estimator is told {len(estimator.plant.commanded.strings)} strings, but the "
-            f"controller commands {len(controller.plant.commanded.strings)}: use command_parents "
+            f"controller commands {len(controller.commanded.strings)}: use command_parents "
             "on both plants or on none"
         )
     own = estimator.sensors

@@ -9,7 +9,7 @@ from contextlib import nullcontext
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control import Controller
+from tenscontrol.control import BaseController, as_controller
 from tenscontrol.dynamics import Model, Pieces, Profile, as_pieces, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Method, Projector, largest_frequency, state_scale
@@ -60,7 +60,7 @@ def simulate(
     *,
     rest_length: object = None,
     force_density: object = None,
-    controller: Controller | None = None,
+    controller: object = None,
     input: str | None = None,
     winches: Winches | None = None,
     sample_time: float | None = None,
@@ -104,10 +104,12 @@ def simulate(
         that it commands.
     force_density : float or array_like, shape (α,), optional
         γ, N/m.
-    controller : Controller, optional
+    controller : controller, callable or object with a method ``command``, optional
         For example ``LQR(...)`` or ``MPC(...)``. It is reset first. One that
         was designed on the parent of a subdivided structure sees the parent's
-        nodes and commands the parent's strings.
+        nodes and commands the parent's strings. A function ``(time, nodes, velocities) -> command``
+        does so too, and commands what the actuators hold; :class:`FunctionController` says more,
+        and gives it bounds.
     input : {"rest_length", "force_density"}, optional
         What the actuators hold between samples. The rest length if the model
         has a string law, else γ.
@@ -165,8 +167,9 @@ def simulate(
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit, with its name.
     SimulationError
-        If the motion runs away, or passes a limit that is set to raise; it
-        carries the motion up to there.
+        If the motion runs away, passes a limit that is set to raise, or the controller raises,
+        which is then its cause; it carries the motion up to there. What a controller raises at
+        the first sample, before there is a motion, goes through.
 
     Warns
     -----
@@ -218,8 +221,6 @@ def simulate(
         truth("project", project, "whether to make bar lengths exact after each step")
     if limits is not None:
         instance("limits", limits, HealthLimits, "make them by HealthLimits(bar_length_error=...)")
-    if controller is not None:
-        instance("controller", controller, Controller, "make one by LQR(...) or MPC(...)")
     if estimator is not None:
         how = "make one by KalmanFilter(plant, sensors, sample_time=...)"
         instance("estimator", estimator, KalmanFilter, how)
@@ -242,9 +243,12 @@ def simulate(
         if controller is None and rest_length is None and force_density is None:
             kept = start.held
             rest_length, force_density = (None, kept) if start.rest_length is None else (kept, None)
-    what = _input_kind(model, rest_length, force_density, controller, input)
+    what = _input_kind(model, rest_length, force_density, controller is not None, input)
+    law: BaseController | None = None
+    if controller is not None:
+        law = as_controller(controller, model.structure, what, sample_time)
     breaking = Faults(faults, float(np.ptp(model.structure.nodes, axis=1).max()), what)
-    winch_count = None if controller is None else len(controller.plant.commanded.strings)
+    winch_count = None if law is None else len(law.commanded.strings)
     breaking.refuse_unknown(len(model.structure.strings), winch_count)
     stopped = None
     with interruptible() as interruption:  # CasADi may lose a key while it builds
@@ -272,7 +276,7 @@ def simulate(
         )
         loop.output_step = _output_step(loop, output_step, duration)
         loop.now = now
-        if controller is None and (
+        if law is None and (
             winches is not None or sample_time is not None or estimator is not None
         ):
             raise ValueError("estimator, winches and sample_time go with a controller")
@@ -287,15 +291,15 @@ def simulate(
         try:
             end = loop.now + duration
             with progress_bar(end, shown=True) if progress else nullcontext() as loop.report:
-                if controller is None:
+                if law is None:
                     assert held is not None  # one of the two is given
                     loop.run(state, held, duration)
                 else:
                     estimation = None if estimator is None else (estimator, sensors, seed)
                     used = nullcontext() if estimator is None else estimator.in_use
-                    with controller.in_use, used:
+                    with law.in_use, used:
                         run_closed_loop(
-                            loop, state, duration, controller, rest_length, winches, sample_time,
+                            loop, state, duration, law, rest_length, winches, sample_time,
                             estimation, start,
                         )  # fmt: skip
         except KeyboardInterrupt:
@@ -327,11 +331,11 @@ def _input_kind(
     model: Model,
     rest_length: object,
     force_density: object,
-    controller: Controller | None,
+    is_controlled: bool,
     input: str | None,
 ) -> str:
     """Return what is held, after checking that the arguments say so without contradiction."""
-    if controller is not None:
+    if is_controlled:
         if force_density is not None:
             raise ValueError("force_density is commanded by the controller; leave it out")
         if input is None:

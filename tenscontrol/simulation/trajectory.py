@@ -43,6 +43,8 @@ class ControlRecord:
         Time the controller took, s.
     estimate : EstimateRecord or None
         Measurements and estimates; None without an estimator.
+    controller : str
+        Which controller it was: its class, or the name of the function.
     """
 
     time: FloatArray
@@ -56,6 +58,7 @@ class ControlRecord:
     range_limited: np.ndarray
     computing_time: FloatArray
     estimate: EstimateRecord | None = None
+    controller: str = ""
 
     @property
     def status_count(self) -> dict[Status, int]:

@@ -18,6 +18,7 @@ from tenscontrol.structure.segments import (
     spread_rest_length,
     to_segments,
     to_strings,
+    whole_strings,
 )
 from tenscontrol.structure.skin import skin, skin_rest_length
 from tenscontrol.structure.structure import Structure, same_members
@@ -69,4 +70,5 @@ __all__ = [
     "subdivide",
     "to_segments",
     "to_strings",
+    "whole_strings",
 ]

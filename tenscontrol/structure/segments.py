@@ -28,6 +28,13 @@ _POWER = {
 }
 
 
+def whole_strings(structure: Structure) -> Structure:
+    """Return the structure with its strings whole: its parent if they were cut into segments."""
+    if structure.string_parent is None or structure.parent is None:
+        return structure
+    return structure.parent
+
+
 def to_segments(structure: Structure, what: str, values: FloatArray) -> FloatArray:
     """Return values of the segments, shape (…, α′), from those of whole strings, shape (…, α).
 

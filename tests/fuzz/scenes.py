@@ -466,7 +466,7 @@ def _worker(arguments):
     import tenscontrol as tc
 
     signal.signal(signal.SIGALRM, signal.default_int_handler)
-    loading = importlib.import_module("tenscontrol.scene.load_scene")
+    loading = importlib.import_module("tenscontrol.scene.scene")
     built = loading.build_structure
 
     def announced(document):  # that a scene is large must be known if it is never loaded

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Unpack, final
 
 import numpy as np
 
-from tenscontrol.control.controller import Command
 from tenscontrol.control.held_loop import warn_of_held_lengths
 from tenscontrol.control.mpc.problem import (
     Form,
@@ -29,7 +28,7 @@ from tenscontrol.control.mpc.settings import (
     make_solver,
 )
 from tenscontrol.control.mpc.sparse import Sparse
-from tenscontrol.control.status import Fallback, Status
+from tenscontrol.control.status import Command, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.validation import FloatArray, choice, frozen, instance
 

@@ -9,7 +9,6 @@ from typing import Unpack, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control.controller import Command
 from tenscontrol.control.disturbance import LoadObserver
 from tenscontrol.control.mpc.problem import MPCProblem, Pair, QPSolver, StageData, Triple
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
@@ -22,7 +21,7 @@ from tenscontrol.control.mpc.settings import (
     make_solver,
 )
 from tenscontrol.control.mpc.sparse import Sparse
-from tenscontrol.control.status import Fallback, Status
+from tenscontrol.control.status import Command, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.validation import FloatArray, frozen, instance, number, truth, whole_number
 

@@ -16,7 +16,6 @@ from tenscontrol.control.controller import (
     natural_weights,
     regulator,
     warn_of_unreached,
-    weight_matrix,
 )
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
 from tenscontrol.control.mpc.constraints import OutputLimit, output_block
@@ -53,6 +52,7 @@ from tenscontrol.validation import (
     per_member,
     positive,
     positive_number,
+    weight_matrix,
     whole_number,
 )
 

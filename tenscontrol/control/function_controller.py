@@ -1,0 +1,239 @@
+"""A function, or an object with a method ``command``, as a controller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, final
+
+import numpy as np
+
+from tenscontrol.control.controller import BaseController
+from tenscontrol.control.status import Command, Status
+from tenscontrol.structure import Structure, whole_strings
+from tenscontrol.validation import (
+    FloatArray,
+    frozen,
+    instance,
+    measured,
+    non_negative,
+    per_member,
+    positive,
+    wrong_kind,
+)
+
+# The least rest length commanded, unless another is given, as part of a string's length.
+_SHORTEST = 0.01
+
+_UNITS = {"force_density": "γ, N/m", "rest_length": "rest length, m"}
+
+_EXPECTED = (
+    "a controller such as LQR(...) or MPC(...), a function (time, nodes, velocities) -> command, "
+    "or an object with a method command(time, nodes, velocities)"
+)
+
+
+@final
+class FunctionController(BaseController):
+    """A function or an object of yours as a controller, with bounds and a fallback.
+
+    ``simulate(model, duration, controller=function)`` makes one by itself. Make it yourself for
+    bounds, for a unit other than that of the actuators, or to see and command the segments of
+    subdivided strings.
+
+    The function is called once a sample as ``function(time, nodes, velocities)``: s; m and m/s,
+    shape (d, n) each. It returns an array_like of shape (α,), one γ, N/m, or rest length, m, per
+    string of the structure; or a :class:`Command` of that, with a status. In place of a function,
+    an object may have
+
+    - ``command(time, nodes, velocities)``, which is called in this way;
+    - ``input`` and ``sample_time``, used where they are not given here;
+    - ``reset()``, called at the start of each run;
+    - ``applied(value)``, called after each command with the input that the actuators reached,
+      shape (α,), and before the first with the rest lengths at the start, if they are known.
+
+    A command beyond the bounds is set to the nearest one within, with the status
+    ``"saturated"``. A measurement that the structure cannot have is not handed on, and a command
+    that is not finite is not used: the previous input is held (γ of ``equilibrium_input`` if that
+    is given). All of this is counted in ``status_count`` and ``fallback_count``, and in the record
+    of the run.
+
+    Parameters
+    ----------
+    structure : Structure
+        Whose nodes it is given and whose strings it commands: that of the model, or its parent if
+        strings are subdivided.
+    function : callable, or object with a method ``command``
+    input : {"force_density", "rest_length"}, optional
+        What it commands; that of the object if not given.
+    sample_time : float, optional
+        Sample time, s; that of the object if not given, and of the simulation if it has none.
+    low, high : float or array_like, shape (α,), optional
+        Least and largest command. The least γ is 0 if not given, the least rest length a
+        hundredth of the string's length in the shape of the structure; there is no largest.
+    max_change : float or array_like, shape (α,), optional
+        Largest change of the command from sample to sample, N/m or m.
+    equilibrium_input : float or array_like, shape (α,), optional
+        What is commanded without a decision at the first sample; γ at any sample.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit. By :meth:`command`: if what the function returns does not; what
+        the function raises goes through.
+
+    Notes
+    -----
+    For sweeps it must be possible to pickle the function: define it, or its class, at the top of
+    a module. A lambda and a function within a function cannot be pickled.
+
+    Examples
+    --------
+    Strings wound in as fast as they grow, as dampers would pull:
+
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
+    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> start = tc.to_rest_length(model, prism.nodes, rest.force_density).rest_length
+    >>> def damper(time, nodes, velocities):
+    ...     strings, rates = prism.string_vectors(nodes), prism.string_vectors(velocities)
+    ...     return start - 0.05 * (strings * rates).sum(axis=0) / prism.string_length(nodes)
+    >>> own = tc.FunctionController(prism, damper, input="rest_length", max_change=0.01,
+    ...                             sample_time=0.02)
+    >>> own
+    FunctionController(damper, input 'rest_length', every 0.02 s)
+    >>> run = tc.simulate(model, 0.1, controller=own, rest_length=start, step=1e-3)
+    >>> run.control.controller, run.control.status_count == {"ok": 5}
+    ('damper', True)
+    """
+
+    def __init__(
+        self,
+        structure: Structure,
+        function: Any,
+        *,
+        input: str | None = None,
+        sample_time: float | None = None,
+        low: object = None,
+        high: object = None,
+        max_change: object = None,
+        equilibrium_input: object = None,
+    ) -> None:
+        instance("structure", structure, Structure, "for example model.structure")
+        self._function = _called("function", function)
+        self._given = function
+        if input is None:
+            input = _own("input", function)
+            if input is None:
+                raise ValueError(
+                    "input is not given, and function has none: say what it commands by "
+                    "input='rest_length' or input='force_density'"
+                )
+        if sample_time is None:
+            sample_time = _own("sample_time", function)
+        count, by_length = len(structure.strings), input == "rest_length"
+        if low is None:
+            low = _SHORTEST * structure.string_length(structure.nodes) if by_length else 0.0
+        low = per_member("low", low, count, "string")
+        if by_length:
+            positive("low", low, "rest length in m")
+        else:
+            non_negative("low", low, "a string can only pull")
+        high = np.full(count, np.inf) if high is None else per_member("high", high, count, "string")
+        if max_change is not None:
+            if sample_time is None:
+                raise ValueError(
+                    "max_change limits changes from sample to sample: give sample_time, s"
+                )
+            max_change = per_member("max_change", max_change, count, "string")
+        if equilibrium_input is not None:
+            usual = per_member("equilibrium_input", equilibrium_input, count, "string")
+            equilibrium_input = frozen(usual)
+        super().__init__(
+            structure, input, sample_time, low, high, max_change,
+            equilibrium_input=equilibrium_input,
+        )  # fmt: skip
+        self._what = f"the command of {self.name}"
+
+    @property
+    def name(self) -> str:
+        """Name of the function, or of the class of the object."""
+        named = self._given if self._function is self._given else type(self._given)
+        name = getattr(named, "__qualname__", type(named).__qualname__)
+        return str(name.rpartition("<locals>.")[2])
+
+    def reset(self) -> None:
+        """Forget the previous input and the counts; an object's own ``reset`` is called."""
+        super().reset()
+        self._tell("reset")
+
+    def applied(self, value: object) -> None:
+        """Set the previous input, and tell an object with ``applied``."""
+        super().applied(value)
+        self._tell("applied", self._previous_input)
+
+    def take_over(self, command: object) -> None:
+        """Take over from another controller: as :meth:`applied`."""
+        self.applied(command)
+
+    def _tell(self, method: str, *arguments: object) -> None:
+        own = _own(method, self._given)
+        if own is not None:
+            own(*arguments)
+
+    def _decide(self, time: float, state: FloatArray) -> Command:
+        nodes, velocities = state
+        given = self._function(time, nodes, velocities)
+        command = given if isinstance(given, Command) else Command(given)
+        instance(f"status of {self._what}", command.status, Status, "for example Status.OK")
+        meaning = f"one {_UNITS[self.input]}, per string"
+        value = measured(self._what, command.value, self._low.shape, meaning)
+        command = replace(command, value=value)
+        if command.status is Status.OK and not np.array_equal(self._within_bounds(value), value):
+            return replace(command, status=Status.SATURATED)
+        return command
+
+    def __repr__(self) -> str:
+        when = "" if self.sample_time is None else f", every {self.sample_time:g} s"
+        return f"FunctionController({self.name}, input {self.input!r}{when})"
+
+
+def as_controller(
+    controller: object,
+    structure: Structure,
+    held: str,
+    sample_time: object = None,
+    **settings: Any,
+) -> BaseController:
+    """Return a controller as it is, or a function as one on a structure with whole strings.
+
+    It commands what is ``held``, unless it says otherwise, and so for the sample time. Settings
+    are those of :class:`FunctionController`.
+    """
+    if isinstance(controller, BaseController):
+        return controller
+    _called("controller", controller)
+    own = {
+        "input": _own("input", controller) or held,
+        "sample_time": _own("sample_time", controller) or sample_time,
+    }
+    return FunctionController(whole_strings(structure), controller, **own | settings)
+
+
+def _own(name: str, given: object) -> Any:
+    """Return what an object with a method ``command`` says of itself; None of a function."""
+    return getattr(given, name, None) if callable(getattr(given, "command", None)) else None
+
+
+def _called(name: str, given: object) -> Callable[..., Any]:
+    """Return what is called at each sample: the method ``command``, or the function itself."""
+    if isinstance(given, type):
+        raise TypeError(
+            f"{name} is the class {given.__name__}, expected an object of it: make one by "
+            f"{given.__name__}(...)"
+        )
+    called: Any = _own("command", given) or given
+    if not callable(called):
+        raise wrong_kind(name, given, _EXPECTED)
+    return called  # type: ignore[no-any-return]
