@@ -130,13 +130,27 @@ class Coordinates:
         N = self.structure.checked_nodes("nodes", nodes)
         V = self.structure.checked_nodes("velocities", velocities)
         if self.kind == "internal":
-            if len(self.structure.fixed) < 2 and not self.structure.rollers:
-                turn, centre = self._alignment(N)
-                N, V = turn @ (N - centre) + self._reference[0], turn @ V
-            elif self._is_loose:
-                N, V = self._along_supports(N, V)
+            N, V = self.laid_over(N, V)
         q = self._projection @ (N - self.nodes).ravel(order="F")
         return np.concatenate([q, self._projection @ V.ravel(order="F")])
+
+    def laid_over(self, nodes: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return a motion laid over the reference by what supports leave of motion as one body.
+
+        Parameters
+        ----------
+        nodes, velocities : ndarray, shape (d, n)
+            m and m/s.
+
+        Returns
+        -------
+        nodes, velocities : ndarray, shape (d, n)
+            As they are where supports leave no such motion.
+        """
+        if len(self.structure.fixed) < 2 and not self.structure.rollers:
+            turn, centre = self._alignment(nodes)
+            return turn @ (nodes - centre) + self._reference[0], turn @ velocities
+        return self._along_supports(nodes, velocities) if self.is_loose else (nodes, velocities)
 
     def to_nodes(self, q: object) -> FloatArray:
         """Return node positions with exact bar lengths whose coordinates are q.
@@ -384,7 +398,7 @@ class Coordinates:
         return [(block, normal_basis(self.structure, block, self.nodes)) for block in blocks]
 
     @cached_property
-    def _is_loose(self) -> bool:
+    def is_loose(self) -> bool:
         """Whether the supports leave a motion as one body."""
         return bool(rigid_basis(self.structure).shape[1])
 

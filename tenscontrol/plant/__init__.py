@@ -33,6 +33,7 @@ from tenscontrol.plant.reduced_dynamics import (
     tracked_motion,
 )
 from tenscontrol.plant.reference import (
+    STRINGS_MOVE_NO_CENTRE,
     Preview,
     Reference,
     ReferencePreview,
@@ -58,6 +59,7 @@ from tenscontrol.plant.string_outputs import (
 
 __all__ = [
     "INPUTS",
+    "STRINGS_MOVE_NO_CENTRE",
     "Controllability",
     "LeftSpace",
     "LinearPlant",

@@ -33,8 +33,19 @@ _RIDGE = 1e-3
 # size: the coordinates do not see it. Bars nearer than this part of the size touch.
 _OFF, _TOUCHING = 0.01, 1e-6
 
+# A shape given elsewhere is asked only to move as one body where nodes move by more than the first
+# part of the size, or within a reference by more than the second, and change their distances by
+# less than the third part of that.
+_MOVED, _TRAVELLED, _UNCHANGED = 1e-6, 0.01, 1e-3
+
 # A string can be wound up to this fraction of what its law allows.
 _STRONGEST = 0.99
+
+#: Why a place cannot be asked for.
+STRINGS_MOVE_NO_CENTRE = (
+    "Strings and bars pull and push within the structure: they cannot move the centre of mass of a "
+    "free one, nor turn it about that. Supports, contact with the ground and external forces can"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -375,6 +386,7 @@ def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
     q = np.array(
         [reduced_shape(plant, *each, 2 * _OFF) for each in zip(names, shapes, strict=True)]
     )
+    _refuse_motion_as_one_body(plant, reference, name)
     # A mirror image keeps all lengths, but bars would have to pass through one another on the way:
     # from the operating point to the nearest shape, and from each shape to the next.
     apart = [bar_distances(structure, N) for N in (plant.nodes, *shapes)]
@@ -392,6 +404,26 @@ def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
             "image. Give shapes in between if there is another way"
         )
     return q
+
+
+def _refuse_motion_as_one_body(plant: LinearPlant, reference: Reference, name: str) -> None:
+    """Raise if no shape is asked for, but another place of a structure that no support holds."""
+    if not plant.coordinates.is_loose:
+        return
+    shapes = np.moveaxis(reference.nodes, 2, 0)
+    laid = np.array([plant.coordinates.laid_over(N, np.zeros_like(N))[0] for N in shapes])
+    size = float(np.ptp(plant.nodes, axis=1).max())
+    for first, share in (((plant.nodes, plant.nodes), _MOVED), ((shapes[0], laid[0]), _TRAVELLED)):
+        gone, changed = (
+            np.linalg.norm(now - before, axis=1).max(axis=1)
+            for now, before in zip((shapes, laid), first, strict=True)
+        )
+        k = int(gone.argmax())
+        if gone[k] > share * size and changed.max() < _UNCHANGED * gone[k]:
+            raise ValueError(
+                f"{name} asks the structure only to move as one body: at {reference.time[k]:g} s "
+                f"by up to {gone[k]:.3g} m, in the same shape. {STRINGS_MOVE_NO_CENTRE}"
+            )
 
 
 def reduced_shape(plant: LinearPlant, name: str, nodes: FloatArray, off: float) -> FloatArray:

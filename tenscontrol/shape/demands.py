@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.structure import Structure
+from tenscontrol.structure import (
+    Structure,
+    left_by_supports,
+    node_mass,
+    rigid_basis,
+    rigid_motions,
+)
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -27,6 +33,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike
+
+# A motion as one body whose speed is less than this part of the largest is none.
+_STILL = 1e-9
 
 # Indices beyond are of no structure, and not all whole.
 MOST_NODES = 10**9
@@ -403,6 +412,59 @@ class Twist(Demand):
         s, c = float(np.sin(self.angle)), float(np.cos(self.angle))
         # Turned back by the wanted angle, so that no jump is near.
         return ca.atan2(c * sine - s * cosine, c * cosine + s * sine)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class CentreKept(Demand):
+    """No part of the way from a shape is a motion as one body that the supports leave.
+
+    Internal forces leave momenta at zero: the centre of mass stays, and as far as the way is
+    straight, the structure does not turn.
+    """
+
+    start: FloatArray  # (d, n), m
+    motions: FloatArray  # (k, d n): what a displacement has of each motion, m
+    names: tuple[str, ...] = ()  # a field in place of the property
+    tolerance: float = 0.0
+    _node_lists = ()
+
+    def _checked(self) -> dict[str, object]:
+        return {}
+
+    @property
+    def wanted(self) -> FloatArray:
+        """Zero for each motion."""
+        return np.zeros(len(self.motions))
+
+    def miss(self, N: Any) -> Any:
+        """Return the part of the way along each motion."""
+        return ca.mtimes(ca.DM(self.motions), ca.vec(N) - ca.DM(self.start.ravel(order="F")))
+
+
+def centre_kept(structure: Structure, start: FloatArray) -> tuple[CentreKept, ...]:
+    """Return the demand that internal forces can bring the structure from this shape, at rest.
+
+    Empty where the supports leave no motion as one body.
+    """
+    if not rigid_basis(structure).shape[1]:
+        return ()
+    d, n = start.shape
+    fields = left_by_supports(structure, rigid_motions(start))
+    mass = node_mass(structure).toarray()
+    factor = np.linalg.cholesky(mass).T
+    # Orthonormal in the mass, one after the other: turns are about the centre of mass.
+    weighted = (factor @ fields.reshape(n, -1)).reshape(fields.shape)
+    sizes = np.abs(np.diagonal(np.linalg.qr(weighted, mode="r")))
+    moves = sizes > _STILL * sizes.max()
+    motions = np.linalg.qr(weighted[:, moves])[0]
+    motions = (factor.T @ motions.reshape(n, -1)).reshape(motions.shape) / np.sqrt(mass.sum())
+    names = [f"centre of mass along {axis}" for axis in "xyz"[:d]]
+    names += [f"turn about {axis}" for axis in ("xyz" if d == 3 else "z")]
+    if len(structure.fixed_rows):
+        names = [f"motion {i} left by the supports" for i in range(fields.shape[1])]
+    chosen = tuple(f"{names[i]}, from start," for i in np.flatnonzero(moves))
+    return (CentreKept(start, motions.T, chosen),)
 
 
 def node_list(name: str, nodes: object) -> IntArray:

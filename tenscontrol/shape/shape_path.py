@@ -7,27 +7,37 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Model
+from tenscontrol.dynamics import Model, coordinates
 from tenscontrol.limits import MOST_DESIGNS
-from tenscontrol.plant import LinearPlant, OperatingPoint, Reference, linearize
+from tenscontrol.plant import (
+    STRINGS_MOVE_NO_CENTRE,
+    LinearPlant,
+    OperatingPoint,
+    Reference,
+    linearize,
+)
 from tenscontrol.shape.continuation import Continuation, Waypoint
 from tenscontrol.shape.force_bounds import checked_bounds
 from tenscontrol.shape.nonlinear_program import ShapeProblem
 from tenscontrol.shape.path_timing import PathError, TimedPath, rest_at
 from tenscontrol.shape.shape_search import STIFF
-from tenscontrol.shape.target import ShapeTarget
+from tenscontrol.shape.target import PLACES, ShapeTarget, moved_as_one_body
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import (
     bar_distances,
     crossing,
     free_coordinates,
+    left_by_supports,
     refuse_moved_supports,
     refuse_wrong_bar_lengths,
     restore_bar_lengths,
+    rigid_basis,
+    rigid_motions,
     same_members,
 )
 from tenscontrol.validation import (
     FloatArray,
+    choice,
     float_array,
     freeze_arrays,
     instance,
@@ -184,6 +194,7 @@ def shape_path(
     ramp: float = 0.25,
     min_force_density: object = 0.0,
     max_force_density: object = None,
+    place: str = "anywhere",
     require_stable: bool = True,
 ) -> ShapePath:
     """Return a path from shape to shape on which every shape is an equilibrium.
@@ -210,6 +221,11 @@ def shape_path(
         more than 0 and at most 0.5.
     min_force_density, max_force_density : float or array_like, shape (α,), optional
         Bounds of γ on the way, N/m.
+    place : {"anywhere", "centre"}
+        Where the shapes are of a structure that supports leave free to move as one body.
+        ``"anywhere"``: on the way to the place of ``goal``. ``"centre"``: where its strings alone
+        bring it. The centre of mass stays, and no step from shape to shape turns the whole, so
+        that the end may be turned a little against ``goal``.
     require_stable : bool
         Whether a path that leads through shapes that buckle is refused.
 
@@ -226,7 +242,8 @@ def shape_path(
         one another; it carries the equilibrium where that is.
     TypeError, ValueError
         If an argument does not fit; if ``duration`` is too short for the winches,
-        or a rest length leaves their range.
+        or a rest length leaves their range; if the goal is the shape of the start in another
+        place.
 
     Notes
     -----
@@ -249,6 +266,7 @@ def shape_path(
     """
     instance("model", model, Model, "make one by Model(structure)")
     truth("require_stable", require_stable, "whether a path through shapes that buckle is refused")
+    choice("place", place, PLACES)
     begin, end = _path_end(model, "start", start), _path_end(model, "goal", goal)
     step = positive_number("step", step, "s")
     ramp = positive_number("ramp", ramp, "shares of the duration")
@@ -264,7 +282,7 @@ def shape_path(
         duration = positive_number("duration", duration, "s")
     elif rate is None:
         raise ValueError("expected duration, or winches with a rate, which settle the time")
-    _refuse_same(begin, end)
+    _refuse_same(model, begin, end)
 
     # Equal where all strings are slack.
     level = max(float(rest.force_density.max()) for rest in (begin, end)) or 1.0
@@ -288,13 +306,16 @@ def shape_path(
     if timed.rest_length is not None:
         bounds.refuse_rest_lengths(timed.rest_length, timed.time)
     structure = model.structure
+    nodes, velocities = timed.nodes, timed.velocities
+    if place == "centre":
+        nodes, velocities = _with_centre_kept(model, begin.structure.nodes, nodes, velocities)
     bars = timed.nodes[:, structure.bars[:, 1]] - timed.nodes[:, structure.bars[:, 0]]
     length = np.linalg.norm(bars, axis=0) / structure.bar_length[:, None]
     return ShapePath(
         model=model,
         time=timed.time,
-        nodes=timed.nodes,
-        velocities=timed.velocities,
+        nodes=nodes,
+        velocities=velocities,
         force_density=timed.force_density,
         rest_length=timed.rest_length,
         rest_length_rate=timed.rest_length_rate,
@@ -304,6 +325,27 @@ def shape_path(
         clearance=clearance,
         shortest_duration=timed.shortest,
     )
+
+
+def _with_centre_kept(
+    model: Model, start: FloatArray, nodes: FloatArray, velocities: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return shapes and velocities, (d, n, T), without momenta along what supports leave free."""
+    structure = model.structure
+    if not rigid_basis(structure).shape[1]:
+        return nodes, velocities
+    mass, last = model.mass_matrix().toarray(), start
+    shapes, rates = [], []
+    for N, V in zip(np.moveaxis(nodes, 2, 0), np.moveaxis(velocities, 2, 0), strict=True):
+        # Laid over the shape before: then nothing of the step between them is such a motion.
+        last, turned = coordinates(model, last, "nodes").laid_over(N, V)
+        fields = left_by_supports(structure, rigid_motions(last))
+        momenta = (mass @ fields.reshape(len(mass), -1)).reshape(fields.shape).T
+        rate = turned.ravel(order="F")
+        rate = rate - fields @ np.linalg.lstsq(momenta @ fields, momenta @ rate)[0]
+        shapes.append(last)
+        rates.append(rate.reshape(N.shape, order="F"))
+    return np.stack(shapes, axis=-1), np.stack(rates, axis=-1)
 
 
 def _path_end(model: Model, name: str, value: object) -> Prestress:
@@ -330,7 +372,7 @@ def _path_end(model: Model, name: str, value: object) -> Prestress:
     return rest
 
 
-def _refuse_same(start: Prestress, goal: Prestress) -> None:
+def _refuse_same(model: Model, start: Prestress, goal: Prestress) -> None:
     """Raise if start and goal are the same equilibrium."""
     travel = np.linalg.norm(goal.structure.nodes - start.structure.nodes, axis=0).max()
     change = np.abs(goal.force_density - start.force_density).max()
@@ -338,6 +380,12 @@ def _refuse_same(start: Prestress, goal: Prestress) -> None:
     size = float(np.ptp(start.structure.nodes, axis=1).max())
     if travel <= 1e-9 * size and change <= 1e-9 * level:
         raise ValueError("start and goal are the same shape with the same γ: there is no way to go")
+    gone = moved_as_one_body(model, start.structure.nodes, goal.structure.nodes)
+    if gone and change <= 1e-9 * level:
+        raise ValueError(
+            f"goal is the shape of start, moved as one body by up to {gone:.3g} m. "
+            f"{STRINGS_MOVE_NO_CENTRE}"
+        )
 
 
 def _least_margin(problem: ShapeProblem, waypoints: list[Waypoint], require_stable: bool) -> float:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Model, builds, kernel
-from tenscontrol.shape.demands import Demand
+from tenscontrol.shape.demands import CentreKept, Demand
 from tenscontrol.shape.force_bounds import ForceLimits, choose_force_density
 from tenscontrol.shape.nonlinear_program import EXACT, MIRRORED, ShapeProblem
 from tenscontrol.shape.symmetry import RotationalSymmetry
@@ -83,6 +83,7 @@ class _DemandRows:
         misses = [demand.miss(problem.nodes) for demand in demands]
         units = [size if demand.unit == "m" else 1.0 for demand in demands]
         counts = [miss.numel() for miss in misses]
+        hard = np.repeat([isinstance(demand, CentreKept) for demand in demands], counts)
         self.scales = np.repeat(units, counts)
         parts: list[Rows] = [(ca.SX(0, 1), np.zeros(0), np.zeros(0))]
         for demand, miss, unit in zip(demands, misses, units, strict=True):
@@ -104,6 +105,8 @@ class _DemandRows:
             least = np.full(apart.numel(), limits.clearance / size)
             parts.append((apart / size, least, np.full(apart.numel(), np.inf)))
         self.rows = ca.vertcat(*(rows for rows, _, _ in parts))
+        #: Rows that may be missed, at a cost.
+        self.soft = np.setdiff1d(np.arange(self.rows.numel()), np.flatnonzero(hard))
         self.low = np.concatenate([low for _, low, _ in parts])
         self.high = np.concatenate([high for _, _, high in parts])
         self._evaluate = ca.Function("rows", [problem.unknowns], [ca.densify(self.rows)])
@@ -182,12 +185,13 @@ def solve_shape(
     squares = kernel.dots(S, S).T / problem.size**2
     segment_length = np.linalg.norm(model.structure.string_vectors(start), axis=0)
     shortest = (_SHORT * segment_length / problem.size) ** 2
-    e = ca.SX.sym("e", demanded.rows.numel())
+    e, missed = ca.SX.sym("e", len(demanded.soft)), ca.SX(demanded.rows.numel(), 1)
+    missed[demanded.soft.tolist()] = e
     stretch = problem.dependent_stretch
     off = np.full(stretch.numel(), MIRRORED)
     bounds = [
         (stretch, -off, off),
-        (demanded.rows - e, demanded.low, demanded.high),
+        (demanded.rows - missed, demanded.low, demanded.high),
         (level, np.zeros(level.numel()), np.zeros(level.numel())),
         (squares, shortest, np.full(len(shortest), np.inf)),
     ]

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Model
-from tenscontrol.shape.demands import Demand
+from tenscontrol.dynamics import Model, coordinates
+from tenscontrol.plant import STRINGS_MOVE_NO_CENTRE
+from tenscontrol.shape.demands import Demand, centre_kept
 from tenscontrol.shape.force_bounds import ForceLimits, checked_limits
 from tenscontrol.shape.shape_search import MET, STIFF, Solved, solve_shape
 from tenscontrol.shape.symmetry import RotationalSymmetry
@@ -25,6 +26,11 @@ from tenscontrol.structure import (
 from tenscontrol.validation import FloatArray, choice, frozen, instance, truth, wrong_kind
 
 CHOICES = ("centred", "least")
+PLACES = ("anywhere", "centre")
+
+# A shape that differs from the start by less than this part of its way is the same elsewhere; ways
+# below the second part of the size are none.
+_UNCHANGED, _STAYED = 1e-3, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +151,7 @@ def shape_target(
     min_clearance: float | None = None,
     symmetry: RotationalSymmetry | None = None,
     start: object = None,
+    place: str = "anywhere",
     require_stable: bool = True,
 ) -> ShapeTarget:
     """Return an equilibrium shape that meets demands.
@@ -179,6 +186,11 @@ def shape_target(
         Only shapes that have it.
     start : array_like, shape (d, n), optional
         Where the search starts, m; the reference shape if not given.
+    place : {"anywhere", "centre"}
+        Where a structure may be that supports leave free to move as one body. ``"centre"``: where
+        its strings alone bring it from rest in ``start``. The centre of mass stays there, and the
+        way from ``start`` has no part that turns the whole, so that nodes are found at places in
+        space. A structure that supports hold is in space already.
     require_stable : bool
         Whether a shape that buckles is refused.
 
@@ -190,7 +202,8 @@ def shape_target(
     ------
     ShapeError
         If no such equilibrium is found. Its text says by how much each demand is
-        missed; its ``nearest`` is the nearest equilibrium found.
+        missed; its ``nearest`` is the nearest equilibrium found. Also if the demands ask a free
+        structure only to move as one body, in the same shape.
     TypeError, ValueError
         If an argument is of the wrong kind or does not fit.
 
@@ -218,6 +231,7 @@ def shape_target(
         model = Model(model)
     instance("model", model, Model, "make one by Model(structure)")
     choice("prestress", prestress, CHOICES)
+    choice("place", place, PLACES)
     truth("require_stable", require_stable, "whether a shape that buckles is refused")
     structure = model.structure
     wanted: Any = (demands,) if isinstance(demands, Demand) else demands
@@ -240,11 +254,12 @@ def shape_target(
         prestress,
         min_clearance,
     )
-    place = structure.nodes if start is None else structure.checked_nodes("start", start)
-    refuse_moved_supports("start", structure, place)
-    place = restore_bar_lengths(structure, place)
+    begin = structure.nodes if start is None else structure.checked_nodes("start", start)
+    refuse_moved_supports("start", structure, begin)
+    begin = restore_bar_lengths(structure, begin)
     refuse_load_without_support(structure, model.constant_force)
-    solved = solve_shape(model, tuple(wanted), limits, prestress, symmetry, place)
+    asked = tuple(wanted) + (centre_kept(structure, begin) if place == "centre" else ())
+    solved = solve_shape(model, asked, limits, prestress, symmetry, begin)
     if solved is None:
         level = f", {limits.level:g} N/m in the reference strings" if limits.level else ""
         raise ShapeError(
@@ -253,13 +268,22 @@ def shape_target(
             "min_force_density",
             None,
         )
-    target = _target(model, tuple(wanted), limits, solved)
+    target = _target(model, asked, limits, solved)
     if target.missed:
         misses = "; ".join(str(check) for check in target.missed)
+        why = f" {STRINGS_MOVE_NO_CENTRE}." if len(asked) > len(wanted) else ""
         raise ShapeError(
             f"no equilibrium found that meets the demands. The nearest one found, .nearest, "
-            f"misses {len(target.missed)} of {len(target.demands)}: {misses}. Another start may "
-            "lead nearer; tolerances, wider bounds or more strings leave more room",
+            f"misses {len(target.missed)} of {len(target.demands)}: {misses}.{why} Another start "
+            "may lead nearer; tolerances, wider bounds or more strings leave more room",
+            target,
+        )
+    gone = moved_as_one_body(model, begin, target.nodes)
+    if gone and wanted:
+        raise ShapeError(
+            f"the demands ask the structure only to move as one body: the shape found is that of "
+            f"start, moved by up to {gone:.3g} m. {STRINGS_MOVE_NO_CENTRE}. To put the structure "
+            "there by hand, move the nodes of start",
             target,
         )
     if require_stable and not target.is_stable:
@@ -273,6 +297,14 @@ def shape_target(
             target,
         )
     return target
+
+
+def moved_as_one_body(model: Model, before: FloatArray, after: FloatArray) -> float:
+    """Return how far nodes move, m, where two shapes differ by a motion as one body alone; or 0."""
+    laid = coordinates(model, before, "nodes").laid_over(after, np.zeros_like(after))[0]
+    gone, changed = (float(np.linalg.norm(nodes - before, axis=0).max()) for nodes in (after, laid))
+    size = float(np.ptp(before, axis=1).max())
+    return gone if gone > _STAYED * size and changed < _UNCHANGED * gone else 0.0
 
 
 def _target(
