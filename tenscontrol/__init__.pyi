@@ -115,6 +115,9 @@ from .dynamics import (
 from .dynamics import (
     Model as Model,
 )
+from .dynamics import (
+    Profile as Profile,
+)
 from .estimation import (
     KalmanFilter as KalmanFilter,
 )
@@ -240,6 +243,7 @@ __all__ = [
     "OperatingPoint",
     "OutputLimit",
     "PointAt",
+    "Profile",
     "Reference",
     "RotationalSymmetry",
     "Sensors",

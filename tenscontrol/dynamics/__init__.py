@@ -1,7 +1,7 @@
 """The equations of motion as CasADi functions."""
 
 from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates, normal_basis
-from tenscontrol.dynamics.equation import Equation, smooth_equation
+from tenscontrol.dynamics.equation import Equation, InputLayout, smooth_equation
 from tenscontrol.dynamics.evaluator import (
     BUILDING,
     ColumnEvaluator,
@@ -23,10 +23,12 @@ from tenscontrol.dynamics.machine_code import (
     compiler,
 )
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
+from tenscontrol.dynamics.profile import INTERPOLATIONS, Pieces, Profile, as_pieces, polynomial
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
 
 __all__ = [
     "BUILDING",
+    "INTERPOLATIONS",
     "KINDS",
     "ColumnEvaluator",
     "Compiled",
@@ -37,10 +39,14 @@ __all__ = [
     "Equation",
     "Evaluator",
     "Exclusive",
+    "InputLayout",
     "LinearStrings",
     "Model",
+    "Pieces",
     "Prepared",
+    "Profile",
     "StringLaw",
+    "as_pieces",
     "builds",
     "built",
     "compiled",
@@ -51,6 +57,7 @@ __all__ = [
     "exclusive",
     "normal_basis",
     "pack_state",
+    "polynomial",
     "smooth_equation",
     "solving",
     "unpack_states",

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from tenscontrol.dynamics.evaluator import Prepared, builds
 from tenscontrol.dynamics.string_laws import StringLaw
@@ -15,6 +16,58 @@ from tenscontrol.validation import FloatArray
 
 #: How the functions of an equation can be built.
 FORMS = ("flat", "mapped", "loops")
+
+
+@dataclass(frozen=True)
+class InputLayout:
+    """What the input u of an equation holds: values that are held, or polynomials in time.
+
+    The values are those of the strings, then the load on all nodes, then what supports and the
+    bars on them are displaced by, node by node, where these are inputs. Of degree 0 they are u.
+    Above, u holds their coefficients of power 0, of power 1, and so on, and in the end the time at
+    which they are taken, s.
+
+    Attributes
+    ----------
+    strings, load, offset : int
+        Numbers of values.
+    degree : int
+        Of the polynomials.
+    """
+
+    strings: int
+    load: int = 0
+    offset: int = 0
+    degree: int = 0
+
+    @property
+    def count(self) -> int:
+        """Number of values."""
+        return self.strings + self.load + self.offset
+
+    @property
+    def size(self) -> int:
+        """Number of entries of u."""
+        return self.count * (self.degree + 1) + 1 if self.degree else self.count
+
+    def ahead(self, u: Any, time: Any) -> Any:
+        """Return the expression of the input that begins a time later."""
+        return ca.vertcat(u[:-1], u[-1] + time) if self.degree else u
+
+    def values(self, u: Any, order: int = 0) -> Any:
+        """Return the expression of the values, or of their derivative of an order, in time."""
+        if not self.degree:
+            return u if order == 0 else type(u).zeros(self.count)
+        value: Any = type(u).zeros(self.count)
+        for k in range(self.degree, order - 1, -1):
+            factor = float(np.prod(np.arange(k - order + 1, k + 1)))
+            value = value * u[-1] + factor * u[k * self.count : (k + 1) * self.count]
+        return value
+
+    def packed(self, coefficients: FloatArray, time: float) -> FloatArray:
+        """Return u of coefficients of ascending powers, shape (count, degree + 1), at a time."""
+        u = coefficients.ravel(order="F")
+        return np.append(u, time) if self.degree else u
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +95,12 @@ class Equation:
     law : StringLaw or None
         The law of the strings where rest lengths are held; None where γ is.
     load : ndarray, shape (d, n), or None
-        Constant force on every node, N; None for none.
+        Constant force on every node, N; None for none, or where it is an input.
     form : {"flat", "mapped", "loops"}
         How the functions are built: one expression of all members (SX);
         operations on all members at once (MX); loops over the members in C.
+    input_layout : InputLayout or None
+        What u holds; None for the values of the strings.
     prepared : Prepared
         What integrators have built for this equation, for every later call; not for users.
     """
@@ -58,7 +113,13 @@ class Equation:
     law: StringLaw | None = None
     load: FloatArray | None = None
     form: str = "flat"
+    input_layout: InputLayout | None = None
     prepared: Prepared = field(default_factory=Prepared, init=False, repr=False)
+
+    @cached_property
+    def layout(self) -> InputLayout:
+        """What u holds."""
+        return InputLayout(self.inputs) if self.input_layout is None else self.input_layout
 
     @property
     def symbol(self) -> Any:
@@ -93,6 +154,15 @@ class Equation:
         """Number of strings that can go slack: entries of ``taut``."""
         return int(self.slope.size1_in(2))
 
+    def ahead(self, u: Any, time: Any) -> Any:
+        """Return the expression of the input that begins a time later: of one held, itself."""
+        return self.layout.ahead(u, time)
+
+    def of_strings(self, u: Any) -> Any:
+        """Return the expression of the rest lengths, or force densities, at the time of u."""
+        values = self.layout.values(u)
+        return values if self.layout.count == self.layout.strings else values[: self.layout.strings]
+
     @property
     def kinked_slope(self) -> ca.Function:
         """``(x, u) -> xdot``: the whole equation, not smooth where strings switch."""
@@ -111,4 +181,29 @@ def smooth_equation(slope: ca.Function) -> Equation:
     return Equation(
         slope=ca.Function("slope", [x, u, taut], [slope(x, u)]),
         gap=ca.Function("gap", [x, u], [none, none]),
+    )
+
+
+def in_time(
+    functions: tuple[ca.Function, ...], layout: InputLayout, moves: bool, symbol: Any
+) -> tuple[ca.Function, ...]:
+    """Return slope, gap and force of u from those of the values in it, which end in Ė.
+
+    ``moves`` is whether strings have a gap, whose rate is less by that of the rest lengths.
+    """
+    slope, gap, force = functions
+    if not layout.degree and not layout.offset:
+        return functions
+    x, taut = (symbol(name, slope.size1_in(i)) for name, i in (("x", 0), ("taut", 2)))
+    q, v = (symbol(name, force.size1_in(i)) for name, i in (("q", 0), ("v", 1)))
+    u = symbol("u", layout.size)
+    values, rates = layout.values(u), layout.values(u, 1)
+    values = ca.vertcat(values, rates[layout.count - layout.offset :])
+    room, rate = gap(x, values)
+    if moves:
+        rate = rate - rates[: layout.strings]
+    return (
+        ca.Function("slope", [x, u, taut], [slope(x, values, taut)]),
+        ca.Function("gap", [x, u], [ca.densify(room), ca.densify(rate)]),
+        ca.Function("force", [q, v, u, taut], [force(q, v, values, taut)]),
     )

@@ -8,13 +8,22 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
-from tenscontrol.dynamics.equation import FORMS, Equation
+from tenscontrol.dynamics.equation import FORMS, Equation, InputLayout, in_time
 from tenscontrol.dynamics.evaluator import Prepared, built
 from tenscontrol.dynamics.forms import loops_functions, mapped_functions, members_alone
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure, free_coordinates, node_mass
-from tenscontrol.validation import FloatArray, choice, float_array, frozen, instance, shaped, truth
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    float_array,
+    frozen,
+    instance,
+    shaped,
+    truth,
+    whole_number,
+)
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -27,6 +36,9 @@ if TYPE_CHECKING:
 #: kept: it can be put into the expressions of a step, compiled with them, and differentiated.
 #: Bars that are joined count for more, by the instructions that they take.
 LARGEST_FLAT = 40
+
+# Of inputs that are polynomials in time.
+_MOST_DEGREE = 20
 
 
 class Model:
@@ -219,7 +231,14 @@ class Model:
         return self.dynamics if input == "force_density" else self.rest_length_dynamics
 
     def equation(
-        self, input: str, external_force: FloatArray | None = None, form: str = "auto"
+        self,
+        input: str,
+        external_force: FloatArray | None = None,
+        form: str = "auto",
+        *,
+        degree: int = 0,
+        load_input: bool = False,
+        offset_input: bool = False,
     ) -> Equation:
         """Return the state equation for an integrator, for fixed slack and taut strings.
 
@@ -236,6 +255,12 @@ class Model:
             compiler. ``"auto"``: flat up to 40 members, beyond them loops where there is a C
             compiler, else mapped; bars that are joined count as two to ten. ``.form`` of the
             equation says which.
+        degree : int
+            Degree of the polynomials in time that the input is made of; 0 where it is held.
+        load_input, offset_input : bool
+            Whether the load on all nodes, N, is a further input, in place of all others; and
+            the displacement of nodes with their supports, m, which strings see.
+            See :class:`InputLayout`.
 
         Raises
         ------
@@ -253,31 +278,51 @@ class Model:
             load = load + shaped("external_force", external_force, load.shape, meaning)
         if form == "auto":
             form = _suitable_form(self._structure)
+        degree = whole_number("degree", degree, 0, _MOST_DEGREE)
+        truth("load_input", load_input, "whether the load is an input")
+        truth("offset_input", offset_input, "whether supports move")
+        entries = self._structure.nodes.size
+        layout = InputLayout(
+            len(self._structure.strings), entries * load_input, entries * offset_input, degree
+        )
+        if load_input:
+            load = np.zeros_like(load)
 
         def build() -> Equation:
-            if form == "flat":
-                slope, gap, force = self._flat_functions(law, load)
-            else:
-                make = mapped_functions if form == "mapped" else loops_functions
-                slope, gap, force = make(self._structure, law, load)
+            make = {"flat": self._flat_functions, "mapped": mapped_functions}.get(
+                form, loops_functions
+            )
+            functions = make(self._structure, law, load, layout)
+            symbol = ca.SX.sym if form == "flat" else ca.MX.sym
+            slope, gap, force = in_time(functions, layout, law is not None, symbol)
             damped = law is not None and law.is_damped
             constant = frozen(load) if load.any() else None
-            return Equation(slope, gap, force, damped, self._structure, law, constant, form)
+            return Equation(slope, gap, force, damped, self._structure, law, constant, form, layout)
 
         # Another compiler makes another library.
         by = compiler() if form == "loops" else None
-        return self._prepared.get(("equation", input, load.tobytes(), form, by), build)
+        return self._prepared.get(("equation", input, load.tobytes(), form, layout, by), build)
 
-    def _flat_functions(self, law: StringLaw | None, load: FloatArray) -> tuple[ca.Function, ...]:
+    def _flat_functions(
+        self, structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout
+    ) -> tuple[ca.Function, ...]:
         """Return slope, gap and force, every member written out."""
-        structure = self._structure
         s = self._symbols()
         s["load"] = ca.sparsify(ca.DM(load)) if load.any() else None
         u = s["gamma"] if law is None else s["rest_length"]
+        given = u
+        if layout.load:
+            s["load"] = ca.SX.sym("load", *structure.nodes.shape)
+            given = ca.vertcat(given, ca.vec(s["load"]))
+        if layout.offset:
+            # Strings see where nodes are; bars only where they are beside their supports.
+            offsets = [ca.SX.sym(name, *structure.nodes.shape) for name in ("offset", "rate")]
+            s["ends"], s["end_rates"] = s["nodes"] + offsets[0], s["velocities"] + offsets[1]
+            given = ca.vertcat(given, *map(ca.vec, offsets))
         taut, gap, rate = ca.SX.sym("taut", 0), ca.SX(0, 1), ca.SX(0, 1)
         gamma = u
         if law is not None:
-            rows = kernel.string_motion(structure, s["nodes"], s["velocities"], u.T)
+            rows = kernel.string_motion(structure, s["ends"], s["end_rates"], u.T)
             length, rate = (row.T for row in rows)
             taut = ca.SX.sym("taut", len(structure.strings))
             gap = law.gap(length, u, rate)
@@ -286,9 +331,9 @@ class Model:
         forces = kernel.free_entries(structure, on_free)
         q, v = (kernel.free_entries(structure, s[name]) for name in ("N", "Nd"))
         return (
-            ca.Function("slope", [s["x"], u, taut], [self._xdot(s, gamma)]),
-            ca.Function("gap", [s["x"], u], [ca.densify(gap), ca.densify(rate)]),
-            ca.Function("force", [q, v, u, taut], [forces]),
+            ca.Function("slope", [s["x"], given, taut], [self._xdot(s, gamma)]),
+            ca.Function("gap", [s["x"], given], [ca.densify(gap), ca.densify(rate)]),
+            ca.Function("force", [q, v, given, taut], [forces]),
         )
 
     @built
@@ -358,6 +403,9 @@ class Model:
             load = kernel.all_nodes(structure, W)
         if self._constant_force.any():
             load += ca.sparsify(ca.DM(self._constant_force))
+        # All nodes, the fixed ones as constants.
+        nodes = kernel.all_nodes(structure, N, structure.nodes)
+        velocities = kernel.all_nodes(structure, Nd)
         return {
             "N": N,
             "Nd": Nd,
@@ -365,9 +413,11 @@ class Model:
             "x": ca.vertcat(*(kernel.free_entries(structure, part) for part in (N, Nd))),
             "gamma": ca.SX.sym("gamma", alpha),
             "rest_length": ca.SX.sym("rest_length", alpha),
-            # All nodes, the fixed ones as constants.
-            "nodes": kernel.all_nodes(structure, N, structure.nodes),
-            "velocities": kernel.all_nodes(structure, Nd),
+            "nodes": nodes,
+            "velocities": velocities,
+            # Of the ends of strings.
+            "ends": nodes,
+            "end_rates": velocities,
             "load": load if load.nnz() else None,
         }
 
@@ -378,7 +428,7 @@ class Model:
         return ca.Function(name, given, list(outputs.values()), names, list(outputs))
 
     def _forces(self, s: dict[str, Any], gamma: Any) -> Any:
-        return kernel.node_forces(self._structure, s["nodes"], gamma, s["load"])
+        return kernel.node_forces(self._structure, s["ends"], gamma, s["load"])
 
     def _ndd(self, s: dict[str, Any], gamma: Any) -> Any:
         forces = self._forces(s, gamma)

@@ -1,8 +1,9 @@
-"""Integrators: one a file, one interface."""
+"""Integrators: one interface; one a file, but the simplest, which is with the fixed steps."""
 
 from tenscontrol.integrate.cvodes import CVODES, is_expandable, jacobian_weight, state_jacobian
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
+from tenscontrol.integrate.fixed_step import RK4
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -16,7 +17,6 @@ from tenscontrol.integrate.integrator import (
 from tenscontrol.integrate.methods import METHODS, Choice, Method, choose, method_of
 from tenscontrol.integrate.projection import Projector
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6, splitting
-from tenscontrol.integrate.rk4 import RK4
 
 __all__ = [
     "CVODES",

@@ -92,8 +92,9 @@ def crossing(equation: Equation) -> ca.Function:
     x, u, taut, h = equation.symbols()
     x1 = equation.symbol("x1", n)
     sign = 2 * taut - 1
-    (gap0, rate0), (gap1, rate1) = equation.gap(x, u), equation.gap(x1, u)
-    room0, room1 = sign * gap0 + BAND * u, sign * gap1 + BAND * u
+    band = BAND * equation.of_strings(u)
+    (gap0, rate0), (gap1, rate1) = equation.gap(x, u), equation.gap(x1, equation.ahead(u, h))
+    room0, room1 = sign * gap0 + band, sign * gap1 + band
     out, back = -sign * rate0, sign * rate1
     # The tangents room0 - out t and room1 - back (h - t) meet below zero.
     below = back * room0 + out * room1 < out * back * h
@@ -103,7 +104,8 @@ def crossing(equation: Equation) -> ca.Function:
         # The border of a damped string has other tangents: look at the middle.
         q, v, q1, v1 = x[: n // 2], x[n // 2 :], x1[: n // 2], x1[n // 2 :]
         middle = ca.vertcat((q + q1) / 2 + h / 8 * (v - v1), 1.5 / h * (q1 - q) - (v + v1) / 4)
-        found = ca.fmax(found, ca.mmax(sign * equation.gap(middle, u)[0] + BAND * u < 0))
+        gap = equation.gap(middle, equation.ahead(u, h / 2))[0]
+        found = ca.fmax(found, ca.mmax(sign * gap + band < 0))
     # A state that is not finite is not searched.
     found = ca.if_else(ca.sumsqr(x1) < ca.inf, found, 0)
     return ca.Function("crossing", [x, x1, u, taut, h], [found])
@@ -119,14 +121,15 @@ def landing(step: ca.Function, equation: Equation) -> ca.Function:
     x, taut, u, h, x1 = _symbols(equation)
     inside_step, room = _interpolant(equation), _room(equation)
     zoom = _zoom(room, equation)
-    ends = [x, equation.slope(x, u, taut), x1, equation.slope(x1, u, taut), h]
+    ends = [x, equation.slope(x, u, taut), x1, equation.slope(x1, equation.ahead(u, h), taut), h]
     within = [inside_step(*ends), u, taut, h]
     low, high, found = ca.MX(0), ca.MX(1), ca.MX(0)
     for _ in range(_ZOOMS):
         low, high, found = zoom(*within, low, high)
     inside, outside = room(*within, low), room(*within, high)
     # The string that is out first, by the secants; several, where they go out together.
-    near, start = 0.5 * BAND * ca.mmin(u), ca.fmax(inside, 0)
+    band = 0.5 * BAND * equation.of_strings(u)
+    near, start = ca.mmin(band), ca.fmax(inside, 0)
     first = ca.mmin(ca.if_else(outside < 0, start / ca.if_else(outside < 0, start - outside, 1), 1))
     out = ca.logic_and(outside < 0, inside + first * (outside - inside) <= near)
     chosen = ca.if_else(found, out, outside <= ca.mmin(outside) + near)
@@ -138,7 +141,7 @@ def landing(step: ca.Function, equation: Equation) -> ca.Function:
     )
     part, steps, end = reached[1], reached[4], reached[5:]
     # Whatever else has reached the border and is on its way out switches with it.
-    at_border = (2 * taut - 1) * equation.gap(end, u)[0] <= 0.5 * BAND * u
+    at_border = (2 * taut - 1) * equation.gap(end, equation.ahead(u, part * h))[0] <= band
     switch = ca.logic_and(at_border, outside < inside)
     outputs = [
         ca.if_else(found, end, x1),
@@ -184,7 +187,8 @@ def _room(equation: Equation) -> ca.Function:
         q = q * s + coefficients[:, power]
         if power:
             v = v * s + power * coefficients[:, power]
-    room = (2 * taut - 1) * equation.gap(ca.vertcat(q, v / h), u)[0] + BAND * u
+    gap = equation.gap(ca.vertcat(q, v / h), equation.ahead(u, s * h))[0]
+    room = (2 * taut - 1) * gap + BAND * equation.of_strings(u)
     return ca.Function("room", [coefficients, u, taut, h, s], [room])
 
 
@@ -227,7 +231,8 @@ def _approach(step: ca.Function, equation: Equation) -> ca.Function:
     # A string that only grazes the border has no slope to follow.
     part = ca.fmin(ca.fmax(ca.if_else(speed < 0, wanted, 0), 0), 1)
     end = step(x, u, taut, part * h)
-    gap = ca.dot(chosen, (2 * taut - 1) * equation.gap(end, u)[0]) / ca.sum1(chosen)
+    room = (2 * taut - 1) * equation.gap(end, equation.ahead(u, part * h))[0]
+    gap = ca.dot(chosen, room) / ca.sum1(chosen)
     # Closer than this, the difference is round-off.
     apart = ca.fabs(part - before) > 1e-6
     secant = (gap - gap_before) / ca.if_else(apart, part - before, 1)
@@ -235,7 +240,9 @@ def _approach(step: ca.Function, equation: Equation) -> ca.Function:
     inputs = [state, x, taut, u, h, chosen]
     again = ca.vertcat(part - gap / speed, part, gap, speed, taken + 1, end)
     choose = where_needed(ca.Function("again", inputs, [again]))
-    far = ca.logic_or(taken == 0, ca.fabs(gap_before) > 0.4 * BAND * ca.mmin(u))
+    far = ca.logic_or(
+        taken == 0, ca.fabs(gap_before) > 0.4 * BAND * ca.mmin(equation.of_strings(u))
+    )
     return ca.Function("approach", inputs, [choose(far, *inputs)])
 
 
@@ -262,7 +269,8 @@ def _substep(attempt: ca.Function, land: ca.Function, equation: Equation) -> ca.
     choose = ca.Function.if_else("choose", going, done)
     some = parts[2] > _REST * held[-1]
     x, taut, left, counts = parts
-    return ca.Function("substep", [state, held], [choose(some, x, taut, left, counts, held[:-1])])
+    now = equation.ahead(held[:-1], held[-1] - left)
+    return ca.Function("substep", [state, held], [choose(some, x, taut, left, counts, now)])
 
 
 def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.Function:
@@ -273,11 +281,10 @@ def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.F
     state, held = (ca.MX.sym(substep.name_in(i), substep.size1_in(i)) for i in range(2))
     u, h = held[:-1], held[-1]
     x, taut, left, counts = _split(state, equation)
-    end = step(x, u, taut, left)
+    end = step(x, equation.ahead(u, h - left), taut, left)
     more = counts + _count(tries=1, unlocated=1)
-    whole = ca.Function(
-        "whole", [state, held], [ca.vertcat(end, taut_strings(equation, end, u), 0, more)]
-    )
+    pulling = taut_strings(equation, end, equation.ahead(u, h))
+    whole = ca.Function("whole", [state, held], [ca.vertcat(end, pulling, 0, more)])
     rest = _SUBSTEPS - 1
     cut_up = substep.fold(rest)(state, ca.repmat(held, 1, rest))
 

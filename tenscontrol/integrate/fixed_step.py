@@ -1,4 +1,4 @@
-"""What the methods with a fixed step share: the loop over the steps."""
+"""Methods with a fixed step: the loop over the steps, and the Runge-Kutta method of order 4."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from math import ceil
 from time import perf_counter
+from typing import final
 
 import casadi as ca
 import numpy as np
@@ -110,7 +111,9 @@ class FixedStep(Integrator):
         n, switches = self._equation.states, self._equation.switches
         states = np.empty((n, outputs))
         taut = self._taut(state, held)[0] if switches else np.zeros(0)
-        carried = np.concatenate([state, taut, np.zeros(len(COUNTS))])[: self._size]
+        # The time within the span, where the input is a polynomial in it.
+        clock = np.zeros(min(self._equation.layout.degree, 1))
+        carried = np.concatenate([state, clock, taut, np.zeros(len(COUNTS))])[: self._size]
         done = 0
         try:
             while done < total:
@@ -163,6 +166,24 @@ class FixedStep(Integrator):
         )
 
 
+@final
+class RK4(FixedStep):
+    """The classical Runge-Kutta method of order 4; see :class:`FixedStep`."""
+
+    name = "rk4"
+    evaluations_per_step = 4
+
+    def step_function(self, equation: Equation) -> ca.Function:
+        """See :meth:`FixedStep.step_function`."""
+        x, u, taut, h = equation.symbols()
+        half, end = equation.ahead(u, h / 2), equation.ahead(u, h)
+        k1 = equation.slope(x, u, taut)
+        k2 = equation.slope(x + h / 2 * k1, half, taut)
+        k3 = equation.slope(x + h / 2 * k2, half, taut)
+        k4 = equation.slope(x + h * k3, end, taut)
+        return ca.Function("rk4", [x, u, taut, h], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+
+
 def _block(step: ca.Function) -> ca.Function:
     """Return ``(z, u, [h1 h2 …]) -> [z1 z2 …]``, one column a step; none is taken where h is 0."""
     z, u, h = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
@@ -173,16 +194,19 @@ def _block(step: ca.Function) -> ca.Function:
 
 
 def _carried(step: ca.Function, equation: Equation) -> ca.Function:
-    """Return ``(z, u, h) -> z``: a step that carries which strings pull, and counts.
+    """Return ``(z, u, h) -> z``: a step that carries the time, which strings pull, and counts.
 
-    Without strings that can go slack, z is the state alone.
+    Without strings that can go slack, and with an input that is held, z is the state alone.
     """
     u, h = ca.MX.sym("u", equation.inputs), ca.MX.sym("h")
-    if not equation.switches:
-        x = ca.MX.sym("x", equation.states)
-        return ca.Function("step", [x, u, h], [step(x, u, ca.MX(0, 1), h)])
-    sizes = (equation.states, equation.switches, len(COUNTS))
+    clocks = min(equation.layout.degree, 1)
+    sizes = [equation.states, clocks, equation.switches, len(COUNTS) * (equation.switches > 0)]
     z = ca.MX.sym("z", sum(sizes))
-    x, taut, counts = ca.vertsplit(z, [0, sizes[0], sizes[0] + sizes[1], sum(sizes)])
-    x1, taut1, more = located(step, equation)(x, taut, u, h)
-    return ca.Function("step", [z, u, h], [ca.vertcat(x1, taut1, counts + more)])
+    x, clock, taut, counts = ca.vertsplit(z, np.cumsum([0, *sizes]).tolist())
+    now = equation.ahead(u, clock)
+    later = [clock + h] * clocks
+    if not equation.switches:
+        x1 = step(x, now, ca.MX(0, 1), h)
+        return ca.Function("step", [z, u, h], [ca.vertcat(x1, *later)])
+    x1, taut1, more = located(step, equation)(x, taut, now, h)
+    return ca.Function("step", [z, u, h], [ca.vertcat(x1, *later, taut1, counts + more)])

@@ -10,9 +10,9 @@ from tenscontrol.dynamics import Equation
 from tenscontrol.integrate.cvodes import CVODES
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
+from tenscontrol.integrate.fixed_step import RK4
 from tenscontrol.integrate.integrator import Integrator, largest_frequency
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6
-from tenscontrol.integrate.rk4 import RK4
 from tenscontrol.validation import FloatArray, choice, function, text, truth, wrong_kind
 
 # The largest step of an explicit method is about this over the largest frequency.

@@ -221,12 +221,16 @@ class Faults:
         return sorted({cut.time for cut in self._cuts if start < cut.time < end})
 
     def without_cut(self, held: FloatArray, time: float) -> FloatArray:
-        """Return the input held, shape (α,), with that of strings cut by a time replaced."""
+        """Return the input held, shape (α,), with that of strings cut by a time replaced.
+
+        Or coefficients of polynomials, one row a quantity, those of the strings first.
+        """
         cut = [fault.string for fault in self._cuts if fault.time <= time]
         if not cut:
             return held
         left = held.copy()
-        left[cut] = self._slack
+        left[cut] = 0.0
+        left.reshape(len(left), -1)[cut, 0] = self._slack
         return left
 
     def stuck(self, time: float) -> IntArray:

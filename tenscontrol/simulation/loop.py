@@ -1,4 +1,4 @@
-"""The plant side of a simulation: integration span by span under a held input."""
+"""The plant side of a simulation: integration span by span, the input a polynomial in time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,14 @@ from math import ceil
 
 import numpy as np
 
-from tenscontrol.dynamics import Model, evaluate_columns, unpack_states
+from tenscontrol.dynamics import (
+    Equation,
+    Model,
+    Pieces,
+    evaluate_columns,
+    polynomial,
+    unpack_states,
+)
 from tenscontrol.integrate import (
     METHODS,
     Choice,
@@ -50,12 +57,35 @@ class SimulationError(ArithmeticError):
 
 
 @dataclass(eq=False)
+class _Stretch:
+    """The motion over a time in which the inputs are one polynomial."""
+
+    time: FloatArray  # of the states kept, s
+    states: FloatArray
+    begin: FloatArray  # state at its beginning
+    origin: float  # from which the polynomials count, s
+    coefficients: FloatArray  # of all inputs
+    released: float  # what strings cut by then had stored, J
+
+    def values(self, rows: slice, order: int = 0) -> FloatArray:
+        """Return some of the inputs at the times kept, or their rates."""
+        c = self.coefficients[rows]
+        if order:
+            c = c[:, 1:] * np.arange(1, c.shape[1])
+        return polynomial(c, self.time - self.origin)
+
+
+@dataclass(eq=False)
 class Loop:
-    """The plant side of a simulation: integration span by span under a held input."""
+    """The plant side of a simulation: integration span by span.
+
+    The input is held, or a polynomial in time of at most ``degree``; so is a load, where it is
+    given as pieces of polynomials, one row an entry of it, node by node.
+    """
 
     model: Model
     input: str
-    load: FloatArray
+    load: FloatArray | Pieces
     duration: float
     method: str | Method
     tolerance: float
@@ -66,8 +96,9 @@ class Loop:
     output_step: float = 0.0
     report: Callable[[float], None] | None = None  # of the time reached, s
     record: Callable[[], ControlRecord] | None = None  # under a controller
-    # Times, states, inputs, and what cut strings had stored: span by span.
-    spans: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
+    degree: int = 0
+    spans: list[_Stretch] = field(default_factory=list)
+    moves: bool = False  # whether an input has changed otherwise than by a controller's commands
     lost_energy: float = 0.0
     work: Work = field(default_factory=Work)
     now: float = 0.0
@@ -79,7 +110,9 @@ class Loop:
         self._method = method_of(self.method)
         if self.step is not None:
             self.step = positive_number("step", self.step, "s")
-        self._equation = self.model.equation(self.input, self.load - self.model.constant_force)
+        if isinstance(self.load, Pieces):
+            self.degree = max(self.degree, self.load.degree)
+        self._equation = self._equation_of("auto")
         if self._method is None:
             return
         name, settings = self._method.name, self._method.settings
@@ -90,6 +123,13 @@ class Loop:
             raise ValueError(
                 f"step goes with the methods {fixed}; {name!r} chooses its own steps by tolerance"
             )
+
+    def _equation_of(self, form: str) -> Equation:
+        load = self.load
+        given = None if isinstance(load, Pieces) else load - self.model.constant_force
+        return self.model.equation(
+            self.input, given, form, degree=self.degree, load_input=given is None
+        )
 
     def _prepare(self, state: FloatArray, held: FloatArray) -> Integrator:
         """Return the integrator, chosen for the scene if the user has not."""
@@ -103,8 +143,7 @@ class Loop:
         else:
             chosen = Choice(method.name, "step", self.step, "asked for")
         if method.differentiates and equation.form == "loops":
-            load = self.load - self.model.constant_force
-            equation = self.model.equation(self.input, load, form="mapped")
+            equation = self._equation_of("mapped")
         # Not what the user says of a method that he has not chosen, and that needs no projection.
         project = self.project if method.drifts or self._method is not None else None
         integrator = method.integrator(
@@ -113,24 +152,40 @@ class Loop:
         self.choice = replace(chosen, back_end=integrator.back_end)
         return integrator
 
-    def run(self, state: FloatArray, held: FloatArray, duration: float) -> FloatArray:
-        """Integrate with the input held and return the state at the end.
+    def run(
+        self, state: FloatArray, held: FloatArray | tuple[FloatArray, FloatArray] | Pieces,
+        duration: float,
+    ) -> FloatArray:  # fmt: skip
+        """Integrate and return the state at the end.
 
-        Spans end where strings are cut.
+        The input of the strings is held, or goes in a straight line from the first of two to the
+        second, or comes in pieces. Spans end where a piece does, and where strings are cut.
         """
+        if isinstance(held, tuple):
+            held = Pieces.ramp(self.now, duration, *held)
+        elif not isinstance(held, Pieces):
+            held = Pieces.constant(held)
         end = self.now + duration
+        inputs = held.within(self.now, end)
+        self.moves |= not inputs.is_constant
+        if isinstance(self.load, Pieces):
+            load = self.load.within(self.now, end)
+            self.moves |= not load.is_constant
+            inputs = Pieces.stacked([inputs, load])
         # Round-off of the times leaves no spans of no length.
         close = 1e-9 * duration
-        for cut in self.faults.cut_times(self.now + close, end - close):
-            state = self._run_span(state, held, cut - self.now, close)
+        within = self.now + close, end - close
+        cuts = sorted({*self.faults.cut_times(*within), *inputs.breaks(*within)})
+        for cut in cuts:
+            state = self._run_span(state, inputs, cut - self.now, close)
             duration = end - cut
-        return self._run_span(state, held, duration, close)
+        return self._run_span(state, inputs, duration, close)
 
     def _release(self, state: FloatArray, time: float) -> None:
         """Count the energy that strings store which are cut at a time."""
         if not self.spans:
             return
-        before = self.spans[-1][2][:, -1]
+        before = self.spans[-1].values(self._strings)[:, -1]
         after = self.faults.without_cut(before, time)
         if np.array_equal(before, after):
             return
@@ -141,26 +196,38 @@ class Loop:
         self.lost_energy += float(stored[0, 0] - stored[0, 1])
 
     def _run_span(
-        self, state: FloatArray, held: FloatArray, duration: float, close: float
+        self, state: FloatArray, inputs: Pieces, duration: float, close: float
     ) -> FloatArray:
         """Integrate with the strings that are not cut by now, up to what is close."""
         self._release(state, self.now + close)
-        held = self.faults.without_cut(held, self.now + close)
+        origin, coefficients = inputs.piece(self.now + close)
+        more = self.degree + 1 - coefficients.shape[1]
+        coefficients = self.faults.without_cut(
+            np.pad(coefficients, ((0, 0), (0, more))) if more else coefficients, self.now + close
+        )
+        held = self._packed(coefficients, self.now - origin)
         if self.integrator is None:
             self.integrator = self._prepare(state, held)
-            self._keep(np.array([self.now]), state[:, None], held)
+            first = np.array([self.now])
+            self._keep(_Stretch(first, state[:, None], state, origin, coefficients, 0.0))
         outputs = max(1, ceil(duration / self.output_step - 1e-9))
+
+        def add(span: Span) -> None:
+            times = start + duration * np.arange(1, span.states.shape[1] + 1) / outputs
+            self._keep(_Stretch(times, span.states, state, origin, coefficients, 0.0))
+            self.work += span.work
+
         start, report = self.now, self.report
         reached = None if report is None else lambda time: report(start + time)
         try:
             span = self.integrator.advance(state, held, duration, outputs, reached)
         except (IntegrationError, IntegrationInterrupt) as error:
-            self._add(error.span, held, duration, outputs)
+            add(error.span)
             self.now = start + error.time
             if isinstance(error, IntegrationInterrupt):
                 raise
             raise self.stopped(str(error)) from error
-        self._add(span, held, duration, outputs)
+        add(span)
         self.now = start + duration
         return span.states[:, -1]
 
@@ -172,15 +239,27 @@ class Loop:
             self.trajectory(reason),
         )
 
-    def _add(self, span: Span, held: FloatArray, duration: float, outputs: int) -> None:
-        reached = span.states.shape[1]
-        times = self.now + duration * np.arange(1, reached + 1) / outputs
-        self._keep(times, span.states, held)
-        self.work += span.work
+    @property
+    def _strings(self) -> slice:
+        return slice(self._equation.layout.strings)
 
-    def _keep(self, time: FloatArray, states: FloatArray, held: FloatArray) -> None:
-        inputs = np.tile(held[:, None], (1, len(time)))
-        self.spans.append((time, states, inputs, np.full(len(time), self.lost_energy)))
+    def _interval(self, k: int) -> tuple[FloatArray, FloatArray]:
+        """Return the state and the input at the beginning of an interval between states kept."""
+        ends = np.cumsum([len(stretch.time) for stretch in self.spans])
+        i = int(np.searchsorted(ends, k + 1, side="right"))
+        stretch, place = self.spans[i], k + 1 - int(ends[i] - len(self.spans[i].time))
+        if place:
+            state, time = stretch.states[:, place - 1], stretch.time[place - 1]
+        else:
+            state, time = stretch.begin, self.spans[i - 1].time[-1]
+        return state, self._packed(stretch.coefficients, float(time) - stretch.origin)
+
+    def _packed(self, coefficients: FloatArray, time: float) -> FloatArray:
+        return self._equation.layout.packed(coefficients, time)
+
+    def _keep(self, stretch: _Stretch) -> None:
+        stretch.released = self.lost_energy
+        self.spans.append(stretch)
 
     def trajectory(self, stopped: str | None = None) -> Trajectory:
         """Return the motion so far; the model evaluates its energies and momenta at all times."""
@@ -192,14 +271,19 @@ class Loop:
         assert self.integrator is not None  # made with it
         model, structure = self.model, self.model.structure
         control = None if self.record is None else self.record()
-        time, states, inputs, released = map(np.hstack, zip(*self.spans, strict=True))
+        spans = self.spans
+        time, states = (np.hstack([getattr(s, part) for s in spans]) for part in ("time", "states"))
+        released = np.repeat([s.released for s in spans], [len(s.time) for s in spans])
+        inputs = np.hstack([s.values(self._strings) for s in spans])
         error = None
         if stopped is None and self.choice.setting == "tolerance":
             # Each step may err by the tolerance, and errors add up.
             error = self.choice.value * self.work.steps
         elif stopped is None:
             step = self.choice.value
-            error = step_doubling_error(self.integrator, step, structure, time, states, inputs)
+            error = step_doubling_error(
+                self.integrator, step, structure, time, states, self._interval
+            )
         nodes, velocities = unpack_states(structure, states)
         if self.input == "force_density":
             force_density, rest_length = inputs, None
@@ -208,7 +292,12 @@ class Loop:
             (force_density,) = evaluate_columns(model.string_force_density, states, inputs)
             rest_length = frozen(inputs)
             (potential,) = evaluate_columns(model.elastic_energy, states, inputs)
-        if self.load.any():
+        if isinstance(self.load, Pieces):
+            layout = self._equation.layout
+            loads = np.hstack([s.values(slice(layout.strings, layout.count)) for s in spans])
+            loaded = bool(loads.any())
+            potential = potential - (loads * nodes.reshape(loads.shape, order="F")).sum(axis=0)
+        elif loaded := bool(self.load.any()):
             potential = potential - np.einsum("in,int->t", self.load, nodes)
         (kinetic,) = evaluate_columns(model.kinetic_energy, states)
         linear, angular = evaluate_columns(model.momentum, states)
@@ -229,8 +318,10 @@ class Loop:
             bar_length_error=frozen(stretch),
             choice=self.choice,
             work=self.work,
-            conserves_energy=control is None and (self.input == "force_density" or undamped),
-            conserves_momentum=not self.load.any() and not len(structure.fixed_rows),
+            conserves_energy=control is None
+            and not self.moves
+            and (self.input == "force_density" or undamped),
+            conserves_momentum=not loaded and not len(structure.fixed_rows),
             control=control,
             stopped=stopped,
             position_error=error,
@@ -246,11 +337,12 @@ def step_doubling_error(
     structure: Structure,
     time: FloatArray,
     states: FloatArray,
-    inputs: FloatArray,
+    interval: Callable[[int], tuple[FloatArray, FloatArray]],
 ) -> float | None:
     """Estimate the error of the nodes at the end by step doubling, as part of the size.
 
-    Some intervals of the motion are integrated again in half the steps; the difference is about
+    Some intervals of the motion are integrated again in half the steps, each from the state and
+    with the input that ``interval`` tells; the difference is about
     the error made there. Errors where velocities change most are added, those of velocities by how
     far they lead in the time left, or in the time in which the motion covers its own size; the
     mean of the rest stands for all others. The estimate is twice that: right if errors add up, far
@@ -275,7 +367,7 @@ def step_doubling_error(
         duration = float(time[k + 1] - time[k])
         halves = 2 * max(1, ceil(duration / step - 1e-9))
         try:
-            span = integrator.advance(states[:, k], inputs[:, k + 1], duration, halves)
+            span = integrator.advance(*interval(k), duration, halves)
         except IntegrationError:
             return float("inf")
         except KeyboardInterrupt:

@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller
-from tenscontrol.dynamics import Model, pack_state
+from tenscontrol.dynamics import Model, Pieces, Profile, as_pieces, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Method, Projector, largest_frequency, state_scale
 from tenscontrol.interrupt import InterruptionWarning, interruptible
@@ -243,10 +243,15 @@ def simulate(
     breaking.refuse_unknown(len(model.structure.strings), winch_count)
     stopped = None
     with interruptible() as interruption:  # CasADi may lose a key while it builds
+        now = 0.0 if start is None else float(start.time[-1])
+        span = now, now + duration
+        held = None
+        if controller is None:
+            held = _inputs(model, rest_length, force_density, *span)
         loop = Loop(
             model,
             input=what,
-            load=checked_load(model, external_force),
+            load=_load(model, external_force, *span),
             duration=duration,
             method=method,
             tolerance=tolerance,
@@ -254,17 +259,18 @@ def simulate(
             faults=breaking,
             project=project,
             machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
+            degree=0 if held is None else held.degree,
         )
         loop.output_step = _output_step(loop, output_step, duration)
-        held = None
-        if controller is None:
-            if winches is not None or sample_time is not None or estimator is not None:
-                raise ValueError("estimator, winches and sample_time go with a controller")
-            held = held_value(model, rest_length, force_density)
+        loop.now = now
+        if controller is None and (
+            winches is not None or sample_time is not None or estimator is not None
+        ):
+            raise ValueError("estimator, winches and sample_time go with a controller")
         if start is None:
-            state, loop.note = initial_state(model, nodes, velocities, loop.input, held)
+            first = None if held is None else held.at(np.zeros(1))[:, 0]
+            state, loop.note = initial_state(model, nodes, velocities, loop.input, first)
         else:
-            loop.now = float(start.time[-1])
             state = pack_state(model.structure, start.nodes[:, :, -1], start.velocities[:, :, -1])
         try:
             end = loop.now + duration
@@ -344,6 +350,40 @@ def _output_step(loop: Loop, output_step: float | None, duration: float) -> floa
     keep = ". A longer output_step keeps fewer"
     refuse_memory(f"{name} is {value:g} s", duration / value, "states", size, keep)
     return value
+
+
+def _changes(value: object) -> bool:
+    """Return whether an argument may change in time."""
+    return isinstance(value, Profile) or callable(value)
+
+
+def _inputs(
+    model: Model, rest_length: object, force_density: object, start: float, end: float
+) -> Pieces:
+    """Return what is held, or changes: the one of the two that is not None, checked."""
+    name = "rest_length" if force_density is None else "force_density"
+    value = rest_length if force_density is None else force_density
+    if not _changes(value):
+        return Pieces.constant(held_value(model, rest_length, force_density))
+    shape = (len(model.structure.strings),)
+    pieces = as_pieces(name, value, shape, "one per string", start, end)
+    least, time = pieces.least(start, end)
+    if least < 0 or (least == 0 and name == "rest_length"):
+        what = "a positive length in m" if name == "rest_length" else "at least 0"
+        raise ValueError(
+            f"{name} falls to {least:.3g} at {time:.6g} s, expected {what}. Cubic pieces may swing "
+            "below the values given; linear ones do not"
+        )
+    return pieces
+
+
+def _load(model: Model, external_force: object, start: float, end: float) -> FloatArray | Pieces:
+    """Return all that acts on the nodes from outside, N, shape (d, n), or in time."""
+    if not (model.has_external_force and _changes(external_force)):
+        return checked_load(model, external_force)
+    shape = model.structure.nodes.shape
+    pieces = as_pieces("external_force", external_force, shape, "one force per node", start, end)
+    return pieces.plus(model.constant_force.ravel(order="F"))
 
 
 def checked_load(model: Model, external_force: object) -> FloatArray:

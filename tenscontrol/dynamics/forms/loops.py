@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.dynamics.equation import InputLayout
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.dynamics.forms.elimination import SOLVE, Elimination
 from tenscontrol.dynamics.forms.passes import (
@@ -33,17 +34,19 @@ _VECTORS = "pvfa"
 
 
 def loops_functions(
-    structure: Structure, law: StringLaw | None, load: FloatArray
+    structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout | None = None
 ) -> tuple[ca.Function, ...]:
     """Return slope, gap and force of :class:`Equation` in compiled C, without derivatives."""
-    return compiled_source(loops_source(structure, law, load), ("slope", "gap", "force"))
+    return compiled_source(loops_source(structure, law, load, layout), ("slope", "gap", "force"))
 
 
-def loops_source(structure: Structure, law: StringLaw | None, load: FloatArray) -> str:
+def loops_source(
+    structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout | None = None
+) -> str:
     """Return the C text: the functions of :class:`Equation` with CasADi's interface.
 
     ``law`` is None where force densities are held; ``load`` are constant forces on all nodes, N,
-    shape (d, n).
+    shape (d, n). The values of ``layout`` are the input, displacements followed by their rates.
     """
     strings, bodies = string_passes(structure, law), body_passes(structure)
     gaps = [] if law is None else gap_passes(structure, law)
@@ -54,8 +57,16 @@ def loops_source(structure: Structure, law: StringLaw | None, load: FloatArray) 
     calls = {loop.over.name: loop.call for loop in loops}
     d, states, alpha = structure.dimension, 2 * len(structure.free_rows), len(structure.strings)
     switches, supported = 0 if law is None else alpha, len(structure.fixed_rows) > 0
-    entries, largest = structure.nodes.size, max(states, alpha, 1)
-    sizes = {"ENTRIES": entries, "FREE": states // 2, "LARGEST": largest}
+    entries, inputs, start = structure.nodes.size, alpha, _LOADED if load.any() else _UNLOADED
+    sizes: dict[str, Any] = {}
+    if layout is not None and layout.load:
+        sizes["LOAD_AT"], start = inputs, _LOAD_GIVEN
+        inputs += entries
+    if layout is not None and layout.offset:
+        sizes["OFFSET_AT"] = inputs
+        inputs += 2 * entries
+    largest = max(states, inputs, 1)
+    sizes |= {"ENTRIES": entries, "FREE": states // 2, "LARGEST": largest}
     work = 3 * entries + 2 * largest
     tables: dict[str, Any] = {}
     if supported:
@@ -72,6 +83,12 @@ def loops_source(structure: Structure, law: StringLaw | None, load: FloatArray) 
         work += solver.work
         tables |= solver.tables
         tables["block_slot"] = slots[solver.tables["block_row"]]
+    ends, moved = "p, v", ""
+    if "OFFSET_AT" in sizes:
+        sizes["ENDS_AT"] = work
+        work += 2 * entries
+        ends = "ends(p, u, 0, w), ends(v, u, ENTRIES, w)"
+        moved = "  p = ends(p, u, 0, w);\n  v = ends(v, u, ENTRIES, w);"
     sizes["WORK"] = work
     kernels = ca.CodeGenerator("kernels", {"with_header": False})
     for loop in loops:
@@ -94,13 +111,14 @@ def loops_source(structure: Structure, law: StringLaw | None, load: FloatArray) 
             _SUPPORTED if supported else _FREE,
             *(loop.text for loop in loops),
             "" if solver is None else SOLVE % {"assembly": calls[solver.assembly.name]},
-            _FORCES % {"start": _LOADED if load.any() else _UNLOADED, "calls": called(strings)},
-            (_SLOPE_ROLLING if structure.rollers else _SLOPE) % {"calls": slope},
-            _FORCE_SUPPORTED if supported else _FORCE_FREE,
-            _GAP % {"calls": called(gaps)},
-            _interface("slope", [states, alpha, switches], [states]),
-            _interface("gap", [states, alpha], [switches, switches]),
-            _interface("force", [states // 2, states // 2, alpha, switches], [states // 2]),
+            _ENDS if "OFFSET_AT" in sizes else "",
+            _FORCES % {"start": start, "calls": called(strings)},
+            (_SLOPE_ROLLING if structure.rollers else _SLOPE) % {"ends": ends, "calls": slope},
+            (_FORCE_SUPPORTED if supported else _FORCE_FREE) % {"ends": ends},
+            _GAP % {"moved": moved, "calls": called(gaps)},
+            _interface("slope", [states, inputs, switches], [states]),
+            _interface("gap", [states, inputs], [switches, switches]),
+            _interface("force", [states // 2, states // 2, inputs, switches], [states // 2]),
         ]
     )
 
@@ -302,7 +320,17 @@ static void %(name)s(%(arrays)s) {
 """
 
 _LOADED = "memcpy(f, load, sizeof(load));"
+_LOAD_GIVEN = "memcpy(f, u + LOAD_AT, ENTRIES * sizeof(double));"
 _UNLOADED = "memset(f, 0, ENTRIES * sizeof(double));"
+
+# Where the ends of strings are that move with supports, or their velocities.
+_ENDS = """\
+static const double *ends(const double *of, const double *u, int part, double *w) {
+  double *moved = w + ENDS_AT + part;
+  for (int i = 0; i < ENTRIES; ++i) moved[i] = of[i] + u[OFFSET_AT + part + i];
+  return moved;
+}
+"""
 
 _FORCES = """\
 static void forces(const double *p, const double *v, const double *u, const double *taut,
@@ -321,7 +349,7 @@ EXPORTED int slope(const double **arg, double **res, casadi_int *iw, double *w, 
   (void)iw; (void)mem;
   if (!res[0]) return 0;
   a = res[0] + FREE;
-  forces(p, v, u, taut, f);
+  forces(%(ends)s, u, taut, f);
   memcpy(res[0], x + FREE, FREE * sizeof(double));
 %(calls)s
   return 0;
@@ -342,11 +370,11 @@ EXPORTED int force(const double **arg, double **res, casadi_int *iw, double *w, 
   return 0;
 }
 """
-_FORCE_FREE = _FORCE % "  forces(p, v, u, taut, res[0]);"
+_FORCE_FREE = _FORCE % "  forces(%(ends)s, u, taut, res[0]);"
 _FORCE_SUPPORTED = (
     _FORCE
     % """\
-  forces(p, v, u, taut, w + 2 * ENTRIES);
+  forces(%(ends)s, u, taut, w + 2 * ENTRIES);
   pick(w + 2 * ENTRIES, res[0]);"""
 )
 
@@ -357,6 +385,7 @@ EXPORTED int gap(const double **arg, double **res, casadi_int *iw, double *w, in
   double *gap = res[0] ? res[0] : w + 2 * ENTRIES;
   double *rate = res[1] ? res[1] : w + 2 * ENTRIES + LARGEST;
   (void)iw; (void)mem; (void)u; (void)p; (void)v; (void)gap; (void)rate;
+%(moved)s
 %(calls)s
   return 0;
 }

@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.equation import InputLayout
 from tenscontrol.dynamics.forms.passes import Pass, body_passes, gap_passes, string_passes
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
@@ -20,7 +21,7 @@ from tenscontrol.validation import FloatArray
 
 
 def mapped_functions(
-    structure: Structure, law: StringLaw | None, load: FloatArray
+    structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout | None = None
 ) -> tuple[ca.Function, ...]:
     """Return slope, gap and force of :class:`Equation`; arguments as for ``loops_source``."""
     free, alpha = structure.free.tolist(), len(structure.strings)
@@ -30,17 +31,27 @@ def mapped_functions(
     )
     u, taut = ca.MX.sym("u", alpha), ca.MX.sym("taut", 0 if law is None else alpha)
     arrays = {"p": p, "v": v, "u": u.T, "taut": taut.T}
-    arrays["f"] = _forces(structure, arrays, law, load)
+    ends, given, varying = arrays, u, None
+    if layout is not None and layout.load:
+        varying = ca.MX.sym("load", *structure.nodes.shape)
+        given = ca.vertcat(given, ca.vec(varying))
+    if layout is not None and layout.offset:
+        offsets = [ca.MX.sym(name, *structure.nodes.shape) for name in ("offset", "rate")]
+        ends = arrays | {"p": p + offsets[0], "v": v + offsets[1]}
+        given = ca.vertcat(given, *map(ca.vec, offsets))
+    arrays["f"] = _forces(structure, ends, law, load)
+    if varying is not None:
+        arrays["f"] += varying
     x = ca.vertcat(ca.vec(N), ca.vec(Nd))
     gap = rate = ca.MX(0, 1)
     if law is not None:
-        gap, rate = (row.T for row in _gaps(structure, arrays, law))
+        gap, rate = (row.T for row in _gaps(structure, ends, law))
     xdot = ca.vertcat(ca.vec(Nd), _accelerations(structure, arrays))
     on_free = kernel.free_entries(structure, ca.densify(arrays["f"][:, free]))
     return (
-        ca.Function("slope", [x, u, taut], [xdot]),
-        ca.Function("gap", [x, u], [gap, rate]),
-        ca.Function("force", [ca.vec(N), ca.vec(Nd), u, taut], [on_free]),
+        ca.Function("slope", [x, given, taut], [xdot]),
+        ca.Function("gap", [x, given], [gap, rate]),
+        ca.Function("force", [ca.vec(N), ca.vec(Nd), given, taut], [on_free]),
     )
 
 

@@ -1,0 +1,345 @@
+"""Inputs, loads and motions of supports that change in time: profiles and piecewise polynomials."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from math import comb
+from typing import final
+
+import numpy as np
+
+from tenscontrol.interrupt import check
+from tenscontrol.validation import FloatArray, IntArray, choice, float_array, frozen
+
+#: How a profile goes from one value to the next.
+INTERPOLATIONS = ("hold", "linear", "cubic")
+
+# A callable is replaced by polynomials of this degree, up to this error as part of its size. It is
+# first looked at in so many parts; one below the last share of the time is not halved again.
+_DEGREE, _TOLERANCE, _PARTS, _SHORTEST = 9, 1e-12, 16, 2.0**-22
+
+# Places in a piece at which its least value is sought.
+_LOOKS = 33
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Values over time, for the arguments of :func:`simulate` that may change.
+
+    Before the first time the first value holds, and after the last time the last one.
+
+    Parameters
+    ----------
+    time : array_like, shape (K,)
+        Ascending, s. With ``"hold"`` and ``"linear"`` a time may be given twice: the value jumps.
+    values : array_like, shape (..., K)
+        The value at each time, in the unit of the argument; time is the last axis.
+    interpolation : {"hold", "linear", "cubic"}
+        The value of the last time at or before; straight lines; or the cubic spline whose rate and
+        acceleration are continuous and whose rate is zero at the first and the last time.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is not finite or does not fit, or times do not ascend.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> wind = tc.Profile([0.0, 1.0, 3.0], [[1.0, 0.8, 0.8], [1.0, 1.0, 0.6]])
+    >>> wind.at(0.5), wind.rate(2.0)
+    (array([0.9, 1. ]), array([ 0. , -0.2]))
+    """
+
+    time: FloatArray
+    values: FloatArray
+    interpolation: str = "linear"
+
+    def __post_init__(self) -> None:
+        choice("interpolation", self.interpolation, INTERPOLATIONS)
+        time, values = float_array("time", self.time), float_array("values", self.values)
+        if time.ndim != 1 or not len(time):
+            raise ValueError(f"time has shape {time.shape}, expected (K,): at least one time, s")
+        if values.ndim == 0 or values.shape[-1] != len(time):
+            raise ValueError(
+                f"values has shape {values.shape}, expected (..., {len(time)}): one value a time"
+            )
+        steps = np.diff(time)
+        # Of a jump the value before and that after; a third would never be seen.
+        twice = (steps == 0) & np.append(True, steps[:-1] > 0)
+        wrong = np.flatnonzero((steps <= 0) & ~(twice & (self.interpolation != "cubic")))
+        if len(wrong):
+            k = int(wrong[0]) + 1
+            raise ValueError(
+                f"time[{k}] is {time[k]:g} s after {time[k - 1]:g} s, expected later: times "
+                "ascend. Only with 'hold' and 'linear' may one be given twice, for a jump"
+            )
+        object.__setattr__(self, "time", frozen(time))
+        object.__setattr__(self, "values", frozen(values))
+
+    def at(self, time: object) -> FloatArray:
+        """Return the value at a time, s, shape (...); at many, shape (T,), shape (..., T).
+
+        At a jump it is the value after it.
+        """
+        return self._evaluated(time, 0)
+
+    def rate(self, time: object) -> FloatArray:
+        """Return the rate at a time, in the unit of the values per second; as :meth:`at`."""
+        return self._evaluated(time, 1)
+
+    def _evaluated(self, time: object, order: int) -> FloatArray:
+        at = float_array("time", time)
+        found = self.pieces.derivative(order).at(at.ravel())
+        return found.reshape(self.values.shape[:-1] + at.shape)
+
+    @cached_property
+    def pieces(self) -> Pieces:
+        """The profile as polynomials, one row an entry of the values; not for users."""
+        time, rows = self.time, self.values.reshape(-1, len(self.time))
+        kept = np.flatnonzero(np.diff(time) > 0)
+        inner = rows[:, kept][:, :, None]
+        if self.interpolation == "linear":
+            slopes = (rows[:, kept + 1] - rows[:, kept]) / (time[kept + 1] - time[kept])
+            inner = np.concatenate([inner, slopes[:, :, None]], axis=2)
+        elif len(kept) and self.interpolation == "cubic":
+            from scipy.interpolate import CubicSpline
+
+            spline = CubicSpline(time, rows, axis=1, bc_type="clamped").c[::-1]
+            inner = spline.transpose(2, 1, 0)
+        outer = np.zeros((2, len(rows), inner.shape[2]))
+        outer[:, :, 0] = rows[:, 0], rows[:, -1]
+        return Pieces(
+            np.concatenate([[-np.inf], time[kept], time[-1:]]),
+            np.concatenate([time[:1], time[kept], time[-1:]]),
+            np.concatenate([outer[:1], inner.swapaxes(0, 1), outer[1:]]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """A polynomial in time for each piece of time, one row a quantity.
+
+    Attributes
+    ----------
+    start : ndarray, shape (P,)
+        Where each piece begins, s, ascending; the first at minus infinity. The last has no end.
+    origin : ndarray, shape (P,)
+        The time from which each polynomial counts, s.
+    coefficients : ndarray, shape (P, rows, degree + 1)
+        Of ascending powers.
+    """
+
+    start: FloatArray
+    origin: FloatArray
+    coefficients: FloatArray
+
+    @classmethod
+    def constant(cls, values: FloatArray) -> Pieces:
+        """Return what has these values, shape (rows,), at all times."""
+        return cls(np.array([-np.inf]), np.zeros(1), values[None, :, None])
+
+    @classmethod
+    def ramp(cls, start: float, duration: float, first: FloatArray, last: FloatArray) -> Pieces:
+        """Return what goes from values, shape (rows,), at a time to others a duration later."""
+        slope = (last - first) / duration
+        return cls(np.array([-np.inf]), np.array([start]), np.stack([first, slope], axis=1)[None])
+
+    @property
+    def degree(self) -> int:
+        """Of the polynomials."""
+        return int(self.coefficients.shape[2]) - 1
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether nothing ever changes."""
+        return not self.degree and len(self.start) == 1
+
+    def index(self, time: FloatArray) -> IntArray:
+        """Return which piece holds from each time on."""
+        return np.searchsorted(self.start, time, side="right") - 1
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the values at times, shape (rows, T): at a jump, those after it."""
+        piece = self.index(time)
+        return polynomial(self.coefficients[piece].transpose(1, 2, 0), time - self.origin[piece])
+
+    def breaks(self, start: float, end: float) -> list[float]:
+        """Return where pieces begin after ``start`` and before ``end``, s."""
+        return [float(t) for t in self.start[1:] if start < t < end]
+
+    def within(self, start: float, end: float) -> Pieces:
+        """Return the pieces that matter from a time to another."""
+        if len(self.start) == 1:
+            return self
+        first, last = self.index(np.array([start, end]))
+        kept = slice(first, last + 1)
+        begin = self.start[kept].copy()
+        begin[0] = -np.inf
+        return Pieces(begin, self.origin[kept], self.coefficients[kept])
+
+    def piece(self, time: float) -> tuple[float, FloatArray]:
+        """Return origin and coefficients, shape (rows, degree + 1), that hold from a time on."""
+        i = self.index(np.array(time))
+        return float(self.origin[i]), self.coefficients[i]
+
+    def derivative(self, order: int = 1) -> Pieces:
+        """Return the rates, or derivatives of a higher order; at a jump they tell nothing of it."""
+        c = self.coefficients
+        for _ in range(order):
+            c = c[:, :, 1:] * np.arange(1, c.shape[2]) if c.shape[2] > 1 else np.zeros_like(c)
+        return Pieces(self.start, self.origin, c)
+
+    def mapped(self, matrix: FloatArray) -> Pieces:
+        """Return a matrix, shape (m, rows), times the values."""
+        return Pieces(self.start, self.origin, matrix @ self.coefficients)
+
+    def with_degree(self, degree: int) -> Pieces:
+        """Return the same as polynomials of a degree that is as high or higher."""
+        more = ((0, 0), (0, 0), (0, degree - self.degree))
+        return Pieces(self.start, self.origin, np.pad(self.coefficients, more))
+
+    def plus(self, values: FloatArray) -> Pieces:
+        """Return the same with values, shape (rows,), added that are constant."""
+        coefficients = self.coefficients.copy()
+        coefficients[:, :, 0] += values
+        return Pieces(self.start, self.origin, coefficients)
+
+    def least(self, start: float, end: float) -> tuple[float, float]:
+        """Return the least value between two times, as looked at often, and when that is."""
+        looks = np.linspace(0.0, 1.0, 3 if self.degree < 2 else _LOOKS)
+        ends = np.unique([start, *self.breaks(start, end), end])
+        times = np.unique(ends[:-1, None] + np.diff(ends)[:, None] * looks)
+        # What holds up to a jump is looked at just before it.
+        times = np.union1d(times, np.nextafter(ends[1:], start))
+        values = self.at(times).min(axis=0, initial=np.inf)
+        return float(values.min()), float(times[values.argmin()])
+
+    @staticmethod
+    def stacked(parts: Sequence[Pieces]) -> Pieces:
+        """Return the rows of several one below the other, their pieces cut where any begins."""
+        if len(parts) == 1:
+            return parts[0]
+        degree = max(part.degree for part in parts)
+        start = np.unique(np.concatenate([part.start for part in parts]))
+        first = min(float(part.origin[0]) for part in parts)
+        origin = np.concatenate([[first], start[1:]])
+        rows = []
+        for part in parts:
+            i = part.index(start)
+            rows.append(_moved(part.with_degree(degree).coefficients[i], origin - part.origin[i]))
+        return Pieces(start, origin, np.concatenate(rows, axis=1))
+
+
+def polynomial(coefficients: FloatArray, time: FloatArray) -> FloatArray:
+    """Return values, shape (rows, T), of coefficients of shape (rows, degree + 1[, T])."""
+    value = np.zeros((len(coefficients), len(time)))
+    for k in reversed(range(coefficients.shape[1])):
+        c = coefficients[:, k]
+        value = value * time + (c if c.ndim == 2 else c[:, None])
+    return value
+
+
+def _moved(coefficients: FloatArray, by: FloatArray) -> FloatArray:
+    """Return coefficients, shape (P, rows, degree + 1), about origins moved by times."""
+    size = coefficients.shape[2]
+    moved = np.zeros_like(coefficients)
+    for k in range(size):
+        for j in range(k, size):
+            moved[:, :, k] += comb(j, k) * coefficients[:, :, j] * by[:, None] ** (j - k)
+    return moved
+
+
+def sampled(
+    name: str,
+    function: Callable[[float], object],
+    shape: tuple[int, ...],
+    start: float,
+    end: float,
+) -> Pieces:
+    """Return a function of time as polynomials from a start to an end, rows in Fortran order.
+
+    They are interpolated at Chebyshev's points, and halved until the error is about 1e-12 of the
+    largest value, as looked at between those points.
+    """
+    from numpy.polynomial import chebyshev
+
+    x = -np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE)
+    checked = np.cos(np.pi * (np.arange(_DEGREE) + 0.5) / _DEGREE)[::-1]
+    to_series = np.linalg.inv(chebyshev.chebvander(x, _DEGREE))
+    at_checked = chebyshev.chebvander(checked, _DEGREE)
+    # Of powers of the part of the piece, from its start on.
+    powers = np.zeros((_DEGREE + 1, _DEGREE + 1))
+    for k in range(_DEGREE + 1):
+        of = chebyshev.cheb2poly(np.eye(_DEGREE + 1)[k])
+        for j, c in enumerate(of):
+            for i in range(j + 1):
+                powers[i, k] += c * comb(j, i) * 2.0**i * (-1.0) ** (j - i)
+
+    def values(times: FloatArray) -> FloatArray:
+        check()
+        found = []
+        for time in times.tolist():
+            value = float_array(f"{name} at {time:.6g} s", function(time))
+            if value.shape != shape and value.shape != ():
+                raise ValueError(
+                    f"{name} returns shape {value.shape} at {time:.6g} s, expected {shape}"
+                )
+            found.append(np.broadcast_to(value, shape).ravel(order="F"))
+        return np.array(found).T
+
+    ends = np.linspace(start, end, _PARTS + 1).tolist()
+    open_parts = list(pairwise(ends))[::-1]
+    size = 0.0
+    kept: list[tuple[float, float, FloatArray]] = []
+    while open_parts:
+        a, b = open_parts.pop()
+        middle, half = (a + b) / 2, (b - a) / 2
+        times = middle + half * x
+        times[[0, -1]] = a, b
+        series = values(times) @ to_series.T
+        between = values(middle + half * checked)
+        size = max(size, float(np.abs(between).max(initial=0.0)))
+        off = np.abs(series @ at_checked.T - between)
+        if off.max(initial=0.0) <= _TOLERANCE * size:
+            kept.append((a, b, series))
+        elif b - a > _SHORTEST * (end - start):
+            open_parts += [(middle, b), (a, middle)]
+        else:
+            raise ValueError(
+                f"{name} jumps, has a kink or is not smooth near {a:.9g} s: no polynomial comes "
+                "near it. Give a tc.Profile(time, values), which may have jumps and kinks"
+            )
+    exponents = np.arange(_DEGREE + 1)
+    c = np.array([series @ powers.T / (b - a) ** exponents for a, b, series in kept])
+    starts = np.array([a for a, *_ in kept])
+    return Pieces(np.concatenate([[-np.inf], starts[1:]]), starts, c)
+
+
+def as_pieces(
+    name: str, value: object, shape: tuple[int, ...], meaning: str, start: float, end: float
+) -> Pieces:
+    """Return an argument that may change in time as polynomials, rows in Fortran order.
+
+    It is a :class:`Profile`, a callable, or an array of this shape; one number is for all entries.
+    """
+    if isinstance(value, Profile):
+        found = value.values.shape[:-1]
+        if found not in (shape, ()):
+            raise ValueError(
+                f"{name} is a profile of values of shape {found}, expected {shape}: {meaning}"
+            )
+        rows = int(np.prod(shape))
+        order = np.arange(rows).reshape(shape).ravel(order="F") if found else np.zeros(rows, int)
+        pieces = value.pieces
+        return Pieces(pieces.start, pieces.origin, pieces.coefficients[:, order])
+    if callable(value):
+        return sampled(name, value, shape, start, end)
+    array = float_array(name, value)
+    if array.shape not in (shape, ()):
+        raise ValueError(f"{name} has shape {array.shape}, expected {shape}: {meaning}")
+    return Pieces.constant(np.broadcast_to(array, shape).ravel(order="F"))
