@@ -68,6 +68,9 @@ from .accuracy import (
     work_precision as work_precision,
 )
 from .actuation import (
+    Motor as Motor,
+)
+from .actuation import (
     Winches as Winches,
 )
 from .actuation import (
@@ -237,6 +240,7 @@ __all__ = [
     "LinearStrings",
     "LostMeasurement",
     "Model",
+    "Motor",
     "NodesAt",
     "Normal",
     "OneOf",

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from tenscontrol.actuation import MotorRecord
 from tenscontrol.control import Fallback, Status
 from tenscontrol.integrate import Choice, Work
 from tenscontrol.simulation.faults import Fault
@@ -43,6 +44,8 @@ class ControlRecord:
         Time the controller took, s.
     estimate : EstimateRecord or None
         Measurements and estimates; None without an estimator.
+    motors : MotorRecord or None
+        Angle, speed, torque, power and energy; None where the winches have no motor.
     """
 
     time: FloatArray
@@ -56,6 +59,7 @@ class ControlRecord:
     range_limited: np.ndarray
     computing_time: FloatArray
     estimate: EstimateRecord | None = None
+    motors: MotorRecord | None = None
 
     @property
     def status_count(self) -> dict[Status, int]:
@@ -356,6 +360,17 @@ class Trajectory:
             out = int((self.control.range_limited > 0).sum())
             if slow or out:
                 lines.append(f"winches           too slow in {slow} samples, out of range in {out}")
+            motors = self.control.motors
+            if motors is not None:
+                torque, power = (np.abs(part).max() for part in (motors.torque, motors.power))
+                given, error = motors.energy[:, -1].sum(), motors.energy_error
+                lines.append(
+                    f"motors            at most {torque:.3g} N m and {power:.3g} W, "
+                    f"{given:.4g} J in all (to {error:.0e} J)"
+                )
+                weak = int((motors.torque_limited > 0).sum())
+                if weak:
+                    lines.append(f"                  at their limit of torque in {weak} samples")
         return "\n".join(lines)
 
     def _details(self) -> list[str]:
