@@ -68,6 +68,9 @@ from .accuracy import (
     work_precision as work_precision,
 )
 from .actuation import (
+    Motor as Motor,
+)
+from .actuation import (
     Winches as Winches,
 )
 from .actuation import (
@@ -241,6 +244,7 @@ __all__ = [
     "LinearStrings",
     "LostMeasurement",
     "Model",
+    "Motor",
     "NodesAt",
     "Normal",
     "OneOf",

@@ -1,6 +1,39 @@
-"""From commands to actuators: rest lengths and winches."""
+"""From commands to actuators: rest lengths, winches and motors."""
 
-from tenscontrol.actuation.rest_length import RestLengths, to_force_density, to_rest_length
-from tenscontrol.actuation.winches import Winches, WinchMove
+from tenscontrol.actuation.motors import (
+    EachMotor,
+    Instants,
+    Motor,
+    MotorRecord,
+    Turning,
+    cable_work,
+    motor_record,
+    winding_work,
+)
+from tenscontrol.actuation.winches import (
+    Drive,
+    RestLengths,
+    Tick,
+    Winches,
+    WinchMove,
+    to_force_density,
+    to_rest_length,
+)
 
-__all__ = ["RestLengths", "WinchMove", "Winches", "to_force_density", "to_rest_length"]
+__all__ = [
+    "Drive",
+    "EachMotor",
+    "Instants",
+    "Motor",
+    "MotorRecord",
+    "RestLengths",
+    "Tick",
+    "Turning",
+    "WinchMove",
+    "Winches",
+    "cable_work",
+    "motor_record",
+    "to_force_density",
+    "to_rest_length",
+    "winding_work",
+]

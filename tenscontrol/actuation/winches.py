@@ -1,18 +1,24 @@
-"""Winches: what they can do to a rest length within a sample."""
+"""Rest lengths that give force densities, and the winches that set them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tenscontrol.actuation.motors import Motor, Turning
+from tenscontrol.dynamics import Model, StringLaw, polynomial_at
 from tenscontrol.limits import MOST_SAMPLES
+from tenscontrol.structure import refuse_strings_without_length
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
     float_array,
+    freeze_arrays,
     frozen,
+    instance,
     member_parameters,
     one_or_per_string,
     positive,
@@ -29,6 +35,119 @@ _SUBSTEPS = 10
 
 _UNITS = (("rate", "speed in m/s"), ("shortest", "length in m"), ("longest", "length in m"))
 
+# Newton steps to the rest length at which a motor can wind no further, and the stretch of a string
+# from which they start where it is slack.
+_NEWTON, _TAUT = 6, 1e-3
+
+# kg m²: of motors without inertia among others that have some.
+_LEAST_INERTIA = 1e-30
+
+#: Force that winds each string in, N, how fast it falls with the rest length, N/m, and the length
+#: of the string, m, each of shape (α,), at rest lengths, m, shape (α,), so long after now, s.
+Pull = Callable[[FloatArray, float], tuple[FloatArray, FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class RestLengths:
+    """Rest lengths that give wanted force densities. Made by :func:`to_rest_length`.
+
+    Attributes
+    ----------
+    rest_length : ndarray, shape (α,)
+        m. Just the current length where γ = 0 is wanted.
+    slack : ndarray of int
+        Strings with γ = 0: any longer rest length would do as well.
+    """
+
+    rest_length: FloatArray
+    slack: IntArray
+
+
+def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLengths:
+    """Return the rest lengths at which the strings have these force densities in this shape.
+
+    Parameters
+    ----------
+    model : Model
+        With a string law.
+    nodes : array_like, shape (d, n)
+        Current node positions, m.
+    force_density : float or array_like, shape (α,)
+        Wanted γ, N/m, at least 0.
+
+    Returns
+    -------
+    RestLengths
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the model has no string law, an argument does not fit, or a string is too soft for its γ.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
+    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> found = tc.to_rest_length(model, prism.nodes, rest.force_density)
+    >>> found.rest_length[[0, 6]].round(4), found.slack
+    (array([0.716 , 0.7231]), array([], dtype=int64))
+    >>> tc.to_force_density(model, prism.nodes, found.rest_length)[[0, 6]].round(4)
+    array([17.3205, 30.    ])
+    """
+    law, length = _law_and_length(model, nodes)
+    rest_length = law.rest_length(length, force_density)
+    wanted = np.broadcast_to(np.asarray(force_density, dtype=float), length.shape)
+    return RestLengths(frozen(rest_length), frozen(np.flatnonzero(wanted == 0)))
+
+
+def to_force_density(model: Model, nodes: object, rest_length: object) -> FloatArray:
+    """Return the force densities of strings with these rest lengths in this shape, at rest.
+
+    Parameters
+    ----------
+    model : Model
+        With a string law.
+    nodes : array_like, shape (d, n)
+        Current node positions, m.
+    rest_length : float or array_like, shape (α,)
+        m, positive.
+
+    Returns
+    -------
+    ndarray, shape (α,)
+        γ, N/m; 0 for a slack string.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the model has no string law or an argument does not fit.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
+    >>> tc.to_force_density(model, prism.nodes, rest_length=0.7)[[0, 6]].round(3)
+    array([19.171, 32.233])
+    """
+    law, length = _law_and_length(model, nodes)
+    return law.force_density(length, rest_length)
+
+
+def _law_and_length(model: Model, nodes: object) -> tuple[StringLaw, FloatArray]:
+    """Return the string law, and the string lengths in a shape, m."""
+    instance("model", model, Model, "make one by Model(structure, strings=...)")
+    if model.strings is None:
+        raise ValueError(
+            "the model has no string law, so rest lengths mean nothing to it; "
+            "build it as Model(structure, strings=LinearStrings(stiffness=...))"
+        )
+    shape = model.structure.checked_nodes("nodes", nodes)
+    refuse_strings_without_length("nodes", model.structure, shape)
+    return model.strings, model.structure.string_length(shape)
+
 
 @dataclass(frozen=True, eq=False)
 class WinchMove:
@@ -42,11 +161,14 @@ class WinchMove:
         Strings whose winch was too slow for the command.
     range_limited : ndarray of int
         Strings commanded beyond the shortest or longest rest length.
+    torque_limited : ndarray of int
+        Strings whose motor met its limit of torque. Only a run can tell.
     """
 
     rest_length: FloatArray
     rate_limited: IntArray
     range_limited: IntArray
+    torque_limited: IntArray = field(default_factory=lambda: frozen(np.zeros(0, dtype=np.int64)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +185,13 @@ class Winches:
         Whether rest lengths ramp through a sample (first-order hold). If not, a winch
         jumps at the start of a sample and stands still (zero-order hold).
     substeps : int, optional
-        Equal steps that a ramp is made of, 10 if not given; more than 1 means a ramp. A step should
-        be shorter than the stretch of the strings, T/k.
+        Equal steps that a ramp is made of where a controller or an estimator predicts it, 10 if not
+        given; more than 1 means a ramp. A step should be shorter than the stretch of the strings,
+        T/k. In a run a ramp is exact; limits of torque are looked at, and play is taken up, at
+        the end of each step.
+    motor : Motor, optional
+        The motors: limits of torque and speed, inertia, lag, backlash. A run then reports their
+        angle, speed, torque, power and energy, ``run.control.motors``.
 
     Raises
     ------
@@ -86,6 +213,7 @@ class Winches:
     longest: FloatArray | None = None
     ramp: bool = False
     substeps: int = None  # type: ignore[assignment]  # an int from __post_init__ on
+    motor: Motor | None = None
 
     if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
 
@@ -96,6 +224,7 @@ class Winches:
             longest: ArrayLike | None = None,
             ramp: bool = False,
             substeps: int | None = None,
+            motor: Motor | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -114,11 +243,49 @@ class Winches:
                 limits[name] = float_array(name, value)
                 positive(name, np.atleast_1d(limits[name]), unit)
                 object.__setattr__(self, name, frozen(limits[name]))
+        if self.motor is not None:
+            instance("motor", self.motor, Motor, "make them by Motor(drum_radius=...)")
+            limits["motor.drum_radius / gear_ratio"] = self.motor.lever
         member_parameters(limits)
         if self.shortest is None or self.longest is None:
             return
         if np.any(self.shortest > self.longest):
             raise ValueError(f"shortest {self.shortest} m exceeds longest {self.longest} m")
+
+    @property
+    def largest_rate(self) -> FloatArray | None:
+        """Largest speed of winding, m/s: ``rate``, or less by the speed of the motors."""
+        if self.motor is None or self.motor.speed is None:
+            return self.rate
+        rate = self.motor.speed * self.motor.lever
+        return np.asarray(rate if self.rate is None else np.minimum(rate, self.rate))
+
+    @property
+    def jumps(self) -> bool:
+        """Whether rest lengths jump at the start of a sample in place of moving through it."""
+        return not self.ramp and not self.has_drive
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomials in time that rest lengths follow within a tick."""
+        if self.jumps:
+            return 0
+        return 2 if self.motor is not None and self.motor.inertia.any() else 1
+
+    @property
+    def ticks(self) -> int:
+        """Equal parts of a sample, in each of which a rest length moves as one polynomial."""
+        motor = self.motor
+        if self.jumps or motor is None:
+            return 1
+        if self.has_drive or motor.torque is not None or motor.backlash.any():
+            return self.substeps if self.ramp else _SUBSTEPS
+        return 1
+
+    @property
+    def has_drive(self) -> bool:
+        """Whether motors have a lag or an inertia: they never jump."""
+        return self.motor is not None and bool(self.motor.lag.any() or self.motor.inertia.any())
 
     def refuse_out_of_range(self, name: str, rest_length: FloatArray) -> None:
         """Raise if a rest length is out of the range of its winch, and name the string.
@@ -172,10 +339,205 @@ class Winches:
         low = -np.inf if self.shortest is None else self.shortest
         high = np.inf if self.longest is None else self.longest
         within = np.clip(goal, low, high)
-        reach = np.inf if self.rate is None else self.rate * sample_time
+        rate = self.largest_rate
+        reach = np.inf if rate is None else rate * sample_time
         reached = np.clip(within, start - reach, start + reach)
         return WinchMove(
             frozen(reached),
             frozen(np.flatnonzero(reached != within)),
             frozen(np.flatnonzero(within != goal)),
         )
+
+
+# Moves at once, with any torque.
+_NO_MOTOR = Motor(drum_radius=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Tick:
+    """Motion of rest lengths and motors in a part of a sample, as polynomials in time.
+
+    Attributes
+    ----------
+    rest_length : ndarray, shape (α, degree + 1)
+        Coefficients of ascending powers of the time since the tick began.
+    motor : ndarray, shape (α, 3)
+        The same of the rest length that there would be without play.
+    share : ndarray, shape (α,)
+        Part of the motion of the motor that reaches the string; less than 1 in the play.
+    """
+
+    rest_length: FloatArray
+    motor: FloatArray
+    share: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+class Drive:
+    """Winches in motion: follows one command a sample, tick by tick.
+
+    Attributes
+    ----------
+    rest_length : ndarray, shape (α,)
+        Where they are, m.
+    position, speed : ndarray, shape (α,)
+        The rest length that there would be without play, m, and its rate, m/s.
+    """
+
+    def __init__(
+        self,
+        winches: Winches,
+        rest_length: FloatArray,
+        sample_time: float,
+        motion: tuple[FloatArray, FloatArray] | None = None,
+    ) -> None:
+        count = len(rest_length)
+        motor = _NO_MOTOR if winches.motor is None else winches.motor
+        self._winches, self._motor = winches, motor.for_count(count)
+        self._sample_time, self._play = sample_time, self._motor.play / 2
+        rate = np.inf if winches.largest_rate is None else winches.largest_rate
+        self._rate = np.broadcast_to(rate, count)
+        self.rest_length = rest_length
+        self.position, self.speed = (rest_length, np.zeros(count)) if motion is None else motion
+        self._before = self.position
+        self._ticks: list[tuple[float, Tick]] = []
+
+    def begin(self, wanted: FloatArray, stuck: IntArray) -> WinchMove:
+        """Take a command, m, shape (α,), and return the move that it leads to if torque allows."""
+        self._move = self._winches.move(self.position, wanted, self._sample_time)
+        self._stuck = np.isin(np.arange(len(wanted)), stuck)
+        low = 0.0 if self._winches.shortest is None else self._winches.shortest
+        high = np.inf if self._winches.longest is None else self._winches.longest
+        self._target = self._move.rest_length
+        self._start = self.position
+        if not self._winches.jumps and self._winches.has_drive:
+            self._target = np.clip(wanted, low, high)
+            self._move = replace(self._move, rate_limited=self._move.rate_limited[:0])
+        self._slow = np.zeros(len(wanted), dtype=bool)
+        self._weak = np.zeros(len(wanted), dtype=bool)
+        return self._move
+
+    def tick(self, index: int, now: float, pull: Pull) -> Tick:
+        """Move through a tick of the sample, which begins now, s, and return how."""
+        winches = self._winches
+        time = self._sample_time / winches.ticks
+        target = self._target
+        if winches.ramp and index + 1 < winches.ticks:
+            target = self._start + (index + 1) / winches.ticks * (target - self._start)
+        if winches.degree == 2:
+            end, speed = self._accelerated(target, time, pull)
+            acceleration = (speed - self.speed) / time
+            first = self.speed
+        else:
+            end = self._followed(target, time)
+            if np.isfinite(self._motor.torque).any():
+                least = np.minimum(self.position, self._least(pull, time * (not winches.jumps)))
+                self._weak |= end < least
+                end = np.maximum(end, least)
+            end = np.where(self._stuck, self.position, end)
+            still = np.zeros_like(end)
+            speed = still if winches.jumps else (end - self.position) / time
+            first, acceleration = speed, still
+        reached = np.clip(self.rest_length, end - self._play, end + self._play)
+        moved = end - self.position
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(moved != 0, (reached - self.rest_length) / moved, 1.0)
+        if winches.jumps:
+            found = Tick(reached[:, None], np.column_stack([end, still, still]), share)
+        else:
+            motion = np.column_stack([self.position, first, acceleration / 2])
+            string = np.column_stack([self.rest_length, share * first, share * acceleration / 2])
+            found = Tick(string[:, : winches.degree + 1], motion, share)
+        self.rest_length, self.position, self.speed = reached, end, speed
+        self._ticks.append((now, found))
+        return found
+
+    def turning(self, begins: FloatArray, times: FloatArray, force: FloatArray) -> Turning:
+        """Return the motion of the motors at times, s, in intervals with these beginnings, (T,).
+
+        ``force`` is that of the strings, N, shape (α, T).
+        """
+        part = self._sample_time / self._winches.ticks
+        starts = np.array([now for now, _ in self._ticks])
+        k = np.maximum(np.searchsorted(starts, begins + 1e-6 * part, side="right") - 1, 0)
+        motion = np.stack([tick.motor for _, tick in self._ticks])
+        share = np.stack([tick.share for _, tick in self._ticks])
+        c, at = motion[k].transpose(1, 2, 0), times - starts[k]
+        rate = polynomial_at(c[:, 1:] * np.array([[[1.0], [2.0]]]), at)
+        if self._winches.jumps:
+            came = np.vstack([self._before, motion[:-1, :, 0]])
+            rate = ((motion[:, :, 0] - came) / part)[k].T
+        return Turning(polynomial_at(c, at), rate, 2 * c[:, 2], force * share[k].T)
+
+    def end(self) -> WinchMove:
+        """Return the move of the sample, with the limits that were met."""
+        slow = np.union1d(self._move.rate_limited, np.flatnonzero(self._slow))
+        return replace(
+            self._move,
+            rest_length=frozen(self.rest_length),
+            rate_limited=frozen(slow.astype(np.int64)),
+            torque_limited=frozen(np.flatnonzero(self._weak)),
+        )
+
+    def _followed(self, target: FloatArray, time: float) -> FloatArray:
+        """Return the positions at the end of a tick, without inertia or limit of torque."""
+        gap = target - self.position
+        lag = np.zeros(1) if self._motor is None else self._motor.lag
+        if not lag.any():
+            return np.clip(
+                target, self.position - self._rate * time, self.position + self._rate * time
+            )
+        # At the largest speed first, then ever slower.
+        far = np.abs(gap)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            near = np.where(np.isinf(self._rate), far, np.minimum(far, self._rate * lag))
+            full = np.where(far > near, np.minimum((far - near) / self._rate, time), 0.0)
+            rest = far - np.where(full > 0, self._rate * full, 0.0)
+            left = np.where(lag > 0, rest * np.exp(-(time - full) / lag), rest * (full >= time))
+        self._slow |= full > 0
+        return np.asarray(target - np.sign(gap) * left)
+
+    def _accelerated(
+        self, target: FloatArray, time: float, pull: Pull
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return positions and speeds at the end of a tick of constant acceleration.
+
+        As fast as torque and speed allow, and no faster than can be stopped at the target.
+        """
+        motor, lever = self._motor, self._motor.lever
+        expected = self.rest_length + self.speed * time
+        forces = [pull(self.rest_length, 0.0)[0], pull(np.maximum(expected, 0.0), time)[0]]
+        gain = lever / np.maximum(motor.inertia, _LEAST_INERTIA)
+        winding = gain * (motor.torque - lever * np.maximum(*forces))
+        paying = gain * (motor.torque + lever * np.minimum(*forces))
+        low, high = self.speed - winding * time, self.speed + paying * time
+        low = np.where(winding < 0, np.minimum(low, 0.0), low)
+        gap = target - self.position - self.speed * time / 2
+        braking = np.where(gap > 0, np.maximum(winding, 0.0), paying)
+        # What is left at the end of the tick must do to stop in whole ticks.
+        stopping = braking * time + np.sqrt((braking * time) ** 2 + 2 * braking * np.abs(gap))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            most = np.where(stopping > 0, 2 * braking * np.abs(gap) / stopping, 0.0)
+        most = np.minimum(most, np.abs(gap) / (motor.lag + time / 2))
+        self._slow |= (most > self._rate) & ~self._stuck
+        wanted = np.sign(gap) * np.minimum(most, self._rate)
+        speed = np.clip(wanted, low, high)
+        self._weak |= (speed != wanted) & ~self._stuck
+        end = self.position + (self.speed + speed) * time / 2
+        # What jams stops at once.
+        self.speed = np.where(self._stuck, 0.0, self.speed)
+        return np.where(self._stuck, self.position, end), np.where(self._stuck, 0.0, speed)
+
+    def _least(self, pull: Pull, time: float) -> FloatArray:
+        """Return the positions beyond which a motor cannot wind in, now and so long after it."""
+        most, found = self._motor.torque / self._motor.lever, []
+        for later in dict.fromkeys((0.0, time)):
+            length = pull(self.rest_length, later)[2]
+            rest = np.minimum(self.rest_length, (1 - _TAUT) * length)
+            for _ in range(_NEWTON):
+                force, slope, _ = pull(rest, later)
+                rest = np.maximum(rest + (force - most) / slope, _TAUT * length)
+            found.append(rest)
+        return np.asarray(np.max(found, axis=0) - self._play)

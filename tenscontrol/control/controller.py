@@ -517,7 +517,7 @@ def largest_change(
     if max_change is not None:
         change = per_member("max_change", max_change, count, "string")
         positive("max_change", change, f"change of {plant.input.replace('_', ' ')}")
-    rate = None if winches is None else winches.rate
+    rate = None if winches is None else winches.largest_rate
     if sample_time is None:
         if change is not None or rate is not None:
             name = "max_change" if change is not None else "winches.rate"

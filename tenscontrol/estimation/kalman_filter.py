@@ -493,9 +493,11 @@ class KalmanFilter:
                 if moved.ramp:
                     z = z + moved.by_previous @ (start - rest)
         else:
-            transition = np.eye(len(z))
-            for left in range(design.substeps - 1, -1, -1):
-                end, along, _ = self._motion(z, held + left / design.substeps * (start - held))
+            transition, count = np.eye(len(z)), design.substeps
+            for left in range(count - 1, -1, -1):
+                # A ramp is held at the middle of each substep.
+                share = (left + 0.5) / count if count > 1 else 0.0
+                end, along, _ = self._motion(z, held + share * (start - held))
                 z, transition = end.copy(), along @ transition
         P = transition @ P @ transition.T + design.process_covariance
         return z, 0.5 * (P + P.T)

@@ -279,17 +279,18 @@ def kept(
 
 @kept
 def sampled(plant: LinearPlant, sample_time: float, substeps: int) -> Sampled:
-    """Return the sampled model; the input reaches v in equal substeps, at once if there is one."""
-    transition, by_input, drift = plant.discretize(sample_time / substeps)
-    whole, moved = np.eye(len(transition)), np.zeros_like(drift)
-    previous, now = np.zeros_like(by_input), np.zeros_like(by_input)
-    for substep in range(1, substeps + 1):
-        share = substep / substeps
-        previous = transition @ previous + (1 - share) * by_input
-        now = transition @ now + share * by_input
-        moved = transition @ moved + drift
-        whole = transition @ whole
-    return Sampled(sample_time, whole, previous, now, moved, substeps > 1)
+    """Return the sampled model; the input ramps to v, or jumps to it if there is one substep."""
+    from scipy.linalg import expm
+
+    transition, whole, drift = plant.discretize(sample_time)
+    states, inputs = whole.shape
+    now = whole
+    if substeps > 1:
+        exponent = np.zeros((states + 2 * inputs,) * 2)
+        exponent[:states, : states + inputs] = sample_time * np.hstack([plant.A, plant.B])
+        exponent[states : states + inputs, states + inputs :] = np.eye(inputs)
+        now = expm(exponent)[:states, states + inputs :]
+    return Sampled(sample_time, transition, whole - now, now, drift, substeps > 1)
 
 
 @kept

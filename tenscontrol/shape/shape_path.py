@@ -275,7 +275,7 @@ def shape_path(
     bounds = checked_bounds(model, min_force_density, max_force_density, winches)
     bounds.refuse_outside("start", begin.force_density)
     bounds.refuse_outside("goal", end.force_density)
-    rate = None if winches is None else winches.rate
+    rate = None if winches is None else winches.largest_rate
     if rate is not None:
         one_or_per_string("winches.rate", rate, len(model.structure.strings))
     if duration is not None:

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from math import ceil
 from time import perf_counter
 
 import numpy as np
 
-from tenscontrol.actuation import Winches, WinchMove
+from tenscontrol.actuation import (
+    Drive,
+    Instants,
+    MotorRecord,
+    Winches,
+    WinchMove,
+    cable_work,
+    motor_record,
+    winding_work,
+)
 from tenscontrol.control import BaseController, Command
+from tenscontrol.dynamics import Evaluator, Pieces, evaluate_columns, polynomial_at, unpack_states
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.interrupt import check
 from tenscontrol.limits import refuse_memory
@@ -78,7 +89,9 @@ def run_closed_loop(
         stood = None
         if loop.input == "rest_length":
             stood = rows[0][2].rest_length if actuators.start is None else actuators.start
-        return _control_record(controller.name, rows, stood, sample, observation)
+        return _control_record(
+            controller.name, rows, stood, sample, observation, actuators.motor_record()
+        )
 
     # Of a subdivision, the nodes of its parent come first.
     seen = controller.structure.nodes.shape[1]
@@ -108,18 +121,24 @@ def run_closed_loop(
             raise
         taken = perf_counter() - began
         check()  # a command that was interrupted is not applied
-        move, inputs = actuators.apply(command, N, loop.faults.stuck(moment))
-        controller.applied(actuators.applied_input(N))
-        if observation is not None:
-            observation.predict(move.rest_length, inputs[-1])
+        move = actuators.begin(command, state, loop.faults.stuck(moment))
         rows.append((loop.now, command, move, taken))
         end = min(loop.now + sample, until)
         whole = end - loop.now
-        for i, held in enumerate(inputs):
-            span = min(loop.now + sample / len(inputs), end) if i + 1 < len(inputs) else end
-            span -= loop.now
-            if span > 1e-9 * whole:  # not round-off
-                state = loop.run(state, held, span)
+        try:
+            for i in range(actuators.ticks):
+                pieces = actuators.tick(i, state, loop.now)
+                last = i + 1 == actuators.ticks
+                span = (
+                    end if last else min((begin + k + (i + 1) / actuators.ticks) * sample, end)
+                ) - loop.now
+                if span > 1e-9 * whole:  # not round-off
+                    state = loop.run(state, pieces, span)
+        finally:
+            rows[-1] = (rows[-1][0], command, actuators.end(), taken)
+            controller.applied(actuators.applied_input(N))
+            if observation is not None:
+                observation.predict(actuators.reached, actuators.held)
 
 
 def _control_record(
@@ -128,6 +147,7 @@ def _control_record(
     rest_length: FloatArray | None,
     sample_time: float,
     observation: Observation | None,
+    motors: MotorRecord | None,
 ) -> ControlRecord:
     """Return the record of samples: start, command, move of the winches, computing time.
 
@@ -151,6 +171,7 @@ def _control_record(
         range_limited=frozen(np.array([len(move.range_limited) for move in moves])),
         computing_time=frozen(np.array(taken)),
         estimate=None if observation is None else observation.record(time),
+        motors=motors,
     )
 
 
@@ -177,8 +198,12 @@ class Actuators:
     """Apply commands: γ as it is, or rest lengths through the winches.
 
     A controller commands the strings of the plant, or those of its parent, whose segments then
-    move together. ``start`` are the rest lengths at the start, m, shape (α,), if they are known.
+    move together. ``start`` are the rest lengths at the start, m, shape (α,), if they are known;
+    ``reached`` is what the last sample led to, and ``held`` that of the plant's strings.
     """
+
+    reached: FloatArray
+    held: FloatArray
 
     def __init__(
         self,
@@ -200,12 +225,22 @@ class Actuators:
             raise ValueError(
                 "the controller commands rest lengths; input='force_density' cannot follow it"
             )
-        if loop.input == "force_density" and (winches is not None or rest_length is not None):
-            raise ValueError("winches and rest_length have no meaning where γ is held")
+        self._motor = None
+        if winches is not None and winches.motor is not None:
+            self._motor = winches.motor.for_count(self._count)
+        if loop.input == "force_density":
+            self._refuse_lengths(winches, rest_length)
         self._input = controller.input
+        self._loop = loop
         self._law = loop.model.strings
-        self._winches = winches
+        self._winches = Winches() if winches is None else winches
         self._sample_time = sample_time
+        self._drive: Drive | None = None
+        self._asked: list[FloatArray] = []
+        self._weak: list[int] = []
+        self._earlier = None
+        if run is not None and run.control is not None and rest_length is None:
+            self._earlier = run.control.motors
         self.start: FloatArray | None = None
         self._current: FloatArray | None = None
         if run is not None and rest_length is None:
@@ -226,9 +261,11 @@ class Actuators:
             self.start = positive("rest_length", lengths, "length in m")
             if winches is not None:
                 winches.refuse_out_of_range("rest_length", self.start)
-        elif winches is not None and (winches.rate is not None or winches.substeps > 1):
+        elif loop.input == "rest_length" and (
+            self._winches.rate is not None or self._winches.ramp or self._motor is not None
+        ):
             raise ValueError(
-                "winches with a rate or substeps need rest_length: where they stand at the start, "
+                "winches with a rate, substeps or a motor need rest_length: where they stand, "
                 "m; to_rest_length(model, nodes, force_density) finds it"
             )
         if self.start is not None:
@@ -246,33 +283,82 @@ class Actuators:
         gamma = self._law.force_density(self._structure.string_length(nodes), rest_length)
         return self._to_strings("force_density", gamma)
 
-    def apply(
-        self, command: Command, nodes: FloatArray, stuck: IntArray
-    ) -> tuple[WinchMove, list[FloatArray]]:
-        """Return the move, one entry a winch, and the input of each substep, one entry a string.
+    @property
+    def ticks(self) -> int:
+        """Parts of a sample, in each of which inputs are one polynomial in time."""
+        return self._winches.ticks
 
-        The substeps share the sample evenly.
-        """
+    def begin(self, command: Command, state: FloatArray, stuck: IntArray) -> WinchMove:
+        """Take the command of a sample, and return the move to expect, one entry a winch."""
         desired = self._checked(command.value)
+        nodes = unpack_states(self._structure, state[:, None])[0][:, :, 0]
         if self._held == "force_density":
-            self._current = self._unless_stuck(desired, stuck)
-            gamma = self._to_plant("force_density", self._current)
-            return WinchMove(frozen(self._current), _NONE, _NONE), [gamma]
+            desired, weak = self._unless_stuck(desired, stuck), _NONE
+            if self._motor is not None:
+                most = self._motor.torque / self._motor.lever
+                most = most / self._structure.string_length(nodes)
+                weak = np.flatnonzero(desired > most)
+                desired = np.minimum(desired, most)
+            self._held_move = WinchMove(frozen(desired), _NONE, _NONE, frozen(weak))
+            self._weak.append(len(weak))
+            self._current = desired
+            return self._held_move
         if self._convert:
             assert self._law is not None  # a rest length is held
             gamma = self._to_plant("force_density", desired)
             desired = self._law.rest_length(self._structure.string_length(nodes), gamma)
             desired = self._to_strings("rest_length", desired)
+        self._asked.append(desired)
         desired = self._unless_stuck(desired, stuck)
-        start = desired if self._current is None else self._current
-        move, substeps = WinchMove(frozen(desired), _NONE, _NONE), 1
-        if self._winches is not None:
-            move = self._winches.move(start, desired, self._sample_time)
-            substeps = self._winches.substeps
-        self._current = move.rest_length
-        left = np.arange(substeps - 1.0, -1.0, -1.0)[:, None] / substeps
-        reached = move.rest_length - left * (move.rest_length - start)
-        return move, list(self._to_plant("rest_length", reached))
+        if self._drive is None:
+            motion = None if self._earlier is None else tuple(self._earlier.at_end)
+            start = desired if self._current is None else self._current
+            self._drive = Drive(self._winches, start, self._sample_time, motion)
+        self._weak.append(0)
+        return self._drive.begin(desired, stuck)
+
+    def tick(self, index: int, state: FloatArray, now: float) -> FloatArray | Pieces:
+        """Return the input of the plant's strings in a tick that begins at a time, s."""
+        if self._drive is None:
+            assert self._current is not None  # begun
+            self.reached = self._current
+            self.held = self._to_plant("force_density", self._current)
+            return self.held
+
+        def pull(
+            rest_length: FloatArray, later: float
+        ) -> tuple[FloatArray, FloatArray, FloatArray]:
+            half = len(state) // 2
+            moved = state.copy()
+            moved[:half] += later * state[half:]
+            lengths = self._to_plant("rest_length", rest_length)
+            _, force, _, slope, length = self._winding(moved, lengths, np.zeros_like(lengths))
+            share = self._to_plant("rest_length", np.ones(self._count))
+            return (
+                self._to_strings("tension", force),
+                self._to_strings("length", slope * share**2),
+                self._to_strings("length", length),
+            )
+
+        found = self._drive.tick(index, now, pull)
+        self._current = self.reached = self._drive.rest_length
+        self.held = self._to_plant("rest_length", self.reached)
+        lengths = self._to_plant("rest_length", found.rest_length.T).T
+        if lengths.shape[1] == 1:
+            return lengths[:, 0]
+        return Pieces(np.array([-np.inf]), np.array([now]), lengths[None])
+
+    def end(self) -> WinchMove:
+        """Return the move of the sample, with the limits that were met."""
+        if self._drive is None:
+            return self._held_move
+        move = self._drive.end()
+        self._weak[-1] = len(move.torque_limited)
+        return move
+
+    @cached_property
+    def _winding(self) -> Evaluator:
+        return Evaluator(self._loop.model.winding)
 
     def _checked(self, value: object) -> FloatArray:
         """Return a command, or raise: a user's controller may break its promises."""
@@ -303,6 +389,71 @@ class Actuators:
         moved[stuck] = self._current[stuck]
         return moved
 
+    def motor_record(self) -> MotorRecord | None:
+        """Return what the motors did up to now; None where there are none."""
+        if self._motor is None:
+            return None
+        model, error, close = self._loop.model, 0.0, 1e-6 * self._sample_time / self.ticks
+        instants, first = _instants(self._loop)
+        ends, before = (instants[0], instants[2]), instants[0]
+        if self._drive is None:
+            turning, work = cable_work(model, ends)
+            start, at_end = turning[0].position[:, 0], np.zeros((2, self._count))
+        else:
+            stored, forces, work, error = winding_work(model, instants)
+            # A jump of rest lengths at the standing structure gives what strings store more.
+            previous = np.column_stack([stored[0][:, 0], stored[1][:, first[1:] - 1]])
+            if self.start is not None:
+                lengths = self._to_plant("rest_length", self.start)
+                lengths = self._loop.faults.without_cut(lengths, before.time[0] + close)
+                previous[:, 0] = self._winding(before.states[:, 0], lengths, 0 * lengths)[0]
+            jump = stored[0][:, first] - previous
+            for j, time in enumerate(before.time[first]):
+                cut = self._loop.faults.without_cut(np.zeros(len(jump)), time + close) != 0
+                jump[cut, j] = 0.0
+            work[:, first] += jump
+            work = self._to_strings("length", work.T).T
+            forces = [self._to_strings("tension", force.T).T for force in forces]
+            turning = [
+                self._drive.turning(before.time, at.time, force)
+                for at, force in zip(ends, forces, strict=True)
+            ]
+            start = turning[0].position[:, 0] if self.start is None else self.start
+            at_end = np.stack([self._drive.position, self._drive.speed])
+        if self._earlier is not None:
+            start = self._earlier.zero
+        return motor_record(
+            self._motor, start, ends, turning, work, error, self._asked, self._weak, at_end
+        )
+
+    def _refuse_lengths(self, winches: Winches | None, rest_length: object) -> None:
+        """Refuse what sets rest lengths where γ is held."""
+        if rest_length is not None or (winches is not None and winches.motor is None):
+            raise ValueError(
+                "winches and rest_length have no meaning where γ is held; only their motors have: "
+                "Winches(motor=...)"
+            )
+        if winches is None or winches.motor is None:
+            return
+        motor = winches.motor
+        given = [
+            name for name in ("rate", "shortest", "longest") if getattr(winches, name) is not None
+        ]
+        given += ["ramp"] * winches.ramp
+        given += [
+            f"motor.{name}" for name in ("inertia", "lag", "backlash") if getattr(motor, name).any()
+        ]
+        if given:
+            raise ValueError(
+                f"winches has {', '.join(given)}, which set rest lengths, but γ is held: a motor "
+                "then has drum_radius, gear_ratio and torque"
+            )
+        if self._by_segment:
+            raise ValueError(
+                "winches has a motor, but a string of several segments has no one tension where γ "
+                "is held: leave the motor out, or hold rest lengths"
+            )
+
     def _refuse_unreachable(self, most: FloatArray) -> None:
         """Refuse a controller that may command a γ, at most ``most``, beyond any rest length."""
         assert self._law is not None  # a rest length is held
@@ -332,3 +483,41 @@ def _commands_parent(loop: Loop, controller: BaseController) -> bool:
             "with other bars, strings or fixed nodes, and is no direct subdivision of it"
         )
     return by_segment
+
+
+def _instants(loop: Loop) -> tuple[tuple[Instants, Instants, Instants], IntArray]:
+    """Return beginnings, middles and ends of intervals, and which are the first of a span.
+
+    The first interval is the start alone.
+    """
+    spans = [span for span in loop.spans if len(span.time)]
+    counts = np.array([len(span.time) for span in spans])
+    first = np.cumsum(counts) - counts
+    which = np.repeat(np.arange(len(spans)), counts)
+    time = np.concatenate([span.time for span in spans])
+    begins = np.concatenate([time[:1], time[:-1]])
+    states = np.hstack([span.states for span in spans])
+    before = np.hstack([np.column_stack([span.begin, span.states[:, :-1]]) for span in spans])
+    count = len(loop.model.structure.strings)
+    coefficients = np.stack([span.coefficients[:count] for span in spans])
+    origin = np.array([span.origin for span in spans])[which]
+    # Half way the motion is that of a quintic with positions, velocities and accelerations.
+    half, step, middle = len(states) // 2, time - begins, (begins + time) / 2
+    flat = np.stack([span.coefficients.ravel(order="F") for span in spans])[which].T
+    slopes = []
+    for at, x in ((begins, before), (time, states)):
+        u = np.vstack([flat, at - origin]) if loop.equation.layout.degree else flat
+        slopes.append(evaluate_columns(loop.equation.kinked_slope, x, u)[0])
+    between = (before + states) / 2
+    between[:half] += 5 / 32 * step * (before - states)[half:]
+    between[:half] += step**2 / 64 * (slopes[0] + slopes[1])[half:]
+    found = []
+    for at, x in ((begins, before), (middle, between), (time, states)):
+        series = []
+        for order in range(3):
+            c = coefficients
+            for _ in range(order):
+                c = c[:, :, 1:] * np.arange(1, c.shape[2])
+            series.append(polynomial_at(c[which].transpose(1, 2, 0), at - origin))
+        found.append(Instants(at, x, np.stack(series)))
+    return (found[0], found[1], found[2]), first

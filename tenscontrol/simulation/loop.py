@@ -139,6 +139,11 @@ class Loop:
                 f"step goes with the methods {fixed}; {name!r} chooses its own steps by tolerance"
             )
 
+    @property
+    def equation(self) -> Equation:
+        """The equations of motion, as they are asked for; an integrator may have another form."""
+        return self._equation
+
     def _equation_of(self, form: str) -> Equation:
         load = None
         if self._given is None:

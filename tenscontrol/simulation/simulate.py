@@ -271,7 +271,7 @@ def simulate(
             faults=breaking,
             project=project,
             machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
-            degree=0 if held is None else held.degree,
+            degree=_degree(held, what, winches),
             offset=offset,
         )
         loop.output_step = _output_step(loop, output_step, duration)
@@ -366,6 +366,13 @@ def _output_step(loop: Loop, output_step: float | None, duration: float) -> floa
     keep = ". A longer output_step keeps fewer"
     refuse_memory(f"{name} is {value:g} s", duration / value, "states", size, keep)
     return value
+
+
+def _degree(held: Pieces | None, what: str, winches: object) -> int:
+    """Return the degree of the polynomials in time that the inputs of the strings are."""
+    if held is not None:
+        return held.degree
+    return winches.degree if what == "rest_length" and isinstance(winches, Winches) else 0
 
 
 def _changes(value: object) -> bool:

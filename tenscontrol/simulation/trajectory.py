@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from tenscontrol.actuation import MotorRecord
 from tenscontrol.control import Fallback, Status
 from tenscontrol.integrate import Choice, Work
 from tenscontrol.simulation.faults import Fault
@@ -45,6 +46,8 @@ class ControlRecord:
         Measurements and estimates; None without an estimator.
     controller : str
         Which controller it was: its class, or the name of the function.
+    motors : MotorRecord or None
+        Angle, speed, torque, power and energy; None where the winches have no motor.
     """
 
     time: FloatArray
@@ -59,6 +62,7 @@ class ControlRecord:
     computing_time: FloatArray
     estimate: EstimateRecord | None = None
     controller: str = ""
+    motors: MotorRecord | None = None
 
     @property
     def status_count(self) -> dict[Status, int]:
@@ -359,6 +363,17 @@ class Trajectory:
             out = int((self.control.range_limited > 0).sum())
             if slow or out:
                 lines.append(f"winches           too slow in {slow} samples, out of range in {out}")
+            motors = self.control.motors
+            if motors is not None:
+                torque, power = (np.abs(part).max() for part in (motors.torque, motors.power))
+                given, error = motors.energy[:, -1].sum(), motors.energy_error
+                lines.append(
+                    f"motors            at most {torque:.3g} N m and {power:.3g} W, "
+                    f"{given:.4g} J in all (to {error:.0e} J)"
+                )
+                weak = int((motors.torque_limited > 0).sum())
+                if weak:
+                    lines.append(f"                  at their limit of torque in {weak} samples")
         return "\n".join(lines)
 
     def _details(self) -> list[str]:

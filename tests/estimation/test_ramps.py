@@ -68,18 +68,19 @@ def test_a_load_acts_through_every_piece(stiff, prediction):
         assert off < (1e-9 if prediction == "linear" else 0.02) * np.abs(expected[part]).max()
 
 
-def test_the_linear_prediction_is_that_of_the_plant_piece_by_piece(stiff):
+def test_the_linear_prediction_is_that_of_a_plant_whose_input_ramps(stiff):
     estimator, z = blind(stiff, "linear"), np.zeros(18)
     assert estimator.substeps == PIECES
-    transition, inputs, drift = stiff.discretize(STEP / PIECES)
+    count = 2000
+    transition, inputs, drift = stiff.discretize(STEP / count)
     rng, before = np.random.default_rng(0), stiff.rest_length
     for _ in range(20):
         held = stiff.rest_length + 1e-4 * rng.normal(size=9)
-        for piece in range(1, PIECES + 1):
-            now = before + piece / PIECES * (held - before)
+        for part in range(count):
+            now = before + (part + 0.5) / count * (held - before)
             z = transition @ z + inputs @ (now - stiff.rest_length) + drift
         estimator.predict(held)
-        np.testing.assert_allclose(estimator.update(None).state, z, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(estimator.update(None).state, z, rtol=0, atol=1e-8)
         before = held
     assert np.abs(z).max() > 1e-4
 
@@ -103,7 +104,7 @@ def test_the_nonlinear_prediction_is_the_simulated_motion(stiff):
         )
         estimator.predict(run.control.applied[:, k])
     assert wound > 1e-3
-    assert max(off) < 1e-4 * wound
+    assert max(off) < 1e-3 * wound
 
 
 def test_tensions_are_those_of_the_rest_lengths_at_the_sample(stiff):

@@ -186,9 +186,7 @@ class RadauIIA(Discretization):
     it. With forces that end where a string goes slack, Newton's method fails from 0.1 mm off
     already where strings have 1e6 N/m.
 
-    A ramp is p equal parts (``substeps``), the first of them at the start. The stages see the line
-    ``u_i = u_before + (c_i + (1 − c_i)/p) (u − u_before)``, which has the mean and the end
-    of the parts, and is the jump where p is 1.
+    The stages of a ramp see ``u_i = u_before + c_i (u − u_before)``.
     """
 
     def __init__(
@@ -203,10 +201,9 @@ class RadauIIA(Discretization):
             plant.prepared.get(("Radau IIA", 1), lambda: taut_slopes(plant).map(3))
         )
         self._taut = Evaluator(plant.prepared.get("taut", lambda: _taut_force_density(plant)))
-        self.ramp = substeps > 1
-        self._plant, self._substeps = plant, substeps
+        self.ramp, self._plant = substeps > 1, plant
         self._sample_time, self._r = sample_time, plant.degrees_of_freedom
-        self._share = (_NODES + (1 - _NODES) / substeps)[:, None]
+        self._share = _NODES[:, None] if self.ramp else np.ones((3, 1))
         # What the accelerations at the stages do to places and speeds there.
         self._to_place, self._to_speed = sample_time**2 * _MATRIX @ _MATRIX, sample_time * _MATRIX
         self._size = float(np.ptp(plant.nodes, axis=1).max())
@@ -218,7 +215,7 @@ class RadauIIA(Discretization):
     @built
     def sampled(self) -> ca.Function:
         """See :attr:`Discretization.sampled`: CasADi's Newton method, no number where it fails."""
-        key = "Radau IIA sampled", self._sample_time, self._substeps
+        key = "Radau IIA sampled", self._sample_time, self.ramp
         return self._plant.prepared.get(key, self._build_sampled)
 
     def _build_sampled(self) -> ca.Function:

@@ -1,0 +1,355 @@
+"""Motors of winches and of force-controlled cables, and what they did in a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from tenscontrol.dynamics import Model, evaluate_columns
+from tenscontrol.validation import (
+    FloatArray,
+    float_array,
+    freeze_arrays,
+    frozen,
+    member_parameters,
+    non_negative,
+    one_or_per_string,
+    per_member,
+    positive,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+_OF_MOTORS = (
+    ("drum_radius", "radius in m"),
+    ("gear_ratio", "ratio"),
+    ("torque", "torque in N m"),
+    ("speed", "speed in rad/s"),
+    ("inertia", "moment of inertia in kg m²"),
+    ("lag", "time in s"),
+    ("backlash", "angle in rad"),
+    ("zero", "rest length in m"),
+)
+_MAY_BE_ZERO = ("inertia", "lag", "backlash")
+
+
+class EachMotor(NamedTuple):
+    """Numbers of motors, one entry a string, shape (α,) each."""
+
+    lever: FloatArray  # rest length wound for each radian, m
+    torque: FloatArray  # N m; infinite where there is no limit
+    inertia: FloatArray  # kg m²
+    lag: FloatArray  # s
+    play: FloatArray  # rest length within the play of the drum, m
+    zero: FloatArray  # rest length at angle zero, m; not finite where it is that at the start
+
+
+@dataclass(frozen=True, eq=False)
+class Motor:
+    """Motors of winches: one number for all, or one per string. They turn drums through gears.
+
+    A positive angle winds in: ``l0 = zero − (r/G) θ`` with drum radius r and gear ratio G. The
+    torque of a motor is ``τ = F r/G + J dω/dt``, where F is the force that winds the string in:
+    the derivative of its elastic energy by its rest length, with the sign changed. That is the
+    tension of a linear string, and ``T (1 + ε/2)`` of an elastic one of strain ε, which lies on
+    the drum unstretched. Gears have no losses. Damping acts between the ends of a string, so that
+    a motor does not feel it.
+
+    Parameters
+    ----------
+    drum_radius : float or array_like, shape (α,)
+        r, m.
+    gear_ratio : float or array_like, shape (α,)
+        G, turns of the motor for one of the drum.
+    torque : float or array_like, shape (α,), optional
+        Largest torque of the motor, N m; unlimited if not given. Where the tension needs more, a
+        brake gives the rest: the winch holds or pays out, but does not wind in.
+    speed : float or array_like, shape (α,), optional
+        Largest speed of the motor, rad/s; unlimited if not given.
+    inertia : float or array_like, shape (α,)
+        J of the rotor, with the drum by 1/G², kg m². A motor with inertia needs ``torque``, from
+        which its acceleration follows; it then moves with a speed that does not jump.
+    lag : float or array_like, shape (α,)
+        Time constant of the drive, s: the rest length follows as ``(command − l0)/lag``.
+    backlash : float or array_like, shape (α,)
+        Play of the drum, rad: after a reversal the motor turns the drum only when the play is
+        taken up. At the start the drum is in the middle of it.
+    zero : float or array_like, shape (α,), optional
+        Rest length at which the angle is zero, m; that at the start of a run if not given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a number is not finite or not positive (inertia, lag and backlash may be 0), shapes do
+        not go together, or there is inertia without torque.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> motor = tc.Motor(drum_radius=0.01, gear_ratio=20.0, torque=0.05, speed=400.0, zero=0.8)
+    >>> tc.Winches(rate=0.5, motor=motor).largest_rate  # 400 rad/s × 0.01 m / 20
+    array(0.2)
+    >>> motor.angle([0.8, 0.79]).round(6), motor.rest_length([0.0, 20.0])
+    (array([ 0., 20.]), array([0.8 , 0.79]))
+    """
+
+    drum_radius: FloatArray
+    gear_ratio: FloatArray = 1.0  # type: ignore[assignment]
+    torque: FloatArray | None = None
+    speed: FloatArray | None = None
+    inertia: FloatArray = 0.0  # type: ignore[assignment]
+    lag: FloatArray = 0.0  # type: ignore[assignment]
+    backlash: FloatArray = 0.0  # type: ignore[assignment]
+    zero: FloatArray | None = None
+
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            drum_radius: ArrayLike,
+            gear_ratio: ArrayLike = 1.0,
+            torque: ArrayLike | None = None,
+            speed: ArrayLike | None = None,
+            inertia: ArrayLike = 0.0,
+            lag: ArrayLike = 0.0,
+            backlash: ArrayLike = 0.0,
+            zero: ArrayLike | None = None,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        found = {}
+        for name, unit in _OF_MOTORS:
+            value = getattr(self, name)
+            if value is None and name in ("torque", "speed", "zero"):
+                continue
+            found[name] = float_array(name, value)
+            if name in _MAY_BE_ZERO:
+                non_negative(name, np.atleast_1d(found[name]), f"{unit}, 0 for none")
+            else:
+                positive(name, np.atleast_1d(found[name]), unit)
+            object.__setattr__(self, name, frozen(found[name]))
+        member_parameters(found)
+        if self.torque is None and self.inertia.any():
+            raise ValueError(
+                "inertia needs torque, N m: the largest acceleration of a motor follows from both"
+            )
+
+    @property
+    def lever(self) -> FloatArray:
+        """Rest length wound for each radian of the motor, r/G, m."""
+        return np.asarray(self.drum_radius / self.gear_ratio)
+
+    def angle(self, rest_length: object, zero: object = None) -> FloatArray:
+        """Return the angles of the motors at rest lengths, rad: commands in radians.
+
+        Parameters
+        ----------
+        rest_length : array_like, shape (α,) or (α, K)
+            m.
+        zero : float or array_like, shape (α,), optional
+            Rest length at which the angle is zero, m; that of the motor if not given.
+
+        Returns
+        -------
+        ndarray, of the shape of ``rest_length``
+            Positive where shorter than ``zero``. Backlash is not made up for.
+        """
+        length, zero_length, lever = self._together("rest_length", rest_length, zero)
+        return np.asarray((zero_length - length) / lever)
+
+    def rest_length(self, angle: object, zero: object = None) -> FloatArray:
+        """Return the rest lengths at angles of the motors, m; the inverse of :meth:`angle`.
+
+        Parameters
+        ----------
+        angle : array_like, shape (α,) or (α, K)
+            rad.
+        zero : float or array_like, shape (α,), optional
+            As for :meth:`angle`.
+
+        Returns
+        -------
+        ndarray, of the shape of ``angle``
+        """
+        angles, zero_length, lever = self._together("angle", angle, zero)
+        return np.asarray(zero_length - lever * angles)
+
+    def _together(self, name: str, value: object, zero: object) -> tuple[FloatArray, ...]:
+        """Return values, the rest length at angle zero, and levers, to be computed with."""
+        array = float_array(name, value)
+        if array.ndim not in (1, 2):
+            raise ValueError(f"{name} has shape {array.shape}, expected (α,) or (α, K)")
+        if zero is None and self.zero is None:
+            raise ValueError("zero is not known: give the rest length at which the angle is 0, m")
+        length = per_member("zero", self.zero if zero is None else zero, len(array), "string")
+        positive("zero", length, "rest length in m")
+        lever = per_member("drum_radius / gear_ratio", self.lever, len(array), "string")
+        if array.ndim == 2:
+            return array, length[:, None], lever[:, None]
+        return array, length, lever
+
+    def for_count(self, count: int) -> EachMotor:
+        """Return the numbers of each motor, for so many strings, or raise if they do not fit."""
+        for name, _ in _OF_MOTORS:
+            value = getattr(self, name)
+            if value is not None:
+                one_or_per_string(f"motor.{name}", value, count)
+
+        def each(value: FloatArray | None, absent: float = np.inf) -> FloatArray:
+            return frozen(np.broadcast_to(absent if value is None else value, count))
+
+        return EachMotor(
+            lever=each(self.lever),
+            torque=each(self.torque),
+            inertia=each(self.inertia),
+            lag=each(self.lag),
+            play=each(self.backlash * self.drum_radius),
+            zero=each(self.zero, np.nan),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class MotorRecord:
+    """Motors of the winches, or of force-controlled cables, at the times of a run.
+
+    Attributes
+    ----------
+    time : ndarray, shape (T,)
+        s, those of the run.
+    angle, speed : ndarray, shape (α, T)
+        Of the motors, rad and rad/s, positive where they wind in; the speed is that of the step
+        to each time. Where rest lengths jump at the start of a sample, it is that of the jump
+        spread over the sample.
+    torque, power : ndarray, shape (α, T)
+        N m, positive against the tension, and torque times speed, W. A torque is never above its
+        limit: what is missing gives the brake.
+    energy : ndarray, shape (α, T)
+        J, given by each motor since the start of this run: the integral of its power, with the
+        work of jumps. Without damping and brakes their sum is the change of the energy of the run,
+        and of that of the rotors, ½ J ω².
+    energy_error : float
+        Estimate of the error of the energy, J, from its quadrature between the times: two of fourth
+        order are compared. A shorter ``output_step`` makes it smaller. 0 where γ is held.
+    angle_command : ndarray, shape (α, K), or None
+        What each command asks for as an angle, rad; None where γ is held.
+    torque_limited : ndarray of int, shape (K,)
+        Number of motors that met their limit of torque in each sample.
+    zero : ndarray, shape (α,)
+        Rest length, m, at which the angle is zero; length of the string where γ is held.
+    at_end : ndarray, shape (2, α)
+        Rest length without play, m, and its rate, m/s, at the end: a run goes on from there.
+    """
+
+    time: FloatArray
+    angle: FloatArray
+    speed: FloatArray
+    torque: FloatArray
+    power: FloatArray
+    energy: FloatArray
+    energy_error: float
+    angle_command: FloatArray | None
+    torque_limited: np.ndarray
+    zero: FloatArray
+    at_end: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+class Instants(NamedTuple):
+    """One place of each interval between states that are kept: T of them."""
+
+    time: FloatArray  # s, (T,)
+    states: FloatArray  # (n, T)
+    inputs: FloatArray  # of the strings of the model, and their first two rates, (3, α′, T)
+
+
+class Turning(NamedTuple):
+    """Motors at instants, as lengths that they let out, shape (α, T) each."""
+
+    position: FloatArray  # m
+    rate: FloatArray  # m/s
+    acceleration: FloatArray  # m/s²
+    force: FloatArray  # of the string, as far as it reaches the motor, N
+
+
+def cable_work(model: Model, ends: tuple[Instants, Instants]) -> tuple[list[Turning], FloatArray]:
+    """Return motors at both ends of intervals, and the work of each, J, where γ is held.
+
+    What a cable is let out by is its length. The work of a force density is exact.
+    """
+    turning = []
+    for end in ends:
+        length, rate = evaluate_columns(model.string_motion, end.states)
+        turning.append(Turning(length, rate, np.zeros_like(rate), end.inputs[0] * length))
+    before, after = (each.position for each in turning)
+    return turning, ends[0].inputs[0] * (before**2 - after**2) / 2
+
+
+def winding_work(
+    model: Model, instants: tuple[Instants, Instants, Instants]
+) -> tuple[list[FloatArray], list[FloatArray], FloatArray, float]:
+    """Return stored energy, J, and force, N, at both ends of intervals, work, J, and its error, J.
+
+    All but the error for each string of the model, shape (α′, T). ``instants`` are beginnings,
+    middles and ends. Of two quadratures of order 4, Simpson's and the corrected trapezoid, the
+    work is the mean in which the leading errors cancel, the error their difference.
+    """
+    stored, forces, powers, slopes = [], [], [], []
+    for each in instants:
+        lengths, rates, accelerations = each.inputs
+        energy, force, change, *_ = evaluate_columns(model.winding, each.states, lengths, rates)
+        stored.append(energy)
+        forces.append(force)
+        powers.append(-force * rates)
+        slopes.append(-change * rates - force * accelerations)
+    time = instants[2].time - instants[0].time
+    trapezoid = time * (powers[0] + powers[2]) / 2 + time**2 * (slopes[0] - slopes[2]) / 12
+    simpson = time * (powers[0] + 4 * powers[1] + powers[2]) / 6
+    error = float(np.abs(simpson - trapezoid).sum())
+    return stored[::2], forces[::2], (4 * simpson + trapezoid) / 5, error
+
+
+def motor_record(
+    motor: EachMotor,
+    zero: FloatArray,
+    ends: tuple[Instants, Instants],
+    turning: list[Turning],
+    work: FloatArray,
+    error: float,
+    asked: list[FloatArray],
+    weak: list[int],
+    at_end: FloatArray,
+) -> MotorRecord:
+    """Return the record of motors, given the work on strings in each interval, J, shape (α, T).
+
+    ``asked`` are the rest lengths of commands, m, ``weak`` how many motors met their torque.
+    """
+    lever, most, inertia = (part[:, None] for part in motor[:3])
+    zero = np.where(np.isnan(motor.zero), zero, motor.zero)
+    braked, torques, speeds = np.zeros(work.shape, dtype=bool), [], []
+    for each in turning:
+        torque = each.force * lever - inertia * each.acceleration / lever
+        braked |= np.abs(torque) > most
+        torques.append(np.clip(torque, -most, most))
+        speeds.append(-each.rate / lever)
+    power = [torque * speed for torque, speed in zip(torques, speeds, strict=True)]
+    given = work + inertia / 2 * (speeds[1] ** 2 - speeds[0] ** 2)
+    # Where a brake helps, what is left to the motor.
+    given = np.where(braked, (ends[1].time - ends[0].time) * (power[0] + power[1]) / 2, given)
+    return MotorRecord(
+        time=ends[1].time,
+        angle=(zero[:, None] - turning[1].position) / lever,
+        speed=speeds[1],
+        torque=torques[1],
+        power=power[1],
+        energy=np.cumsum(given, axis=1),
+        energy_error=error,
+        angle_command=(zero[:, None] - np.column_stack(asked)) / lever if asked else None,
+        torque_limited=np.array(weak),
+        zero=zero,
+        at_end=at_end,
+    )

@@ -1,0 +1,331 @@
+"""Motors of a run: torque times speed is work, limits hold, play is a loop, runs go on."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.control import Command, Controller
+from tests.known_structures import d_bar
+
+SAMPLE, INERTIA, GEAR = 0.02, 1e-6, {"drum_radius": 0.01, "gear_ratio": 20.0}
+
+LINEAR, ELASTIC = tc.LinearStrings(1e3), tc.ElasticStrings(1e3)
+
+
+def loaded_arm():
+    """An arm of three frames, half a kilogram at its tip."""
+    bare = tc.library.arm(sections=3, length=0.5, height=0.4, bar_mass=0.3)
+    return replace(bare, point_mass=0.5 * (np.arange(8) == 6))
+
+
+def ball():
+    """The six-bar ball on three fixed nodes."""
+    free = tc.library.six_bar_ball()
+    return tc.Structure(free.nodes, free.bars, free.strings, 1.0, fixed=[0, 4, 8])
+
+
+def clustered():
+    """A rhombus of bars, one string of which runs over a joint."""
+    nodes = [[-1, 0, 1, 0], [0, -0.8, 0, 0.8]]
+    bars = [(0, 1), (1, 2), (2, 3), (3, 0)]
+    return tc.Structure(nodes, bars, [(0, 2), (3, 1), (0, 1, 2)], 1.0, fixed=[0])
+
+
+SCENES = {
+    "arm with a payload": (loaded_arm, LINEAR, 9.81),
+    "ball on three nodes": (ball, ELASTIC, None),
+    "planar D-bar": (d_bar, LINEAR, None),
+    "clustered string": (clustered, ELASTIC, None),
+    "subdivided": (lambda: tc.subdivide(tc.prism(), segments=2, node_mass=0.02), LINEAR, None),
+}
+
+
+@cache
+def scene(name, law=None):
+    """A model, rest lengths that hold it about, and its plant for controllers of those."""
+    make, own, gravity = SCENES[name]
+    structure = make()
+    options = {} if gravity is None else {"gravity": gravity}
+    model = tc.Model(structure, strings=own if law is None else law, **options)
+    parent = structure if structure.parent is None else structure.parent
+    if gravity is None:
+        return model, 0.97 * parent.string_length()
+    rest = tc.prestress(structure, min_force_density=40.0, external_force=model.constant_force)
+    return model, tc.to_rest_length(model, structure.nodes, rest.force_density).rest_length
+
+
+class Wave(Controller):
+    """Winds strings in and out, each at a time of its own, whatever it is told."""
+
+    def __init__(self, model, start, size=5e-3, input="rest_length"):
+        structure = model.structure
+        shape = structure if structure.parent is None else structure.parent
+        base = tc.Model(shape, strings=LINEAR)
+        rest = tc.OperatingPoint(shape.nodes, 20.0 * np.ones(len(shape.strings)))
+        plant = tc.linearize(base, rest, input=input, require_equilibrium=False)
+        super().__init__(plant, SAMPLE, np.zeros(len(start)), np.full(len(start), np.inf))
+        self.start, self.size = start, size
+
+    def _decide(self, time, state):
+        phase = np.arange(len(self.start))
+        shift = np.sin(9 * (time + SAMPLE) + phase) - np.sin(phase)
+        return Command(self.start * (1 + self.size * shift))
+
+
+def run_of(name, duration=0.4, size=5e-3, step=5e-4, law=None, rate=None, ramp=True, **motor):
+    model, start = scene(name, law)
+    winches = tc.Winches(rate=rate, ramp=ramp, motor=tc.Motor(**(GEAR | motor)))
+    return tc.simulate(
+        model, duration, controller=Wave(model, start, size), winches=winches, rest_length=start,
+        step=step,
+    )  # fmt: skip
+
+
+def unbalanced(run, inertia=0.0):
+    """What motors gave and the structure did not get, as part of the most they gave."""
+    motors = run.control.motors
+    rotors = inertia / 2 * (motors.speed**2).sum(axis=0)
+    stored, given = run.energy + rotors, motors.energy.sum(axis=0)
+    off = (stored - stored[0]) - (given - given[0])
+    return np.abs(off).max() / np.abs(given).max()
+
+
+KINDS = {
+    "jumps": {"ramp": False},
+    "ramps": {},
+    "speed limit": {"ramp": False, "speed": 200.0},
+    "lag": {"ramp": False, "lag": 0.05},
+    "inertia": {"ramp": False, "rate": 0.1, "torque": 5.0, "inertia": INERTIA},
+    "play": {"backlash": 0.3},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", SCENES)
+def test_what_motors_give_is_what_the_structure_gets(name, kind):
+    run = run_of(name, step=2.5e-4, **KINDS[kind])
+    assert unbalanced(run, KINDS[kind].get("inertia", 0.0)) < 1e-6
+
+
+def test_the_energy_of_a_motor_is_that_of_an_oracle():
+    """An integrator of SciPy, with the work of each string as a state of its own."""
+    from scipy.integrate import solve_ivp
+
+    model, start = scene("planar D-bar")
+    run = run_of("planar D-bar", step=2.5e-4)
+    structure, applied = model.structure, run.control.applied
+    count = len(structure.free_rows)
+    state = np.r_[run.nodes[:, :, 0].ravel(order="F")[structure.free_rows], np.zeros(count)]
+    state = np.r_[state, np.zeros(len(start))]
+    before = start
+    for k in range(applied.shape[1]):
+        rate = (applied[:, k] - before) / SAMPLE
+
+        def slope(time, y, before=before, rate=rate):
+            x, lengths = y[: 2 * count], before + rate * time
+            nodes = structure.nodes.copy().ravel(order="F")
+            nodes[structure.free_rows] = x[:count]
+            long = structure.string_length(nodes.reshape(structure.nodes.shape, order="F"))
+            motion = np.array(model.rest_length_dynamics(x, lengths)).ravel()
+            return np.r_[motion, -1e3 * np.maximum(long - lengths, 0) * rate]
+
+        state = solve_ivp(slope, (0, SAMPLE), state, rtol=1e-11, atol=1e-12).y[:, -1]
+        before = applied[:, k]
+    given = run.control.motors.energy[:, -1]
+    assert np.abs(given - state[2 * count :]).max() < 1e-7 * np.abs(given).max()
+
+
+def test_torque_and_speed_are_those_of_the_drum():
+    run = run_of("planar D-bar", step=1e-3)
+    motors, lever = run.control.motors, 0.01 / 20
+    length = np.array([run.structure.string_length(N) for N in np.moveaxis(run.nodes, 2, 0)]).T
+    np.testing.assert_allclose(motors.torque, run.force_density * length * lever, atol=1e-12)
+    turned = (run.rest_length[:, :1] - run.rest_length) / lever
+    np.testing.assert_allclose(motors.angle - motors.angle[:, :1], turned, atol=1e-9)
+    wound = np.repeat(-run.control.winch_rate / lever, 20, axis=1)
+    np.testing.assert_allclose(motors.speed[:, 1:], wound, atol=1e-9)
+    np.testing.assert_array_equal(motors.power, motors.torque * motors.speed)
+    asked = (run.rest_length[:, :1] - run.control.command) / lever
+    np.testing.assert_allclose(motors.angle_command, asked, atol=1e-9)
+    assert "motors" in run.summary()
+
+
+def test_few_states_kept_say_so():
+    kept = [run_of("ball on three nodes", step=1e-3).control.motors]
+    model, start = scene("ball on three nodes")
+    winches = tc.Winches(ramp=True, motor=tc.Motor(**GEAR))
+    run = tc.simulate(
+        model, 0.4, controller=Wave(model, start), winches=winches, rest_length=start, step=1e-3,
+        output_step=SAMPLE,
+    )  # fmt: skip
+    kept.append(run.control.motors)
+    off = np.abs(kept[0].energy[:, -1] - kept[1].energy[:, -1]).sum()
+    assert kept[0].energy_error < 1e-8
+    assert off < kept[1].energy_error
+    assert off < 1e-5 * np.abs(kept[0].energy).max()
+
+
+def test_limits_of_speed_torque_and_range_hold():
+    model, start = scene("planar D-bar")
+    motor = tc.Motor(**GEAR, speed=150.0, torque=0.05, inertia=2e-6, lag=0.01)
+    winches = tc.Winches(shortest=0.99 * start, longest=1.005 * start, motor=motor)
+    run = tc.simulate(
+        model, 1.0, controller=Wave(model, start, 0.02), winches=winches, rest_length=start,
+        step=5e-4,
+    )  # fmt: skip
+    motors = run.control.motors
+    assert np.abs(motors.speed).max() == pytest.approx(150.0)
+    assert np.abs(motors.torque).max() <= 0.05
+    assert (run.rest_length >= winches.shortest[:, None] * (1 - 1e-9)).all()
+    assert (run.rest_length <= winches.longest[:, None] * (1 + 1e-9)).all()
+    assert np.ptp(run.rest_length, axis=1).max() > 0.014 * start.min()
+    assert run.control.rate_limited.any()
+    assert run.control.range_limited.any()
+    assert motors.torque_limited.any()
+    # The speed of a motor with inertia does not jump.
+    assert np.abs(np.diff(motors.speed, axis=1)).max() < (0.05 + 0.05) / 2e-6 * 5e-4
+
+
+@pytest.mark.parametrize("law", [LINEAR, ELASTIC])
+@pytest.mark.parametrize("ramp", [False, True])
+def test_a_weak_motor_holds_where_it_can_wind_no_further(law, ramp):
+    model, start = scene("planar D-bar", law)
+    long, lever = model.structure.string_length(), 0.01 / 20
+    most = 1.2 * law.force_density(long, start) * long * lever
+    run = run_of("planar D-bar", 0.6, 0.02, law=law, ramp=ramp, torque=most)
+    motors = run.control.motors
+    assert motors.torque_limited.any()
+    assert "limit of torque" in run.summary()
+    assert (np.abs(motors.torque) <= most[:, None]).all()
+    strong = run_of("planar D-bar", 0.6, 0.02, law=law, ramp=ramp)
+    assert (np.abs(strong.control.motors.torque).max(axis=1) > 1.2 * most).any()
+    # It winds in only while the tension is below the limit.
+    force = (
+        run.force_density
+        * np.array([run.structure.string_length(N) for N in np.moveaxis(run.nodes, 2, 0)]).T
+    )
+    winds = (motors.speed[:, 1:] > 1e-9) & ramp
+    assert (force[:, 1:] * winds <= 1.02 * most[:, None] / lever).all()
+
+
+def test_a_lag_is_that_of_its_time_constant():
+    class Step(Wave):
+        def _decide(self, time, state):
+            return Command(0.99 * self.start)
+
+    model, start = scene("planar D-bar")
+    for rate in (None, 0.2):
+        winches = tc.Winches(rate=rate, motor=tc.Motor(**GEAR, lag=0.03))
+        run = tc.simulate(
+            model, 0.2, controller=Step(model, start), winches=winches, rest_length=start,
+            step=1e-3,
+        )  # fmt: skip
+        gap = (run.rest_length - 0.99 * start[:, None]) / start[:, None]
+        time = run.time[::2]  # ends of ticks
+        if rate is None:
+            np.testing.assert_allclose(gap[:, ::2], 0.01 * np.exp(-time / 0.03)[None].repeat(2, 0))
+        else:
+            late = np.maximum((0.01 * start - 0.2 * 0.03) / 0.2, 0)[:, None]
+            far = np.where(late > 0, 0.006, 0.01 * start[:, None])
+            expected = np.where(
+                time < late, 0.01 * start[:, None] - 0.2 * time, far * np.exp(-(time - late) / 0.03)
+            )
+            np.testing.assert_allclose(gap[:, ::2] * start[:, None], expected, atol=1e-12)
+            assert run.control.rate_limited[0] == (late > 0).sum()
+
+
+def test_the_loop_of_a_reversal_is_as_wide_as_the_play():
+    play = 0.3
+    run = run_of("planar D-bar", 1.5, backlash=play)
+    motors, radius = run.control.motors, 0.01
+    behind = run.rest_length - (motors.zero[:, None] - motors.angle * radius / 20)
+    np.testing.assert_allclose(behind.max(axis=1), play * radius / 2, rtol=1e-9)
+    np.testing.assert_allclose(behind.min(axis=1), -play * radius / 2, rtol=1e-9)
+    # In the play the motor turns against nothing, and the string stands.
+    alone = np.abs(np.diff(run.rest_length, axis=1)) < 1e-12
+    turning = np.abs(motors.speed[:, 1:]) > 1
+    assert (alone & turning).any()
+    assert np.abs(motors.torque[:, 1:][alone & turning]).max() < 1e-9
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_run_in_two_parts_is_the_one(kind):
+    options = dict(KINDS[kind])
+    model, start = scene("planar D-bar")
+    winches = tc.Winches(
+        rate=options.pop("rate", None), ramp=options.pop("ramp", True),
+        motor=tc.Motor(**GEAR, **options),
+    )  # fmt: skip
+    given = {"controller": Wave(model, start), "winches": winches, "step": 1e-3}
+    whole = tc.simulate(model, 0.4, rest_length=start, **given)
+    first = tc.simulate(model, 0.2, rest_length=start, **given)
+    second = tc.simulate(model, 0.2, start=first, **given)
+    np.testing.assert_array_equal(second.nodes[:, :, -1], whole.nodes[:, :, -1])
+    motors = whole.control.motors
+    np.testing.assert_allclose(second.control.motors.angle[:, -1], motors.angle[:, -1], rtol=1e-12)
+    both = first.control.motors.energy[:, -1] + second.control.motors.energy[:, -1]
+    np.testing.assert_allclose(both, motors.energy[:, -1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["ramps", "inertia", "lag"])
+def test_a_stuck_winch_stands(kind):
+    options = dict(KINDS[kind])
+    model, start = scene("planar D-bar")
+    winches = tc.Winches(
+        rate=options.pop("rate", None), ramp=options.pop("ramp", True),
+        motor=tc.Motor(**GEAR, **options),
+    )  # fmt: skip
+    run = tc.simulate(
+        model, 0.4, controller=Wave(model, start), winches=winches, rest_length=start, step=1e-3,
+        faults=[tc.StuckWinch(1, time=0.1, until=0.3), tc.CutString(0, time=0.25)],
+    )  # fmt: skip
+    stands = (run.time > 0.1 + 1e-9) & (run.time < 0.3 - 1e-9)
+    assert np.ptp(run.rest_length[1, stands]) == 0
+    assert np.ptp(run.rest_length[1]) > 1e-3
+    after = run.time > 0.25 + 1e-9
+    if kind != "inertia":  # whose rotor turns on
+        assert np.abs(run.control.motors.power[0, after]).max() == 0
+    assert np.abs(run.control.motors.energy[:, -1]).max() < 1.0
+
+
+class Pull(Controller):
+    """Pulls with force densities that change from sample to sample."""
+
+    def __init__(self, plant):
+        count = plant.B.shape[1]
+        super().__init__(plant, SAMPLE, np.zeros(count), np.full(count, np.inf))
+
+    def _decide(self, time, state):
+        phase = np.arange(self.plant.B.shape[1])
+        return Command(30.0 + 20.0 * np.sin(7 * time + phase))
+
+
+@pytest.mark.parametrize("name", ["arm with a payload", "ball on three nodes", "clustered string"])
+def test_a_cable_of_held_force_works_on_the_structure(name):
+    model, start = scene(name)
+    plant = Wave(model, start, input="force_density").plant
+    winches = tc.Winches(motor=tc.Motor(**GEAR))
+    run = tc.simulate(
+        model, 0.3, controller=Pull(plant), winches=winches, input="force_density", step=2.5e-4
+    )
+    motors, length = run.control.motors, run.structure.string_length
+    lengths = np.array([length(N) for N in np.moveaxis(run.nodes, 2, 0)]).T
+    stored = 0.5 * (run.force_density * lengths**2).sum(axis=0)
+    # What is left of the energy when what γ stores is taken out: speed and height.
+    body = run.energy - stored
+    given = motors.energy.sum(axis=0)
+    assert np.abs(body - body[0] - given).max() < 1e-6 * np.abs(given).max()
+    np.testing.assert_allclose(motors.torque, run.force_density * lengths * 0.01 / 20)
+    turned = (lengths[:, :1] - lengths) * 20 / 0.01
+    np.testing.assert_allclose(motors.angle, turned, atol=1e-9)
+    weak = tc.Winches(motor=tc.Motor(**GEAR, torque=0.01))
+    held = tc.simulate(
+        model, 0.3, controller=Pull(plant), winches=weak, input="force_density", step=1e-3
+    )
+    assert held.control.motors.torque_limited.any()
+    most = 0.01 * 20 / 0.01 / lengths[:, 0]
+    assert (held.force_density[:, 0] <= most * (1 + 1e-12)).all()
+    assert np.abs(held.control.motors.torque).max() <= 0.01
