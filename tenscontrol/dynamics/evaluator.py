@@ -273,10 +273,6 @@ class SharedEvaluator:
         self._function = function
         self._idle: deque[Evaluator] = deque()
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the function; evaluators are made anew."""
-        return SharedEvaluator, (self._function,)
-
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Evaluate and return new arrays, as `Evaluator` does."""
         try:

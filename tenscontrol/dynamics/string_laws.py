@@ -281,8 +281,14 @@ class StringLaw(ABC):
         return [a if a.shape == shape else np.broadcast_to(a, shape) for a in arrays.values()]
 
     def _evaluated(self, name: str, *arguments: FloatArray) -> FloatArray:
-        count, build = arguments[0].size, getattr(self, f"_{name}_function")
-        evaluated = self._evaluators.get((name, count), lambda: SharedEvaluator(build(count)))
+        count = arguments[0].size
+
+        def build() -> SharedEvaluator:  # of one string, where all have the same parameters
+            own = max(np.size(getattr(self, each)) for each in self._names())
+            function = getattr(self, f"_{name}_function")(own)
+            return SharedEvaluator(function if own == count else function.map(count))
+
+        evaluated = self._evaluators.get((name, count), build)
         return evaluated(*arguments)[0].reshape(arguments[0].shape)
 
     @cached_property
