@@ -1,5 +1,6 @@
 """What all tests share."""
 
+import gc
 import signal
 from types import SimpleNamespace
 
@@ -21,6 +22,12 @@ settings.load_profile("tenscontrol")
 # A shell starts what runs in its background with Ctrl-C ignored, and tests of it would fail there.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish():
+    """Thousands of tests stay until the end: the search for garbage leaves them out."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True, scope="session")

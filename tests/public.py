@@ -1,5 +1,6 @@
 """What users reach by name, for the tests that walk it: what docs/api.rst documents."""
 
+import ast
 import importlib
 import inspect
 import re
@@ -7,6 +8,12 @@ from functools import cache, cached_property
 from pathlib import Path
 
 PAGE = Path(__file__).parent.parent / "docs" / "api.rst"
+
+
+@cache
+def tree(path):
+    """The syntax tree of a file, not to be changed."""
+    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
 
 
 @cache

@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 
 import tenscontrol as tc
-from tests.public import interface, named
+from tests.public import interface, named, tree
 
 PACKAGE = Path(tc.__file__).parent
 PROJECT = Path(__file__).parent.parent
@@ -33,11 +33,6 @@ FOLDERS = sorted(
 def place(path):
     """A file as it is called within the package, for messages."""
     return path.relative_to(PACKAGE).as_posix()
-
-
-@cache
-def tree(path):
-    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
 
 
 # ---- who imports whom ----

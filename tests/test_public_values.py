@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tests.public import public, public_classes
+from tests.public import public, public_classes, tree
 
 PACKAGE = Path(tc.__file__).parent
 PROJECT = Path(__file__).parent.parent
@@ -266,10 +266,10 @@ def _is_mutable(value):
     return False
 
 
-def _module_containers(tree):
+def _module_containers(module):
     """Names bound at module level to something that can change, with their lines."""
     names = {}
-    for node in tree.body:
+    for node in module.body:
         targets = node.targets if isinstance(node, ast.Assign) else []
         if isinstance(node, ast.AnnAssign) and node.value is not None:
             targets = [node.target]
@@ -288,14 +288,14 @@ def _root(node):
 def test_modules_hold_no_settings_that_change():
     faults = []
     for path in sorted(PACKAGE.rglob("*.py")):
-        tree, file = ast.parse(path.read_text(encoding="utf-8")), str(path.relative_to(PACKAGE))
-        containers = _module_containers(tree)
+        module, file = tree(path), str(path.relative_to(PACKAGE))
+        containers = _module_containers(module)
         faults += [
             f"{file}:{line} {name} is public and mutable"
             for name, line in containers.items()
             if not name.startswith("_")
         ]
-        for node in ast.walk(tree):
+        for node in ast.walk(module):
             where = f"{file}:{getattr(node, 'lineno', 0)}"
             if isinstance(node, ast.Global):
                 faults.append(f"{where} global {', '.join(node.names)}")

@@ -405,14 +405,8 @@ class Coordinates:
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
-        weights, total = self._weights
-        return np.asarray(nodes @ weights / total)[:, None]
-
-    @cached_property
-    def _weights(self) -> tuple[FloatArray, float]:
-        """Weights of the nodes in the centre of mass, and their sum."""
         weights = self._mass.sum(axis=1)
-        return weights, weights.sum()
+        return np.asarray(nodes @ weights / weights.sum())[:, None]
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray]:

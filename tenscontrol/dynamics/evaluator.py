@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copyreg
 import os
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from functools import cached_property, wraps
@@ -264,6 +264,24 @@ class Evaluator:
             self._run()
             self.calls += 1
         return self._outputs
+
+
+class SharedEvaluator:
+    """A function that threads may evaluate at once: each call takes an evaluator that is idle."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._function = function
+        self._idle: deque[Evaluator] = deque()
+
+    def __call__(self, *arguments: Any) -> list[FloatArray]:
+        """Evaluate and return new arrays, as `Evaluator` does."""
+        try:
+            evaluator = self._idle.pop()
+        except IndexError:
+            evaluator = Evaluator(self._function)
+        found = [output.copy() for output in evaluator(*arguments)]
+        self._idle.append(evaluator)
+        return found
 
 
 class ColumnEvaluator:

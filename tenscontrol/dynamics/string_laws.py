@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, final
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics.evaluator import built
+from tenscontrol.dynamics.evaluator import Prepared, SharedEvaluator
 from tenscontrol.validation import (
     FloatArray,
     float_array,
@@ -230,7 +231,7 @@ class StringLaw(ABC):
         )
         positive("length", np.atleast_1d(length), "length in m")
         positive("rest_length", np.atleast_1d(rest_length), "length in m")
-        gamma = _evaluated(self._force_density_function, length, rest_length, rate)
+        gamma = self._evaluated("force_density", length, rest_length, rate)
         return _representable("force density", gamma, bool(np.isfinite(gamma).all()))
 
     def rest_length(self, length: object, force_density: object) -> FloatArray:
@@ -268,7 +269,7 @@ class StringLaw(ABC):
                 f"stiffness {np.atleast_1d(limit)[i]:g} N/m: the rest length would not be "
                 "positive. Use stiffer strings or less force"
             )
-        rest = _evaluated(self._rest_length_function, length, gamma)
+        rest = self._evaluated("rest_length", length, gamma)
         return _representable("rest length", rest, bool((rest > 0).all()))
 
     def _together(self, **values: object) -> list[FloatArray]:
@@ -277,28 +278,33 @@ class StringLaw(ABC):
         own = {name: np.asarray(getattr(self, name)) for name in self._names()}
         member_parameters({**arrays, **own})
         shape = np.broadcast(*arrays.values(), *own.values()).shape
-        return [
-            array if array.shape == shape else np.broadcast_to(array, shape)
-            for array in arrays.values()
-        ]
+        return [a if a.shape == shape else np.broadcast_to(a, shape) for a in arrays.values()]
 
-    @built
-    def _force_density_function(self) -> ca.Function:
-        size = self._parameter_count
+    def _evaluated(self, name: str, *arguments: FloatArray) -> FloatArray:
+        count = arguments[0].size
+
+        def build() -> SharedEvaluator:  # of one string, where all have the same parameters
+            own = max(np.size(getattr(self, each)) for each in self._names())
+            function = getattr(self, f"_{name}_function")(own)
+            return SharedEvaluator(function if own == count else function.map(count))
+
+        evaluated = self._evaluators.get((name, count), build)
+        return evaluated(*arguments)[0].reshape(arguments[0].shape)
+
+    @cached_property
+    def _evaluators(self) -> Prepared:
+        """Functions by what they return and the number of strings."""
+        return Prepared()
+
+    def _force_density_function(self, size: int) -> ca.Function:
         length, rest, rate = (ca.SX.sym(name, size) for name in ("length", "rest", "rate"))
         gamma = self.symbolic_force_density(length, rest, rate)
-        return ca.Function("force_density", [length, rest, rate], [gamma])
+        return ca.Function("force_density", [length, rest, rate], [ca.densify(ca.SX(gamma))])
 
-    @built
-    def _rest_length_function(self) -> ca.Function:
-        size = self._parameter_count
+    def _rest_length_function(self, size: int) -> ca.Function:
         length, gamma = ca.SX.sym("length", size), ca.SX.sym("gamma", size)
         rest = self.as_expressions().taut_rest_length(length, gamma)
-        return ca.Function("rest_length", [length, gamma], [rest])
-
-    @property
-    def _parameter_count(self) -> int:
-        return max(np.size(getattr(self, name)) for name in self._names())
+        return ca.Function("rest_length", [length, gamma], [ca.densify(ca.SX(rest))])
 
 
 @final
@@ -404,15 +410,6 @@ class ElasticStrings(StringLaw):
     def largest_force_density(self) -> FloatArray:
         """Infinite: every γ has a positive rest length."""
         return np.full(np.shape(self.axial_rigidity), np.inf)
-
-
-def _evaluated(function: ca.Function, *arguments: FloatArray) -> FloatArray:
-    """Call a function of column vectors; a law of one parameter serves any number of strings."""
-    shape = arguments[0].shape
-    columns = [np.atleast_1d(argument) for argument in arguments]
-    if function.size1_in(0) == 1:
-        columns = [column[None, :] for column in columns]
-    return np.asarray(function.call(columns)[0].full()).reshape(shape)
 
 
 def _representable(what: str, values: FloatArray, fine: bool) -> FloatArray:

@@ -183,10 +183,11 @@ def acceleration_slopes(plant: LinearPlant, *, taut: bool) -> ca.Function:
     z, u = (ca.SX.sym(name, size) for name, size in zip("zu", plant.B.shape, strict=True))
     near = near_symbol(plant)
     qdd = _acceleration(plant, z, u, taut, near)
+    if near.numel() == 0:  # among the many operations of blocks, the search takes too long
+        qdd = ca.cse(qdd)  # before its derivatives: they then have little in common but that
     by_z, by_u = (ca.densify(ca.jacobian(qdd, by)) for by in (z, u))
     parts = settled(plant, z, near, [ca.densify(qdd), by_z[:, :r], by_z[:, r:], by_u])
-    # Among the many operations of blocks, the search takes longer than it gains.
-    return ca.Function("derivatives", [z, u], parts if near.numel() else ca.cse(parts))
+    return ca.Function("derivatives", [z, u], parts)
 
 
 def near_symbol(plant: LinearPlant) -> Any:

@@ -272,10 +272,8 @@ def _saddle(
     if mass is not None:
         coo = mass.tocoo()
         row, column, values = coo.row, coo.col, coo.data
-    row, column = (
-        np.concatenate([row, J.row + r, J.col, diagonal[r:]]),
-        np.concatenate([column, J.col, J.row + r, diagonal[r:]]),
-    )
+    row = np.concatenate([row, J.row + r, J.col, diagonal[r:]])
+    column = np.concatenate([column, J.col, J.row + r, diagonal[r:]])
     if order is not None:
         place = np.argsort(order)
         row, column = place[row], place[column]

@@ -1,5 +1,7 @@
 """The problem of an NMPC solved to convergence by IPOPT: an independent oracle."""
 
+from functools import cached_property
+
 import casadi as ca
 import numpy as np
 
@@ -49,16 +51,21 @@ class IpoptNMPC(Controller):
             **quiet, "ipopt.tol": tolerance, "ipopt.warm_start_init_point": "yes",
             "ipopt.hessian_approximation": hessian, "ipopt.max_iter": 3000,
         }  # fmt: skip
-        pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac",
-                  "mult_bound_push")  # fmt: skip
-        warm = {f"ipopt.warm_start_{name}": 1e-8 for name in pushes} | {"ipopt.mu_init": 1e-6}
+        self._given = problem, options
         self._cold = ca.nlpsol("nmpc", "ipopt", problem, options)
-        self._warm = ca.nlpsol("nmpc", "ipopt", problem, options | warm)
         low, high = (np.tile(bound / self._level, N) for bound in self.bounds)
         free = np.full(s * N, np.inf)
         self._bounds = {"lbx": np.r_[-free, low], "ubx": np.r_[free, high], "lbg": 0, "ubg": 0}
         self._split, self._N = s * N, N
         self.reset()
+
+    @cached_property
+    def _warm(self):
+        problem, options = self._given
+        pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac",
+                  "mult_bound_push")  # fmt: skip
+        warm = {f"ipopt.warm_start_{name}": 1e-8 for name in pushes} | {"ipopt.mu_init": 1e-6}
+        return ca.nlpsol("nmpc", "ipopt", problem, options | warm)
 
     def reset(self):
         self._x, self._multipliers = None, {}

@@ -117,22 +117,21 @@ def test_program_satisfies_the_optimality_conditions():
     assert np.abs((pattern @ answer.x - l)[:count]).max() < 1e-6
 
 
+@cache
+def beside_ipopt(ipopt_tolerance, **options):
+    """An NMPC whose bounds matter, and IPOPT on its problem."""
+    nmpc = NMPC(at_rest(), horizon=20, sample_time=SAMPLE, max_force_density=33.0, **options)
+    return nmpc, IpoptNMPC(nmpc, ipopt_tolerance)
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_converged_plan_is_the_optimum_that_ipopt_finds(seed):
     plant = at_rest()
-    nmpc = NMPC(
-        plant,
-        horizon=20,
-        sample_time=SAMPLE,
-        max_force_density=33.0,
-        iterations=20,
-        tolerance=1e-8,
-        max_iterations=20000,
-    )
-    oracle = IpoptNMPC(nmpc)
+    nmpc, oracle = beside_ipopt(1e-8, iterations=20, tolerance=1e-8, max_iterations=20000)
     z = disturbed(0.05, seed)
     nodes, velocities = plant.to_nodes(z[:9]), plant.to_velocities(z[:9], z[9:])
     for each in (nmpc, oracle):
+        each.reset()
         assert each.command(0.0, nodes, velocities).status == "ok"
     assert nmpc.statistics.last_change[0] < 1e-5
     assert nmpc.plan.max() > 33.0 - 1e-3  # bounds matter
@@ -142,11 +141,9 @@ def test_converged_plan_is_the_optimum_that_ipopt_finds(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_real_time_iterations_cost_within_a_percent_of_ipopt(seed):
-    plant = at_rest()
-    nmpc = NMPC(plant, horizon=20, sample_time=SAMPLE, max_force_density=33.0)  # bounds matter
     z = disturbed(0.05, seed)
     # At 1e-5 costs are those of 1e-8 to five digits, after a third of the iterations.
-    oracle = IpoptNMPC(nmpc, tolerance=1e-5)
+    nmpc, oracle = beside_ipopt(1e-5)
     costs = [closed_loop_cost(nmpc, each, nmpc.sampled, z, 12)[0] for each in (nmpc, oracle)]
     assert costs[0] == pytest.approx(costs[1], rel=0.01)
     assert (nmpc.statistics.programs == 1).all()
