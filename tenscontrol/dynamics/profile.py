@@ -157,7 +157,8 @@ class Pieces:
     @property
     def is_constant(self) -> bool:
         """Whether nothing ever changes."""
-        return not self.degree and len(self.start) == 1
+        c = self.coefficients
+        return not c[:, :, 1:].any() and bool((c == c[:1]).all())
 
     def index(self, time: FloatArray) -> IntArray:
         """Return which piece holds from each time on."""
