@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -253,6 +254,7 @@ def left_spaces(A: FloatArray, B: FloatArray) -> list[LeftSpace]:
         pole = complex(poles[mine].mean())
         if pole.imag < -_SAME_POLE / 2:  # the conjugate of another
             continue
+        pole = complex(_on_axis(pole.real), 0.0 if pole.imag < _SAME_POLE / 2 else pole.imag)
         # Left and right eigenvectors of a slow pole are nearly orthogonal.
         noise = _NOISE / max(abs(pole), _SAME_POLE)
         tolerance = max(_TOLERANCE, _mixed(poles, mine, noise, sizes_of_one))
@@ -305,7 +307,7 @@ def _unreached_of(
     return np.linalg.svd(parts, full_matrices=False)[0][:, : (1 + is_pair) * left.shape[1]], grows
 
 
-def _mixed(values: np.ndarray, mine: object, noise: float, sizes: FloatArray) -> float:
+def _mixed(values: np.ndarray, mine: np.ndarray | slice, noise: float, sizes: FloatArray) -> float:
     """Return how much of the reach of others round-off adds to that of some eigenvectors.
 
     A change of A by ``noise`` turns an eigenvector towards another one by the noise over the
@@ -322,6 +324,11 @@ def _left_directions(rows: np.ndarray) -> tuple[np.ndarray, FloatArray]:
     count, columns = rows.shape
     directions, sizes, _ = np.linalg.svd(rows, full_matrices=columns < count)
     return directions, np.r_[sizes, np.zeros(count - len(sizes))]
+
+
+def _on_axis(real: Any) -> Any:
+    """Return real parts of poles of size 1 without round-off."""
+    return np.where(np.abs(real) <= _UPRIGHT, 0.0, real)
 
 
 def _normalized(B: FloatArray) -> FloatArray:
@@ -361,6 +368,7 @@ def _own_modes(A: FloatArray, space: FloatArray) -> tuple[np.ndarray, np.ndarray
     zero, sizes, _ = np.linalg.svd(shapes[:, still], full_matrices=False)
     zero = zero[:, sizes > _DEPENDENT * sizes.max(initial=0.0)]
     others = ~still & (poles.imag >= 0)
+    poles = _on_axis(poles.real) + 1j * poles.imag
     return (
         np.r_[np.zeros(zero.shape[1], complex), poles[others]],
         np.hstack([zero, shapes[:, others]]),
