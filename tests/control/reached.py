@@ -262,7 +262,7 @@ def known_table():
 
 
 def campaign(count, start=0):
-    """Return outcomes and figures by seed, for so many stable structures."""
+    """Return outcome, figures and structure by seed, for so many stable structures."""
     done, seed = {}, start
     while len(done) < count:
         with warnings.catch_warnings():
@@ -270,9 +270,9 @@ def campaign(count, start=0):
             plant = stable_plant(seed)
         if plant is not None:
             try:
-                done[seed] = (*judged(plant, seed), plant)
+                done[seed] = (*judged(plant, seed), plant.model.structure)
             except ValueError as error:
-                done[seed] = (f"refused: {error}", {}, plant)
+                done[seed] = (f"refused: {error}", {}, plant.model.structure)
         seed += 1
     return done
 
@@ -285,10 +285,10 @@ def main():
     given = parser.parse_args()
     known_table()
     done = campaign(given.count, given.start)
-    for seed, (outcome, figures, plant) in done.items():
+    for seed, (outcome, figures, structure) in done.items():
         if outcome != "holds":
-            print(seed, plant, outcome, figures)
-    structures = [plant.model.structure for _, _, plant in done.values()]
+            print(seed, structure, outcome, figures)
+    structures = [structure for _, _, structure in done.values()]
     print("outcomes:", dict(Counter(outcome.split(":")[0] for outcome, _, _ in done.values())))
     print("bars:", dict(sorted(Counter(len(each.bars) for each in structures).items())))
     print("supported:", sum(len(each.fixed_rows) > 0 for each in structures))
