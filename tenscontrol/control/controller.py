@@ -18,6 +18,7 @@ from tenscontrol.plant import (
     reached_states,
     regulator_riccati,
     state_units,
+    unreached_modes,
     warn_of_left_alone,
 )
 from tenscontrol.validation import (
@@ -241,7 +242,7 @@ class Controller(ABC):
 
         To first order no command changes them: what swings in them goes on, or decays by itself.
         """
-        return reached_states(self._plant).unreached
+        return unreached_modes(self._plant)
 
     @property
     def largest_change(self) -> FloatArray | None:
@@ -567,6 +568,8 @@ def natural_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
 
 def warn_of_unreached(controller: Controller, stacklevel: int) -> None:
     """Warn of modes that a controller leaves alone and that do not decay."""
+    if not len(reached_states(controller.plant).unreached_pole):
+        return
     warn_of_left_alone(
         controller.left_alone,
         "no string reaches",

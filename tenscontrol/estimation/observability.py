@@ -18,8 +18,9 @@ from tenscontrol.plant import (
     in_coordinates,
     left_spaces,
     model_input,
-    modes_of_spaces,
+    modes_of,
     near_symbol,
+    own_modes,
     reached_states,
     reduced_motion,
     settled,
@@ -161,7 +162,7 @@ def unseen(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> UnseenStates:
     return UnseenStates(
         basis=frozen(np.hstack([basis[:, len(A) - count :], basis[:, : len(A) - count]])),
         count=count,
-        left_alone=modes_of_spaces(plant, A, rate, spaces),
+        left_alone=modes_of(plant, *own_modes(A, rate, spaces)),
     )
 
 
