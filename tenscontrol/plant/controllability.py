@@ -343,8 +343,9 @@ def _normalized(plant: LinearPlant) -> FloatArray:
     length = to_commanded_strings(plant, "length", length)
     force = length
     if plant.input == "rest_length":
-        taut = plant.force_density > 0
-        force = (plant.force_density * length / (length - plant.equilibrium_input))[taut]
+        stretch = np.abs(length - plant.equilibrium_input)
+        taut = (plant.force_density > 0) & (stretch > 0)
+        force = (plant.force_density * length)[taut] / stretch[taut]
     most = np.linalg.norm(plant.basis, 2) * force.max(initial=0.0) if plant.B.size else 0.0
     size = float(np.linalg.norm(plant.B, 2)) if plant.B.size else 0.0
     return plant.B / size if size > _NO_PUSH * most else np.zeros((len(plant.B), 1))
