@@ -74,7 +74,7 @@ for name, plant in plants.items():
         print(caught[0].message)
     for kind, law in controllers.items():
         run = tc.simulate(
-            plant.model, 1.0, off(plant), controller=law, step=2e-3, output_step=SAMPLE
+            plant.model, 0.8, off(plant), controller=law, step=2e-3, output_step=SAMPLE
         )
         controlled, alone = returns[name, kind] = parts(plant, run, law.left_alone)
         left_alone[name] = law.left_alone
@@ -107,7 +107,7 @@ for name, plant in plants.items():
         demands.append(tc.NodesAt(FACE, nodes[:, FACE]))
     goal = tc.shape_target(model, demands, min_force_density=5.0, max_force_density=60.0)
     start = tc.prestress(model.structure, force_density=PRESTRESS)
-    path = tc.shape_path(model, start, goal, duration=1.0)
+    path = tc.shape_path(model, start, goal, duration=0.8)
     # The warning is known.
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
         controllers = {
@@ -115,7 +115,7 @@ for name, plant in plants.items():
             "NMPC": tc.NMPC(plant, horizon=5, sample_time=SAMPLE, reference=path.reference()),
         }
     for kind, law in controllers.items():
-        run = tc.simulate(model, 1.5, nodes, controller=law, step=2e-3, output_step=SAMPLE)
+        run = tc.simulate(model, 1.2, nodes, controller=law, step=2e-3, output_step=SAMPLE)
         # Where the node is, seen from the face.
         seen = [seen_from_face(each.T, nodes) for each in run.nodes.T]
         moves[name, kind] = np.array(seen) - nodes[:, NODE]
@@ -138,8 +138,7 @@ for column, name in enumerate(balls):
     curves = {kind: 1e3 * moves[name, kind][:, 1] for kind in ("MPC", "NMPC")}
     late = SAMPLE * np.arange(len(curves["MPC"]))
     ax = figure.add_subplot(grid[1, column])
-    tc.plot.history(late, curves, f"node {NODE} along y, mm", ax=ax)
-    ax.set_title(name)
+    tc.plot.history(late, curves, f"ball {name}: node {NODE} along y, mm", ax=ax)
 
 if __name__ == "__main__":
     plt.show()

@@ -27,7 +27,7 @@ from matplotlib.lines import Line2D
 import tenscontrol as tc
 from tenscontrol.control import Controller, HeldLoop, Status, held_loop
 from tenscontrol.interrupt import check, interruptible, keeping
-from tenscontrol.plant import INPUTS, LinearPlant
+from tenscontrol.plant import INPUTS, LinearPlant, Modes
 from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import farthest_node
 from tenscontrol.shape import ShapeTarget
@@ -51,9 +51,6 @@ NAMES = {"force_density": "γ", "rest_length": "rest lengths"}
 
 # Largest γ that laws in γ command, if the user gives none: so many times the largest at rest.
 REACH = 3.0
-
-# R in units of energy_weights, as MPC has it.
-INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
 
 # Part of a run, at its end, in which the structure is to be at its place.
 LATE = 0.25
@@ -93,7 +90,8 @@ class StiffnessRow:
     """Four loops with strings of one stiffness, N/m, and damping, N s/m.
 
     ``held`` is the linear loop of the law in γ where winches hold rest lengths, ``radius`` the
-    spectral radius of that of the law in rest lengths; ``runs`` are LQR and MPC in γ, then both
+    spectral radius of that of the law in rest lengths, both without the modes ``left_alone``, which
+    no string reaches and which the runs do not start with; ``runs`` are LQR and MPC in γ, then both
     in rest lengths.
     """
 
@@ -101,6 +99,7 @@ class StiffnessRow:
     damping: float
     held: HeldLoop
     radius: float
+    left_alone: Modes
     runs: tuple[StiffnessRun, ...]
 
 
@@ -175,6 +174,10 @@ class StiffnessReport:
         ]
         lines += [f"{run}: {self._verdict(run)}" for run in self.rows[0].runs]
         for row in self.rows:
+            alone = zip(row.left_alone.frequency, row.left_alone.label, strict=True)
+            listed = ", ".join(f"{frequency:.4g} Hz ({label})" for frequency, label in alone)
+            if listed:
+                lines.append(f"left alone, reached by no string: {row.stiffness:g} N/m: {listed}")
             for run in row.runs:
                 where = f"{row.stiffness:g} N/m, {run}"
                 if run.failure is not None:
@@ -313,7 +316,7 @@ def stiffness_report(
         reference=None if reference is None else _checked_reference(reference, at, duration),
         push=positive_number("push", push, "m/s"),
         duration=duration,
-        weights=natural_weights if weights is None else weights,
+        weights=weights,
         horizon=horizon,
         reach=max_force_density,
         winches=winches,
@@ -339,7 +342,12 @@ def stiffness_report(
                 report(len(rows) * len(design.controllers) + len(runs))
             rows.append(
                 StiffnessRow(
-                    design.stiffness, design.damping, design.held, design.radius, tuple(runs)
+                    design.stiffness,
+                    design.damping,
+                    design.held,
+                    design.radius,
+                    design.left_alone,
+                    tuple(runs),
                 )
             )
     return StiffnessReport(task.sample_time, task.duration, tolerance, tuple(rows))
@@ -407,6 +415,7 @@ class Design:
     damping: float
     held: HeldLoop
     radius: float
+    left_alone: Modes
     controllers: tuple[Controller, ...]
     integration_step: float
 
@@ -420,7 +429,7 @@ class Task:
     reference: tc.Reference | None
     push: float
     duration: float
-    weights: Callable[[LinearPlant], tuple[Any, Any]]
+    weights: Callable[[LinearPlant], tuple[Any, Any]] | None
     horizon: int
     reach: object
     winches: tc.Winches | None
@@ -437,7 +446,7 @@ class Task:
         laws, controllers = {}, []
         for name in INPUTS:
             plant = tc.linearize(model, self.at, input=name)
-            pair = self.weights(plant)
+            pair = (None, None) if self.weights is None else self.weights(plant)
             if not isinstance(pair, tuple) or len(pair) != 2:
                 raise TypeError(f"weights returned a {type(pair).__name__}, expected a pair Q, R")
             settings = {
@@ -447,18 +456,21 @@ class Task:
                 "max_force_density": self.reach if name == "force_density" else None,
                 "winches": self.winches if name == "rest_length" else None,
             }
-            laws[name] = tc.LQR(plant, **settings)
-            # That a law in γ will not hold is a figure of the report.
+            # That a law in γ will not hold, and what is left alone, are in the report.
             with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
+                laws[name] = tc.LQR(plant, **settings)
                 mpc = tc.MPC(plant, horizon=self.horizon, reference=self.reference, **settings)
             controllers += [laws[name], mpc]
         of_force, by_length = laws["force_density"], laws["rest_length"]
         fastest = float(np.abs(np.linalg.eigvals(by_length.plant.A)).max())
+        # The last poles are those of what is left alone, which never settles.
+        poles, lost = by_length.poles, tc.controllability(by_length.plant).unreachable
         return Design(
             stiffness,
             damping,
             held_loop(of_force.plant, of_force.gain, sample_time=self.sample_time),
-            float(np.abs(by_length.poles).max()),
+            float(np.abs(poles[: len(poles) - lost]).max()),
+            by_length.left_alone,
             tuple(controllers),
             min(self.sample_time / STEPS, self.integration_step or RADIANS / fastest),
         )
@@ -503,6 +515,11 @@ class Task:
         # Any velocities, made such as bars can have.
         any_velocities = np.random.default_rng(0).normal(size=plant.nodes.shape)
         rates = plant.measure(plant.nodes, any_velocities)[r:]
+        shapes = controller.left_alone.shape
+        if shapes.shape[2]:
+            alone = shapes.real.swapaxes(0, 1).reshape(plant.nodes.size, -1)
+            alone = np.linalg.qr(plant.coordinates.project(alone))[0]
+            rates = rates - alone @ (alone.T @ rates)
         velocities = plant.to_velocities(np.zeros(r), rates)
         velocities *= self.push / np.linalg.norm(velocities, axis=0).max()
         return plant.nodes, velocities, plant.force_density
@@ -523,12 +540,6 @@ class Task:
             least <= 0 or run.work.switches > 0,
             sum(status is not Status.OK for status in run.control.status),
         )
-
-
-def natural_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
-    """Return Q and R as MPC takes them."""
-    Q, R = tc.energy_weights(plant, by_mode=plant.input == "rest_length")
-    return Q, INPUT_WEIGHT[plant.input] * R
 
 
 # ---- the figure ----

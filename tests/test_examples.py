@@ -26,6 +26,7 @@ def test_every_example_is_tested():
         "plot_accuracy_order.py",
         "plot_accuracy_stability.py",
         "plot_control_arm.py",
+        "plot_control_ball.py",
         "plot_control_estimation.py",
         "plot_control_robustness.py",
         "plot_control_shape.py",
@@ -44,6 +45,13 @@ def test_every_example_is_tested():
     }
     studies = {"stiffness_study.py"}  # which examples import; tests/benchmarks/ tests it
     assert {path.name for path in EXAMPLES.glob("*.py")} == tested | studies
+
+
+def test_control_ball():
+    found = run("plot_control_ball.py")
+    assert [len(each) for each in found["left_alone"].values()] == [1, 0]
+    assert all(controlled[-1] < 0.02 * controlled[0] for controlled, _ in found["returns"].values())
+    assert all(abs(moved[-1, 1] - 0.1) < 1e-3 for moved in found["moves"].values())
 
 
 def test_prism_modes():

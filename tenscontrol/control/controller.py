@@ -19,6 +19,7 @@ from tenscontrol.plant import (
     reached_states,
     regulator_riccati,
     state_units,
+    unreached_modes,
     warn_of_left_alone,
 )
 from tenscontrol.structure import Structure
@@ -453,7 +454,7 @@ class Controller(BaseController):
 
         To first order no command changes them: what swings in them goes on, or decays by itself.
         """
-        return reached_states(self._plant).unreached
+        return unreached_modes(self._plant)
 
     @property
     def plant(self) -> LinearPlant:
@@ -585,6 +586,8 @@ def natural_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
 
 def warn_of_unreached(controller: Controller, stacklevel: int) -> None:
     """Warn of modes that a controller leaves alone and that do not decay."""
+    if not len(reached_states(controller.plant).unreached_pole):
+        return
     warn_of_left_alone(
         controller.left_alone,
         "no string reaches",

@@ -9,6 +9,7 @@ import numpy as np
 
 from tenscontrol.control.controller import Controller
 from tenscontrol.control.status import Command, Status
+from tenscontrol.plant import Modes
 from tenscontrol.validation import FloatArray, instance
 
 
@@ -85,6 +86,11 @@ class GainSchedule(Controller):
     def active(self) -> int:
         """Which of them gave the last command."""
         return self._active
+
+    @property
+    def left_alone(self) -> Modes:
+        """See :attr:`Controller.left_alone`: those of the controller that gave the last command."""
+        return self._controllers[self._active].left_alone
 
     def reset(self) -> None:
         """Reset all controllers."""

@@ -12,6 +12,7 @@ from tenscontrol.plant import (
     OperatingPoint,
     StringMap,
     linearize,
+    reached_states,
     string_map,
     to_commanded_strings,
     to_model_strings,
@@ -55,7 +56,8 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     At each sample the desired ``γ₀ − K z`` is converted to rest lengths at the measured
     shape. These are held until the next sample, so that γ moves with the structure:
     ``z⁺ = Φ z + Γ L (−K z − G z)`` with Φ and Γ of the plant whose input is the rest length,
-    G the change of γ with the shape and L that of the rest length with γ.
+    G the change of γ with the shape and L that of the rest length with γ. Modes that no string
+    reaches are left out.
 
     Parameters
     ----------
@@ -109,7 +111,16 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
     length_gain = to_commanded_strings(plant, "rest_length", (change / by_length).T).T
     transition, input_matrix, _ = held.discretize(sample_time)
     designed_transition, designed_input, _ = plant.discretize(sample_time)
-    loops = (transition + input_matrix @ length_gain, designed_transition - designed_input @ K)
+    found = reached_states(plant)
+    # Either loop keeps what strings reach; what they do not reach never settles.
+    inside, unit = found.basis[:, : found.count], found.unit
+    loops = (
+        inside.T @ (loop * unit / unit[:, None]) @ inside
+        for loop in (
+            transition + input_matrix @ length_gain,
+            designed_transition - designed_input @ K,
+        )
+    )
     return HeldLoop(*(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops))
 
 

@@ -290,8 +290,8 @@ class KalmanFilter:
         warn_of_left_alone(
             self.left_alone,
             "no reading shows and no string reaches",
-            "They are predicted from the start, as uncertain as that.",
-            stacklevel=3,
+            "What swings there is predicted from the start, as uncertain as that.",
+            stacklevel=2,
         )
 
     def _begin(

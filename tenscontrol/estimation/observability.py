@@ -18,8 +18,9 @@ from tenscontrol.plant import (
     in_coordinates,
     left_spaces,
     model_input,
-    modes_of_spaces,
+    modes_of,
     near_symbol,
+    own_modes,
     reached_states,
     reduced_motion,
     settled,
@@ -142,16 +143,11 @@ def unseen(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> UnseenStates:
     Decaying motions are not among it: an estimate forgets them.
     """
     seen = C / sensors.noise[:, None]
-    A, scaled, unit, rate = _scaled(plant, seen)
-    lost = _lasting(A, scaled)
-    reached = reached_states(plant)
-    told = reached.basis[:, : reached.count]
-    refused = [each for each in lost if each.grows or not _is_apart(A, told, each.unreached)]
+    lost, refused = _lasting(plant, seen)
+    A, _, unit, rate = _scaled(plant, seen)
     if refused:
         advice = _remedy(
-            plant,
-            sensors,
-            lambda more: not _lasting(*_scaled(plant, np.vstack([seen, more]))[:2]),
+            plant, sensors, lambda more: not _lasting(plant, np.vstack([seen, more]))[1]
         )
         count = sum(each.unreached.shape[1] for each in refused)
         listed = ", ".join(f"{rate * each.pole:.4g}" for each in refused)
@@ -166,17 +162,21 @@ def unseen(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> UnseenStates:
     return UnseenStates(
         basis=frozen(np.hstack([basis[:, len(A) - count :], basis[:, : len(A) - count]])),
         count=count,
-        left_alone=modes_of_spaces(plant, A, rate, spaces),
+        left_alone=modes_of(plant, *own_modes(A, rate, spaces)),
     )
 
 
-def _lasting(A: FloatArray, C: FloatArray) -> list[LeftSpace]:
-    """Return what neither decays nor is seen by C, pole by pole; both are of size 1."""
-    return [
+def _lasting(plant: LinearPlant, seen: FloatArray) -> tuple[list[LeftSpace], list[LeftSpace]]:
+    """Return what neither decays nor is seen, pole by pole, and what of it cannot be left alone."""
+    A, scaled, _, _ = _scaled(plant, seen)
+    found = reached_states(plant)
+    reached = found.basis[:, : found.count]
+    lost = [
         each
-        for each in left_spaces(A.T, C.T)
+        for each in left_spaces(A.T, scaled.T)
         if each.unreached.shape[1] and each.pole.real >= -_SLOW
     ]
+    return lost, [each for each in lost if each.grows or not _is_apart(A, reached, each.unreached)]
 
 
 def _is_apart(A: FloatArray, reached: FloatArray, space: FloatArray) -> bool:

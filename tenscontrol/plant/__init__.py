@@ -5,10 +5,11 @@ from tenscontrol.plant.controllability import (
     LeftSpace,
     controllability,
     left_spaces,
-    modes_of_spaces,
+    own_modes,
     reached_states,
     refuse_empty,
     refuse_unreachable,
+    unreached_modes,
     warn_of_left_alone,
 )
 from tenscontrol.plant.equilibrium import equilibrium, held_value
@@ -20,7 +21,7 @@ from tenscontrol.plant.linear_plant import (
     sampled,
 )
 from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coordinates, linearize
-from tenscontrol.plant.modes import Modes, modes
+from tenscontrol.plant.modes import Modes, modes, modes_of
 from tenscontrol.plant.reduced_dynamics import (
     acceleration_slopes,
     checked_tracked,
@@ -87,8 +88,9 @@ __all__ = [
     "linearize",
     "model_input",
     "modes",
-    "modes_of_spaces",
+    "modes_of",
     "near_symbol",
+    "own_modes",
     "reached_states",
     "reduced_acceleration",
     "reduced_motion",
@@ -106,5 +108,6 @@ __all__ = [
     "to_commanded_strings",
     "to_model_strings",
     "tracked_motion",
+    "unreached_modes",
     "warn_of_left_alone",
 ]

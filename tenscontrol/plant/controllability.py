@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tenscontrol.dynamics import coordinates
-from tenscontrol.plant.linear_plant import LinearPlant, kept
-from tenscontrol.plant.modes import (
-    Modes,
+from tenscontrol.plant.linear_plant import (
+    LinearPlant,
     clusters,
-    in_order,
     is_undamped,
-    kinds_of_motion,
-    label_of,
+    kept,
     squared_frequencies,
-    unmixed,
 )
+from tenscontrol.plant.modes import Modes, modes_of
 from tenscontrol.plant.riccati import state_units
+from tenscontrol.plant.string_outputs import to_commanded_strings
 from tenscontrol.validation import FloatArray, freeze_arrays, frozen, instance
 
 # A direction or margin below this fraction of its surroundings does not exist.
@@ -34,6 +33,9 @@ _ROUND_OFF, _UPRIGHT = 1e-11, 1e-9
 
 # Round-off of the eigenvectors of A, for one of size 1 and distances of 1.
 _NOISE = 1e-14
+
+# Accelerations by inputs below this fraction of what their forces could give are round-off.
+_NO_PUSH = 1e-13
 
 # Modes that a warning names.
 _LISTED = 4
@@ -125,7 +127,7 @@ def controllability(plant: LinearPlant) -> Controllability:
         pole=frozen(found.pole[order]),
         margin=frozen(found.margin[order]),
         unreachable=len(plant.A) - found.count,
-        unreached=found.unreached,
+        unreached=unreached_modes(plant),
     )
 
 
@@ -142,7 +144,8 @@ class ReachedStates:
     unit: FloatArray  # (s,)
     basis: FloatArray  # (s, s)
     count: int
-    unreached: Modes
+    unreached_pole: np.ndarray  # (k,)
+    unreached_shape: np.ndarray  # q of these modes, (r, k)
     growing: np.ndarray  # poles of what is not reached and grows or drifts, 1/s
     growing_states: int
 
@@ -156,46 +159,44 @@ def reached_states(plant: LinearPlant) -> ReachedStates:
     return (_by_stiffness if is_undamped(plant) else _by_poles)(plant)
 
 
+@kept
+def unreached_modes(plant: LinearPlant) -> Modes:
+    """Return the modes that no input reaches."""
+    found = reached_states(plant)
+    return modes_of(plant, found.unreached_pole, found.unreached_shape)
+
+
 def _by_stiffness(plant: LinearPlant) -> ReachedStates:
     """Return what is reached of ``q̈ + K q = B₂ v``: K is symmetric, so left modes are modes."""
-    r, kinds = plant.degrees_of_freedom, kinds_of_motion(plant)
+    r = plant.degrees_of_freedom
     squares, modes = squared_frequencies(-plant.A[r:, :r])
-    rows = modes.T @ _normalized(plant.B[r:])
+    rows = modes.T @ _normalized(plant)[r:]
     sizes_of_one = np.linalg.norm(rows, axis=1)
     noise = _NOISE * np.abs(squares).max(initial=0.0)
-    poles, margins, growing = [], [], []
-    reached, lost, lost_squares, labels = [], [], [], []
+    poles, margins = [], []
+    reached, lost = [np.zeros((r, 0))], [np.zeros((r, 0))]
+    lost_poles: list[complex] = []
     for first, last in clusters(squares):
         turn, sizes = _left_directions(rows[first:last])
         own, square = modes[:, first:last] @ turn, squares[first:last].mean()
         mixed = _mixed(squares, slice(first, last), noise, sizes_of_one)
         count = int(np.count_nonzero(sizes > max(_TOLERANCE, mixed)))
-        pair = [np.sqrt(complex(-square))]
-        if square < 0:
-            pair.append(-pair[0])
-        poles += pair
-        margins += len(pair) * [sizes[-1]]
+        pole = np.sqrt(complex(-square))
+        poles += [pole, -pole] if square < 0 else [pole]
+        margins += [sizes[-1]] * (1 + (square < 0))
         reached.append(own[:, :count])
-        if count < last - first:
-            left, names = unmixed(own[:, count:], kinds)
-            lost.append(left)
-            labels += names
-            lost_squares += len(names) * [square]
-            if square <= 0:
-                growing += len(names) * [pair[0]]
-    basis = np.zeros((2 * r, 0))
-    empty = np.zeros((r, 0))
-    for part in (np.hstack([empty, *reached]), np.hstack([empty, *lost])):
-        basis = np.hstack([basis, np.kron(np.eye(2), part)])
+        lost.append(own[:, count:])
+        lost_poles += [pole] * (last - first - count)
+    growing = [pole for pole in lost_poles if not pole.imag]
+    pair = np.eye(2)  # of displacements and rates
     return ReachedStates(
         pole=np.array(poles, dtype=complex),
         margin=np.array(margins, dtype=float),
         unit=state_units(plant)[0],
-        basis=basis,
-        count=2 * (r - len(labels)),
-        unreached=in_order(
-            plant, np.sqrt(-np.array(lost_squares, complex)), np.hstack([empty, *lost]), labels
-        ),
+        basis=np.hstack([np.kron(pair, np.hstack(reached)), np.kron(pair, np.hstack(lost))]),
+        count=2 * (r - len(lost_poles)),
+        unreached_pole=np.array(lost_poles, dtype=complex),
+        unreached_shape=np.hstack(lost),
         growing=np.array(growing, dtype=complex),
         growing_states=2 * len(growing),
     )
@@ -207,10 +208,11 @@ def _by_poles(plant: LinearPlant) -> ReachedStates:
     unit, _ = state_units(plant)
     rate = 1 / unit[0] if r else 1.0
     A = plant.A * unit / unit[:, None] / rate
-    found = left_spaces(A, _normalized(plant.B))
+    found = left_spaces(A, _normalized(plant))
     lost = [each for each in found if each.unreached.shape[1]]
     spaces = np.hstack([np.zeros((2 * r, 0)), *(each.unreached for each in lost)])
     count = 2 * r - spaces.shape[1]
+    lost_poles, lost_shapes = own_modes(A, rate, [each.unreached for each in lost])
     away = np.linalg.qr(spaces, mode="complete")[0]
     growing = [each for each in lost if each.grows]
     return ReachedStates(
@@ -219,7 +221,8 @@ def _by_poles(plant: LinearPlant) -> ReachedStates:
         unit=unit,
         basis=np.hstack([away[:, 2 * r - count :], away[:, : 2 * r - count]]),
         count=count,
-        unreached=modes_of_spaces(plant, A, rate, [each.unreached for each in lost]),
+        unreached_pole=lost_poles,
+        unreached_shape=lost_shapes,
         growing=rate * np.array([each.pole for each in growing], dtype=complex),
         growing_states=sum(each.unreached.shape[1] for each in growing),
     )
@@ -253,6 +256,7 @@ def left_spaces(A: FloatArray, B: FloatArray) -> list[LeftSpace]:
         pole = complex(poles[mine].mean())
         if pole.imag < -_SAME_POLE / 2:  # the conjugate of another
             continue
+        pole = complex(_on_axis(pole.real), 0.0 if pole.imag < _SAME_POLE / 2 else pole.imag)
         # Left and right eigenvectors of a slow pole are nearly orthogonal.
         noise = _NOISE / max(abs(pole), _SAME_POLE)
         tolerance = max(_TOLERANCE, _mixed(poles, mine, noise, sizes_of_one))
@@ -305,7 +309,7 @@ def _unreached_of(
     return np.linalg.svd(parts, full_matrices=False)[0][:, : (1 + is_pair) * left.shape[1]], grows
 
 
-def _mixed(values: np.ndarray, mine: object, noise: float, sizes: FloatArray) -> float:
+def _mixed(values: np.ndarray, mine: np.ndarray | slice, noise: float, sizes: FloatArray) -> float:
     """Return how much of the reach of others round-off adds to that of some eigenvectors.
 
     A change of A by ``noise`` turns an eigenvector towards another one by the noise over the
@@ -324,10 +328,27 @@ def _left_directions(rows: np.ndarray) -> tuple[np.ndarray, FloatArray]:
     return directions, np.r_[sizes, np.zeros(count - len(sizes))]
 
 
-def _normalized(B: FloatArray) -> FloatArray:
-    """Return B of norm 1; a column of zeros where there are no inputs."""
-    size = float(np.linalg.norm(B, 2)) if B.size else 0.0
-    return B / size if size > 0 else np.zeros((len(B), 1))
+def _on_axis(real: Any) -> Any:
+    """Return real parts of poles of size 1 without round-off."""
+    return np.where(np.abs(real) <= _UPRIGHT, 0.0, real)
+
+
+def _normalized(plant: LinearPlant) -> FloatArray:
+    """Return B of norm 1, or a column of zeros where nothing pushes.
+
+    Strings that pull along bars only give round-off, beside the forces that they have: the change
+    of the tension by γ, or by the rest length.
+    """
+    length = plant.model.structure.string_length(plant.nodes)
+    length = to_commanded_strings(plant, "length", length)
+    force = length
+    if plant.input == "rest_length":
+        stretch = np.abs(length - plant.equilibrium_input)
+        taut = (plant.force_density > 0) & (stretch > 0)
+        force = (plant.force_density * length)[taut] / stretch[taut]
+    most = np.linalg.norm(plant.basis, 2) * force.max(initial=0.0) if plant.B.size else 0.0
+    size = float(np.linalg.norm(plant.B, 2)) if plant.B.size else 0.0
+    return plant.B / size if size > _NO_PUSH * most else np.zeros((len(plant.B), 1))
 
 
 def _margin(vectors: np.ndarray, B: FloatArray) -> float:
@@ -338,16 +359,15 @@ def _margin(vectors: np.ndarray, B: FloatArray) -> float:
     return float(_left_directions(own.conj().T @ B[r:])[1][-1])
 
 
-def modes_of_spaces(
-    plant: LinearPlant, A: FloatArray, rate: float, spaces: list[FloatArray]
-) -> Modes:
-    """Return the modes of spaces of states that Aᵀ keeps; A is that of the plant over ``rate``."""
-    r, kinds = plant.degrees_of_freedom, kinds_of_motion(plant)
-    poles, shapes = np.zeros(0, complex), np.zeros((r, 0), complex)
+def own_modes(
+    A: FloatArray, rate: float, spaces: list[FloatArray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return poles and shapes q of spaces of states that Aᵀ keeps; A is that of a plant by rate."""
+    poles, shapes = np.zeros(0, complex), np.zeros((len(A) // 2, 0), complex)
     for space in spaces:
         own, moved = _own_modes(A, space)
         poles, shapes = np.r_[poles, rate * own], np.hstack([shapes, moved])
-    return in_order(plant, poles, shapes, [label_of(shape, kinds) for shape in shapes.T])
+    return poles, shapes
 
 
 def _own_modes(A: FloatArray, space: FloatArray) -> tuple[np.ndarray, np.ndarray]:
@@ -361,6 +381,7 @@ def _own_modes(A: FloatArray, space: FloatArray) -> tuple[np.ndarray, np.ndarray
     zero, sizes, _ = np.linalg.svd(shapes[:, still], full_matrices=False)
     zero = zero[:, sizes > _DEPENDENT * sizes.max(initial=0.0)]
     others = ~still & (poles.imag >= 0)
+    poles = _on_axis(poles.real) + 1j * poles.imag
     return (
         np.r_[np.zeros(zero.shape[1], complex), poles[others]],
         np.hstack([zero, shapes[:, others]]),
@@ -379,6 +400,11 @@ def refuse_empty(plant: LinearPlant) -> None:
 def refuse_unreachable(plant: LinearPlant) -> None:
     """Raise if a motion that grows or drifts is out of reach, saying which and what to do."""
     found = reached_states(plant)
+    if not found.count:
+        raise ValueError(
+            f"none of the {len(plant.A)} states of the plant is within reach of a string: at the "
+            "operating point strings pull along bars only, or are slack"
+        )
     if not found.growing_states:
         return
     kind = plant.coordinates.kind

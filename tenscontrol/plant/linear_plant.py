@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, wraps
+from itertools import pairwise
 from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
@@ -21,6 +22,19 @@ _Value = TypeVar("_Value")
 
 # More radians of the fastest pole in a sample leave less than eight digits of its phase.
 _MOST_RADIANS = 1e8
+
+# Stiffness eigenvalues below this fraction of the largest are zero: round-off is at 1e-15,
+# and a soft mechanism beside strings of 1e9 N/m is still at 1e-8.
+_ZERO = 1e-11
+
+# Eigenvalues this close to each other, relative to themselves, are one frequency.
+_EQUAL = 1e-7
+
+# Round-off of ω², relative to the largest: soft modes beside stiff ones.
+_NOISE = 1e-13
+
+# A stiffness matrix this far from symmetric, relative to its size, is not that of a rest.
+_SYMMETRIC = 1e-9
 
 INPUTS = ("force_density", "rest_length")
 
@@ -322,3 +336,27 @@ def zero_order_hold(
             f"or moves beyond all numbers; expected at most {_MOST_RADIANS:g} rad: digits are lost"
         )
     return grown[:, :states], grown[:, states:-1], grown[:, -1]
+
+
+def is_undamped(plant: LinearPlant) -> bool:
+    """Whether ``q̈ + K q = 0`` with symmetric K describes a plant."""
+    r = plant.degrees_of_freedom
+    stiffness, friction = plant.A[r:, :r], plant.A[r:, r:]
+    asymmetry = np.abs(stiffness - stiffness.T).max(initial=0.0)
+    largest = np.abs(stiffness).max(initial=0.0)
+    return not friction.any() and bool(asymmetry <= _SYMMETRIC * largest)
+
+
+def squared_frequencies(stiffness: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return ω² and orthonormal modes of ``q̈ + K q = 0``, ascending; round-off is zero."""
+    values, vectors = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+    values[np.abs(values) < _ZERO * np.abs(values).max(initial=0.0)] = 0.0
+    return values, vectors
+
+
+def clusters(values: FloatArray) -> list[tuple[int, int]]:
+    """Return the runs of equal ω² in a sorted array."""
+    noise = _NOISE * np.abs(values).max(initial=0.0)
+    breaks = np.flatnonzero(np.diff(values) > _EQUAL * np.abs(values[1:]) + noise) + 1
+    edges = [0, *breaks.tolist(), len(values)]
+    return list(pairwise(edges))

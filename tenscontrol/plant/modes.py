@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from tenscontrol.dynamics import normal_basis
-from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linear_plant import (
+    LinearPlant,
+    clusters,
+    is_undamped,
+    squared_frequencies,
+)
 from tenscontrol.plant.linearize import in_coordinates
 from tenscontrol.structure import affine_motions, left_by_supports, rigid_motions
 from tenscontrol.validation import FloatArray, IntArray, frozen, instance
 
-# Stiffness eigenvalues below this fraction of the largest are zero: round-off is at 1e-15,
-# and a soft mechanism beside strings of 1e9 N/m is still at 1e-8.
+# Singular values below this fraction of the largest are zero.
 _ZERO = 1e-11
-
-# Eigenvalues this close to each other, relative to themselves, are one frequency.
-_EQUAL = 1e-7
-
-# Round-off of ω², relative to the largest: soft modes beside stiff ones.
-_NOISE = 1e-13
-
-# A stiffness matrix this far from symmetric, relative to its size, is not that of a rest.
-_SYMMETRIC = 1e-9
 
 # Affine motions leave in place what they move by less than this part.
 _KEPT = 1e-9
@@ -136,13 +130,19 @@ def modes(plant: LinearPlant) -> Modes:
     if plant.coordinates.kind == "nodes":
         poles, vectors, labels = _node_modes(plant)
     elif is_undamped(plant):
-        poles, vectors, labels = _undamped(stiffness, kinds_of_motion(plant))
+        poles, vectors, labels = _undamped(stiffness, _kinds(plant))
     else:
-        poles, vectors, labels = _general(stiffness, friction, kinds_of_motion(plant))
-    return in_order(plant, poles, vectors, labels)
+        poles, vectors, labels = _general(stiffness, friction, _kinds(plant))
+    return _in_order(plant, poles, vectors, labels)
 
 
-def in_order(
+def modes_of(plant: LinearPlant, poles: np.ndarray, vectors: np.ndarray) -> Modes:
+    """Return modes of a plant, of poles and displacements q, (r, k), with their labels."""
+    kinds = _kinds(plant) if len(poles) else {}
+    return _in_order(plant, poles, vectors, [_label(vector, kinds) for vector in vectors.T])
+
+
+def _in_order(
     plant: LinearPlant, poles: np.ndarray, vectors: np.ndarray, labels: list[str]
 ) -> Modes:
     """Return modes of a plant, of poles and displacements q, in order of frequency."""
@@ -168,16 +168,7 @@ def _rank(labels: list[str]) -> IntArray:
     return np.array([names.index(label) for label in labels], dtype=np.int64)
 
 
-def is_undamped(plant: LinearPlant) -> bool:
-    """Whether ``q̈ + K q = 0`` with symmetric K describes a plant."""
-    r = plant.degrees_of_freedom
-    stiffness, friction = plant.A[r:, :r], plant.A[r:, r:]
-    asymmetry = np.abs(stiffness - stiffness.T).max(initial=0.0)
-    largest = np.abs(stiffness).max(initial=0.0)
-    return not friction.any() and bool(asymmetry <= _SYMMETRIC * largest)
-
-
-def kinds_of_motion(plant: LinearPlant) -> dict[str, FloatArray]:
+def _kinds(plant: LinearPlant) -> dict[str, FloatArray]:
     """Return orthonormal bases of the rigid, affine and mechanism motions in q."""
     structure, nodes = plant.model.structure, plant.nodes
     S = structure.string_vectors(nodes)
@@ -228,16 +219,9 @@ def _undamped(
     values, vectors = squared_frequencies(stiffness)
     labels: list[str] = []
     for first, last in clusters(values):
-        vectors[:, first:last], found = unmixed(vectors[:, first:last], kinds)
+        vectors[:, first:last], found = _unmixed(vectors[:, first:last], kinds)
         labels += found
     return np.sqrt((-values).astype(complex)), vectors, labels
-
-
-def squared_frequencies(stiffness: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ω² and orthonormal modes of ``q̈ + K q = 0``, ascending; round-off is zero."""
-    values, vectors = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-    values[np.abs(values) < _ZERO * np.abs(values).max(initial=0.0)] = 0.0
-    return values, vectors
 
 
 def _general(
@@ -255,8 +239,8 @@ def _general(
     poles, vectors = np.linalg.eig(A)
     keep = poles.imag >= 0
     shapes = held @ vectors[:size, keep]
-    free, free_labels = unmixed(free, kinds)
-    labels = free_labels + [label_of(shape, kinds) for shape in shapes.T]
+    free, free_labels = _unmixed(free, kinds)
+    labels = free_labels + [_label(shape, kinds) for shape in shapes.T]
     return np.r_[np.zeros(free.shape[1], complex), poles[keep]], np.hstack([free, shapes]), labels
 
 
@@ -286,15 +270,7 @@ def _node_modes(plant: LinearPlant) -> tuple[np.ndarray, np.ndarray, list[str]]:
     )
 
 
-def clusters(values: FloatArray) -> list[tuple[int, int]]:
-    """Return the runs of equal ω² in a sorted array."""
-    noise = _NOISE * np.abs(values).max(initial=0.0)
-    breaks = np.flatnonzero(np.diff(values) > _EQUAL * np.abs(values[1:]) + noise) + 1
-    edges = [0, *breaks.tolist(), len(values)]
-    return list(pairwise(edges))
-
-
-def unmixed(vectors: np.ndarray, kinds: dict[str, FloatArray]) -> tuple[np.ndarray, list[str]]:
+def _unmixed(vectors: np.ndarray, kinds: dict[str, FloatArray]) -> tuple[np.ndarray, list[str]]:
     """Turn a basis of a space of equal modes so that each kind shows unmixed."""
     sorted_parts, labels = [], []
     rest = vectors
@@ -310,7 +286,7 @@ def unmixed(vectors: np.ndarray, kinds: dict[str, FloatArray]) -> tuple[np.ndarr
     return np.hstack([*sorted_parts, rest]), labels + ["elastic"] * rest.shape[1]
 
 
-def label_of(shape: np.ndarray, kinds: dict[str, FloatArray]) -> str:
+def _label(shape: np.ndarray, kinds: dict[str, FloatArray]) -> str:
     """Return the kind of motion that has most of the kinetic energy of a shape."""
     whole = float(np.linalg.norm(shape)) ** 2
     for kind, basis in kinds.items():

@@ -111,6 +111,8 @@ def _split_solution(
     (A11, B1); then P12 solves a linear equation and gives K2. P22 is a cost that no input changes:
     the least that leaves P positive semidefinite is taken, since there may be no finite one.
     """
+    from scipy import linalg
+
     if split is None or split[1] == len(A):
         K, P, poles = _solve(A, B, Q, R, discrete, messages)
         residual = riccati_residual(A, B, Q, R, P, discrete=discrete)
@@ -124,8 +126,6 @@ def _split_solution(
     K1, P11, poles = _solve(*reached, discrete, messages)
     residual = riccati_residual(*reached, P11, discrete=discrete)
     check_riccati(residual, poles, discrete, messages)
-    from scipy import linalg
-
     closed = A11 - B1 @ K1
     if discrete:
         P12 = _discrete_sylvester(closed.T, A22, Q12 + closed.T @ P11 @ A12)

@@ -62,7 +62,7 @@ def mode_shapes(
     plant : LinearPlant
         Gives the structure and the shape at the operating point.
     modes : Modes
-        The modes of this plant.
+        Modes of this plant, or those that a controller leaves alone: ``controller.left_alone``.
     which : sequence of int, optional
         Numbers of the modes to draw; the first nine if not given.
     scale : float
@@ -107,6 +107,8 @@ def mode_shapes(
             "give the plant from which the modes were computed"
         )
     count = len(modes.label)
+    if not count:
+        raise ValueError("modes holds no mode, so there is nothing to draw")
     chosen = list(range(min(count, _MOST)))
     if which is not None:
         chosen = checked_indices("which", which, count, "mode numbers", "[0, 5]")
