@@ -30,6 +30,7 @@ def test_every_example_is_tested():
         "plot_control_robustness.py",
         "plot_control_shape.py",
         "plot_control_lqr.py",
+        "plot_control_own.py",
         "plot_control_morph.py",
         "plot_control_spine.py",
         "plot_control_stiffness.py",

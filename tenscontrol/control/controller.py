@@ -55,7 +55,7 @@ class MeasurementCheck:
         size = float(np.ptp(nodes, axis=1).max())
         # Largest difference of velocities of two nodes along an axis, m/s. A plant without
         # stiffness, run at any sample time, gives no limit.
-        self.fastest = _SPEED * size * rate if rate > 0 else np.finfo(float).max / _FAR
+        self.fastest = _SPEED * size * rate if rate > 0 else 0.5 * np.finfo(float).max / _FAR
         self.spread = _SPREAD * size  # the same of positions, m
         # Largest velocity, m/s, and coordinate, m, of a node along an axis.
         self.largest_velocity, self.farthest = _FAR * self.fastest, _FAR * size
