@@ -10,12 +10,17 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import (
     Controller,
     energy_weights,
-    input_bounds,
-    largest_change,
     regulator,
 )
 from tenscontrol.control.status import Command, Status
-from tenscontrol.plant import LinearPlant, refuse_empty, refuse_unreachable, sampled
+from tenscontrol.plant import (
+    LinearPlant,
+    input_bounds,
+    largest_change,
+    refuse_empty,
+    refuse_unreachable,
+    sampled,
+)
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number, weight_matrix
 
 

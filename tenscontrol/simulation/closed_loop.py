@@ -79,7 +79,7 @@ def run_closed_loop(
         stood = None
         if loop.input == "rest_length":
             stood = rows[0][2].rest_length if actuators.start is None else actuators.start
-        return _control_record(controller.name, rows, stood, sample, observation)
+        return _control_record(repr(controller), rows, stood, sample, observation)
 
     # Of a subdivision, the nodes of its parent come first.
     seen = controller.structure.nodes.shape[1]

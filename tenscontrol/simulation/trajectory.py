@@ -44,7 +44,7 @@ class ControlRecord:
     estimate : EstimateRecord or None
         Measurements and estimates; None without an estimator.
     controller : str
-        Which controller it was: its class, or the name of the function.
+        Which controller it was.
     """
 
     time: FloatArray

@@ -130,8 +130,8 @@ def test_names_and_representation():
     }
     assert {name: each.name for name, each in named.items()} == {name: name for name in named}
     assert repr(named["Holds"]) == "FunctionController(Holds, input 'rest_length', every 0.02 s)"
-    assert simulated(hold, sample_time=SAMPLE).control.controller == "hold"
-    assert simulated(tc.LQR(tower().plant, sample_time=SAMPLE)).control.controller == "LQR"
+    for controller in (named["Holds"], tc.LQR(tower().plant, sample_time=SAMPLE)):
+        assert simulated(controller).control.controller == repr(controller)
 
 
 def test_it_commands_what_the_actuators_hold_unless_it_says_otherwise():

@@ -12,8 +12,6 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import (
     Controller,
     energy_weights,
-    input_bounds,
-    largest_change,
     regulator,
 )
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
@@ -34,6 +32,8 @@ from tenscontrol.plant import (
     ReferencePreview,
     Sampled,
     acceleration_response,
+    input_bounds,
+    largest_change,
     refuse_empty,
     refuse_unreachable,
     sampled,
