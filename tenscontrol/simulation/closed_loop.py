@@ -60,7 +60,7 @@ def run_closed_loop(
         controller.reset()
     # A controller that goes on knows its previous input, unless there is none or it did not come.
     knows = start is not None and start.stopped is None and rest_length is None
-    if actuators.start is not None and not (knows and controller.status_count):
+    if actuators.known and not (knows and controller.status_count):
         N = unpack_states(loop.model.structure, state[:, None])[0][:, :, 0]
         controller.applied(actuators.applied_input(N))
     observation = None
@@ -236,6 +236,11 @@ class Actuators:
             self._current = self.start
         if self._convert:
             self._refuse_unreachable(controller.bounds[1])
+
+    @property
+    def known(self) -> bool:
+        """Whether it is known what they hold: from the start of the run, or from a command."""
+        return self._current is not None
 
     def applied_input(self, nodes: FloatArray) -> FloatArray:
         """Return what the actuators hold in a shape, in the unit of the commands."""

@@ -118,6 +118,15 @@ def test_going_on_is_one_run():
     np.testing.assert_array_equal(second.nodes[..., -1], whole.nodes[..., -1])
 
 
+def test_going_on_knows_what_is_held():
+    gamma = tower().rest.force_density
+    model = tc.Model(tower().structure)
+    settings = {"sample_time": SAMPLE, "step": STEP}
+    first = tc.simulate(model, 0.1, controller=lambda *_: gamma, **settings)
+    lost = tc.simulate(model, 0.1, controller=lambda *_: gamma * np.nan, start=first, **settings)
+    np.testing.assert_array_equal(lost.control.applied, first.control.applied)
+
+
 def test_names_and_representation():
     own = tc.FunctionController
     structure = tower().structure
