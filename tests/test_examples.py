@@ -31,6 +31,7 @@ def test_every_example_is_tested():
         "plot_control_robustness.py",
         "plot_control_shape.py",
         "plot_control_lqr.py",
+        "plot_control_own.py",
         "plot_control_morph.py",
         "plot_control_spine.py",
         "plot_control_stiffness.py",
@@ -79,6 +80,31 @@ def test_control_shape():
     assert largest["rest_length", "MPC"] < 0.5 * largest["rest_length", "shape control"]
     assert max(off[-25:].max() for off in errors.values()) < 1e-4
     assert 0.01 < found["left"].largest_residual < 0.2
+
+
+def test_control_own():
+    import tenscontrol as tc
+
+    found = run("plot_control_own.py")
+    on_ball, on_tower = found["errors"]
+    last = {name: off[-1] for name, off in (on_ball | on_tower).items()}
+    held = [off["rest lengths held"][-1] for off in (on_ball, on_tower)]
+    assert last["PD on string lengths"] < 0.5 * held[0]
+    assert last["LQR of python-control"] < 1e-5
+    assert last["MPC by casadi.Opti"] < 0.2 * held[1]
+    imitated = on_tower["network"] - on_tower["the LQR it imitates"]
+    assert np.abs(imitated).max() < 1e-3
+    assert set(found["tower_runs"]["MPC by casadi.Opti"].control.status) == {"ok"}
+    # The gain of python-control gives the commands of our own LQR.
+    plant, ball = found["plant"], found["ball"]
+    own = tc.LQR(plant, found["Q"], found["R"])
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        q, rates = random.normal(size=(2, plant.degrees_of_freedom)) * [[1e-3], [1e-2]]
+        motion = plant.to_nodes(q), plant.to_velocities(q, rates)
+        theirs = found["lqr_of_control"](0.0, *motion)
+        np.testing.assert_allclose(own.command(0.0, *motion).value, theirs, rtol=0, atol=1e-9)
+    assert ball.structure_class == 1
 
 
 def test_prism_new_height():

@@ -50,6 +50,12 @@ def test_the_way_from_a_shape_to_winch_commands_runs(capsys, monkeypatch):
     assert heights[-1] == pytest.approx(0.85, abs=5e-3)
 
 
+def test_the_page_on_own_controllers_runs():
+    run = ran("own_controllers", 2)["run"]
+    assert run.control.controller.startswith("FunctionController(policy, input 'force_density'")
+    assert run.control.status_count == {"ok": 25}
+
+
 def test_the_page_on_estimation_runs():
     names = ran("estimation", 2)
     off = names["run"].nodes[:, :, -1] - names["prism"].nodes

@@ -7,6 +7,7 @@ call                  at most  0.1.0  what it is
 ``MPC.command``       10       18     the second of a controller
 ``NMPC.command``      12       22     the second of a controller
 ``LQR.command``       10       7      the second of a controller
+a function            5        –      the second command of a ``FunctionController``
 ``simulate``          25       44     one sample with that MPC
 ====================  =======  =====  ==============================================
 
@@ -93,8 +94,15 @@ def test_building_an_mpc(scene):
             ),
             10,
         ),
+        (
+            "FunctionController.command",
+            lambda scene: tc.FunctionController(
+                scene.model.structure, lambda *_: np.full(9, 20.0), input="force_density"
+            ),
+            5,
+        ),
     ],
-    ids=["MPC", "NMPC", "LQR"],
+    ids=["MPC", "NMPC", "LQR", "function"],
 )
 def test_a_command(scene, name, make, at_most):
     controller = make(scene)

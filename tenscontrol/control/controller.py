@@ -9,7 +9,6 @@ from time import perf_counter
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
 from tenscontrol.control.status import Command, Fallback, Status
 from tenscontrol.dynamics import Exclusive, exclusive
 from tenscontrol.plant import (
@@ -30,7 +29,6 @@ from tenscontrol.validation import (
     instance,
     measured,
     number,
-    per_member,
     positive,
     positive_number,
     shaped,
@@ -49,9 +47,6 @@ _SPREAD, _FAR = 10.0, 1e6
 # fastest pole.
 _SPEED = 10.0
 
-# A rest length is kept above this fraction of its value at the operating point.
-_SHORTEST = 0.01
-
 # Input weight, in units of energy_weights, when the user gives none.
 _INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
 
@@ -67,7 +62,7 @@ class MeasurementCheck:
         size = float(np.ptp(nodes, axis=1).max())
         # Largest difference of velocities of two nodes along an axis, m/s. A plant without
         # stiffness, run at any sample time, gives no limit.
-        self.fastest = _SPEED * size * rate if rate > 0 else np.finfo(float).max / _FAR
+        self.fastest = _SPEED * size * rate if rate > 0 else 0.5 * np.finfo(float).max / _FAR
         self.spread = _SPREAD * size  # the same of positions, m
         # Largest velocity, m/s, and coordinate, m, of a node along an axis.
         self.largest_velocity, self.farthest = _FAR * self.fastest, _FAR * size
@@ -114,10 +109,24 @@ class MeasurementCheck:
 class BaseController(ABC):
     """What every controller has: check of measurements, bounds, fallback, counts.
 
-    Parameters are those of :class:`Controller`, and the ``structure`` whose nodes it is given;
-    ``commanded``, whose strings it commands, if that is the parent; the ``equilibrium_input``,
-    shape (α,), commanded where there is neither a decision nor a previous input; the ``check`` of
-    measurements, if not that of the shape of the structure.
+    Parameters
+    ----------
+    structure : Structure
+        The structure whose nodes it is given.
+    input : {"force_density", "rest_length"}
+        What it commands.
+    sample_time : float or None
+        As for :class:`Controller`, s.
+    low, high : ndarray, shape (α,)
+        Least and largest command.
+    change : ndarray, shape (α,), optional
+        Largest change from the previous input; no limit if not given.
+    commanded : Structure, optional
+        The structure whose strings it commands, if that is the parent.
+    equilibrium_input : ndarray, shape (α,), optional
+        Commanded where there is neither a decision nor a previous input.
+    check : MeasurementCheck, optional
+        Of measurements, if not that of the shape of the structure.
     """
 
     def __init__(
@@ -166,7 +175,7 @@ class BaseController(ABC):
 
     @property
     def name(self) -> str:
-        """What it is called in the record of a run."""
+        """What it is called in messages."""
         return type(self).__name__
 
     @property
@@ -469,65 +478,6 @@ class Controller(BaseController):
         if fault is not None:
             return np.zeros(0), fault
         return self._plant.coordinates.measure(nodes, velocities), None
-
-
-def input_bounds(
-    plant: LinearPlant, max_force_density: object, winches: Winches | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Return least and largest command, shape (α,) each, or raise naming what does not fit."""
-    count = plant.B.shape[1]
-    if plant.input == "rest_length":
-        if max_force_density is not None:
-            raise ValueError(
-                "max_force_density limits plants with input='force_density'; this one has "
-                "input='rest_length', and winches limit rest lengths"
-            )
-        least, most = _SHORTEST * plant.equilibrium_input, np.full(count, np.inf)
-        if winches is not None:
-            winches.refuse_out_of_range("plant.rest_length", plant.equilibrium_input)
-            if winches.shortest is not None:
-                least = np.maximum(least, winches.shortest)
-            if winches.longest is not None:
-                most = np.minimum(most, winches.longest)
-        return least, most
-    if winches is not None:
-        raise ValueError(
-            "winches limit rest lengths, but plant has input='force_density'; linearize with "
-            "input='rest_length'"
-        )
-    if max_force_density is None:
-        return np.zeros(count), np.full(count, np.inf)
-    high = per_member("max_force_density", max_force_density, count, "string")
-    positive("max_force_density", high, "force density in N/m")
-    over = np.flatnonzero(plant.force_density > high)
-    if len(over):
-        i = over[0]
-        raise ValueError(
-            f"max_force_density[{i}] is {high[i]:g} N/m, but string {i} has "
-            f"{plant.force_density[i]:g} N/m at the operating point; expected at least that"
-        )
-    return np.zeros(count), high
-
-
-def largest_change(
-    plant: LinearPlant, max_change: object, winches: Winches | None, sample_time: float | None
-) -> FloatArray | None:
-    """Return the largest change of a command in a sample, shape (α,), or None for any."""
-    count = plant.B.shape[1]
-    change = None
-    if max_change is not None:
-        change = per_member("max_change", max_change, count, "string")
-        positive("max_change", change, f"change of {plant.input.replace('_', ' ')}")
-    rate = None if winches is None else winches.largest_rate
-    if sample_time is None:
-        if change is not None or rate is not None:
-            name = "max_change" if change is not None else "winches.rate"
-            raise ValueError(f"{name} limits changes from sample to sample: give sample_time, s")
-        return None
-    if rate is not None:
-        reach = per_member("winches.rate", rate, count, "string") * sample_time
-        change = reach if change is None else np.minimum(change, reach)
-    return change
 
 
 def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArray, FloatArray]:

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from tenscontrol.control.controller import Controller, input_bounds, largest_change
+from tenscontrol.control.controller import Controller
 from tenscontrol.control.held_loop import warn_of_slow_errors
 from tenscontrol.control.mpc import OSQPSolver, QPSolution
 from tenscontrol.control.status import Command, Fallback, Status
@@ -18,6 +18,8 @@ from tenscontrol.plant import (
     SmoothReference,
     checked_reference,
     checked_tracked,
+    input_bounds,
+    largest_change,
     tracked_motion,
 )
 from tenscontrol.validation import (

@@ -101,11 +101,9 @@ class FunctionController(BaseController):
     ...     return start - 0.05 * (strings * rates).sum(axis=0) / prism.string_length(nodes)
     >>> own = tc.FunctionController(prism, damper, input="rest_length", max_change=0.01,
     ...                             sample_time=0.02)
-    >>> own
-    FunctionController(damper, input 'rest_length', every 0.02 s)
     >>> run = tc.simulate(model, 0.1, controller=own, rest_length=start, step=1e-3)
     >>> run.control.controller, run.control.status_count == {"ok": 5}
-    ('damper', True)
+    ("FunctionController(damper, input 'rest_length', every 0.02 s)", True)
     """
 
     def __init__(

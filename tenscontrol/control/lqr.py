@@ -9,14 +9,19 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import (
     Controller,
-    input_bounds,
-    largest_change,
     natural_weights,
     regulator,
     warn_of_unreached,
 )
 from tenscontrol.control.status import Command, Status
-from tenscontrol.plant import LinearPlant, refuse_empty, refuse_unreachable, sampled
+from tenscontrol.plant import (
+    LinearPlant,
+    input_bounds,
+    largest_change,
+    refuse_empty,
+    refuse_unreachable,
+    sampled,
+)
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number, weight_matrix
 
 

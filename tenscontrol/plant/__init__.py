@@ -18,6 +18,8 @@ from tenscontrol.plant.linear_plant import (
     LinearPlant,
     Sampled,
     acceleration_response,
+    input_bounds,
+    largest_change,
     sampled,
 )
 from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coordinates, linearize
@@ -84,6 +86,8 @@ __all__ = [
     "filter_riccati",
     "held_value",
     "in_coordinates",
+    "input_bounds",
+    "largest_change",
     "left_spaces",
     "linearize",
     "model_input",

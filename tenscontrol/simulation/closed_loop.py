@@ -70,7 +70,7 @@ def run_closed_loop(
         controller.reset()
     # A controller that goes on knows its previous input, unless there is none or it did not come.
     knows = start is not None and start.stopped is None and rest_length is None
-    if actuators.start is not None and not (knows and controller.status_count):
+    if actuators.known and not (knows and controller.status_count):
         N, _ = loop.motion(state)
         controller.applied(actuators.applied_input(N))
     observation = None
@@ -90,7 +90,7 @@ def run_closed_loop(
         if loop.input == "rest_length":
             stood = rows[0][2].rest_length if actuators.start is None else actuators.start
         return _control_record(
-            controller.name, rows, stood, sample, observation, actuators.motor_record()
+            repr(controller), rows, stood, sample, observation, actuators.motor_record()
         )
 
     # Of a subdivision, the nodes of its parent come first.
@@ -272,6 +272,11 @@ class Actuators:
             self._current = self.start
         if self._convert:
             self._refuse_unreachable(controller.bounds[1])
+
+    @property
+    def known(self) -> bool:
+        """Whether it is known what they hold: from the start of the run, or from a command."""
+        return self._current is not None
 
     def applied_input(self, nodes: FloatArray) -> FloatArray:
         """Return what the actuators hold in a shape, in the unit of the commands."""

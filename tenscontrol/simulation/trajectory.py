@@ -45,7 +45,7 @@ class ControlRecord:
     estimate : EstimateRecord or None
         Measurements and estimates; None without an estimator.
     controller : str
-        Which controller it was: its class, or the name of the function.
+        Which controller it was.
     motors : MotorRecord or None
         Angle, speed, torque, power and energy; None where the winches have no motor.
     """

@@ -216,7 +216,8 @@ NUMBERS = _words(
 )
 NUMBERS += ["1" + "0" * 400, "9" * 5000, "-1" + "0" * 30, "0." + "0" * 400 + "1"]
 WORDS = _words(
-    r""""" "x" "prism" "mpc" "nmpc" "lqr" "feedback_linearization" "rest_length" "linear" "top"
+    r""""" "x" "prism" "python" "laws.py:hold" "no.such.module:hold"
+"mpc" "nmpc" "lqr" "feedback_linearization" "rest_length" "linear" "top"
 "force_density" "elastic" "kalman" "sides" "vertical" "a\u0000b" "\U0001F600" 'über' "rk4"
 "dop853" "cvodes" "energy_momentum" "rattle4" "rattle6" "gauss4" "auto" "string" "segment"
 "nonlinear" "condensed" "sparse" "explicit" "z" "cut_string" "stuck_winch" "lost_measurement"
@@ -232,7 +233,7 @@ LINES = _words(
 start=0.1 plants=2 twist=0.1 shape_gives=true gravity=9.81 fixed=[0] seed=3 machine_code=true
 method="cvodes" tolerance=1e-3 output_step=1e-9 segments=100000 iterations=12 horizon=5000
 per="string" delay=100 bar_mass=1e-9 radius=1e-9 height=1e20 stiffness=1e15 damping=1e9
-sample_time=1e-7
+sample_time=1e-7 function="laws.py:hold" factory="no.such.module:make" settings={gain=1.0}
 """
 )
 _NUMBER = re.compile(r"(?<![\w\"'.+-])[+-]?\d[\d_.]*(?:e[+-]?\d+)?(?![\w\"'.-])")

@@ -139,6 +139,7 @@ RESULTS = {
 # Bases of a user's own classes and enumerations: nobody makes one of them.
 ABSTRACT = {
     "accuracy.Peer",
+    "control.BaseController",
     "control.Fallback",
     "control.QPSolver",
     "control.Status",
@@ -226,6 +227,18 @@ def frozen_nmpc():
 @cache
 def frozen_linearizing():
     return linearizing()
+
+
+def own_law(time, nodes, velocities):
+    """A law of a user."""
+    return gamma() + (prism().string_length(nodes) - prism().string_length(prism().nodes))
+
+
+@cache
+def own_controller():
+    return tc.FunctionController(
+        prism(), own_law, input="force_density", sample_time=0.02, equilibrium_input=gamma()
+    )
 
 
 @cache
@@ -833,6 +846,19 @@ call(
 )
 call("GainSchedule", lambda: {"controllers": [regulator(), regulator()]})
 call(
+    "FunctionController",
+    lambda: {
+        "structure": prism(),
+        "function": own_law,
+        "input": "force_density",
+        "sample_time": 0.02,
+        "low": 1.0,
+        "high": np.full(9, 60.0),
+        "max_change": 5.0,
+        "equilibrium_input": gamma(),
+    },
+)
+call(
     "OutputLimit",
     lambda: {
         "matrix": np.eye(18)[:2],
@@ -855,28 +881,31 @@ CONTROLLERS = {
     "NMPC": frozen_nmpc,
     "FeedbackLinearization": frozen_linearizing,
     "GainSchedule": schedule,
+    "FunctionController": own_controller,
     "deploy.CompiledController": compiled,
 }
 for kind, make in CONTROLLERS.items():
     on = fresh(make)
     share = 0.05 if "deploy" in kind else 0.5
     after = lambda make=make: command_after(make())  # noqa: E731
+    base = "control.BaseController"
     call(
-        f"control.Controller.command, {kind}",
+        f"{base}.command, {kind}",
         lambda: {"time": 0.02, "nodes": nodes(), "velocities": STILL},
         on,
         share,
         after,
     )
-    own = kind if kind in ("GainSchedule", "deploy.CompiledController") else "control.Controller"
+    own = base if kind in ("control.Controller", "MPC", "NMPC", "FeedbackLinearization") else kind
     call(f"{own}.applied, {kind}", lambda: {"value": gamma()}, on, share, after)
-    own = "control.Controller" if kind == "FeedbackLinearization" else kind
+    own = base if kind in ("control.Controller", "FeedbackLinearization") else kind
     call(f"{own}.take_over, {kind}", lambda: {"command": gamma()}, on, share, after)
-    call(f"{kind}.reset", on=on, share=0.1, after=after)
+    own = base if kind == "control.Controller" else kind
+    call(f"{own}.reset", on=on, share=0.1, after=after)
     if f"{kind}.follow" in members():
         call(f"{kind}.follow", lambda: {"reference": reference()}, on, share, after)
 call(
-    "control.Controller.fall_back",
+    "control.BaseController.fall_back",
     lambda: {"status": tc.control.Status.INPUT_NOT_FINITE},
     fresh(regulator),
     after=lambda: command_after(regulator()),

@@ -104,3 +104,13 @@ def stops_the_sweep(parameters, rng):
 def writes_to_its_parameters(parameters, rng):
     parameters["mass"][0] = 1.0
     return tc.robustness.Outcome(success=True)
+
+
+TOWER = tc.library.class2_tower()
+LENGTH = 0.9 * TOWER.string_length(TOWER.nodes)
+
+
+def damper(time, nodes, velocities):
+    """Strings wound in as fast as they grow."""
+    strings, rates = TOWER.string_vectors(nodes), TOWER.string_vectors(velocities)
+    return LENGTH - 0.02 * (strings * rates).sum(axis=0) / TOWER.string_length(nodes)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tests.robustness import cases
 from tests.robustness.cases import Inline
 
 STEP, DURATION = 5e-3, 0.6
@@ -209,3 +210,66 @@ def test_an_estimate_of_the_load_makes_up_for_wrong_stiffness(prism, strings, pl
     assert rates[0].success_rate < 0.3
     assert rates[1].success_rate == 1.0
     assert np.array_equal(rates[0].parameters["stiffness"], rates[1].parameters["stiffness"])
+
+
+# ---- functions as controllers ----
+
+
+def own(controller=cases.damper, **changes):
+    """A tower of class 2 under a function."""
+    strings = tc.LinearStrings(1000.0, damping=0.5)
+    settings = {"duration": 0.2, "step": STEP, "tolerance": 0.3, "sample_time": 0.02}
+    settings |= {"rest_length": cases.LENGTH, **changes}
+    return tc.ClosedLoopCase(cases.TOWER, strings, controller, **settings)
+
+
+def test_a_function_is_run_as_simulate_does():
+    case, drawn = own(), {"stiffness": 1.2}
+    figures = case(drawn, RNG).figures
+    model = tc.Model(cases.TOWER, strings=tc.LinearStrings(1200.0, damping=0.5))
+    run = tc.simulate(
+        model, 0.2, controller=cases.damper, sample_time=0.02, rest_length=cases.LENGTH, step=STEP
+    )
+    late = run.nodes[:, :, run.time >= 0.9 * run.time[-1]]
+    off = np.linalg.norm(late - cases.TOWER.nodes[:, :, None], axis=0).max()
+    # Supports leave no motion as one body; the coordinates make the bars of RK4 exact.
+    assert figures["final_error"] == pytest.approx(off, rel=1e-3)
+    assert figures["largest_command"] == run.control.command.max()
+
+
+def test_a_target_and_a_start_need_no_plant():
+    moved = own(target=cases.TOWER.nodes)
+    assert moved({}, RNG).figures == own()({}, RNG).figures
+    started = own()({"start": np.full(12, 1e-3)}, RNG)
+    assert started.figures != own()({}, RNG).figures
+    with pytest.raises(ValueError, match=r"target\b.*bar 0"):
+        own(target=1.1 * cases.TOWER.nodes)
+
+
+def test_a_sweep_of_a_function_goes_on_from_its_file(tmp_path):
+    file = tmp_path / "sweep.jsonl"
+    drawn = {"stiffness": tc.Uniform(0.8, 1.2)}
+    first = tc.sweep(own(), drawn, 2, seed=0, processes=1, file=file)
+    more = tc.sweep(own(), drawn, 4, seed=0, executor=Inline(), file=file)
+    whole = tc.sweep(own(), drawn, 4, seed=0, executor=Inline())
+    assert more.figures.keys() == whole.figures.keys()
+    for name, values in whole.figures.items():
+        np.testing.assert_array_equal(values, more.figures[name])
+        np.testing.assert_array_equal(values[:2], first.figures[name])
+
+
+def test_a_function_that_raises_is_a_failure_of_its_run():
+    def law(time, nodes, velocities):
+        if time > 0.1:
+            raise ZeroDivisionError("by my own fault")
+        return cases.LENGTH
+
+    with pytest.raises(tc.simulation.SimulationError, match="law raised ZeroDivisionError"):
+        own(law)({}, RNG)
+
+
+def test_a_lambda_cannot_be_pickled():
+    case = own(lambda time, nodes, velocities: cases.LENGTH)
+    assert case({}, RNG).success  # alone it runs
+    with pytest.raises(TypeError, match=r"case cannot be pickled.*lambda.*top of a module"):
+        tc.sweep(case, {"stiffness": tc.Uniform(0.8, 1.2)}, 2, seed=0, executor=Inline())

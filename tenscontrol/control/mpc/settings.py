@@ -11,8 +11,6 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import (
     Controller,
-    input_bounds,
-    largest_change,
     natural_weights,
     regulator,
     warn_of_unreached,
@@ -35,6 +33,8 @@ from tenscontrol.plant import (
     ReferencePreview,
     Sampled,
     acceleration_response,
+    input_bounds,
+    largest_change,
     refuse_empty,
     refuse_unreachable,
     sampled,
