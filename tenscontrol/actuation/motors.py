@@ -263,7 +263,7 @@ class Instants(NamedTuple):
     """One place of each interval between states that are kept: T of them."""
 
     time: FloatArray  # s, (T,)
-    states: FloatArray  # (n, T)
+    states: FloatArray  # positions, then velocities, of all nodes, node by node, (2 d n, T)
     inputs: FloatArray  # of the strings of the model, and their first two rates, (3, α′, T)
 
 
@@ -283,7 +283,7 @@ def cable_work(model: Model, ends: tuple[Instants, Instants]) -> tuple[list[Turn
     """
     turning = []
     for end in ends:
-        length, rate = evaluate_columns(model.string_motion, end.states)
+        length, rate = evaluate_columns(model.of_all_nodes("string_motion"), end.states)
         turning.append(Turning(length, rate, np.zeros_like(rate), end.inputs[0] * length))
     before, after = (each.position for each in turning)
     return turning, ends[0].inputs[0] * (before**2 - after**2) / 2
@@ -301,7 +301,9 @@ def winding_work(
     stored, forces, powers, slopes = [], [], [], []
     for each in instants:
         lengths, rates, accelerations = each.inputs
-        energy, force, change, *_ = evaluate_columns(model.winding, each.states, lengths, rates)
+        energy, force, change, *_ = evaluate_columns(
+            model.of_all_nodes("winding"), each.states, lengths, rates
+        )
         stored.append(energy)
         forces.append(force)
         powers.append(-force * rates)

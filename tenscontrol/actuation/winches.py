@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tenscontrol.actuation.motors import Motor, Turning
-from tenscontrol.dynamics import Model, StringLaw, polynomial
+from tenscontrol.dynamics import Model, StringLaw, polynomial_at
 from tenscontrol.limits import MOST_SAMPLES
 from tenscontrol.structure import refuse_strings_without_length
 from tenscontrol.validation import (
@@ -465,11 +465,11 @@ class Drive:
         motion = np.stack([tick.motor for _, tick in self._ticks])
         share = np.stack([tick.share for _, tick in self._ticks])
         c, at = motion[k].transpose(1, 2, 0), times - starts[k]
-        rate = polynomial(c[:, 1:] * np.array([[[1.0], [2.0]]]), at)
+        rate = polynomial_at(c, at, 1)
         if self._winches.jumps:
             came = np.vstack([self._before, motion[:-1, :, 0]])
             rate = ((motion[:, :, 0] - came) / part)[k].T
-        return Turning(polynomial(c, at), rate, 2 * c[:, 2], force * share[k].T)
+        return Turning(polynomial_at(c, at), rate, 2 * c[:, 2], force * share[k].T)
 
     def end(self) -> WinchMove:
         """Return the move of the sample, with the limits that were met."""

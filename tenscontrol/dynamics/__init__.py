@@ -23,7 +23,7 @@ from tenscontrol.dynamics.machine_code import (
     compiler,
 )
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
-from tenscontrol.dynamics.profile import INTERPOLATIONS, Pieces, Profile, as_pieces, polynomial
+from tenscontrol.dynamics.profile import INTERPOLATIONS, Pieces, Profile, as_pieces, polynomial_at
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
 
 __all__ = [
@@ -57,7 +57,7 @@ __all__ = [
     "exclusive",
     "normal_basis",
     "pack_state",
-    "polynomial",
+    "polynomial_at",
     "smooth_equation",
     "solving",
     "unpack_states",

@@ -40,6 +40,12 @@ LARGEST_FLAT = 40
 # Of inputs that are polynomials in time.
 _MOST_DEGREE = 20
 
+# Functions that can be had of all nodes.
+_OF_ALL_NODES = (
+    "string_force_density", "kinetic_energy", "potential_energy", "elastic_energy", "momentum",
+    "string_motion", "winding",
+)  # fmt: skip
+
 
 class Model:
     """The dynamics of a structure, with the force densities γ as the input.
@@ -339,22 +345,56 @@ class Model:
     @built
     def string_force_density(self) -> ca.Function:
         """``(x, rest_length) -> gamma``: γ of each string by the string law, N/m."""
-        s = self._symbols()
-        gamma = self._law_force_density(s)
-        return self._function("string_force_density", s, "x rest_length", gamma=gamma)
+        return self._string_force_density(self._symbols())
 
     @built
     def kinetic_energy(self) -> ca.Function:
         """``(x) -> energy``: ½ tr(Ṅ M_s Ṅᵀ), J."""
-        s = self._symbols()
-        momenta = kernel.mass_product(self._structure, s["velocities"])
-        energy = ca.sum2(kernel.dots(s["velocities"], momenta)) / 2
-        return self._function("kinetic_energy", s, "x", energy=energy)
+        return self._kinetic_energy(self._symbols())
 
     @built
     def potential_energy(self) -> ca.Function:
         """``(x, gamma) -> energy``: ½ Σ γ l², J: what strings store whose γ is held."""
-        s = self._symbols()
+        return self._potential_energy(self._symbols())
+
+    @built
+    def elastic_energy(self) -> ca.Function:
+        """``(x, rest_length) -> energy``: what strings store whose rest length is held, J."""
+        return self._elastic_energy(self._symbols())
+
+    @built
+    def momentum(self) -> ca.Function:
+        """``(x) -> (linear, angular)``: kg m/s, and kg m²/s about the origin.
+
+        Shape (3,) each in space; (2,) and (1,) in the plane.
+        """
+        return self._momentum(self._symbols())
+
+    def of_all_nodes(self, name: str) -> ca.Function:
+        """Return an energy, the momentum, γ or what strings do as a function of all nodes.
+
+        Parameters
+        ----------
+        name : str
+            Of the property, ``"string_motion"`` or ``"winding"``. In its x stand the positions and
+            velocities of all nodes, those of supports, which may move, among them.
+        """
+        build = getattr(self, f"_{choice('name', name, _OF_ALL_NODES)}")
+        key = "of all nodes", name
+        return self._prepared.get(key, lambda: build(self._symbols(every=True)))
+
+    # ---- expressions ----
+
+    def _string_force_density(self, s: dict[str, Any]) -> ca.Function:
+        gamma = self._law_force_density(s)
+        return self._function("string_force_density", s, "x rest_length", gamma=gamma)
+
+    def _kinetic_energy(self, s: dict[str, Any]) -> ca.Function:
+        momenta = kernel.mass_product(self._structure, s["velocities"])
+        energy = ca.sum2(kernel.dots(s["velocities"], momenta)) / 2
+        return self._function("kinetic_energy", s, "x", energy=energy)
+
+    def _potential_energy(self, s: dict[str, Any]) -> ca.Function:
         if self._structure.has_clusters:
             square = kernel.string_lengths(self._structure, s["nodes"]) ** 2
         else:
@@ -363,33 +403,26 @@ class Model:
         energy = ca.densify(ca.mtimes(square, s["gamma"]) / 2)
         return self._function("potential_energy", s, "x gamma", energy=energy)
 
-    @built
-    def elastic_energy(self) -> ca.Function:
-        """``(x, rest_length) -> energy``: what strings store whose rest length is held, J."""
-        s = self._symbols()
+    def _elastic_energy(self, s: dict[str, Any]) -> ca.Function:
         law = self._needed_strings()
         length = kernel.string_lengths(self._structure, s["nodes"]).T
         stored = law.as_expressions().stored_energy(length, s["rest_length"])
         energy = ca.densify(ca.sum1(stored))
         return self._function("elastic_energy", s, "x rest_length", energy=energy)
 
-    @built
-    def string_motion(self) -> ca.Function:
+    def _string_motion(self, s: dict[str, Any]) -> ca.Function:
         """``(x) -> (length, rate)``: of each string, m and m/s, shape (α,)."""
-        s = self._symbols()
         length, rate = kernel.string_motion(self._structure, s["nodes"], s["velocities"])
         parts = {"length": ca.densify(length.T), "rate": ca.densify(rate.T)}
         return self._function("string_motion", s, "x", **parts)
 
-    @built
-    def winding(self) -> ca.Function:
+    def _winding(self, s: dict[str, Any]) -> ca.Function:
         """``(x, rest_length, rate) -> (stored, force, force_rate, slope, length)`` of each string.
 
         Elastic energy, J; the force that winds the string in, ``−∂U/∂l0``, N; its rate under the
         rates of the nodes and of the rest lengths, m/s, N/s; ``−∂F/∂l0``, N/m; and the length, m.
         Each of shape (α,).
         """
-        s = self._symbols()
         s["rate"] = ca.SX.sym("rate", len(self._structure.strings))
         x, rest = s["x"], s["rest_length"]
         length = kernel.string_lengths(self._structure, s["nodes"]).T
@@ -404,13 +437,7 @@ class Model:
         parts = {name: ca.densify(part) for name, part in (parts | {"length": length}).items()}
         return self._function("winding", s, "x rest_length rate", **parts)
 
-    @built
-    def momentum(self) -> ca.Function:
-        """``(x) -> (linear, angular)``: kg m/s, and kg m²/s about the origin.
-
-        Shape (3,) each in space; (2,) and (1,) in the plane.
-        """
-        s = self._symbols()
+    def _momentum(self, s: dict[str, Any]) -> ca.Function:
         momenta, nodes = kernel.mass_product(self._structure, s["velocities"]), s["nodes"]
         if self._structure.dimension == 2:
             angular = ca.sum2(nodes[0, :] * momenta[1, :] - nodes[1, :] * momenta[0, :])
@@ -421,12 +448,15 @@ class Model:
             )
         return self._function("momentum", s, "x", linear=ca.sum2(momenta), angular=angular)
 
-    # ---- expressions ----
-
-    def _symbols(self) -> dict[str, Any]:
-        """Return fresh symbols, with N and Nd as parts of x."""
+    def _symbols(self, every: bool = False) -> dict[str, Any]:
+        """Return fresh symbols, with N and Nd of what is free, or of every node, as parts of x."""
         structure = self._structure
         free, alpha = len(structure.free), len(structure.strings)
+        if every:
+            nodes, velocities = (ca.SX.sym(name, *structure.nodes.shape) for name in ("N", "Nd"))
+            x = ca.vertcat(ca.vec(nodes), ca.vec(velocities))
+            held = {name: ca.SX.sym(name, alpha) for name in ("gamma", "rest_length")}
+            return {"x": x, "nodes": nodes, "velocities": velocities, **held}
         d = structure.dimension
         N, Nd, W = (ca.SX.sym(name, d, free) for name in ("N", "Nd", "W"))
         load = ca.SX(*structure.nodes.shape)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from math import comb
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -166,7 +166,7 @@ class Pieces:
     def at(self, time: FloatArray) -> FloatArray:
         """Return the values at times, shape (rows, T): at a jump, those after it."""
         piece = self.index(time)
-        return polynomial(self.coefficients[piece].transpose(1, 2, 0), time - self.origin[piece])
+        return polynomial_at(self.coefficients[piece].transpose(1, 2, 0), time - self.origin[piece])
 
     def breaks(self, start: float, end: float) -> list[float]:
         """Return where pieces begin after ``start`` and before ``end``, s."""
@@ -194,20 +194,27 @@ class Pieces:
             c = c[:, :, 1:] * np.arange(1, c.shape[2]) if c.shape[2] > 1 else np.zeros_like(c)
         return Pieces(self.start, self.origin, c)
 
-    def mapped(self, matrix: FloatArray) -> Pieces:
-        """Return a matrix, shape (m, rows), times the values."""
-        return Pieces(self.start, self.origin, matrix @ self.coefficients)
+    def mapped(self, matrix: Any) -> Pieces:
+        """Return a matrix, shape (m, rows), dense or sparse, times the values."""
+        pieces, rows, powers = self.coefficients.shape
+        columns = matrix @ self.coefficients.transpose(1, 0, 2).reshape(rows, -1)
+        shape = len(columns), pieces, powers
+        return Pieces(self.start, self.origin, columns.reshape(shape).transpose(1, 0, 2))
+
+    def jumps(self, start: float, end: float) -> tuple[float, float]:
+        """Return the largest jump between two times, and when it is."""
+        i = np.flatnonzero((self.start > start) & (self.start < end))
+        if not len(i):
+            return 0.0, start
+        before = self.coefficients[i - 1].transpose(1, 2, 0)
+        before = polynomial_at(before, self.start[i] - self.origin[i - 1])
+        jumps = np.abs(self.at(self.start[i]) - before).max(axis=0, initial=0.0)
+        return float(jumps.max()), float(self.start[i][jumps.argmax()])
 
     def with_degree(self, degree: int) -> Pieces:
         """Return the same as polynomials of a degree that is as high or higher."""
         more = ((0, 0), (0, 0), (0, degree - self.degree))
         return Pieces(self.start, self.origin, np.pad(self.coefficients, more))
-
-    def plus(self, values: FloatArray) -> Pieces:
-        """Return the same with values, shape (rows,), added that are constant."""
-        coefficients = self.coefficients.copy()
-        coefficients[:, :, 0] += values
-        return Pieces(self.start, self.origin, coefficients)
 
     def least(self, start: float, end: float) -> tuple[float, float]:
         """Return the least value between two times, as looked at often, and when that is."""
@@ -218,6 +225,14 @@ class Pieces:
         times = np.union1d(times, np.nextafter(ends[1:], start))
         values = self.at(times).min(axis=0, initial=np.inf)
         return float(values.min()), float(times[values.argmin()])
+
+    @staticmethod
+    def added(parts: Sequence[Pieces]) -> Pieces:
+        """Return the sum of several of as many rows."""
+        stacked = Pieces.stacked(parts)
+        pieces, rows, powers = stacked.coefficients.shape
+        each = stacked.coefficients.reshape(pieces, len(parts), rows // len(parts), powers)
+        return Pieces(stacked.start, stacked.origin, each.sum(axis=1))
 
     @staticmethod
     def stacked(parts: Sequence[Pieces]) -> Pieces:
@@ -235,12 +250,17 @@ class Pieces:
         return Pieces(start, origin, np.concatenate(rows, axis=1))
 
 
-def polynomial(coefficients: FloatArray, time: FloatArray) -> FloatArray:
-    """Return values, shape (rows, T), of coefficients of shape (rows, degree + 1[, T])."""
-    value = np.zeros((len(coefficients), len(time)))
-    for k in reversed(range(coefficients.shape[1])):
-        c = coefficients[:, k]
-        value = value * time + (c if c.ndim == 2 else c[:, None])
+def polynomial_at(coefficients: FloatArray, time: FloatArray, order: int = 0) -> FloatArray:
+    """Return values, shape (rows, T), or their derivative of an order, at times, shape (T,).
+
+    Coefficients of ascending powers have shape (rows, degree + 1), or (rows, degree + 1, T).
+    """
+    c = coefficients if coefficients.ndim == 3 else coefficients[:, :, None]
+    for _ in range(order):
+        c = c[:, 1:] * np.arange(1, c.shape[1])[:, None]
+    value = np.zeros((len(c), len(time)))
+    for k in reversed(range(c.shape[1])):
+        value = value * time + c[:, k]
     return value
 
 

@@ -105,7 +105,10 @@ class CVODES(Integrator):
             grid,
             _solver(scaled, equation, grid, self.tolerance),
             _solver(scaled, equation, 1, self.tolerance),
-            scaled.map("slopes", "serial", grid + 1, [1, 2, 3], []),
+            # Of an input that is held there is one for all.
+            scaled.map(
+                "slopes", "serial", grid + 1, [2, 3] if equation.layout.degree else [1, 2, 3], []
+            ),
             gap,
             jacobian_weight(scaled, state_jacobian(scaled, is_expandable(equation))),
             Lock(),
@@ -131,8 +134,10 @@ class CVODES(Integrator):
         states = np.empty((len(state), outputs))
         band = BAND
         if equation.switches and equation.structure is not None:
-            band *= float(held.max())  # where strings can go slack, u holds their rest lengths
-        motion = _Motion(self._solvers, self._slopes, self._gap_of, band, (held, scale), times)
+            # Where strings can go slack, u holds their rest lengths, first of all.
+            band *= float(held[: equation.layout.strings].max())
+        given = held, equation.layout.degree > 0, scale
+        motion = _Motion(self._solvers, self._slopes, self._gap_of, band, given, times)
         done = 0
         try:
             # A state that is not finite is looked for, so NumPy need not warn of it.
@@ -177,11 +182,11 @@ class _Motion:
         slopes: Evaluator,
         gap: ColumnEvaluator | None,
         band: float,
-        given: tuple[FloatArray, FloatArray],
+        given: tuple[FloatArray, bool, FloatArray],
         times: FloatArray,
     ) -> None:
         self._solvers, self._slopes, self._gap_of, self._band = solvers, slopes, gap, band
-        self._held, self._scale = given
+        self._held, self._moves, self._scale = given
         self._times = times
         self._window = np.inf  # longest window, s
         self._taut = np.zeros(0)
@@ -193,7 +198,8 @@ class _Motion:
         """Start from a state, with the strings that pull in it."""
         self.state = state
         if self._gap_of is not None:
-            self._taut = (self._gap(self._gap_of, state[:, None])[:, 0] > 0).astype(float)
+            gap = self._gap(self._gap_of, state[:, None], np.zeros(1))
+            self._taut = (gap[:, 0] > 0).astype(float)
 
     def next_window(self) -> _Window:
         """Integrate over one window, up to its end or the first switch within it."""
@@ -215,7 +221,7 @@ class _Motion:
         while True:
             end = self._end()
             span = end - self.now
-            states, stats = self._call(self._solvers.window, self.state, span)
+            states, stats = self._call(self._solvers.window, self.state, self.now, span)
             if states is None:
                 if span <= _SHORTEST * self._times[-1]:
                     raise FloatingPointError("the step size vanishes")
@@ -232,20 +238,27 @@ class _Motion:
         nodes = np.column_stack([self.state, states])
         return _Window(np.linspace(self.now, end, grid + 1), nodes, self._slopes_at)
 
-    def _gap(self, gap_of: ColumnEvaluator, states: FloatArray) -> FloatArray:
-        inputs = np.broadcast_to(self._held[:, None], (len(self._held), states.shape[1]))
-        return gap_of(states * self._scale[:, None], inputs)[0]
+    def _inputs(self, times: FloatArray) -> FloatArray:
+        """Return the inputs that begin at times, one a column."""
+        inputs = np.broadcast_to(self._held[:, None], (len(self._held), len(times)))
+        if self._moves:
+            inputs = inputs.copy()
+            inputs[-1] += times
+        return inputs
+
+    def _gap(self, gap_of: ColumnEvaluator, states: FloatArray, times: FloatArray) -> FloatArray:
+        return gap_of(states * self._scale[:, None], self._inputs(times))[0]
 
     def _land(self, window: _Window, gap_of: ColumnEvaluator) -> None:
         """Go back to the first switch within a window, if there is one."""
         sign = np.where(self._taut > 0, 1.0, -1.0)[:, None]
 
-        def room_in(states: FloatArray) -> FloatArray:
+        def room_in(states: FloatArray, times: FloatArray) -> FloatArray:
             """Return the room of each string in bands: 1 on the border, 0 where it switches."""
-            return sign * self._gap(gap_of, states) / self._band + 1.0
+            return sign * self._gap(gap_of, states, times) / self._band + 1.0
 
         def room(times: FloatArray) -> FloatArray:
-            return room_in(window.between(times))
+            return room_in(window.between(times), times)
 
         start, end = float(window.times[0]), float(window.times[-1])
         time = first_crossing(room, window.times)
@@ -261,7 +274,7 @@ class _Motion:
         apart = 1e-3 * (end - start)
         for _ in range(_NEWTON_STEPS):
             state = self._state_at(window, time)
-            left = room_in(state[:, None])[:, 0]
+            left = room_in(state[:, None], np.array([time]))[:, 0]
             if abs(left.min()) < 0.25:
                 break
             around = room(np.array([time - apart, time + apart]))[left.argmin()]
@@ -277,15 +290,17 @@ class _Motion:
         """Integrate again from the last state before."""
         before = int(np.searchsorted(window.times[1:-1], time, side="left"))
         span = time - window.times[before]
-        states, _ = self._call(self._solvers.hop, window.nodes[:, before], span)
+        start = float(window.times[before])
+        states, _ = self._call(self._solvers.hop, window.nodes[:, before], start, span)
         if states is None:
             raise FloatingPointError("the step size vanishes")
         return states[:, 0]
 
-    def _slopes_at(self, nodes: FloatArray) -> FloatArray:
+    def _slopes_at(self, nodes: FloatArray, times: FloatArray) -> FloatArray:
         """Return ẋ at all states of a window."""
         self.work += Work(evaluations=nodes.shape[1])
-        return self._slopes(nodes, self._held, self._taut, self._scale)[0].copy()
+        inputs = self._inputs(times) if self._moves else self._held
+        return self._slopes(nodes, inputs, self._taut, self._scale)[0].copy()
 
     def _end(self) -> float:
         """Return where the next window ends: outputs must fall on its states, or end it."""
@@ -300,10 +315,11 @@ class _Motion:
         return float(min(times[following], now + self._window))
 
     def _call(
-        self, solver: ca.Function, state: FloatArray, span: float
+        self, solver: ca.Function, state: FloatArray, start: float, span: float
     ) -> tuple[FloatArray | None, dict[str, Any]]:
         """Return the states over a span of time, None if the solver failed."""
-        parameters = np.concatenate([[span], self._held, self._taut, self._scale])
+        held = self._inputs(np.array([start]))[:, 0]
+        parameters = np.concatenate([[span], held, self._taut, self._scale])
         with self._solvers.calling:
             try:
                 with at_once():  # a call may take minutes, and ends at what a handler raises
@@ -330,7 +346,10 @@ class _Window:
     """The motion over a window: cubic interpolation between its states, exact in the states."""
 
     def __init__(
-        self, times: FloatArray, nodes: FloatArray, slopes_at: Callable[[FloatArray], FloatArray]
+        self,
+        times: FloatArray,
+        nodes: FloatArray,
+        slopes_at: Callable[[FloatArray, FloatArray], FloatArray],
     ) -> None:
         self.times, self.nodes = times, nodes  # equally spaced; one state a column
         self._slopes_at = slopes_at
@@ -345,7 +364,7 @@ class _Window:
         if (np.abs(times - self.times[nearest]) <= 4 * np.spacing(self.times[-1])).all():
             return self.nodes[:, nearest]
         if self._slopes is None:
-            self._slopes = self._slopes_at(self.nodes)
+            self._slopes = self._slopes_at(self.nodes, self.times)
         i = np.clip(place.astype(int), 0, last - 1)
         s = place - i
         x0, x1 = self.nodes[:, i], self.nodes[:, i + 1]
@@ -366,12 +385,14 @@ def _scaled(equation: Equation) -> ca.Function:
 def _solver(scaled: ca.Function, equation: Equation, outputs: int, tolerance: float) -> ca.Function:
     """Return the solver over the unit of time; the true span and the scale are parameters."""
     y, u, taut, scale = (equation.symbol(f"p{i}", scaled.size1_in(i)) for i in range(4))
-    span = equation.symbol("span")
+    span, time = equation.symbol("span"), equation.symbol("time")
     problem = {
         "x": y,
         "p": ca.vertcat(span, u, taut, scale),
-        "ode": span * scaled(y, u, taut, scale),
+        "ode": span * scaled(y, equation.ahead(u, span * time), taut, scale),
     }
+    if equation.layout.degree:
+        problem["t"] = time
     options = {
         "reltol": tolerance,
         "abstol": tolerance,

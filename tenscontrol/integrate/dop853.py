@@ -115,11 +115,11 @@ class DOP853(Integrator):
         """See :meth:`Integrator.advance`."""
         state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
         n, switches = self._equation.states, self._equation.switches
-        before = self._held
+        before, of_strings = self._held, held[: self._equation.layout.strings]
         # The frequency is found again only where an input has changed by more than a fifth.
-        if before is None or (np.abs(held - before) > 0.2 * np.abs(before)).any():
+        if before is None or (np.abs(of_strings - before) > 0.2 * np.abs(before)).any():
             self._frequency = largest_frequency(self._equation, state, held)
-            self._held = held.copy()
+            self._held = of_strings.copy()
         scale = state_scale(self._equation, state, held, self._frequency)
         taut, slope = (part.copy() for part in self._start(state, held))
         step = _first_step(slope, scale, duration)
@@ -241,16 +241,22 @@ class _Turn:
         x, f, taut = self._carried[:3]
         time, step = self._numbers[:2]
         h = ca.fmin(ca.fmin(step, self._longest), self._duration - time)
-        x1, f1, error, K = self._tried(x, f, self._u, taut, h, self._scale)
+        u = self._input
+        x1, f1, error, K = self._tried(x, f, u, taut, h, self._scale)
         crossed: Any = 0
         branches = [self._thrown_away(), self._accepted()]
         if self._equation.switches:
-            crossed = crossing(self._equation)(x, x1, self._u, taut, h)
+            crossed = crossing(self._equation)(x, x1, u, taut, h)
             branches.append(self._cut())
         fate = ca.if_else(error < 1, 1 + crossed, 0)
         choose = ca.Function.conditional("fate", branches[:-1], branches[-1])
         outputs = choose(fate, *self._inputs, h, x1, f1, error, K)
         return ca.Function("going", self._inputs, list(outputs))
+
+    @property
+    def _input(self) -> Any:
+        """The input that begins with the step."""
+        return self._equation.ahead(self._u, self._numbers[0])
 
     def _thrown_away(self) -> ca.Function:
         finite = self._error < ca.inf
@@ -272,8 +278,9 @@ class _Turn:
     def _cut(self) -> ca.Function:
         x, f, taut = self._carried[:3]
         land = landing(self._method.plain(), self._equation)
-        _, taut2, taken, switched, tries = land(x, taut, self._u, self._h, self._x1)
-        x2, f2, _, K2 = self._tried(x, f, self._u, taut, taken, self._scale)
+        u = self._input
+        _, taut2, taken, switched, tries = land(x, taut, u, self._h, self._x1)
+        x2, f2, _, K2 = self._tried(x, f, u, taut, taken, self._scale)
         time = self._after(taken)
         # Strings that switch again and again while no time passes.
         stalled = taken < _SHORTEST * self._duration
@@ -291,7 +298,7 @@ class _Turn:
             stuck=stalls > _MOST_STALLS,
         )
         # The slope jumps with the strings.
-        f2 = self._equation.slope(x2, self._u, taut2)
+        f2 = self._equation.slope(x2, self._equation.ahead(u, taken), taut2)
         return self._branch("cut", [x2, f2, taut2, *numbers], record)
 
     def _branch(
@@ -314,7 +321,7 @@ class _Turn:
         """Return the record of a step, and whether an output lies in it."""
         time = self._numbers[0]
         names = ["x", "x1", "f", "f1", "K", "u", "taut", "h"]
-        values = [x, x1, f, f1, K, self._u, self._carried[2], h]
+        values = [x, x1, f, f1, K, self._input, self._carried[2], h]
         inputs = [ca.MX.sym(name, v.sparsity()) for name, v in zip(names, values, strict=True)]
         made = ca.vertcat(inputs[0], ca.vec(self._interpolant(*inputs)))
         left_out = ca.Function("left_out", inputs, [ca.DM.zeros(made.shape)])
@@ -357,12 +364,17 @@ class _DormandPrince:
 
     def _stages(self) -> tuple[Any, list[Any]]:
         """Return x after the step, and the slopes of its stages."""
-        x, f, u, taut, h = self._inputs
+        x, f, _, taut, h = self._inputs
         slopes = [f]
-        for a in self._method.A[1:]:
-            slopes.append(self._equation.slope(x + h * _combined(slopes, a), u, taut))
+        for a, c in zip(self._method.A[1:], self._method.C[1:], strict=True):
+            slopes.append(self._equation.slope(x + h * _combined(slopes, a), self._at(c), taut))
         x1 = x + h * _combined(slopes, self._method.B)
         return x1 if self._project is None else self._project(x1), slopes
+
+    def _at(self, part: float) -> Any:
+        """Return the input that begins after a part of the step."""
+        _, _, u, _, h = self._inputs
+        return self._equation.ahead(u, part * h)
 
     def plain(self) -> ca.Function:
         """Return ``(x, u, taut, h) -> x1``: the step alone."""
@@ -376,10 +388,10 @@ class _DormandPrince:
 
         The error is the root mean square over the state, as part of ``scale``.
         """
-        x, _, u, taut, h = self._inputs
+        x, _, _, taut, h = self._inputs
         scale = ca.MX.sym("scale", x.shape)
         x1, slopes = self._stages()
-        f1 = self._equation.slope(x1, u, taut)
+        f1 = self._equation.slope(x1, self._at(1.0), taut)
         slopes.append(f1)
         fifth, third = (
             ca.sumsqr(_combined(slopes, e) / scale) for e in (self._method.E5, self._method.E3)
@@ -396,8 +408,8 @@ class _DormandPrince:
         x1, f1 = ca.MX.sym("x1", x.shape), ca.MX.sym("f1", x.shape)
         K = ca.MX.sym("K", x.shape[0], _STAGES + 1)
         slopes = ca.horzsplit(K)
-        for a in self._method.A_EXTRA:
-            slopes.append(self._equation.slope(x + h * _combined(slopes, a), u, taut))
+        for a, c in zip(self._method.A_EXTRA, self._method.C_EXTRA, strict=True):
+            slopes.append(self._equation.slope(x + h * _combined(slopes, a), self._at(c), taut))
         step = x1 - x
         first = [step, h * f - step, 2 * step - h * (f1 + f)]
         rest = [h * _combined(slopes, d) for d in self._method.D]

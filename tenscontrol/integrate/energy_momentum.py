@@ -174,15 +174,19 @@ class EnergyMomentum(Integrator):
         work = np.concatenate([state, progress])
         left, step, failed = (len(state) + i for i in range(3))
         output = 0
+        inputs = held.copy()
+        clock = self._equation.layout.degree > 0
         try:
             for output in range(outputs):
                 work[left] = interval
+                if clock:  # steps know what is left of the interval
+                    inputs[-1] = held[-1] + interval * (output + 1)
                 while work[left] > 0:
                     check()
                     began = perf_counter()
                     expected = ceil(min(work[left] / work[step], self._most, _CHUNKS[-1]))
                     chunk = next(count for count in _CHUNKS if count >= expected)
-                    work = self._chunks[chunk](work, held, limits)[0].copy()
+                    work = self._chunks[chunk](work, inputs, limits)[0].copy()
                     self._most = next_size(self._most, chunk, perf_counter() - began)
                     if work[failed]:
                         time = interval * (output + 1) - float(work[left])
@@ -247,14 +251,17 @@ def _tried_step(equation: Equation, size: float, adaptive: bool) -> ca.Function:
     # The small allowance lets 0.02/0.001 be 20 steps, whatever round-off says.
     count = ca.fmax(1, ca.ceil(left / wish - 1e-9))
     h = left / count
+    now = equation.ahead(u, -left)
     step = step_equations(equation)
     solve = newton_solver(step.system, size)
     if adaptive:
-        first, good_1, iterations_1 = solve(step.guess(x), x, u, h / 2)
+        first, good_1, iterations_1 = solve(step.guess(x), x, now, h / 2)
         middle = step.end(first, x, h / 2)
-        second, good_2, iterations_2 = solve(step.guess(middle), middle, u, h / 2)
+        second, good_2, iterations_2 = solve(
+            step.guess(middle), middle, equation.ahead(now, h / 2), h / 2
+        )
         new = step.end(second, middle, h / 2)
-        whole, good_3, iterations_3 = solve((first + second) / 2, x, u, h)
+        whole, good_3, iterations_3 = solve((first + second) / 2, x, now, h)
         difference = (new - step.end(whole, x, h))[: equation.states // 2] / 3
         error = ca.mmax(ca.fabs(difference)) / size
         converged = ca.logic_and(ca.logic_and(good_1, good_2), good_3)
@@ -265,7 +272,7 @@ def _tried_step(equation: Equation, size: float, adaptive: bool) -> ca.Function:
         shorter = ca.if_else(converged, h * ca.fmax(_SHRINK, ratio), h / 2)
         longer = ca.fmax(wish, h * ca.fmin(_GROW, ratio))
     else:
-        y, accepted, iterations = solve(step.guess(x), x, u, h)
+        y, accepted, iterations = solve(step.guess(x), x, now, h)
         new = step.end(y, x, h)
         shorter, longer = h / 2, 2 * wish
     wish = ca.if_else(accepted, ca.fmin(longer, largest), shorter)
@@ -434,12 +441,26 @@ class _Held:
 def _mean_forces(equation: Equation, N0: Any, N1: Any, u: Any, h: Any) -> Any:
     """Return the forces, shape (d, n), N, that do the work that the strings store.
 
+    That is, of rest lengths, or force densities, as they are in the middle of the step.
+
     The force density of a straight piece of string is 2 T̄/(l₀ + l₁), where T̄ is the mean of the
     tension over the lengths that the whole string passes: a discrete gradient.
     """
-    structure = equation.structure
+    structure, layout = equation.structure, equation.layout
     assert structure is not None  # as in step_equations
     load = None if equation.load is None else ca.sparsify(ca.DM(equation.load))
+    # Inputs that change are those in the middle of the step.
+    middle = layout.values(equation.ahead(u, h / 2))
+    if layout.load:
+        places = slice(layout.strings, layout.strings + layout.load)
+        load = ca.reshape(middle[places], *structure.nodes.shape)
+    if layout.offset:
+        at_end = layout.values(equation.ahead(u, h))
+        N0, N1 = (
+            N + ca.reshape(values[layout.count - layout.offset :], *structure.nodes.shape)
+            for N, values in ((N0, layout.values(u)), (N1, at_end))
+        )
+    u = middle[: layout.strings] if layout.count > layout.strings else middle
     if len(structure.strings) == 0:
         return kernel.node_forces(structure, N0, u, load)
     S0, S1 = (kernel.differences(N, structure.segments) for N in (N0, N1))

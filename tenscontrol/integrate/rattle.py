@@ -21,6 +21,7 @@ from math import factorial
 from typing import Any, NamedTuple, final
 
 import casadi as ca
+import numpy as np
 
 from tenscontrol.dynamics import Equation, kernel
 from tenscontrol.integrate.fixed_step import FixedStep
@@ -44,6 +45,12 @@ class Splitting:
 
     flights: tuple[float, ...]  # one more than kicks
     kicks: tuple[float, ...]
+
+    @property
+    def parts(self) -> list[tuple[float, float | None, float]]:
+        """Each flight, the kick after it, None after the last, and the flights until then."""
+        passed = np.cumsum(self.flights).tolist()
+        return list(zip_longest(self.flights, self.kicks, passed))
 
 
 def splitting(order: int, coupled: bool = False) -> Splitting:
@@ -166,33 +173,35 @@ def rattle_step(
     if equation.structure.blocks:
         return _coupled(equation, steps)
     x, u, taut, h = equation.symbols(symbols)
-    motion = _Motion(Bodies(equation.structure), force, u, taut, equation.velocity_dependent)
+    motion = _Motion(Bodies(equation.structure), force, taut, equation.velocity_dependent)
     if called:
-        return _called(motion, steps, x, h)
+        return _called(equation, motion, steps, x, u, h)
     state = motion.start(x)
-    for flight, kick in zip_longest(steps.flights, steps.kicks):
+    for flight, kick, passed in steps.parts:
         state = motion.flight(state, flight * h)
         if kick is not None:
-            state = motion.kick(state, kick * h)
+            state = motion.kick(state, kick * h, equation.ahead(u, passed * h))
     return ca.Function("rattle_step", [x, u, taut, h], [motion.end(state)])
 
 
-def _called(motion: _Motion, steps: Splitting, x: Any, h: Any) -> ca.Function:
+def _called(
+    equation: Equation, motion: _Motion, steps: Splitting, x: Any, u: Any, h: Any
+) -> ca.Function:
     """Return the step as calls of its flights and kicks."""
-    kind, u, taut = type(x), motion.u, motion.taut
+    kind, taut = type(x), motion.taut
     begun = motion.start(x)
     start = ca.Function("start", [x], list(begun))
     parts = [kind.sym(f"part{i}", part.shape) for i, part in enumerate(begun)]
     state = _State(*parts)
     flight = ca.Function("flight", [*parts, h], list(motion.flight(state, h)))
-    kick = ca.Function("kick", [*parts, u, taut, h], list(motion.kick(state, h)))
+    kick = ca.Function("kick", [*parts, u, taut, h], list(motion.kick(state, h, u)))
     end = ca.Function("end", parts, [motion.end(state)])
     x, u, taut, h = (ca.MX.sym("of_step", each.shape) for each in (x, u, taut, h))
     now = start(x)
-    for flown, kicked in zip_longest(steps.flights, steps.kicks):
+    for flown, kicked, passed in steps.parts:
         now = flight(*now, flown * h)
         if kicked is not None:
-            now = kick(*now, u, taut, kicked * h)
+            now = kick(*now, equation.ahead(u, passed * h), taut, kicked * h)
     return ca.Function("rattle_step", [x, u, taut, h], [end(*now)])
 
 
@@ -205,11 +214,11 @@ def _coupled(equation: Equation, steps: Splitting) -> ca.Function:
     x, u, taut, h = equation.symbols(ca.MX)
     q, v = ca.vertsplit(x, equation.states // 2)
     factors = blocks.factorized(q[bodies.coupled])
-    for flown, kicked in zip_longest(steps.flights, steps.kicks):
+    for flown, kicked, passed in steps.parts:
         if flown:  # steps begin and end with a kick
             q, v, factors = flight(q, v, factors, flown * h)
         if kicked is not None:
-            v = kick(q, v, factors, u, taut, kicked * h)
+            v = kick(q, v, factors, equation.ahead(u, passed * h), taut, kicked * h)
     return ca.Function("rattle_step", [x, u, taut, h], [ca.vertcat(q, v)])
 
 
@@ -317,11 +326,10 @@ class _State(NamedTuple):
 
 @dataclass(frozen=True)
 class _Motion:
-    """The two motions of bodies, with u and taut held."""
+    """The two motions of bodies, with taut held."""
 
     bodies: Bodies
     force: ca.Function | None = None
-    u: kernel.Symbolic = None
     taut: kernel.Symbolic = None
     damped: bool = False
 
@@ -358,21 +366,21 @@ class _Motion:
             kernel.scale_columns(Bd, shrink) - kernel.scale_columns(B, speed * g),
         )
 
-    def kick(self, state: _State, time: kernel.Symbolic) -> _State:
-        """Return the state after forces alone have acted for a time.
+    def kick(self, state: _State, time: kernel.Symbolic, u: kernel.Symbolic) -> _State:
+        """Return the state after forces alone, with the input u, have acted for a time.
 
         Forces that depend on velocities change on the way: they are those of
         the velocities half way, to first order.
         """
         if self.damped:
-            half_way = self._kick(state, state, time / 2)
-            return self._kick(state, half_way, time)
-        return self._kick(state, state, time)
+            half_way = self._kick(state, state, time / 2, u)
+            return self._kick(state, half_way, time, u)
+        return self._kick(state, state, time, u)
 
-    def _kick(self, state: _State, at: _State, time: kernel.Symbolic) -> _State:
+    def _kick(self, state: _State, at: _State, time: kernel.Symbolic, u: kernel.Symbolic) -> _State:
         """Return the state after a kick with the forces at another state."""
         assert self.force is not None  # given where kicks are asked for
-        forces = self.force(*self.coordinates(at), self.u, self.taut)
+        forces = self.force(*self.coordinates(at), u, self.taut)
         return self.pushed(state, forces, time)
 
     def pushed(self, state: _State, forces: kernel.Symbolic, time: kernel.Symbolic) -> _State:

@@ -19,7 +19,7 @@ from tenscontrol.actuation import (
     winding_work,
 )
 from tenscontrol.control import Command, Controller
-from tenscontrol.dynamics import Evaluator, Pieces, evaluate_columns, polynomial, unpack_states
+from tenscontrol.dynamics import Evaluator, Pieces, evaluate_columns, polynomial_at
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.interrupt import check
 from tenscontrol.limits import refuse_memory
@@ -71,7 +71,7 @@ def run_closed_loop(
     # A controller that goes on knows its previous input, unless there is none or it did not come.
     knows = start is not None and start.stopped is None and rest_length is None
     if actuators.start is not None and not (knows and controller.status_count):
-        N = unpack_states(loop.model.structure, state[:, None])[0][:, :, 0]
+        N, _ = loop.motion(state)
         controller.applied(actuators.applied_input(N))
     observation = None
     if estimation is not None:
@@ -101,7 +101,7 @@ def run_closed_loop(
         loop.now = (begin + k) * sample
         if np.abs(state).max() > LARGEST:
             raise loop.stopped(f"the motion has run away, beyond {LARGEST:g} in m and m/s")
-        N, V = (part[:, :, 0] for part in unpack_states(loop.model.structure, state[:, None]))
+        N, V = loop.motion(state)
         moment = loop.now + 1e-9 * sample  # a fault that begins at the sample is there
         lost = loop.faults.lost(moment)
         if observation is None:
@@ -113,7 +113,7 @@ def run_closed_loop(
         command = controller.command(loop.now, *motion)
         taken = perf_counter() - began
         check()  # a command that was interrupted is not applied
-        move = actuators.begin(command, state, loop.faults.stuck(moment))
+        move = actuators.begin(command, N, loop.faults.stuck(moment))
         rows.append((loop.now, command, move, taken))
         end = min(loop.now + sample, until)
         whole = end - loop.now
@@ -276,10 +276,9 @@ class Actuators:
         """Parts of a sample, in each of which inputs are one polynomial in time."""
         return self._winches.ticks
 
-    def begin(self, command: Command, state: FloatArray, stuck: IntArray) -> WinchMove:
+    def begin(self, command: Command, nodes: FloatArray, stuck: IntArray) -> WinchMove:
         """Take the command of a sample, and return the move to expect, one entry a winch."""
         desired = self._checked(command.value)
-        nodes = unpack_states(self._structure, state[:, None])[0][:, :, 0]
         if self._held == "force_density":
             desired, weak = self._unless_stuck(desired, stuck), _NONE
             if self._motor is not None:
@@ -313,12 +312,12 @@ class Actuators:
             self.held = self._to_plant("force_density", self._current)
             return self.held
 
+        N, V = (part.ravel(order="F") for part in self._loop.motion(state))
+
         def pull(
             rest_length: FloatArray, later: float
         ) -> tuple[FloatArray, FloatArray, FloatArray]:
-            half = len(state) // 2
-            moved = state.copy()
-            moved[:half] += later * state[half:]
+            moved = np.concatenate([N + later * V, V])
             lengths = self._to_plant("rest_length", rest_length)
             _, force, _, slope, length = self._winding(moved, lengths, np.zeros_like(lengths))
             share = self._to_plant("rest_length", np.ones(self._count))
@@ -346,7 +345,7 @@ class Actuators:
 
     @cached_property
     def _winding(self) -> Evaluator:
-        return Evaluator(self._loop.model.winding)
+        return Evaluator(self._loop.model.of_all_nodes("winding"))
 
     def _checked(self, value: object) -> FloatArray:
         """Return a command, or raise: a user's controller may break its promises."""
@@ -486,12 +485,11 @@ def _instants(loop: Loop) -> tuple[tuple[Instants, Instants, Instants], IntArray
     begins = np.concatenate([time[:1], time[:-1]])
     states = np.hstack([span.states for span in spans])
     before = np.hstack([np.column_stack([span.begin, span.states[:, :-1]]) for span in spans])
-    count = len(loop.model.structure.strings)
-    coefficients = np.stack([span.coefficients[:count] for span in spans])
+    coefficients = np.stack([span.coefficients for span in spans])[which].transpose(1, 2, 0)
     origin = np.array([span.origin for span in spans])[which]
     # Half way the motion is that of a quintic with positions, velocities and accelerations.
     half, step, middle = len(states) // 2, time - begins, (begins + time) / 2
-    flat = np.stack([span.coefficients.ravel(order="F") for span in spans])[which].T
+    flat = coefficients.reshape(-1, len(which), order="F")
     slopes = []
     for at, x in ((begins, before), (time, states)):
         u = np.vstack([flat, at - origin]) if loop.equation.layout.degree else flat
@@ -499,13 +497,9 @@ def _instants(loop: Loop) -> tuple[tuple[Instants, Instants, Instants], IntArray
     between = (before + states) / 2
     between[:half] += 5 / 32 * step * (before - states)[half:]
     between[:half] += step**2 / 64 * (slopes[0] + slopes[1])[half:]
-    found = []
+    found, strings = [], coefficients[: len(loop.model.structure.strings)]
     for at, x in ((begins, before), (middle, between), (time, states)):
-        series = []
-        for order in range(3):
-            c = coefficients
-            for _ in range(order):
-                c = c[:, :, 1:] * np.arange(1, c.shape[2])
-            series.append(polynomial(c[which].transpose(1, 2, 0), at - origin))
-        found.append(Instants(at, x, np.stack(series)))
+        series = [polynomial_at(strings, at - origin, order) for order in range(3)]
+        every = loop.all_nodes(x, coefficients, at - origin)
+        found.append(Instants(at, every, np.stack(series)))
     return (found[0], found[1], found[2]), first

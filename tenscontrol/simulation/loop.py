@@ -10,10 +10,11 @@ import numpy as np
 
 from tenscontrol.dynamics import (
     Equation,
+    Evaluator,
     Model,
     Pieces,
     evaluate_columns,
-    polynomial,
+    polynomial_at,
     unpack_states,
 )
 from tenscontrol.integrate import (
@@ -31,7 +32,7 @@ from tenscontrol.integrate import (
 from tenscontrol.interrupt import finishing
 from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, node_mass
 from tenscontrol.validation import FloatArray, frozen, positive_number
 
 # Intervals that are integrated again: those in which velocities change most, others spread over
@@ -69,10 +70,7 @@ class _Stretch:
 
     def values(self, rows: slice, order: int = 0) -> FloatArray:
         """Return some of the inputs at the times kept, or their rates."""
-        c = self.coefficients[rows]
-        if order:
-            c = c[:, 1:] * np.arange(1, c.shape[1])
-        return polynomial(c, self.time - self.origin)
+        return polynomial_at(self.coefficients[rows], self.time - self.origin, order)
 
 
 @dataclass(eq=False)
@@ -81,6 +79,11 @@ class Loop:
 
     The input is held, or a polynomial in time of at most ``degree``; so is a load, where it is
     given as pieces of polynomials, one row an entry of it, node by node.
+
+    Where supports move, ``offset`` is the displacement of the nodes that move with them, and
+    states are beside it: N - E and Ṅ - Ė. Bars keep their lengths so, strings see N, and the load
+    is less by M Ë. A jump of Ė, at a kink of the motion, is an impulse of -M ΔĖ on the nodes: what
+    bars let keep its velocity keeps it.
     """
 
     model: Model
@@ -97,6 +100,8 @@ class Loop:
     report: Callable[[float], None] | None = None  # of the time reached, s
     record: Callable[[], ControlRecord] | None = None  # under a controller
     degree: int = 0
+    offset: Pieces | None = None
+    offset_rate: FloatArray | None = None  # now, of all nodes, node by node, m/s
     spans: list[_Stretch] = field(default_factory=list)
     moves: bool = False  # whether an input has changed otherwise than by a controller's commands
     lost_energy: float = 0.0
@@ -110,8 +115,18 @@ class Loop:
         self._method = method_of(self.method)
         if self.step is not None:
             self.step = positive_number("step", self.step, "s")
-        if isinstance(self.load, Pieces):
-            self.degree = max(self.degree, self.load.degree)
+        load, structure = self.load, self.model.structure
+        self._given: Pieces | None = load if isinstance(load, Pieces) else None
+        if self.offset is not None:
+            from scipy.sparse import eye_array, kron
+
+            if not isinstance(load, Pieces):
+                load = Pieces.constant(load.ravel(order="F"))
+            self._mass = kron(node_mass(structure), eye_array(structure.dimension)).tocsr()
+            inertia = self.offset.derivative(2).mapped(-self._mass)
+            self._given = Pieces.stacked([Pieces.added([load, inertia]), self.offset])
+        if self._given is not None:
+            self.degree = max(self.degree, self._given.degree)
         self._equation = self._equation_of("auto")
         if self._method is None:
             return
@@ -130,11 +145,14 @@ class Loop:
         return self._equation
 
     def _equation_of(self, form: str) -> Equation:
-        load = self.load
-        given = None if isinstance(load, Pieces) else load - self.model.constant_force
+        load = None
+        if self._given is None:
+            assert not isinstance(self.load, Pieces)  # else they were given
+            load = self.load - self.model.constant_force
         return self.model.equation(
-            self.input, given, form, degree=self.degree, load_input=given is None
-        )
+            self.input, load, form, degree=self.degree,
+            load_input=load is None, offset_input=self.offset is not None,
+        )  # fmt: skip
 
     def _prepare(self, state: FloatArray, held: FloatArray) -> Integrator:
         """Return the integrator, chosen for the scene if the user has not."""
@@ -173,10 +191,10 @@ class Loop:
         end = self.now + duration
         inputs = held.within(self.now, end)
         self.moves |= not inputs.is_constant
-        if isinstance(self.load, Pieces):
-            load = self.load.within(self.now, end)
-            self.moves |= not load.is_constant
-            inputs = Pieces.stacked([inputs, load])
+        if self._given is not None:
+            others = self._given.within(self.now, end)
+            self.moves |= not others.is_constant
+            inputs = Pieces.stacked([inputs, others])
         # Round-off of the times leaves no spans of no length.
         close = 1e-9 * duration
         within = self.now + close, end - close
@@ -194,10 +212,10 @@ class Loop:
         after = self.faults.without_cut(before, time)
         if np.array_equal(before, after):
             return
-        force = self.input == "force_density"
-        energy = self.model.potential_energy if force else self.model.elastic_energy
+        energy = "potential_energy" if self.input == "force_density" else "elastic_energy"
         inputs = np.column_stack([before, after])
-        (stored,) = evaluate_columns(energy, np.column_stack([state, state]), inputs)
+        N, V = (np.repeat(part, 2, axis=2) for part in self._motion(state))
+        (stored,) = self._evaluated(energy, np.column_stack([state, state]), N, V, inputs)
         self.lost_energy += float(stored[0, 0] - stored[0, 1])
 
     def _run_span(
@@ -211,6 +229,8 @@ class Loop:
             np.pad(coefficients, ((0, 0), (0, more))) if more else coefficients, self.now + close
         )
         held = self._packed(coefficients, self.now - origin)
+        if self.offset is not None:
+            state = self._kicked(state, held, origin, coefficients)
         if self.integrator is None:
             self.integrator = self._prepare(state, held)
             first = np.array([self.now])
@@ -234,7 +254,70 @@ class Loop:
             raise self.stopped(str(error)) from error
         add(span)
         self.now = start + duration
+        if self.offset is not None:
+            self.offset_rate = self.spans[-1].values(self._offsets, 1)[:, -1]
         return span.states[:, -1]
+
+    def _kicked(
+        self, state: FloatArray, held: FloatArray, origin: float, coefficients: FloatArray
+    ) -> FloatArray:
+        """Return the state after a jump of the velocity of supports, if there is one."""
+        time = np.array([self.now - origin])
+        rate = polynomial_at(coefficients[self._offsets], time, 1)[:, 0]
+        jump = rate if self.offset_rate is None else rate - self.offset_rate
+        self.offset_rate = rate
+        if not jump.any():
+            return state
+        slope, layout = Evaluator(self._equation.slope), self._equation.layout
+        pushed, taut = held.copy(), np.ones(self._equation.switches)
+        pushed[layout.strings : layout.strings + layout.load] -= self._mass @ jump
+        before = slope(state, held, taut)[0].copy()
+        change = slope(state, pushed, taut)[0] - before
+        change[: len(state) // 2] = 0.0  # positions stay
+        return np.asarray(state + change)
+
+    def motion(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return nodes and velocities, shape (d, n) each, of a state now."""
+        N, V = self._motion(state)
+        return N[:, :, 0], V[:, :, 0]
+
+    def _motion(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        offset = rate = None
+        if self.offset is not None:
+            offset, rate = self.offset.at(np.array([self.now])), self.offset_rate
+            rate = np.zeros_like(offset) if rate is None else rate[:, None]
+        return self._moved(state[:, None], offset, rate)
+
+    def _moved(
+        self, states: FloatArray, offset: FloatArray | None, rate: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return nodes and velocities, shape (d, n, T) each, of states beside an offset."""
+        N, V = unpack_states(self.model.structure, states)
+        if offset is None or rate is None:
+            return N, V
+        return N + offset.reshape(N.shape, order="F"), V + rate.reshape(V.shape, order="F")
+
+    def all_nodes(
+        self, states: FloatArray, coefficients: FloatArray, time: FloatArray
+    ) -> FloatArray:
+        """Return positions, then velocities, of all nodes, one column for each state.
+
+        ``coefficients`` are those of all inputs, (rows, degree + 1, T), taken at times (T,).
+        """
+        offset = rate = None
+        if self.offset is not None:
+            offset, rate = (polynomial_at(coefficients[self._offsets], time, i) for i in (0, 1))
+        parts = self._moved(states, offset, rate)
+        return np.vstack([part.reshape(-1, states.shape[1], order="F") for part in parts])
+
+    def _evaluated(
+        self, name: str, states: FloatArray, N: FloatArray, V: FloatArray, *inputs: FloatArray
+    ) -> list[FloatArray]:
+        """Return a function of the model: of states, or where supports move, of all nodes."""
+        if self.offset is None:
+            return evaluate_columns(getattr(self.model, name), states, *inputs)
+        every = np.vstack([part.reshape(-1, states.shape[1], order="F") for part in (N, V)])
+        return evaluate_columns(self.model.of_all_nodes(name), every, *inputs)
 
     def stopped(self, why: str) -> SimulationError:
         """Return the error of a motion that cannot go on, with the motion up to now."""
@@ -247,6 +330,15 @@ class Loop:
     @property
     def _strings(self) -> slice:
         return slice(self._equation.layout.strings)
+
+    @property
+    def _loads(self) -> slice:
+        layout = self._equation.layout
+        return slice(layout.strings, layout.strings + layout.load)
+
+    @property
+    def _offsets(self) -> slice:
+        return slice(self._loads.stop, None)
 
     def _interval(self, k: int) -> tuple[FloatArray, FloatArray]:
         """Return the state and the input at the beginning of an interval between states kept."""
@@ -289,23 +381,28 @@ class Loop:
             error = step_doubling_error(
                 self.integrator, step, structure, time, states, self._interval
             )
-        nodes, velocities = unpack_states(structure, states)
+        offset = rate = None
+        if self.offset is not None:
+            offset, rate = (np.hstack([s.values(self._offsets, i) for s in spans]) for i in (0, 1))
+        nodes, velocities = self._moved(states, offset, rate)
+        at = states, nodes, velocities
         if self.input == "force_density":
             force_density, rest_length = inputs, None
-            (potential,) = evaluate_columns(model.potential_energy, states, inputs)
+            (potential,) = self._evaluated("potential_energy", *at, inputs)
         else:
-            (force_density,) = evaluate_columns(model.string_force_density, states, inputs)
+            (force_density,) = self._evaluated("string_force_density", *at, inputs)
             rest_length = frozen(inputs)
-            (potential,) = evaluate_columns(model.elastic_energy, states, inputs)
-        if isinstance(self.load, Pieces):
-            layout = self._equation.layout
-            loads = np.hstack([s.values(slice(layout.strings, layout.count)) for s in spans])
+            (potential,) = self._evaluated("elastic_energy", *at, inputs)
+        if self._given is not None:
+            loads = np.hstack([s.values(self._loads) for s in spans])
+            if self.offset is not None:  # without the inertia that is a load beside the offset
+                loads += self._mass @ np.hstack([s.values(self._offsets, 2) for s in spans])
             loaded = bool(loads.any())
             potential = potential - (loads * nodes.reshape(loads.shape, order="F")).sum(axis=0)
-        elif loaded := bool(self.load.any()):
+        elif loaded := not isinstance(self.load, Pieces) and bool(self.load.any()):
             potential = potential - np.einsum("in,int->t", self.load, nodes)
-        (kinetic,) = evaluate_columns(model.kinetic_energy, states)
-        linear, angular = evaluate_columns(model.momentum, states)
+        (kinetic,) = self._evaluated("kinetic_energy", *at)
+        linear, angular = self._evaluated("momentum", *at)
         bars = nodes[:, structure.bars[:, 1]] - nodes[:, structure.bars[:, 0]]
         stretch = np.linalg.norm(bars, axis=0) - structure.bar_length[:, None]
         undamped = model.strings is not None and not model.strings.is_damped

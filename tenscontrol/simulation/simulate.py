@@ -22,6 +22,7 @@ from tenscontrol.simulation.faults import Fault, Faults
 from tenscontrol.simulation.loop import Loop, SimulationError
 from tenscontrol.simulation.trajectory import AccuracyWarning, HealthLimits, Trajectory
 from tenscontrol.structure import (
+    carried_by_supports,
     refuse_moved_supports,
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
@@ -46,6 +47,9 @@ _OUTPUTS = 1000
 # the first part of that is round-off, the second what RK4 leaves in a motion that has died out.
 _EXACT, _PROJECTED = 1e-8, 1e-3
 _ROUND_OFF, _LEFT = 1e-12, 1e-6
+
+# A support that goes on from another place, by more than this part of the size, jumps.
+_ROUND_OFF_MOTION = 1e-9
 
 
 def simulate(
@@ -74,6 +78,7 @@ def simulate(
     sensors: Sensors | None = None,
     seed: int | None = None,
     start: Trajectory | None = None,
+    support_motion: object = None,
 ) -> Trajectory:
     """Return the motion of a model.
 
@@ -248,6 +253,9 @@ def simulate(
         held = None
         if controller is None:
             held = _inputs(model, rest_length, force_density, *span)
+        offset = None
+        if support_motion is not None:
+            offset = _support_motion(model, support_motion, *span)
         loop = Loop(
             model,
             input=what,
@@ -260,6 +268,7 @@ def simulate(
             project=project,
             machine_code=truth("machine_code", machine_code, "whether to compile the steps"),
             degree=_degree(held, what, winches),
+            offset=offset,
         )
         loop.output_step = _output_step(loop, output_step, duration)
         loop.now = now
@@ -267,11 +276,14 @@ def simulate(
             winches is not None or sample_time is not None or estimator is not None
         ):
             raise ValueError("estimator, winches and sample_time go with a controller")
+        N, V = _beside(loop, start, nodes, velocities)
         if start is None:
             first = None if held is None else held.at(np.zeros(1))[:, 0]
-            state, loop.note = initial_state(model, nodes, velocities, loop.input, first)
+            state, loop.note = initial_state(model, N, V, loop.input, first)
         else:
-            state = pack_state(model.structure, start.nodes[:, :, -1], start.velocities[:, :, -1])
+            assert N is not None  # of the run
+            assert V is not None
+            state = pack_state(model.structure, N, V)
         try:
             end = loop.now + duration
             with progress_bar(end, shown=True) if progress else nullcontext() as loop.report:
@@ -390,7 +402,80 @@ def _load(model: Model, external_force: object, start: float, end: float) -> Flo
         return checked_load(model, external_force)
     shape = model.structure.nodes.shape
     pieces = as_pieces("external_force", external_force, shape, "one force per node", start, end)
-    return pieces.plus(model.constant_force.ravel(order="F"))
+    return Pieces.added([pieces, Pieces.constant(model.constant_force.ravel(order="F"))])
+
+
+def _support_motion(model: Model, value: object, start: float, end: float) -> Pieces:
+    """Return by how much each node moves with supports, m, node by node, after checking it can."""
+    structure = model.structure
+    d, n = structure.nodes.shape
+    fixed, size = structure.fixed, float(np.ptp(structure.nodes, axis=1).max())
+    if not len(fixed):
+        raise ValueError(
+            "support_motion is given, but no node of the structure is fixed; fix some by "
+            "Structure(..., fixed=[...])"
+        )
+    shape, meaning = (d, len(fixed)), "m, one column a fixed node, in the order of structure.fixed"
+    given = as_pieces("support_motion", value, shape, meaning, start, end)
+    jump, time = given.jumps(start, end)
+    if jump > _ROUND_OFF_MOTION * size:
+        raise ValueError(
+            f"support_motion jumps by {jump:.3g} m at {time:.6g} s, expected a continuous motion: "
+            "interpolate by 'linear' or 'cubic'"
+        )
+    carried = carried_by_supports(structure)
+    column = np.searchsorted(fixed, carried)
+    motions = given.coefficients.reshape(len(given.start), len(fixed), d, -1)
+    largest = np.abs(motions).max(initial=0.0)
+    for i, node in enumerate(fixed):
+        if np.abs(motions[:, i] - motions[:, column[node]]).max() > 1e-12 * largest:
+            raise ValueError(
+                f"support_motion moves the fixed nodes {carried[node]} and {node} differently, but "
+                "bars lead from one to the other: give both the same displacement"
+            )
+    for node, axis in structure.rollers:
+        if carried[node] >= 0 and motions[:, column[node], "xyz".index(axis)].any():
+            raise ValueError(
+                f"support_motion moves the fixed node {carried[node]} along {axis}, but bars lead "
+                f"from it to node {node}, which a roller holds along {axis}"
+            )
+    every = np.zeros((n, d, len(fixed), d))
+    nodes = np.flatnonzero(carried >= 0)
+    for i in range(d):
+        every[nodes, i, column[nodes], i] = 1.0
+    return given.mapped(every.reshape(d * n, -1))
+
+
+def _beside(
+    loop: Loop, start: Trajectory | None, nodes: object, velocities: object
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Return nodes and velocities at the start beside the motion of supports, and tell the loop.
+
+    None for what is not given.
+    """
+    structure = loop.model.structure
+    if loop.offset is None and start is None:
+        given = ("nodes", nodes), ("velocities", velocities)
+        N, V = (None if v is None else structure.checked_nodes(name, v) for name, v in given)
+        return N, V
+    N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
+    V = None if velocities is None else structure.checked_nodes("velocities", velocities)
+    if start is not None:
+        N, V = start.nodes[:, :, -1], start.velocities[:, :, -1]
+    carried = carried_by_supports(structure)
+    before = np.zeros_like(N) if V is None else np.where(carried >= 0, V[:, carried], 0.0)
+    if loop.offset is None and before.any():
+        raise ValueError("supports move at the end of start: give support_motion, how it goes on")
+    if loop.offset is not None:
+        loop.offset_rate = before.ravel(order="F")
+        displaced = loop.offset.at(np.array([loop.now])).reshape(N.shape, order="F")
+        N = N if nodes is None and start is None else N - displaced
+    try:
+        refuse_moved_supports("nodes" if start is None else "start", structure, N)
+    except ValueError as error:
+        by = f"less what support_motion displaces it by at {loop.now:g} s"
+        raise ValueError(f"{error}, {by}") from None
+    return N, np.zeros_like(N) if V is None else V - before
 
 
 def checked_load(model: Model, external_force: object) -> FloatArray:

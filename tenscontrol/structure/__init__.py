@@ -24,6 +24,7 @@ from tenscontrol.structure.structure import Structure, same_members
 from tenscontrol.structure.subdivide import subdivide
 from tenscontrol.structure.supports import (
     affine_motions,
+    carried_by_supports,
     free_coordinates,
     is_movable,
     left_by_supports,
@@ -41,6 +42,7 @@ __all__ = [
     "bar_distances",
     "bar_rows",
     "block_mass",
+    "carried_by_supports",
     "crossing",
     "free_coordinates",
     "is_movable",

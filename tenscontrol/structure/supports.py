@@ -70,6 +70,23 @@ def rigid_basis(structure: Structure) -> FloatArray:
     return np.asarray(U[:, sizes > _RANK_TOLERANCE * largest])
 
 
+def carried_by_supports(structure: Structure) -> IntArray:
+    """Return for each node the fixed node that it moves with, shape (n,), or -1.
+
+    A node moves with a fixed node if bars lead from one to the other.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = structure.nodes.shape[1]
+    start, end = structure.bars.T
+    joined = coo_array((np.ones(len(start)), (start, end)), shape=(n, n))
+    _, group = connected_components(joined, directed=False)
+    first = np.full(n, -1)
+    first[group[structure.fixed[::-1]]] = structure.fixed[::-1]
+    return np.asarray(first[group])
+
+
 def refuse_moved_supports(
     name: str, structure: Structure, nodes: FloatArray, tolerance: float = _TOLERANCE
 ) -> None:
