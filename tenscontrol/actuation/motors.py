@@ -191,24 +191,25 @@ class Motor:
             return array, length[:, None], lever[:, None]
         return array, length, lever
 
-    def for_count(self, count: int) -> EachMotor:
-        """Return the numbers of each motor, for so many strings, or raise if they do not fit."""
-        for name, _ in _OF_MOTORS:
-            value = getattr(self, name)
-            if value is not None:
-                one_or_per_string(f"motor.{name}", value, count)
 
-        def each(value: FloatArray | None, absent: float = np.inf) -> FloatArray:
-            return frozen(np.broadcast_to(absent if value is None else value, count))
+def each_motor(motor: Motor, count: int) -> EachMotor:
+    """Return the numbers of each motor, for so many strings, or raise if they do not fit."""
+    for name, _ in _OF_MOTORS:
+        value = getattr(motor, name)
+        if value is not None:
+            one_or_per_string(f"motor.{name}", value, count)
 
-        return EachMotor(
-            lever=each(self.lever),
-            torque=each(self.torque),
-            inertia=each(self.inertia),
-            lag=each(self.lag),
-            play=each(self.backlash * self.drum_radius),
-            zero=each(self.zero, np.nan),
-        )
+    def each(value: FloatArray | None, absent: float = np.inf) -> FloatArray:
+        return frozen(np.broadcast_to(absent if value is None else value, count))
+
+    return EachMotor(
+        lever=each(motor.lever),
+        torque=each(motor.torque),
+        inertia=each(motor.inertia),
+        lag=each(motor.lag),
+        play=each(motor.backlash * motor.drum_radius),
+        zero=each(motor.zero, np.nan),
+    )
 
 
 @dataclass(frozen=True, eq=False)

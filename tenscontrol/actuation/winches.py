@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.actuation.motors import Motor, Turning
+from tenscontrol.actuation.motors import Motor, Turning, each_motor
 from tenscontrol.dynamics import Model, StringLaw, polynomial_at
 from tenscontrol.limits import MOST_SAMPLES
 from tenscontrol.structure import refuse_strings_without_length
@@ -394,8 +394,9 @@ class Drive:
         motion: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
         count = len(rest_length)
+        winches.move(rest_length, rest_length, sample_time)  # or the limits do not fit
         motor = _NO_MOTOR if winches.motor is None else winches.motor
-        self._winches, self._motor = winches, motor.for_count(count)
+        self._winches, self._motor = winches, each_motor(motor, count)
         self._sample_time, self._play = sample_time, self._motor.play / 2
         rate = np.inf if winches.largest_rate is None else winches.largest_rate
         self._rate = np.broadcast_to(rate, count)

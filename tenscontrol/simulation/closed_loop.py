@@ -15,6 +15,7 @@ from tenscontrol.actuation import (
     Winches,
     WinchMove,
     cable_work,
+    each_motor,
     motor_record,
     winding_work,
 )
@@ -41,6 +42,9 @@ from tenscontrol.validation import (
 )
 
 _NONE = frozen(np.zeros(0, dtype=np.int64))
+
+# Of motors that move rest lengths.
+_DYNAMIC = ("inertia", "lag", "backlash")
 
 
 def run_closed_loop(
@@ -215,7 +219,7 @@ class Actuators:
             )
         self._motor = None
         if winches is not None and winches.motor is not None:
-            self._motor = winches.motor.for_count(self._count)
+            self._motor = each_motor(winches.motor, self._count)
         if loop.input == "force_density":
             self._refuse_lengths(winches, rest_length)
         self._input = controller.input
@@ -415,25 +419,27 @@ class Actuators:
 
     def _refuse_lengths(self, winches: Winches | None, rest_length: object) -> None:
         """Refuse what sets rest lengths where γ is held."""
-        if rest_length is not None or (winches is not None and winches.motor is None):
+        motor = None if winches is None else winches.motor
+        if rest_length is not None or (winches is not None and motor is None):
             raise ValueError(
-                "winches and rest_length have no meaning where γ is held; only their motors have: "
+                "winches and rest_length have no meaning where γ is held; only motors have: "
                 "Winches(motor=...)"
             )
-        if winches is None or winches.motor is None:
+        if winches is None or motor is None:
             return
-        motor = winches.motor
         given = [
-            name for name in ("rate", "shortest", "longest") if getattr(winches, name) is not None
-        ]
-        given += ["ramp"] * winches.ramp
-        given += [
-            f"motor.{name}" for name in ("inertia", "lag", "backlash") if getattr(motor, name).any()
+            name
+            for name, value in (
+                *((name, getattr(winches, name)) for name in ("rate", "shortest", "longest")),
+                ("ramp", winches.ramp or None),
+                *((f"motor.{name}", getattr(motor, name)) for name in ("speed", *_DYNAMIC)),
+            )
+            if value is not None and np.any(value)
         ]
         if given:
             raise ValueError(
-                f"winches has {', '.join(given)}, which set rest lengths, but γ is held: a motor "
-                "then has drum_radius, gear_ratio and torque"
+                f"winches has {', '.join(given)}, which set how rest lengths move, but γ is held: "
+                "give drum_radius, gear_ratio, torque and zero alone"
             )
         if self._by_segment:
             raise ValueError(
