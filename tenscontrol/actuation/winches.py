@@ -185,10 +185,10 @@ class Winches:
         Whether rest lengths ramp through a sample (first-order hold). If not, a winch
         jumps at the start of a sample and stands still (zero-order hold).
     substeps : int, optional
-        Equal steps that a ramp is made of where a controller or an estimator predicts it, 10 if not
-        given; more than 1 means a ramp. A step should be shorter than the stretch of the strings,
-        T/k. In a run a ramp is exact; limits of torque are looked at, and play is taken up, at
-        the end of each step.
+        Parts of a ramp, 10 if not given; more than 1 means a ramp. The ramp is straight. In each
+        part the torque and the play of motors are looked at, and a Kalman filter that predicts by
+        nonlinear equations takes a step, which should be shorter than the stretch of the strings,
+        T/k.
     motor : Motor, optional
         The motors: limits of torque and speed, inertia, lag, backlash. A run then reports their
         angle, speed, torque, power and energy, ``run.control.motors``.
