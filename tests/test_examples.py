@@ -260,6 +260,12 @@ def test_control_arm():
         assert np.abs(each.nodes[:, :, -1] - goal).max() < 2e-3, name
     assert found["runs"]["MPC"].force_density.min() > 5.0
     assert max(found["lengths"].values()) < 1e-13
+    for each in found["runs"].values():
+        motors = each.control.motors
+        assert np.abs(motors.speed).max() <= 600.0 * (1 + 1e-9)
+        # At rest before and after, up to damping: the arm is lifted, and more.
+        assert 0.5 * 9.81 * found["RISE"] < motors.energy[:, -1].sum() < 6.0
+        assert motors.energy_error < 1e-4
 
 
 def test_control_spine():

@@ -32,7 +32,8 @@ def values(tmp_path_factory):
     sensors = tc.Sensors(structure=prism, string_length=0.001, nodes=[0, 2], node_position=0.01)
     held = tc.linearize(model, rest, input="rest_length")
     estimator = tc.KalmanFilter(held, sensors, sample_time=0.01)
-    winches = tc.Winches(rate=0.5, shortest=np.full(9, 0.1), longest=2.0)
+    motor = tc.Motor(drum_radius=np.full(9, 0.01), torque=2.0, zero=0.8)
+    winches = tc.Winches(rate=0.5, shortest=np.full(9, 0.1), longest=2.0, motor=motor)
     start = tc.to_rest_length(model, prism.nodes, rest.force_density)
     run = tc.simulate(
         model,
@@ -77,6 +78,8 @@ def values(tmp_path_factory):
         tc.StuckWinch(string=5, time=0.8, until=1.5),
         tc.LostMeasurement(time=0.5, until=0.7),
         start,
+        motor,
+        run.control.motors,
         winches,
         winches.move(start.rest_length, start.rest_length, 0.01),
         model.strings,

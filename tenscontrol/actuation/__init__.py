@@ -7,6 +7,7 @@ from tenscontrol.actuation.motors import (
     MotorRecord,
     Turning,
     cable_work,
+    each_motor,
     motor_record,
     winding_work,
 )
@@ -32,6 +33,7 @@ __all__ = [
     "WinchMove",
     "Winches",
     "cable_work",
+    "each_motor",
     "motor_record",
     "to_force_density",
     "to_rest_length",

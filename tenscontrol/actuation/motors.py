@@ -191,24 +191,25 @@ class Motor:
             return array, length[:, None], lever[:, None]
         return array, length, lever
 
-    def for_count(self, count: int) -> EachMotor:
-        """Return the numbers of each motor, for so many strings, or raise if they do not fit."""
-        for name, _ in _OF_MOTORS:
-            value = getattr(self, name)
-            if value is not None:
-                one_or_per_string(f"motor.{name}", value, count)
 
-        def each(value: FloatArray | None, absent: float = np.inf) -> FloatArray:
-            return frozen(np.broadcast_to(absent if value is None else value, count))
+def each_motor(motor: Motor, count: int) -> EachMotor:
+    """Return the numbers of each motor, for so many strings, or raise if they do not fit."""
+    for name, _ in _OF_MOTORS:
+        value = getattr(motor, name)
+        if value is not None:
+            one_or_per_string(f"motor.{name}", value, count)
 
-        return EachMotor(
-            lever=each(self.lever),
-            torque=each(self.torque),
-            inertia=each(self.inertia),
-            lag=each(self.lag),
-            play=each(self.backlash * self.drum_radius),
-            zero=each(self.zero, np.nan),
-        )
+    def each(value: FloatArray | None, absent: float = np.inf) -> FloatArray:
+        return frozen(np.broadcast_to(absent if value is None else value, count))
+
+    return EachMotor(
+        lever=each(motor.lever),
+        torque=each(motor.torque),
+        inertia=each(motor.inertia),
+        lag=each(motor.lag),
+        play=each(motor.backlash * motor.drum_radius),
+        zero=each(motor.zero, np.nan),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,7 +264,7 @@ class Instants(NamedTuple):
     """One place of each interval between states that are kept: T of them."""
 
     time: FloatArray  # s, (T,)
-    states: FloatArray  # (n, T)
+    states: FloatArray  # positions, then velocities, of all nodes, node by node, (2 d n, T)
     inputs: FloatArray  # of the strings of the model, and their first two rates, (3, α′, T)
 
 
@@ -283,7 +284,7 @@ def cable_work(model: Model, ends: tuple[Instants, Instants]) -> tuple[list[Turn
     """
     turning = []
     for end in ends:
-        length, rate = evaluate_columns(model.string_motion, end.states)
+        length, rate = evaluate_columns(model.of_all_nodes("string_motion"), end.states)
         turning.append(Turning(length, rate, np.zeros_like(rate), end.inputs[0] * length))
     before, after = (each.position for each in turning)
     return turning, ends[0].inputs[0] * (before**2 - after**2) / 2
@@ -301,7 +302,9 @@ def winding_work(
     stored, forces, powers, slopes = [], [], [], []
     for each in instants:
         lengths, rates, accelerations = each.inputs
-        energy, force, change, *_ = evaluate_columns(model.winding, each.states, lengths, rates)
+        energy, force, change, *_ = evaluate_columns(
+            model.of_all_nodes("winding"), each.states, lengths, rates
+        )
         stored.append(energy)
         forces.append(force)
         powers.append(-force * rates)

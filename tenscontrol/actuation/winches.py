@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.actuation.motors import Motor, Turning
+from tenscontrol.actuation.motors import Motor, Turning, each_motor
 from tenscontrol.dynamics import Model, StringLaw, polynomial_at
 from tenscontrol.limits import MOST_SAMPLES
 from tenscontrol.structure import refuse_strings_without_length
@@ -185,10 +185,10 @@ class Winches:
         Whether rest lengths ramp through a sample (first-order hold). If not, a winch
         jumps at the start of a sample and stands still (zero-order hold).
     substeps : int, optional
-        Equal steps that a ramp is made of where a controller or an estimator predicts it, 10 if not
-        given; more than 1 means a ramp. A step should be shorter than the stretch of the strings,
-        T/k. In a run a ramp is exact; limits of torque are looked at, and play is taken up, at
-        the end of each step.
+        Parts of a ramp, 10 if not given; more than 1 means a ramp. The ramp is straight. In each
+        part the torque and the play of motors are looked at, and a Kalman filter that predicts by
+        nonlinear equations takes a step, which should be shorter than the stretch of the strings,
+        T/k.
     motor : Motor, optional
         The motors: limits of torque and speed, inertia, lag, backlash. A run then reports their
         angle, speed, torque, power and energy, ``run.control.motors``.
@@ -394,8 +394,9 @@ class Drive:
         motion: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
         count = len(rest_length)
+        winches.move(rest_length, rest_length, sample_time)  # or the limits do not fit
         motor = _NO_MOTOR if winches.motor is None else winches.motor
-        self._winches, self._motor = winches, motor.for_count(count)
+        self._winches, self._motor = winches, each_motor(motor, count)
         self._sample_time, self._play = sample_time, self._motor.play / 2
         rate = np.inf if winches.largest_rate is None else winches.largest_rate
         self._rate = np.broadcast_to(rate, count)
@@ -465,7 +466,7 @@ class Drive:
         motion = np.stack([tick.motor for _, tick in self._ticks])
         share = np.stack([tick.share for _, tick in self._ticks])
         c, at = motion[k].transpose(1, 2, 0), times - starts[k]
-        rate = polynomial_at(c[:, 1:] * np.array([[[1.0], [2.0]]]), at)
+        rate = polynomial_at(c, at, 1)
         if self._winches.jumps:
             came = np.vstack([self._before, motion[:-1, :, 0]])
             rate = ((motion[:, :, 0] - came) / part)[k].T

@@ -42,7 +42,8 @@ _MOST_DEGREE = 20
 
 # Functions that can be had of all nodes.
 _OF_ALL_NODES = (
-    "string_force_density", "kinetic_energy", "potential_energy", "elastic_energy", "momentum"
+    "string_force_density", "kinetic_energy", "potential_energy", "elastic_energy", "momentum",
+    "string_motion", "winding",
 )  # fmt: skip
 
 
@@ -370,45 +371,14 @@ class Model:
         """
         return self._momentum(self._symbols())
 
-    @built
-    def string_motion(self) -> ca.Function:
-        """``(x) -> (length, rate)``: of each string, m and m/s, shape (α,)."""
-        s = self._symbols()
-        length, rate = kernel.string_motion(self._structure, s["nodes"], s["velocities"])
-        parts = {"length": ca.densify(length.T), "rate": ca.densify(rate.T)}
-        return self._function("string_motion", s, "x", **parts)
-
-    @built
-    def winding(self) -> ca.Function:
-        """``(x, rest_length, rate) -> (stored, force, force_rate, slope, length)`` of each string.
-
-        Elastic energy, J; the force that winds the string in, ``−∂U/∂l0``, N; its rate under the
-        rates of the nodes and of the rest lengths, m/s, N/s; ``−∂F/∂l0``, N/m; and the length, m.
-        Each of shape (α,).
-        """
-        s = self._symbols()
-        s["rate"] = ca.SX.sym("rate", len(self._structure.strings))
-        x, rest = s["x"], s["rest_length"]
-        length = kernel.string_lengths(self._structure, s["nodes"]).T
-        stored = self._needed_strings().as_expressions().stored_energy(length, rest)
-        # Each string stores by its own rest length alone.
-        force = -ca.jtimes(stored, rest, ca.DM.ones(rest.shape))
-        slope = -ca.jtimes(force, rest, ca.DM.ones(rest.shape))
-        half = x.shape[0] // 2
-        moved = ca.vertcat(x[half:], ca.DM.zeros(half))
-        change = ca.jtimes(force, x, moved) + ca.jtimes(force, rest, s["rate"])
-        parts = {"stored": stored, "force": force, "force_rate": change, "slope": slope}
-        parts = {name: ca.densify(part) for name, part in (parts | {"length": length}).items()}
-        return self._function("winding", s, "x rest_length rate", **parts)
-
     def of_all_nodes(self, name: str) -> ca.Function:
-        """Return one of the energies, the momentum or γ as a function of all nodes.
+        """Return an energy, the momentum, γ or what strings do as a function of all nodes.
 
         Parameters
         ----------
         name : str
-            Of the property. In its x stand the positions and velocities of all nodes, those of
-            supports, which may move, among them.
+            Of the property, ``"string_motion"`` or ``"winding"``. In its x stand the positions and
+            velocities of all nodes, those of supports, which may move, among them.
         """
         build = getattr(self, f"_{choice('name', name, _OF_ALL_NODES)}")
         key = "of all nodes", name
@@ -440,6 +410,33 @@ class Model:
         stored = law.as_expressions().stored_energy(length, s["rest_length"])
         energy = ca.densify(ca.sum1(stored))
         return self._function("elastic_energy", s, "x rest_length", energy=energy)
+
+    def _string_motion(self, s: dict[str, Any]) -> ca.Function:
+        """``(x) -> (length, rate)``: of each string, m and m/s, shape (α,)."""
+        length, rate = kernel.string_motion(self._structure, s["nodes"], s["velocities"])
+        parts = {"length": ca.densify(length.T), "rate": ca.densify(rate.T)}
+        return self._function("string_motion", s, "x", **parts)
+
+    def _winding(self, s: dict[str, Any]) -> ca.Function:
+        """``(x, rest_length, rate) -> (stored, force, force_rate, slope, length)`` of each string.
+
+        Elastic energy, J; the force that winds the string in, ``−∂U/∂l0``, N; its rate under the
+        rates of the nodes and of the rest lengths, m/s, N/s; ``−∂F/∂l0``, N/m; and the length, m.
+        Each of shape (α,).
+        """
+        s["rate"] = ca.SX.sym("rate", len(self._structure.strings))
+        x, rest = s["x"], s["rest_length"]
+        length = kernel.string_lengths(self._structure, s["nodes"]).T
+        stored = self._needed_strings().as_expressions().stored_energy(length, rest)
+        # Each string stores by its own rest length alone.
+        force = -ca.jtimes(stored, rest, ca.DM.ones(rest.shape))
+        slope = -ca.jtimes(force, rest, ca.DM.ones(rest.shape))
+        half = x.shape[0] // 2
+        moved = ca.vertcat(x[half:], ca.DM.zeros(half))
+        change = ca.jtimes(force, x, moved) + ca.jtimes(force, rest, s["rate"])
+        parts = {"stored": stored, "force": force, "force_rate": change, "slope": slope}
+        parts = {name: ca.densify(part) for name, part in (parts | {"length": length}).items()}
+        return self._function("winding", s, "x rest_length rate", **parts)
 
     def _momentum(self, s: dict[str, Any]) -> ca.Function:
         momenta, nodes = kernel.mass_product(self._structure, s["velocities"]), s["nodes"]

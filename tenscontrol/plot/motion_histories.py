@@ -183,6 +183,71 @@ def _with_statuses(panel: Curves, control: ControlRecord) -> Curves:
     return panel
 
 
+def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, Curves]:
+    """Draw what the motors of the winches, or of force-controlled cables, did.
+
+    The panels are ``"angle"``, ``"speed"``, ``"torque"`` and ``"power"``, with one style for each
+    string group, and ``"energy"``, of all motors together. Positive is winding in, and giving.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Under a controller, with ``winches=Winches(motor=...)``.
+    axes : sequence of Axes, optional
+        Where to draw, one for each panel; a new figure if not given.
+
+    Returns
+    -------
+    dict of str to Curves
+        What was drawn, by panel.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``run`` is no run, or has no motors, or ``axes`` does not fit.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> rest = tc.prestress(prism, force_density=17.3205)
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0, damping=0.5))
+    >>> plant = tc.linearize(model, rest, input="rest_length")
+    >>> run = tc.simulate(
+    ...     model, 0.2, plant.to_nodes([0.02] + 8 * [0.0]), step=1e-3,
+    ...     controller=tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.02),
+    ...     rest_length=plant.rest_length,
+    ...     winches=tc.Winches(ramp=True, motor=tc.Motor(drum_radius=0.01, gear_ratio=20.0)))
+    >>> panels = tc.plot.motors(run)
+    >>> list(panels), list(panels["torque"].lines)
+    (['angle', 'speed', 'torque', 'power', 'energy'], ['top', 'bottom', 'vertical'])
+    >>> plt.close(panels["angle"].ax.figure)
+    """
+    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    record = None if run.control is None else run.control.motors
+    if record is None:
+        raise ValueError("run has no motors: simulate it with winches=Winches(motor=Motor(...))")
+    structure = run.structure
+    if structure.parent is not None and len(structure.strings) != len(record.zero):
+        structure = structure.parent
+    units = {"angle": "rad", "speed": "rad/s", "torque": "N m", "power": "W", "energy": "J"}
+    places, panels = panel_axes(axes, list(units)), {}
+    for ax, (name, unit) in zip(places, units.items(), strict=True):
+        values = getattr(record, name)
+        total = {"all motors": values.sum(axis=0, keepdims=True)}
+        last = axes is not None or name == "energy"
+        panels[name] = draw_curves(
+            ax,
+            record.time,
+            total if name == "energy" else _by_group(structure, values),
+            f"motor {name}, {unit}",
+            held=name == "speed",
+            xlabel="time, s" if last else None,
+        )
+        panels[name] = _with_faults(panels[name], run)
+    return panels
+
+
 def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, Curves]:
     """Draw what tells whether to trust a motion.
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.actuation import Winches
+from tenscontrol.actuation import Motor, Winches
 from tenscontrol.control import (
     MPC,
     BaseController,
@@ -305,10 +305,14 @@ def build_winches(document: Document, structure: Structure) -> Winches | None:
         return None
     table = document.table("winches")
     settings = table.given("ramp", "substeps")
+    motor: dict[str, Any] = {}
     for key in table.without("ramp", "substeps"):
-        settings[key] = per_string(table, key, whole_strings(structure))
+        of = motor if key in schema.arguments(Motor) else settings
+        of[key] = per_string(table, key, whole_strings(structure))
+    if motor:
+        table.need("drum_radius")
     with table.checked():
-        return Winches(**settings)
+        return Winches(**settings, motor=Motor(**motor) if motor else None)
 
 
 def build_estimator(

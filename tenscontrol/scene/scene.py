@@ -47,6 +47,9 @@ from tenscontrol.validation import (
 # With strings whose law is known, rest lengths are the input if nothing else is said.
 _INPUTS = ("force_density", "rest_length")
 
+# Keys of the motors of force-controlled cables.
+_OF_CABLES = ("drum_radius", "gear_ratio", "torque", "zero")
+
 _GO_WITH = (*((name, "controller") for name in ("winches", "sensors", "estimator")),
     ("sensors", "estimator"), ("estimator", "sensors"))  # fmt: skip
 
@@ -265,7 +268,7 @@ def load_scene(file: str | Path) -> Scene:
         A node coordinate, ``node`` and ``axis = "x"``, ``"y"`` or ``"z"``, less that of the
         node ``relative_to``. As ``outputs`` with ``low`` and ``high``, m, and ``penalty``.
     ``[winches]``
-        The arguments of :class:`Winches`.
+        The arguments of :class:`Winches` and, for their motors, of :class:`Motor`.
     ``[sensors]``, ``[estimator]``
         The arguments of :class:`Sensors`, with ``seed`` of their noise;
         ``kind = "kalman"`` with the arguments of :class:`KalmanFilter`, which knows the winches
@@ -396,8 +399,10 @@ def _refuse_contradictions(document: Document, input: str, sample_time: float | 
     """Raise if the controller does not go with the other tables."""
     controller, run = document.table("controller"), document.table("run")
     if document.has("winches") and input == "force_density":
-        message = "[winches] limits rest lengths, but [run] holds force_density"
-        raise document.error(("winches",), message)
+        given = document.table("winches")
+        if "drum_radius" not in given or given.without(*_OF_CABLES):
+            message = "[winches] limits rest lengths, but [run] holds force_density"
+            raise document.error(("winches",), message)
     if controller.get("input") == "rest_length" and input == "force_density":
         raise controller.error(
             "input", "in [controller], input is 'rest_length', but [run] holds force_density"

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import TypeVar
 
 from tenscontrol import library
-from tenscontrol.actuation import Winches
+from tenscontrol.actuation import Motor, Winches
 from tenscontrol.control import (
     LQR,
     MPC,
@@ -205,7 +205,13 @@ _MEANINGS: Keys = {
         (BY_STRING, "N s/m", "damping"),
         (BY_STRING, "kg", "string_mass"),
         (BY_STRING, "m/s", "rate"),
-        (BY_STRING, "m", "shortest longest"),
+        (BY_STRING, "m", "shortest longest drum_radius zero"),
+        (BY_STRING, "", "gear_ratio"),
+        (BY_STRING, "N m", "torque"),
+        (BY_STRING, "rad/s", "speed"),
+        (BY_STRING, "kg m²", "inertia"),
+        (BY_STRING, "s", "lag"),
+        (BY_STRING, "rad", "backlash"),
         (COUNT_BY_STRING, "", "segments"),
         (NODES, "", "nodes top bottom"),
         (SUPPORTS, "", "fixed"),
@@ -225,7 +231,7 @@ _MEANINGS: Keys = {
 
 # Arguments that come from another table or from the scene itself.
 _ELSEWHERE = (
-    "structure parent string_parent rollers paths plant sensors winches machine_code matrix"
+    "structure parent string_parent rollers paths plant sensors winches motor machine_code matrix"
 )
 
 
@@ -322,7 +328,7 @@ TABLES = _named(
         tolerance=(NUMBER, "m and m/s"),
     ),
     controller={key: each for keys in CONTROLLER_KEYS.values() for key, each in keys.items()},
-    winches=_keys("", Winches),
+    winches=_keys("", Winches, Motor),
     sensors=_keys("", Sensors) | _keys("seed"),
     estimator=_keys("kind", KalmanFilter, without="sample_time start"),
     faults={key: each for keys in FAULT_KEYS.values() for key, each in keys.items()},

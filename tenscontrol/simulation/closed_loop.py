@@ -15,11 +15,12 @@ from tenscontrol.actuation import (
     Winches,
     WinchMove,
     cable_work,
+    each_motor,
     motor_record,
     winding_work,
 )
 from tenscontrol.control import BaseController, Command
-from tenscontrol.dynamics import Evaluator, Pieces, evaluate_columns, polynomial_at, unpack_states
+from tenscontrol.dynamics import Evaluator, Pieces, evaluate_columns, polynomial_at
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.interrupt import check
 from tenscontrol.limits import refuse_memory
@@ -41,6 +42,9 @@ from tenscontrol.validation import (
 )
 
 _NONE = frozen(np.zeros(0, dtype=np.int64))
+
+# Of motors that move rest lengths.
+_DYNAMIC = ("inertia", "lag", "backlash")
 
 
 def run_closed_loop(
@@ -121,7 +125,7 @@ def run_closed_loop(
             raise
         taken = perf_counter() - began
         check()  # a command that was interrupted is not applied
-        move = actuators.begin(command, state, loop.faults.stuck(moment))
+        move = actuators.begin(command, N, loop.faults.stuck(moment))
         rows.append((loop.now, command, move, taken))
         end = min(loop.now + sample, until)
         whole = end - loop.now
@@ -227,7 +231,7 @@ class Actuators:
             )
         self._motor = None
         if winches is not None and winches.motor is not None:
-            self._motor = winches.motor.for_count(self._count)
+            self._motor = each_motor(winches.motor, self._count)
         if loop.input == "force_density":
             self._refuse_lengths(winches, rest_length)
         self._input = controller.input
@@ -293,10 +297,9 @@ class Actuators:
         """Parts of a sample, in each of which inputs are one polynomial in time."""
         return self._winches.ticks
 
-    def begin(self, command: Command, state: FloatArray, stuck: IntArray) -> WinchMove:
+    def begin(self, command: Command, nodes: FloatArray, stuck: IntArray) -> WinchMove:
         """Take the command of a sample, and return the move to expect, one entry a winch."""
         desired = self._checked(command.value)
-        nodes = unpack_states(self._structure, state[:, None])[0][:, :, 0]
         if self._held == "force_density":
             desired, weak = self._unless_stuck(desired, stuck), _NONE
             if self._motor is not None:
@@ -330,12 +333,12 @@ class Actuators:
             self.held = self._to_plant("force_density", self._current)
             return self.held
 
+        N, V = (part.ravel(order="F") for part in self._loop.motion(state))
+
         def pull(
             rest_length: FloatArray, later: float
         ) -> tuple[FloatArray, FloatArray, FloatArray]:
-            half = len(state) // 2
-            moved = state.copy()
-            moved[:half] += later * state[half:]
+            moved = np.concatenate([N + later * V, V])
             lengths = self._to_plant("rest_length", rest_length)
             _, force, _, slope, length = self._winding(moved, lengths, np.zeros_like(lengths))
             share = self._to_plant("rest_length", np.ones(self._count))
@@ -363,7 +366,7 @@ class Actuators:
 
     @cached_property
     def _winding(self) -> Evaluator:
-        return Evaluator(self._loop.model.winding)
+        return Evaluator(self._loop.model.of_all_nodes("winding"))
 
     def _checked(self, value: object) -> FloatArray:
         """Return a command, or raise: a user's controller may break its promises."""
@@ -433,25 +436,27 @@ class Actuators:
 
     def _refuse_lengths(self, winches: Winches | None, rest_length: object) -> None:
         """Refuse what sets rest lengths where γ is held."""
-        if rest_length is not None or (winches is not None and winches.motor is None):
+        motor = None if winches is None else winches.motor
+        if rest_length is not None or (winches is not None and motor is None):
             raise ValueError(
-                "winches and rest_length have no meaning where γ is held; only their motors have: "
+                "winches and rest_length have no meaning where γ is held; only motors have: "
                 "Winches(motor=...)"
             )
-        if winches is None or winches.motor is None:
+        if winches is None or motor is None:
             return
-        motor = winches.motor
         given = [
-            name for name in ("rate", "shortest", "longest") if getattr(winches, name) is not None
-        ]
-        given += ["ramp"] * winches.ramp
-        given += [
-            f"motor.{name}" for name in ("inertia", "lag", "backlash") if getattr(motor, name).any()
+            name
+            for name, value in (
+                *((name, getattr(winches, name)) for name in ("rate", "shortest", "longest")),
+                ("ramp", winches.ramp or None),
+                *((f"motor.{name}", getattr(motor, name)) for name in ("speed", *_DYNAMIC)),
+            )
+            if value is not None and np.any(value)
         ]
         if given:
             raise ValueError(
-                f"winches has {', '.join(given)}, which set rest lengths, but γ is held: a motor "
-                "then has drum_radius, gear_ratio and torque"
+                f"winches has {', '.join(given)}, which set how rest lengths move, but γ is held: "
+                "give drum_radius, gear_ratio, torque and zero alone"
             )
         if self._by_segment:
             raise ValueError(
@@ -503,12 +508,11 @@ def _instants(loop: Loop) -> tuple[tuple[Instants, Instants, Instants], IntArray
     begins = np.concatenate([time[:1], time[:-1]])
     states = np.hstack([span.states for span in spans])
     before = np.hstack([np.column_stack([span.begin, span.states[:, :-1]]) for span in spans])
-    count = len(loop.model.structure.strings)
-    coefficients = np.stack([span.coefficients[:count] for span in spans])
+    coefficients = np.stack([span.coefficients for span in spans])[which].transpose(1, 2, 0)
     origin = np.array([span.origin for span in spans])[which]
     # Half way the motion is that of a quintic with positions, velocities and accelerations.
     half, step, middle = len(states) // 2, time - begins, (begins + time) / 2
-    flat = np.stack([span.coefficients.ravel(order="F") for span in spans])[which].T
+    flat = coefficients.reshape(-1, len(which), order="F")
     slopes = []
     for at, x in ((begins, before), (time, states)):
         u = np.vstack([flat, at - origin]) if loop.equation.layout.degree else flat
@@ -516,13 +520,9 @@ def _instants(loop: Loop) -> tuple[tuple[Instants, Instants, Instants], IntArray
     between = (before + states) / 2
     between[:half] += 5 / 32 * step * (before - states)[half:]
     between[:half] += step**2 / 64 * (slopes[0] + slopes[1])[half:]
-    found = []
+    found, strings = [], coefficients[: len(loop.model.structure.strings)]
     for at, x in ((begins, before), (middle, between), (time, states)):
-        series = []
-        for order in range(3):
-            c = coefficients
-            for _ in range(order):
-                c = c[:, :, 1:] * np.arange(1, c.shape[2])
-            series.append(polynomial_at(c[which].transpose(1, 2, 0), at - origin))
-        found.append(Instants(at, x, np.stack(series)))
+        series = [polynomial_at(strings, at - origin, order) for order in range(3)]
+        every = loop.all_nodes(x, coefficients, at - origin)
+        found.append(Instants(at, every, np.stack(series)))
     return (found[0], found[1], found[2]), first

@@ -302,6 +302,19 @@ class Loop:
             return N, V
         return N + offset.reshape(N.shape, order="F"), V + rate.reshape(V.shape, order="F")
 
+    def all_nodes(
+        self, states: FloatArray, coefficients: FloatArray, time: FloatArray
+    ) -> FloatArray:
+        """Return positions, then velocities, of all nodes, one column for each state.
+
+        ``coefficients`` are those of all inputs, (rows, degree + 1, T), taken at times (T,).
+        """
+        offset = rate = None
+        if self.offset is not None:
+            offset, rate = (polynomial_at(coefficients[self._offsets], time, i) for i in (0, 1))
+        parts = self._moved(states, offset, rate)
+        return np.vstack([part.reshape(-1, states.shape[1], order="F") for part in parts])
+
     def _evaluated(
         self, name: str, states: FloatArray, N: FloatArray, V: FloatArray, *inputs: FloatArray
     ) -> list[FloatArray]:

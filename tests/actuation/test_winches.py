@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import tenscontrol as tc
+from tenscontrol.control.controller import largest_change
 
 COUNT = 5
 RATE, SHORTEST, LONGEST, STEP = 0.5, 0.3, 1.5, 0.02
@@ -87,3 +88,27 @@ def test_results_are_read_only():
     move = limited.move(np.ones(2), np.ones(2), STEP)
     with pytest.raises(ValueError, match="read-only"):
         move.rest_length[0] = 0.0
+
+
+def test_angles_and_rest_lengths_are_inverse():
+    motor = tc.Motor(drum_radius=[0.01, 0.02], gear_ratio=20.0, zero=[0.8, 0.9])
+    lengths = np.random.default_rng(0).uniform(0.5, 1.0, (2, 7))
+    np.testing.assert_allclose(motor.rest_length(motor.angle(lengths)), lengths, rtol=1e-14)
+    np.testing.assert_allclose(motor.rest_length([1.0, 0.0]), [0.8 - 0.01 / 20, 0.9])
+    np.testing.assert_array_equal(motor.angle(lengths[:, 0], lengths[:, 0]), [0.0, 0.0])
+
+
+def test_the_speed_of_a_motor_bounds_the_rate():
+    motor = tc.Motor(drum_radius=0.01, gear_ratio=20.0, speed=400.0)  # 0.2 m/s
+    winches = tc.Winches(rate=[0.1, 0.3], motor=motor)
+    np.testing.assert_array_equal(winches.largest_rate, [0.1, 0.2])
+    move = winches.move([1.0, 1.0], [0.9, 0.9], STEP)
+    np.testing.assert_allclose(move.rest_length, 1.0 - STEP * np.array([0.1, 0.2]))
+    assert tc.Winches(motor=tc.Motor(0.01)).largest_rate is None
+    plant = tc.linearize(
+        tc.Model(tc.prism(), strings=tc.LinearStrings(1e3)),
+        tc.prestress(tc.prism(), 17.3),
+        input="rest_length",
+    )
+    change = largest_change(plant, None, tc.Winches(motor=motor), STEP)
+    np.testing.assert_allclose(change, np.full(9, 0.2 * STEP))

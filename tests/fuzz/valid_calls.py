@@ -86,6 +86,7 @@ RESULTS = {
     "accuracy.StabilityMap",
     "accuracy.WorkPrecision",
     "actuation.RestLengths",
+    "actuation.MotorRecord",
     "actuation.WinchMove",
     "control.Command",
     "control.FeedbackLinearizationStatistics",
@@ -284,6 +285,7 @@ def closed_run():
         controller=winch_regulator(),
         estimator=estimator(),
         rest_length=rest_length(),
+        winches=tc.Winches(motor=tc.Motor(drum_radius=0.01)),
         step=1e-3,
     )
 
@@ -616,7 +618,31 @@ call(
         "longest": 2.0,
         "ramp": True,
         "substeps": 5,
+        "motor": None,
     },
+)
+call(
+    "Motor",
+    lambda: {
+        "drum_radius": np.full(9, 0.01),
+        "gear_ratio": 20.0,
+        "torque": 1.0,
+        "speed": 100.0,
+        "inertia": 1e-6,
+        "lag": 0.01,
+        "backlash": np.full(9, 0.1),
+        "zero": 0.8,
+    },
+)
+call(
+    "Motor.angle",
+    lambda: {"rest_length": rest_length(), "zero": 0.8},
+    lambda: tc.Motor(0.01),
+)
+call(
+    "Motor.rest_length",
+    lambda: {"angle": np.full(9, 3.0), "zero": np.full(9, 0.8)},
+    lambda: tc.Motor(0.01),
 )
 call(
     "Winches.move",
@@ -1399,6 +1425,7 @@ call(
 call("plot.convergence_order", lambda: {"result": order(), "ax": flat()}, share=0.2)
 call("plot.estimate", lambda: {"run": closed_run(), "strings": [0, 1], "axes": None}, share=0.1)
 call("plot.health", lambda: {"run": run(), "axes": None}, share=0.1)
+call("plot.motors", lambda: {"run": closed_run(), "axes": None}, share=0.1)
 call(
     "plot.history",
     lambda: {

@@ -227,3 +227,25 @@ def test_the_energy_that_was_lost_is_drawn():
     (line,) = tc.plot.health(run)["energy"].lines["lost with cut strings"]
     np.testing.assert_array_equal(line.get_ydata(), run.released_energy)
     assert line.get_ydata()[-1] > 1.0
+
+
+def test_motors_are_drawn_by_group_and_their_energy_together():
+    prism = tc.prism()
+    model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0, damping=0.5))
+    plant = tc.linearize(model, tc.prestress(prism, 17.3205), input="rest_length")
+    options = {"controller": tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.02)}
+    options |= {"rest_length": plant.rest_length, "step": 1e-3}
+    start = plant.to_nodes([0.02] + 8 * [0.0])
+    winches = tc.Winches(ramp=True, motor=tc.Motor(drum_radius=0.01, gear_ratio=20.0))
+    run = tc.simulate(model, 0.1, start, winches=winches, **options)
+    panels, motors = tc.plot.motors(run), run.control.motors
+    assert list(panels) == ["angle", "speed", "torque", "power", "energy"]
+    for name in ("angle", "speed", "torque", "power"):
+        lines = panels[name].lines["vertical"]
+        drawn = np.array([line.get_ydata() for line in lines])
+        np.testing.assert_array_equal(drawn, getattr(motors, name)[prism.strings_in("vertical")])
+    (total,) = panels["energy"].lines["all motors"]
+    np.testing.assert_array_equal(total.get_ydata(), motors.energy.sum(axis=0))
+    assert panels["torque"].ax.get_ylabel() == "motor torque, N m"
+    with pytest.raises(ValueError, match="run has no motors"):
+        tc.plot.motors(tc.simulate(model, 0.1, start, **options))

@@ -443,6 +443,16 @@ def test_predictive_controllers_of_rest_lengths(load):
     assert np.abs(commands[0] - plant.rest_length).max() <= 0.3 * 0.02 + 1e-12
 
 
+def test_motors_of_winches_and_of_cables(load):
+    motor = "[winches]\ndrum_radius = {top=0.01,bottom=0.01,vertical=0.02}\ntorque = 2.0\n"
+    lqr = LQR + "sample_time = 0.02\n"
+    scene = load(PRISM + lqr + 'input = "rest_length"\n' + motor + "speed = 50\nrate = 0.6\n")
+    assert scene.winches.largest_rate.tolist() == [0.5] * 6 + [0.6] * 3
+    assert scene.simulate().control.motors.torque.shape[0] == 9
+    held = PRISM + 'input = "force_density"\n' + lqr + motor
+    assert load(held).simulate().control.motors.angle_command is None
+
+
 @pytest.mark.parametrize(("input", "substeps"), [
     ("force_density", 1), ("rest_length", 1), ("rest_length", 4),
 ])  # fmt: skip
@@ -932,6 +942,20 @@ BROKEN = {
     "winches alone": (
         PRISM + "[winches]\nrate = 1\n",
         r":11: \[winches\] goes with a table \[controller\]",
+    ),
+    "motor without a drum": (
+        PRISM + LQR + "[winches]\ntorque = 1.0\n",
+        r":13: \[winches\] lacks the key drum_radius",
+    ),
+    "motor of no size": (
+        PRISM + LQR + "[winches]\ndrum_radius = 0.0\n",
+        r":\d+: in \[winches\], drum_radius\[0\] is 0, expected a positive",
+    ),
+    "motor of a cable with a lag": (
+        changed("1e-2", "1e-2\ninput = 'force_density'")
+        + LQR
+        + "[winches]\ndrum_radius = 0.01\nlag = 0.1\n",
+        r":14: \[winches\] limits rest lengths",
     ),
     "winches and force": (
         changed("1e-2", "1e-2\ninput = 'force_density'") + LQR + "[winches]\nrate = 1\n",
