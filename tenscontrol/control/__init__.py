@@ -19,7 +19,7 @@ from tenscontrol.control.mpc import (
     QPSolver,
     clearance,
 )
-from tenscontrol.control.status import Fallback, Status
+from tenscontrol.control.status import UNSOLVED, ControlWarning, Fallback, Status
 
 #: The name of :class:`LQR` in 0.1.
 lqr = LQR
@@ -28,7 +28,9 @@ __all__ = [
     "LQR",
     "MPC",
     "NMPC",
+    "UNSOLVED",
     "Command",
+    "ControlWarning",
     "Controller",
     "Fallback",
     "FeedbackLinearization",

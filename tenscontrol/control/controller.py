@@ -183,6 +183,7 @@ class Controller(ABC):
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         if sample_time is not None:
             sample_time = positive_number("sample_time", sample_time, "s")
+            plant.refuse_long_sample_time(sample_time)
         self._plant = plant
         self._sample_time = sample_time
         shape = plant.equilibrium_input.shape
@@ -202,6 +203,7 @@ class Controller(ABC):
         self._called = 0.0  # start of the last command, by perf_counter
         # Input over the last sample: as applied() says, else the last command; None before.
         self._previous_input: FloatArray | None = None
+        self._prediction_error = np.nan
         self._status_count: Counter[Status] = Counter()
         self._fallback_count: Counter[Fallback] = Counter()
 
@@ -229,6 +231,27 @@ class Controller(ABC):
     def largest_change(self) -> FloatArray | None:
         """Largest change from the previous input, shape (α,); None for any."""
         return self._change
+
+    @property
+    def prediction_error(self) -> float:
+        """How far the last measurement was off what was predicted a sample before, m.
+
+        Of the node that is off most. NaN for a controller that predicts nothing, and where there
+        was no measurement or no prediction.
+        """
+        return self._prediction_error
+
+    def reference_nodes(self, times: FloatArray) -> FloatArray | None:
+        """Return the shapes that it steers to at given times, shape (d, n, K), m; None if none.
+
+        The tracking error of a run is measured from them. A controller of your own may say its.
+
+        Parameters
+        ----------
+        times : ndarray, shape (K,)
+            s.
+        """
+        return None
 
     @property
     def measurement_check(self) -> MeasurementCheck:
@@ -271,6 +294,7 @@ class Controller(ABC):
             not a finite number.
         """
         self._called = perf_counter()
+        self._prediction_error = np.nan
         time = number("time", time, "s")
         shape = self._plant.coordinates.nodes.shape
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
@@ -303,6 +327,7 @@ class Controller(ABC):
             If it is no :class:`Status`.
         """
         instance("status", status, Status, "for example Status.MEASUREMENT_NOT_FINITE")
+        self._prediction_error = np.nan
         return self._issue(self._fall_back(status))
 
     def _measure(

@@ -240,6 +240,7 @@ class ReferencePreview:
     """
 
     def __init__(self, plant: LinearPlant, reference: object, sampled: Sampled) -> None:
+        self.given = reference is not None
         reference, q = checked_reference(plant, reference)
         r = plant.degrees_of_freedom
         self._plant, self._sampled = plant, sampled
@@ -277,6 +278,11 @@ class ReferencePreview:
         """Return the preview of another reference, given as to the constructor."""
         return ReferencePreview(self._plant, reference, self._sampled)
 
+    @property
+    def times(self) -> FloatArray:
+        """Times between which the reference and what holds it are straight, s."""
+        return np.union1d(self._time, self._held_time)
+
     def wanted(self, times: FloatArray) -> FloatArray:
         """Return ``[q; q̇]`` of the reference, shape (K, s)."""
         right = np.searchsorted(self._time, times, side="right")
@@ -284,6 +290,12 @@ class ReferencePreview:
         past = np.clip(times - self._time[nearest], 0.0, None)[:, None]
         rates = self._rates[right]
         return np.hstack([self._coordinates[nearest] + past * rates, rates])
+
+    def nodes_at(self, times: FloatArray) -> FloatArray:
+        """Return node positions of the reference at times, shape (d, n, K), m."""
+        q = self.wanted(times)[:, : self._coordinates.shape[1]]
+        rows, which = np.unique(q, axis=0, return_inverse=True)
+        return np.array([self._plant.to_nodes(row) for row in rows])[which].transpose(1, 2, 0)
 
     def at(self, times: FloatArray) -> Preview:
         """Return the preview at these times, shape (K,), s."""

@@ -32,6 +32,9 @@ from tenscontrol.validation import (
 
 _NONE = frozen(np.zeros(0, dtype=np.int64))
 
+# A command so close to a bound, relative to the largest, is at it.
+_CLOSE = 1e-7
+
 
 def run_closed_loop(
     loop: Loop,
@@ -73,13 +76,14 @@ def run_closed_loop(
         if start is not None:
             earlier = None if start.control is None else start.control.estimate
             observation.go_on(earlier, start.held, round(begin))
-    rows: list[tuple[float, Command, WinchMove, float]] = []
+    rows: list[tuple[float, Command, WinchMove, float, float, FloatArray]] = []
 
     def record() -> ControlRecord:
         stood = None
         if loop.input == "rest_length":
             stood = rows[0][2].rest_length if actuators.start is None else actuators.start
-        return _control_record(rows, stood, sample, observation)
+        end = unpack_states(loop.model.structure, state[:, None])[0][:, :seen, 0]
+        return _control_record(rows, stood, sample, observation, controller, loop.now, end)
 
     seen = controller.plant.coordinates.nodes.shape[
         1
@@ -107,7 +111,7 @@ def run_closed_loop(
         controller.applied(actuators.applied_input(N))
         if observation is not None:
             observation.predict(move.rest_length, inputs[-1])
-        rows.append((loop.now, command, move, taken))
+        rows.append((loop.now, command, move, taken, controller.prediction_error, N[:, :seen]))
         end = min(loop.now + sample, until)
         whole = end - loop.now
         for i, held in enumerate(inputs):
@@ -118,23 +122,29 @@ def run_closed_loop(
 
 
 def _control_record(
-    rows: list[tuple[float, Command, WinchMove, float]],
+    rows: list[tuple[float, Command, WinchMove, float, float, FloatArray]],
     rest_length: FloatArray | None,
     sample_time: float,
     observation: Observation | None,
+    controller: Controller,
+    until: float,
+    end: FloatArray,
 ) -> ControlRecord:
-    """Return the record of samples: start, command, move of the winches, computing time.
+    """Return the record of samples.
 
-    ``rest_length`` are those before the first sample, shape (α,); None where γ is held.
+    Of each: start, command, move of the winches, computing time, prediction error and nodes.
+    ``rest_length`` are those before the first sample, shape (α,); None where γ is held. The run
+    ends at a time with these nodes.
     """
-    times, commands, moves, taken = zip(*rows, strict=True)
+    times, commands, moves, taken, unforeseen, shapes = zip(*rows, strict=True)
     time, applied = frozen(np.array(times)), np.column_stack([move.rest_length for move in moves])
     rate = np.zeros_like(applied)
     if rest_length is not None:
         rate = np.diff(applied, axis=1, prepend=rest_length[:, None]) / sample_time
+    command = np.column_stack([command.value for command in commands])
     return ControlRecord(
         time=time,
-        command=frozen(np.column_stack([command.value for command in commands])),
+        command=frozen(command),
         applied=frozen(applied),
         status=tuple(command.status for command in commands),
         fallback=tuple(command.fallback for command in commands),
@@ -144,7 +154,37 @@ def _control_record(
         range_limited=frozen(np.array([len(move.range_limited) for move in moves])),
         computing_time=frozen(np.array(taken)),
         estimate=None if observation is None else observation.record(time),
+        prediction_error=frozen(np.array(unforeseen)),
+        tracking_error=_tracking_error(controller, np.r_[time, until], [*shapes, end]),
+        at_bound=_at_bound(controller, command),
+        controller=repr(controller),
+        sample_time=sample_time,
+        size=float(np.ptp(controller.plant.nodes, axis=1).max()),
+        slowest_vibration=controller.plant.slowest_vibration,
     )
+
+
+def _tracking_error(
+    controller: Controller, times: FloatArray, shapes: list[FloatArray]
+) -> FloatArray | None:
+    """Return the distance of the node that is farthest off the reference at each time, m."""
+    wanted = controller.reference_nodes(times)
+    if wanted is None:
+        return None
+    lay, still = controller.plant.coordinates.laid_over, np.zeros_like(shapes[0])
+    off = np.stack([lay(N, still)[0] for N in shapes], axis=-1) - wanted
+    return frozen(np.linalg.norm(off, axis=0).max(axis=0))
+
+
+def _at_bound(controller: Controller, command: FloatArray) -> IntArray:
+    """Return how many strings of each command, shape (α, K), are at a bound, shape (K,)."""
+    low, high = (bound[:, None] for bound in controller.bounds)
+    close = _CLOSE * np.abs(command).max()
+    at = (command <= low + close) | (command >= high - close)
+    if controller.largest_change is not None:
+        change = np.abs(np.diff(command, axis=1, prepend=command[:, :1]))
+        at |= change >= controller.largest_change[:, None] - close
+    return frozen(at.sum(axis=0))
 
 
 def _sample_time(controller: Controller, sample_time: float | None, step: float | None) -> float:

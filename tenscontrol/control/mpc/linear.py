@@ -358,6 +358,7 @@ class MPC(PredictiveController):
             load=None if self._observer is None else self._observer.model,
             path=ReferencePreview(plant, given.reference, made.sampled),
         )
+        self._check_reference(self._law.path)
         self._solver = self._law.solver()
         self.reset()
         if plant.input == "force_density" and plant.model.strings is not None:
@@ -405,6 +406,7 @@ class MPC(PredictiveController):
 
     def _decide(self, time: float, state: FloatArray) -> Command:
         law, observer = self._law, self._observer
+        self._compare(state)
         deadline = self._called + self._longest_time
         if observer is not None and self._previous_input is not None:
             observer.correct(state, law.design.sampled.by_input @ self._previous_input)
@@ -412,8 +414,9 @@ class MPC(PredictiveController):
         if self._previous_input is None:
             self._previous_input = frozen(data.previous_origin)
         previous = self._previous_input
+        free = law.free_response(data, state, previous)
         if observer is not None:
-            observer.expect(law.free_response(data, state, previous))
+            observer.expect(free)
         vectors = law.vectors(data, state, previous, self._previous_within_bounds)
         answer = self._solver.solve(*vectors, start=self._guess, deadline=deadline)
         self._iterations.append(answer.iterations)
@@ -424,9 +427,12 @@ class MPC(PredictiveController):
         self._plan = np.clip(inputs, self._low, self._high)
         self._used = 0
         self._guess = law.form.shifted(answer.x, answer.y)
+        moved = law.design.sampled.by_input @ self._plan[0]
+        self._predicted = (free + moved)[: self.plant.degrees_of_freedom]
         return Command(self._plan[0])
 
     def _fall_back(self, status: Status) -> Command:
+        self._predicted = None
         if self._observer is not None:
             self._observer.expect(None)
         return self._continue(status)

@@ -193,6 +193,7 @@ class NMPC(PredictiveController):
         made = design(plant, given)
         super().__init__(plant, given, made)
         path = ReferencePreview(plant, given.reference, made.sampled)
+        self._check_reference(path)
         # After all checks: it may be compiled.
         model = TrajectoryModel(plant, given, made.constraints, machine_code)
         self._law = NMPCLaw(
@@ -303,6 +304,7 @@ class NMPC(PredictiveController):
 
     def _decide(self, time: float, state: FloatArray) -> Command:
         law = self._law
+        self._compare(state)
         deadline = self._called + self._longest_time
         load = None if self._observer is None else self._corrected(self._observer, state)
         data = law.stage_data(*self._targets(time))
@@ -331,6 +333,7 @@ class NMPC(PredictiveController):
         self._plan.release(solved=True)
         self._record(rounds, work, change, preparing, began)
         assert self._plan.inputs is not None  # solved
+        self._predicted = self._plan.next_state[: self.plant.degrees_of_freedom]
         return Command(self._plan.inputs[0])
 
     def _corrected(self, observer: LoadObserver, state: FloatArray) -> FloatArray:
@@ -347,7 +350,7 @@ class NMPC(PredictiveController):
         self._records.append((rounds, work, change, preparing, perf_counter() - began))
 
     def _fall_back(self, status: Status) -> Command:
-        self._seen = None
+        self._seen = self._predicted = None
         return self._continue(status)
 
     def _continue(self, status: Status) -> Command:
