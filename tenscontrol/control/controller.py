@@ -203,7 +203,10 @@ class Controller(ABC):
         self._called = 0.0  # start of the last command, by perf_counter
         # Input over the last sample: as applied() says, else the last command; None before.
         self._previous_input: FloatArray | None = None
+        # z that a subclass predicts for the next sample, and how far the last one was off, m.
+        self._predicted: FloatArray | None = None
         self._prediction_error = np.nan
+        self._displacements, self._dimension = plant.basis, len(plant.nodes)
         self._status_count: Counter[Status] = Counter()
         self._fallback_count: Counter[Fallback] = Counter()
 
@@ -294,13 +297,13 @@ class Controller(ABC):
             not a finite number.
         """
         self._called = perf_counter()
-        self._prediction_error = np.nan
         time = number("time", time, "s")
         shape = self._plant.coordinates.nodes.shape
         N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
         state, fault = self._measure(N, V)
         if fault is not None:
             return self.fall_back(fault)
+        self._compare(state)
         # The previous input may be of any size: what overflows shows in the status.
         with np.errstate(over="ignore", invalid="ignore"):
             desired = self._decide(time, state)
@@ -327,8 +330,17 @@ class Controller(ABC):
             If it is no :class:`Status`.
         """
         instance("status", status, Status, "for example Status.MEASUREMENT_NOT_FINITE")
-        self._prediction_error = np.nan
+        self._compare(None)
         return self._issue(self._fall_back(status))
+
+    def _compare(self, state: FloatArray | None) -> None:
+        """Note how far a state is off the prediction, which is then used up."""
+        predicted, self._predicted = self._predicted, None
+        self._prediction_error = np.nan
+        if predicted is not None and state is not None:
+            off = (state - predicted)[: self._displacements.shape[1]]
+            nodes = (self._displacements @ off).reshape(-1, self._dimension)
+            self._prediction_error = float(np.sqrt((nodes * nodes).sum(axis=1).max()))
 
     def _measure(
         self, nodes: FloatArray, velocities: FloatArray
@@ -396,7 +408,7 @@ class Controller(ABC):
     @exclusive
     def reset(self) -> None:
         """Forget everything that was measured, planned or applied."""
-        self._previous_input = None
+        self._previous_input = self._predicted = None
         self._status_count, self._fallback_count = Counter(), Counter()
 
     @exclusive
@@ -414,6 +426,7 @@ class Controller(ABC):
             If it is not finite or has the wrong shape.
         """
         self._previous_input = self._checked_input("command", command)
+        self._predicted = None
 
     @abstractmethod
     def _decide(self, time: float, state: FloatArray) -> Command:

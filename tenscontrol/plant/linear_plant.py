@@ -122,7 +122,7 @@ class LinearPlant:
 
     @cached_property
     def _pole_sizes(self) -> FloatArray:
-        return np.abs(np.linalg.eigvals(self.A))
+        return np.asarray(np.abs(np.linalg.eigvals(self.A)))
 
     @cached_property
     def slowest_vibration(self) -> float:
@@ -267,10 +267,15 @@ class Sampled:
     by_previous: FloatArray  # Γ_p, (s, α); zero without a ramp
     by_input: FloatArray  # Γ, (s, α)
     drift: FloatArray  # d, (s,)
-    ramp: bool  # whether the input moves through the sample, from v_previous to v
+    substeps: int  # in which the input moves through the sample, from v_previous to v; 1: at once
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+    @property
+    def ramp(self) -> bool:
+        """Whether the input moves through the sample."""
+        return self.substeps > 1
 
     @property
     def augmented(self) -> tuple[FloatArray, FloatArray]:
@@ -316,7 +321,7 @@ def sampled(plant: LinearPlant, sample_time: float, substeps: int) -> Sampled:
         now = transition @ now + share * by_input
         moved = transition @ moved + drift
         whole = transition @ whole
-    return Sampled(sample_time, whole, previous, now, moved, substeps > 1)
+    return Sampled(sample_time, whole, previous, now, moved, substeps)
 
 
 @kept

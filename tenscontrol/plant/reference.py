@@ -279,6 +279,11 @@ class ReferencePreview:
         return ReferencePreview(self._plant, reference, self._sampled)
 
     @property
+    def sample_time(self) -> float:
+        """Of the controller, s."""
+        return self._sampled.sample_time
+
+    @property
     def times(self) -> FloatArray:
         """Times between which the reference and what holds it are straight, s."""
         return np.union1d(self._time, self._held_time)
@@ -359,9 +364,12 @@ class ReferencePreview:
 
 
 def checked_reference(
-    plant: LinearPlant, reference: object, name: str = "reference"
+    plant: LinearPlant, reference: object, name: str = "reference", anywhere: bool = False
 ) -> tuple[Reference, FloatArray]:
-    """Return a reference, the operating point for None, and q of its shapes, (K, r), or raise."""
+    """Return a reference, the operating point for None, and q of its shapes, (K, r), or raise.
+
+    ``anywhere``: the shape of the operating point in another place is one to compare with.
+    """
     shape = plant.nodes.shape
     if reference is None:
         q = plant.measure(plant.nodes, np.zeros(shape))[: plant.degrees_of_freedom]
@@ -385,7 +393,10 @@ def checked_reference(
             f"reference.force_density has shape {gamma.shape}, expected "
             f"({count}, {len(reference.time)}): one row per string"
         )
-    return reference, _reached(plant, reference, name)
+    q = _reached(plant, reference, name)
+    if not anywhere:
+        _refuse_motion_as_one_body(plant, reference, name)
+    return reference, q
 
 
 def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
@@ -398,7 +409,6 @@ def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
     q = np.array(
         [reduced_shape(plant, *each, 2 * _OFF) for each in zip(names, shapes, strict=True)]
     )
-    _refuse_motion_as_one_body(plant, reference, name)
     # A mirror image keeps all lengths, but bars would have to pass through one another on the way:
     # from the operating point to the nearest shape, and from each shape to the next.
     apart = [bar_distances(structure, N) for N in (plant.nodes, *shapes)]

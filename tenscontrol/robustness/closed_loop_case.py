@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, final
@@ -9,7 +10,7 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control import Controller, Status
+from tenscontrol.control import Controller, ControlWarning, Status
 from tenscontrol.dynamics import Model, StringLaw
 from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
 from tenscontrol.plant import LinearPlant, checked_reference
@@ -185,7 +186,7 @@ class ClosedLoopCase:
             refuse_moved_supports("nodes", self.structure, self.nodes)
         plant = self.controller.plant
         if self.target is not None:
-            shape = checked_reference(plant, self.target, "target")[0].nodes[:, :, 0]
+            shape = checked_reference(plant, self.target, "target", anywhere=True)[0].nodes[:, :, 0]
             put(self, "target", frozen(shape))
         if self.gravity is not None:
             put(self, "gravity", frozen(float_array("gravity", self.gravity)))
@@ -223,22 +224,24 @@ class ClosedLoopCase:
         sensors = self.sensors
         if sensors is None and self.estimator is not None:
             sensors = self.estimator.sensors
-        run = simulate(
-            self._model(parameters),
-            self.duration,
-            self._start(parameters),
-            controller=self.controller,
-            rest_length=self.rest_length,
-            input=self.input,
-            winches=self.winches,
-            sample_time=self.sample_time,
-            step=self.step,
-            limits=HealthLimits(action="raise"),
-            estimator=self.estimator,
-            sensors=_varied_sensors(sensors, parameters),
-            seed=None if self.estimator is None else int(rng.integers(2**63)),
-            faults=self.faults,
-        )
+        # Where the loop ends is what a sweep asks.
+        with warnings.catch_warnings(action="ignore", category=ControlWarning):
+            run = simulate(
+                self._model(parameters),
+                self.duration,
+                self._start(parameters),
+                controller=self.controller,
+                rest_length=self.rest_length,
+                input=self.input,
+                winches=self.winches,
+                sample_time=self.sample_time,
+                step=self.step,
+                limits=HealthLimits(action="raise"),
+                estimator=self.estimator,
+                sensors=_varied_sensors(sensors, parameters),
+                seed=None if self.estimator is None else int(rng.integers(2**63)),
+                faults=self.faults,
+            )
         if run.stopped is not None:
             raise SweepError(f"a simulation {run.stopped}")
         return self._judged(run)

@@ -201,3 +201,45 @@ def test_stiff_strings_may_be_sampled_slowly():
     stiff = plant("rest_length", 1e6)
     assert stiff.spectral_radius * SAMPLE > 6 * np.pi
     tc.LQR(stiff, sample_time=SAMPLE)
+
+
+# ---- references that the linear plant does not reach ----
+
+
+def way_down(share):
+    """Return a path on which the highest node of the prism goes down by a share of the size."""
+    node = int(plant().nodes[2].argmax())
+    wanted = plant().nodes[:, [node]] - [[0.0], [0.0], [share]]
+    goal = tc.shape_target(
+        model(), tc.NodesAt([node], wanted), force_density=17.3205, place="centre"
+    )
+    rest = tc.prestress(tc.prism(), 17.3205)
+    return tc.shape_path(model(), rest, goal, duration=1.5, step=0.05).reference()
+
+
+def test_a_reference_farther_than_the_linear_plant_holds_is_warned_of():
+    """With γ as the input it ends off; with rest lengths of the shapes it does not."""
+    far, near = way_down(0.25), way_down(0.05)
+    with pytest.warns(ControlWarning, match=r"at 1\.5 s is farther .* comes to rest") as caught:
+        far_law = law(tc.MPC, "force_density", reference=far, max_force_density=300.0)
+    assert caught[0].filename == __file__
+    follows = law(tc.MPC, "force_density", reference=near, max_force_density=300.0)
+    quiet = law(tc.MPC, reference=far, max_force_density=None)
+    with pytest.warns(ControlWarning, match="farther than the linear plant holds") as caught:
+        follows.follow(far)
+    assert caught[0].filename == __file__
+    law(tc.NMPC, "force_density", reference=far, max_force_density=300.0)
+    with pytest.warns(ControlWarning, match="ends 0"):
+        run = tc.simulate(model(), 3.5, controller=far_law, input="force_density", step=2e-3)
+    assert run.control.tracking_error[-1] > 0.02
+    run = tc.simulate(model(), 3.5, controller=quiet, step=2e-3)
+    assert run.control.tracking_error[-1] < 2e-3
+
+
+def test_a_loop_that_is_unstable_in_the_reference_is_warned_of():
+    """Stiff strings without damping, with weights that ask for too much."""
+    far = way_down(0.35)
+    with pytest.warns(ControlWarning, match=r"lets errors grow by a factor e in .* s"):
+        tc.MPC(
+            plant("rest_length", 3000.0), horizon=8, sample_time=0.05, reference=far, Q=1e3, R=1e-3
+        )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tenscontrol.control.mpc.problem import RowBlock
-from tenscontrol.control.status import ControlWarning
 from tenscontrol.plant import LinearPlant, ReferencePreview, string_map
 from tenscontrol.structure import bar_distances
 from tenscontrol.validation import (
@@ -35,9 +33,6 @@ _STRING_LIMITS = {
 # A limit is broken by more than this, in units of a row: of strings, whose forces along a
 # reference are known as well as they balance it, and of positions.
 _HELD, _ROUND_OFF = 1e-2, 1e-4
-
-# Who is warned, seen from here: the caller of a constructor, or of ``follow``.
-_CALLER = 4
 
 # Unit of positions inside a program, as a share of the size of the structure.
 _SHARE = 0.01
@@ -182,11 +177,14 @@ def clearance(plant: LinearPlant, clearance: float, penalty: float | None = None
     )
 
 
-def check_limits(plant: LinearPlant, blocks: Sequence[RowBlock], path: ReferencePreview) -> None:
-    """Raise where the operating point or a reference breaks a hard limit; warn of soft ones.
+def broken_limits(
+    plant: LinearPlant, blocks: Sequence[RowBlock], path: ReferencePreview
+) -> list[str]:
+    """Return a sentence for each soft limit that a given reference breaks.
 
-    Of the operating point soft limits are none of the user's mistakes: they may lead away from it.
+    Raise where the operating point or a reference breaks a hard one.
     """
+    found = []
     times, outputs = path.times, 0
     preview, shapes = path.at(times), path.nodes_at(times).transpose(2, 1, 0)
     strings = string_map(plant, plant.input) if any(block.quantity for block in blocks) else None
@@ -220,11 +218,8 @@ def check_limits(plant: LinearPlant, blocks: Sequence[RowBlock], path: Reference
                         "limit or the shape, or give a finite penalty"
                     )
                 if at is not None and path.given:
-                    warnings.warn(
-                        f"{text}: the loop will rest between the two",
-                        ControlWarning,
-                        stacklevel=_CALLER,
-                    )
+                    found.append(f"{text}: the loop will rest between the two")
+    return found
 
 
 def output_block(plant: LinearPlant, limit: OutputLimit) -> RowBlock:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Unpack, final
@@ -22,7 +23,7 @@ from tenscontrol.control.mpc.settings import (
     make_solver,
 )
 from tenscontrol.control.mpc.sparse import Sparse
-from tenscontrol.control.status import Fallback, Status
+from tenscontrol.control.status import ControlWarning, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.validation import FloatArray, frozen, instance, number, truth, whole_number
 
@@ -153,7 +154,13 @@ class NMPC(PredictiveController):
     Raises
     ------
     TypeError, ValueError
-        If an argument does not fit, or the plant has a pole that no string reaches.
+        If an argument does not fit, the plant has a pole that no string reaches, or the operating
+        point or the reference breaks a hard limit.
+
+    Warns
+    -----
+    ControlWarning
+        If a reference breaks a soft limit.
 
     Notes
     -----
@@ -193,7 +200,8 @@ class NMPC(PredictiveController):
         made = design(plant, given)
         super().__init__(plant, given, made)
         path = ReferencePreview(plant, given.reference, made.sampled)
-        self._check_reference(path)
+        for text in self._concerns(path):
+            warnings.warn(text, ControlWarning, stacklevel=2)
         # After all checks: it may be compiled.
         model = TrajectoryModel(plant, given, made.constraints, machine_code)
         self._law = NMPCLaw(
@@ -304,7 +312,6 @@ class NMPC(PredictiveController):
 
     def _decide(self, time: float, state: FloatArray) -> Command:
         law = self._law
-        self._compare(state)
         deadline = self._called + self._longest_time
         load = None if self._observer is None else self._corrected(self._observer, state)
         data = law.stage_data(*self._targets(time))
@@ -333,7 +340,7 @@ class NMPC(PredictiveController):
         self._plan.release(solved=True)
         self._record(rounds, work, change, preparing, began)
         assert self._plan.inputs is not None  # solved
-        self._predicted = self._plan.next_state[: self.plant.degrees_of_freedom]
+        self._predicted = self._plan.next_state
         return Command(self._plan.inputs[0])
 
     def _corrected(self, observer: LoadObserver, state: FloatArray) -> FloatArray:
@@ -350,7 +357,7 @@ class NMPC(PredictiveController):
         self._records.append((rounds, work, change, preparing, perf_counter() - began))
 
     def _fall_back(self, status: Status) -> Command:
-        self._seen = self._predicted = None
+        self._seen = None
         return self._continue(status)
 
     def _continue(self, status: Status) -> Command:

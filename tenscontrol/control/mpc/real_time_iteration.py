@@ -206,7 +206,7 @@ class RealTimeIterate:
     @property
     def next_state(self) -> FloatArray:
         """The planned state a sample ahead, shape (s,)."""
-        return self._states[1]
+        return np.asarray(self._states[1])
 
     def clear(self) -> None:
         """Forget the plan."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Required, Self, TypedDict
@@ -18,7 +19,7 @@ from tenscontrol.control.controller import (
     weight_matrix,
 )
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
-from tenscontrol.control.mpc.constraints import OutputLimit, check_limits, output_block
+from tenscontrol.control.mpc.constraints import OutputLimit, broken_limits, output_block
 from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.problem import (
     Constraints,
@@ -28,6 +29,7 @@ from tenscontrol.control.mpc.problem import (
     RowBlock,
     string_block,
 )
+from tenscontrol.control.status import ControlWarning
 from tenscontrol.limits import MOST_SAMPLES
 from tenscontrol.plant import (
     LinearPlant,
@@ -403,15 +405,14 @@ class PredictiveController(Controller):
         super().__init__(plant, settings.sample_time, made.low, made.high, made.problem.change)
         self._longest_time = settings.longest_time
         self._limits = made.constraints.blocks
-        self._predicted: FloatArray | None = None  # q at the next sample
         self._observer: LoadObserver | None = None
         if settings.load_gain is not None:
             response = acceleration_response(plant, settings.sample_time)
             self._observer = load_observer(plant, response, settings.load_gain, settings.tracked)
 
-    def _check_reference(self, path: ReferencePreview) -> None:
-        """Raise or warn where a reference is not for this controller."""
-        check_limits(self.plant, self._limits, path)
+    def _concerns(self, path: ReferencePreview) -> list[str]:
+        """Return what to warn of in a reference, or raise where it is not for this controller."""
+        return broken_limits(self.plant, self._limits, path) if self._limits else []
 
     @property
     def horizon(self) -> int:
@@ -437,29 +438,16 @@ class PredictiveController(Controller):
             If it does not fit the structure.
         """
         law = self._law.following(reference)
-        self._check_reference(law.path)
+        for text in self._concerns(law.path):
+            warnings.warn(text, ControlWarning, stacklevel=3)  # that of the lock is between
         self._law = law
 
     def reference_nodes(self, times: FloatArray) -> FloatArray:
         """See :meth:`Controller.reference_nodes`."""
         return self._law.path.nodes_at(times)
 
-    def _compare(self, state: FloatArray) -> None:
-        """Note how far a measured state is off the prediction, which is then used up."""
-        if self._predicted is not None:
-            off = self.plant.basis @ (state[: len(self._predicted)] - self._predicted)
-            nodes = off.reshape(-1, len(self.plant.nodes))
-            self._prediction_error = float(np.sqrt((nodes * nodes).sum(axis=1).max()))
-        self._predicted = None
-
-    def take_over(self, command: object) -> None:
-        """See :meth:`Controller.take_over`."""
-        super().take_over(command)
-        self._predicted = None
-
     def reset(self) -> None:
         """Forget the plan, the previous input, the estimated load and the statistics."""
         super().reset()
-        self._predicted = None
         if self._observer is not None:
             self._observer.reset()
