@@ -25,7 +25,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 import tenscontrol as tc
-from tenscontrol.control import Controller, HeldLoop, Status, held_loop
+from tenscontrol.control import Controller, ControlWarning, HeldLoop, Status, held_loop
 from tenscontrol.interrupt import check, interruptible, keeping
 from tenscontrol.plant import INPUTS, LinearPlant, Modes
 from tenscontrol.progress import progress_bar
@@ -484,18 +484,19 @@ class Task:
             rest_length = tc.to_rest_length(model, nodes, gamma).rest_length
         failure = None
         try:
-            run = simulate(
-                model,
-                self.duration,
-                nodes,
-                velocities,
-                controller=controller,
-                winches=self.winches,
-                rest_length=rest_length,
-                step=integration_step,
-                output_step=self.sample_time / STEPS,
-                limits=tc.HealthLimits(action="raise"),
-            )
+            with warnings.catch_warnings(action="ignore", category=ControlWarning):
+                run = simulate(
+                    model,
+                    self.duration,
+                    nodes,
+                    velocities,
+                    controller=controller,
+                    winches=self.winches,
+                    rest_length=rest_length,
+                    step=integration_step,
+                    output_step=self.sample_time / STEPS,
+                    limits=tc.HealthLimits(action="raise"),
+                )
         except SimulationError as error:
             run = error.trajectory
             failure = run.stopped or str(error)

@@ -20,7 +20,7 @@ from tenscontrol.control.mpc import (
     QPSolver,
     clearance,
 )
-from tenscontrol.control.status import Command, Fallback, Status
+from tenscontrol.control.status import UNSOLVED, Command, ControlWarning, Fallback, Status
 
 #: The name of :class:`LQR` in 0.1.
 lqr = LQR
@@ -29,8 +29,10 @@ __all__ = [
     "LQR",
     "MPC",
     "NMPC",
+    "UNSOLVED",
     "BaseController",
     "Command",
+    "ControlWarning",
     "Controller",
     "Fallback",
     "FeedbackLinearization",

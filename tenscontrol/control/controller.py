@@ -209,6 +209,27 @@ class BaseController(ABC):
         return self._change
 
     @property
+    def prediction_error(self) -> float:
+        """How far the last measurement was off what was predicted a sample before, m.
+
+        Of the node that is off most. NaN for a controller that predicts nothing, and where there
+        was no measurement or no prediction.
+        """
+        return np.nan
+
+    def reference_nodes(self, times: FloatArray) -> FloatArray | None:
+        """Return the shapes that it steers to at given times, shape (d, n, K), m; None if none.
+
+        The tracking error of a run is measured from them. A controller of your own may say its.
+
+        Parameters
+        ----------
+        times : ndarray, shape (K,)
+            s.
+        """
+        return None
+
+    @property
     def measurement_check(self) -> MeasurementCheck:
         """Which measurements are used."""
         return self._measurement_check
@@ -450,12 +471,49 @@ class Controller(BaseController):
         rate = plant.spectral_radius
         if sample_time is not None:
             rate = max(rate, 1 / positive_number("sample_time", sample_time, "s"))
+            plant.refuse_long_sample_time(sample_time)
         structure = plant.model.structure
         super().__init__(
             structure, plant.input, sample_time, low, high, change,
             commanded=plant.commanded, equilibrium_input=plant.equilibrium_input,
             check=MeasurementCheck(structure, plant.nodes, rate),
         )  # fmt: skip
+        # z that a subclass predicts for the next sample, and how far the last one was off, m.
+        self._predicted: FloatArray | None = None
+        self._prediction_error = np.nan
+        self._displacements, self._dimension = plant.basis, len(plant.nodes)
+
+    @property
+    def prediction_error(self) -> float:
+        """See :attr:`BaseController.prediction_error`."""
+        return self._prediction_error
+
+    @exclusive
+    def reset(self) -> None:
+        """See :meth:`BaseController.reset`."""
+        super().reset()
+        self._predicted = None
+
+    @exclusive
+    def take_over(self, command: object) -> None:
+        """See :meth:`BaseController.take_over`."""
+        super().take_over(command)
+        self._predicted = None
+
+    @exclusive
+    def fall_back(self, status: Status) -> Command:
+        """See :meth:`BaseController.fall_back`."""
+        self._compare(None)
+        return super().fall_back(status)
+
+    def _compare(self, state: FloatArray | None) -> None:
+        """Note how far a state, None if there is none, is off what was predicted."""
+        predicted, self._predicted = self._predicted, None
+        self._prediction_error = np.nan
+        if predicted is not None and state is not None:
+            off = (state - predicted)[: self._displacements.shape[1]]
+            nodes = (self._displacements @ off).reshape(-1, self._dimension)
+            self._prediction_error = float(np.sqrt((nodes * nodes).sum(axis=1).max()))
 
     @property
     def left_alone(self) -> Modes:
@@ -477,7 +535,9 @@ class Controller(BaseController):
         fault = self._measurement_check.fault(nodes, velocities)
         if fault is not None:
             return np.zeros(0), fault
-        return self._plant.coordinates.measure(nodes, velocities), None
+        state = self._plant.coordinates.measure(nodes, velocities)
+        self._compare(state)
+        return state, None
 
 
 def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArray, FloatArray]:

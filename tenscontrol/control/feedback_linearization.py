@@ -186,6 +186,7 @@ class FeedbackLinearization(Controller):
         )
         self._rates = error_rates(frequency, damping, sample_time)
         matrix = _combinations(plant, tracked)
+        self._tracks_part = tracked is not None
         self._motion = Evaluator(tracked_motion(plant, matrix))
         self._level = float(plant.force_density.max()) or float(self._high.max())
         response = self._tracked(plant.measure(plant.nodes, np.zeros_like(plant.nodes)))[3]
@@ -235,6 +236,14 @@ class FeedbackLinearization(Controller):
         given, q = checked_reference(self.plant, reference)
         values = [self._tracked(np.r_[each, np.zeros_like(each)])[0].copy() for each in q]
         self._reference = SmoothReference(given.time, np.array(values))
+        self._shapes = SmoothReference(given.time, q)
+
+    def reference_nodes(self, times: FloatArray) -> FloatArray | None:
+        """See :meth:`Controller.reference_nodes`: None where it tracks parts of the shape only."""
+        if self._tracks_part:
+            return None
+        shapes = [self.plant.to_nodes(self._shapes.at(time)[0]) for time in times.tolist()]
+        return np.stack(shapes, axis=-1)
 
     def error(
         self, time: float, nodes: object, velocities: object

@@ -92,6 +92,15 @@ class GainSchedule(Controller):
         """See :attr:`Controller.left_alone`: those of the controller that gave the last command."""
         return self._controllers[self._active].left_alone
 
+    @property
+    def prediction_error(self) -> float:
+        """See :attr:`Controller.prediction_error`: that of the controller in use."""
+        return self._controllers[self._active].prediction_error
+
+    def reference_nodes(self, times: FloatArray) -> FloatArray | None:
+        """See :meth:`Controller.reference_nodes`: those of the first one."""
+        return self._controllers[0].reference_nodes(times)
+
     def reset(self) -> None:
         """Reset all controllers."""
         super().reset()

@@ -155,6 +155,10 @@ class LQR(Controller):
         self.cost = frozen(cost)
         self.riccati_residual = residual
 
+    def reference_nodes(self, times: FloatArray) -> FloatArray:
+        """See :meth:`Controller.reference_nodes`: the operating point."""
+        return np.repeat(self.plant.nodes[:, :, None], len(times), axis=2)
+
     def _decide(self, time: float, state: FloatArray) -> Command:
         equilibrium = self.plant.equilibrium_input
         desired = equilibrium - self.gain @ state

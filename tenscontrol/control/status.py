@@ -29,6 +29,19 @@ class Status(StrEnum):
     BAD_DATA = "data not finite or too large"
 
 
+class ControlWarning(RuntimeWarning):
+    """A loop that does not do what it was asked: it ends away from its reference, or cannot go."""
+
+
+#: Statuses of a quadratic program that was not solved.
+UNSOLVED = frozenset(
+    {
+        Status.INACCURATE, Status.INFEASIBLE, Status.UNBOUNDED, Status.OUT_OF_ITERATIONS,
+        Status.OUT_OF_TIME, Status.NOT_CONVEX, Status.INTERRUPTED, Status.UNSOLVED, Status.BAD_DATA,
+    }
+)  # fmt: skip
+
+
 class Fallback(StrEnum):
     """What is commanded if there is no decision."""
 

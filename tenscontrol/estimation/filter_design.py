@@ -93,6 +93,7 @@ def filter_design(
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     instance("sensors", sensors, Sensors, "make them by Sensors(structure=..., ...)")
     sample_time = positive_number("sample_time", sample_time, "s")
+    plant.refuse_long_sample_time(sample_time)
     share = positive_number("process_noise", process_noise, "accelerations of the strings")
     spread = positive_number("start_spread", start_spread, "sizes of the structure")
     if positive_number("gate", gate, "no unit, below 1") >= 1:

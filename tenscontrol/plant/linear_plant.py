@@ -32,6 +32,10 @@ _Value = TypeVar("_Value")
 # A rest length is kept above this fraction of its value at the operating point.
 _SHORTEST = 0.01
 
+# Radians of the slowest vibration in a sample from which on nothing is controlled between samples;
+# poles below the second part of the largest are no vibrations.
+_MOST_TURNED, _AT_REST = 20 * np.pi, 1e-6
+
 # More radians of the fastest pole in a sample leave less than eight digits of its phase.
 _MOST_RADIANS = 1e8
 
@@ -140,7 +144,29 @@ class LinearPlant:
     @cached_property
     def spectral_radius(self) -> float:
         """Largest size of a pole, 1/s; 0 without poles."""
-        return float(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0))
+        return float(self._pole_sizes.max(initial=0.0))
+
+    @cached_property
+    def _pole_sizes(self) -> FloatArray:
+        return np.asarray(np.abs(np.linalg.eigvals(self.A)))
+
+    @cached_property
+    def slowest_vibration(self) -> float:
+        """Least size of a pole that is not zero, 1/s; inf without one."""
+        vibrations = self._pole_sizes[self._pole_sizes > _AT_REST * self.spectral_radius]
+        return float(vibrations.min(initial=np.inf))
+
+    def refuse_long_sample_time(self, sample_time: float) -> None:
+        """Raise if even the slowest vibration turns many times in a sample time, s."""
+        slowest = self.slowest_vibration
+        if np.isfinite(slowest) and sample_time * slowest > _MOST_TURNED:
+            raise ValueError(
+                f"sample_time is {sample_time:g} s, in which even the slowest vibration of the "
+                f"plant, {slowest / (2 * np.pi):.3g} Hz, turns "
+                f"{sample_time * slowest / (2 * np.pi):.3g} times: nothing is controlled in "
+                f"between. Times are in seconds: did you mean {sample_time / 1000:g} "
+                f"({sample_time:g} ms)?"
+            )
 
     @cached_property
     def prepared(self) -> Prepared:
@@ -308,6 +334,7 @@ def sampled(plant: LinearPlant, sample_time: float, substeps: int) -> Sampled:
     """Return the sampled model; the input ramps to v, or jumps to it if there is one substep."""
     from scipy.linalg import expm
 
+    plant.refuse_long_sample_time(sample_time)
     transition, whole, drift = plant.discretize(sample_time)
     states, inputs = whole.shape
     now = whole

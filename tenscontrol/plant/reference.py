@@ -240,6 +240,7 @@ class ReferencePreview:
     """
 
     def __init__(self, plant: LinearPlant, reference: object, sampled: Sampled) -> None:
+        self.given = reference is not None
         reference, q = checked_reference(plant, reference)
         r = plant.degrees_of_freedom
         self._plant, self._sampled = plant, sampled
@@ -277,6 +278,16 @@ class ReferencePreview:
         """Return the preview of another reference, given as to the constructor."""
         return ReferencePreview(self._plant, reference, self._sampled)
 
+    @property
+    def sample_time(self) -> float:
+        """Of the controller, s."""
+        return self._sampled.sample_time
+
+    @property
+    def times(self) -> FloatArray:
+        """Times between which the reference and what holds it are straight, s."""
+        return np.union1d(self._time, self._held_time)
+
     def wanted(self, times: FloatArray) -> FloatArray:
         """Return ``[q; q̇]`` of the reference, shape (K, s)."""
         right = np.searchsorted(self._time, times, side="right")
@@ -284,6 +295,12 @@ class ReferencePreview:
         past = np.clip(times - self._time[nearest], 0.0, None)[:, None]
         rates = self._rates[right]
         return np.hstack([self._coordinates[nearest] + past * rates, rates])
+
+    def nodes_at(self, times: FloatArray) -> FloatArray:
+        """Return node positions of the reference at times, shape (d, n, K), m."""
+        q = self.wanted(times)[:, : self._coordinates.shape[1]]
+        rows, which = np.unique(q, axis=0, return_inverse=True)
+        return np.array([self._plant.to_nodes(row) for row in rows])[which].transpose(1, 2, 0)
 
     def at(self, times: FloatArray) -> Preview:
         """Return the preview at these times, shape (K,), s."""
@@ -347,9 +364,12 @@ class ReferencePreview:
 
 
 def checked_reference(
-    plant: LinearPlant, reference: object, name: str = "reference"
+    plant: LinearPlant, reference: object, name: str = "reference", anywhere: bool = False
 ) -> tuple[Reference, FloatArray]:
-    """Return a reference, the operating point for None, and q of its shapes, (K, r), or raise."""
+    """Return a reference, the operating point for None, and q of its shapes, (K, r), or raise.
+
+    ``anywhere``: the shape of the operating point in another place is one to compare with.
+    """
     shape = plant.nodes.shape
     if reference is None:
         q = plant.measure(plant.nodes, np.zeros(shape))[: plant.degrees_of_freedom]
@@ -373,7 +393,10 @@ def checked_reference(
             f"reference.force_density has shape {gamma.shape}, expected "
             f"({count}, {len(reference.time)}): one row per string"
         )
-    return reference, _reached(plant, reference, name)
+    q = _reached(plant, reference, name)
+    if not anywhere:
+        _refuse_motion_as_one_body(plant, reference, name)
+    return reference, q
 
 
 def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
@@ -386,7 +409,6 @@ def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
     q = np.array(
         [reduced_shape(plant, *each, 2 * _OFF) for each in zip(names, shapes, strict=True)]
     )
-    _refuse_motion_as_one_body(plant, reference, name)
     # A mirror image keeps all lengths, but bars would have to pass through one another on the way:
     # from the operating point to the nearest shape, and from each shape to the next.
     apart = [bar_distances(structure, N) for N in (plant.nodes, *shapes)]

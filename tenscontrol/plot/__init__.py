@@ -14,7 +14,7 @@ from tenscontrol.plot.animation import animate
 from tenscontrol.plot.estimation_error import estimate
 from tenscontrol.plot.histories import Curves, history
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
-from tenscontrol.plot.motion_histories import health, motors, trajectory
+from tenscontrol.plot.motion_histories import health, motors, tracking, trajectory
 from tenscontrol.plot.pole_map import PoleMap, poles
 from tenscontrol.plot.structure_drawing import Drawing, structure
 from tenscontrol.plot.structure_drawing import new_space as new_space  # for figures of the demo
@@ -40,6 +40,7 @@ __all__ = [
     "stability_map",
     "structure",
     "sweep",
+    "tracking",
     "trajectory",
     "work_precision",
 ]

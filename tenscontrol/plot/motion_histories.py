@@ -313,6 +313,73 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     return panels
 
 
+def tracking(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, Curves]:
+    """Draw how well a controller did, sample by sample.
+
+    The panels are ``"tracking_error"``, of the node farthest off the reference, if the controller
+    has one; ``"prediction_error"``, of the node farthest off its prediction a sample before, if it
+    predicts; and ``"computing_time"`` with the sample time. All have logarithmic scales. Samples
+    at which the status was not ``"ok"`` are marked on the lowest time axis.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Under a controller.
+    axes : sequence of Axes, optional
+        Where to draw, one for each panel; a new figure if not given.
+
+    Returns
+    -------
+    dict of str to Curves
+        What was drawn, by panel.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``run`` is not a trajectory under a controller, or ``axes`` does not fit.
+
+    Examples
+    --------
+    >>> import matplotlib.pyplot as plt, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
+    >>> plant = tc.linearize(model, tc.prestress(prism, 17.3205), input="rest_length")
+    >>> mpc = tc.MPC(plant, horizon=10, sample_time=0.02)
+    >>> run = tc.simulate(model, 0.5, plant.to_nodes([0.02] * 9), controller=mpc, step=1e-3)
+    >>> panels = tc.plot.tracking(run)
+    >>> list(panels)
+    ['tracking_error', 'prediction_error', 'computing_time']
+    >>> plt.close(panels["tracking_error"].ax.figure)
+    """
+    instance("run", run, Trajectory, "make one by simulate(model, ...)")
+    record = run.control
+    if record is None:
+        raise ValueError("run has no controller: simulate(model, ..., controller=...) records one")
+    # Panel: time, values, label and reference lines.
+    content: dict[str, tuple[FloatArray, FloatArray, str, dict[str, FloatArray]]] = {}
+    if record.tracking_error is not None:
+        times = np.append(record.time, run.time[-1])
+        content["tracking_error"] = (times, record.tracking_error, "tracking error, m", {})
+    if record.prediction_error is not None and np.isfinite(record.prediction_error).any():
+        missed = record.prediction_error
+        content["prediction_error"] = (record.time, missed, "prediction error, m", {})
+    whole = {} if record.sample_time is None else {"sample time": np.array(record.sample_time)}
+    content["computing_time"] = (record.time, record.computing_time, "computing time, s", whole)
+    panels = {}
+    for ax, name in zip(panel_axes(axes, list(content)), content, strict=True):
+        times, values, label, levels = content[name]
+        last = axes is not None or name == list(content)[-1]
+        rows = {"farthest node" if label.endswith("m") else "controller": values[None]}
+        panels[name] = draw_curves(
+            ax, times, rows, label, references=levels, xlabel="time, s" if last else None
+        )
+        if (values > 0).any():  # NaN is not
+            ax.set_yscale("log")
+            ax.yaxis.set_minor_locator(NullLocator())
+    panels[name] = _with_statuses(panels[name], record)
+    return panels
+
+
 def _energies(run: Trajectory) -> dict[str, FloatArray]:
     change = float(run.energy[-1] - run.energy[0])
     rows = {

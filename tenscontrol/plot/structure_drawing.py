@@ -28,8 +28,19 @@ from tenscontrol.plot.style import (
     dress,
     marker_style,
 )
+from tenscontrol.shape import ShapeTarget
+from tenscontrol.simulation import Trajectory
+from tenscontrol.statics import Prestress
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, IntArray, instance, non_negative, per_member, truth
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    instance,
+    non_negative,
+    number,
+    per_member,
+    truth,
+)
 
 # A string below this fraction of the largest force density carries nothing.
 _SLACK = 1e-9
@@ -389,9 +400,10 @@ def sample(label: str, **style: Any) -> Line2D:
 
 
 def structure(
-    structure: Structure,
+    structure: Structure | Prestress | ShapeTarget | Trajectory,
     nodes: object = None,
     *,
+    time: float | None = None,
     ax: Any = None,
     force_density: object = None,
     labels: bool = False,
@@ -408,9 +420,13 @@ def structure(
 
     Parameters
     ----------
-    structure : Structure
+    structure : Structure, Prestress, ShapeTarget or Trajectory
+        A prestress, an equilibrium or a shape that was found are drawn with the colours of their
+        force densities unless they are faint, and so is a run, in its last shape.
     nodes : array_like, shape (d, n), optional
-        Node positions, m; the reference shape if not given.
+        Node positions, m; if not given, the reference shape, or that of the result.
+    time : float, optional
+        When in a run, s: the state kept nearest to it is drawn.
     ax : Axes3D or Axes, optional
         Where to draw, flat for a structure in the plane; a new figure if not given.
     force_density : float or array_like, shape (α,), optional
@@ -446,15 +462,19 @@ def structure(
     >>> drawing.ax.get_zlabel(), drawing.colorbar.ax.get_ylabel()
     ('z, m', 'γ, N/m')
     >>> plt.close(drawing.ax.figure)
+
+    The same of a result, in one word:
+
+    >>> plt.close(tc.plot.structure(rest).ax.figure)
     """
-    instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
+    structure, nodes, colours = _in_a_shape(structure, nodes, force_density, time)
     for name, flag in {"labels": labels, "member_labels": member_labels, "faint": faint}.items():
         truth(name, flag, "whether to draw so")
     truth("legend", legend, "whether to show one")
     shape = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     gamma = None
-    if force_density is not None:
-        gamma = checked_force_density(structure, force_density)
+    if force_density is not None or (colours is not None and not faint):
+        gamma = checked_force_density(structure, colours)
     own = ax is None
     if own:
         figure = plt.figure(figsize=(SIZE[0] + (0.0 if gamma is None else _SCALE_WIDTH), SIZE[1]))
@@ -478,6 +498,32 @@ def structure(
         samples = legend_samples(structure, slack, colored=gamma is not None)
         ax.legend(handles=samples, **legend_place(structure))
     return drawing
+
+
+def _in_a_shape(
+    drawn: object, nodes: object, force_density: object, time: object
+) -> tuple[Structure, object, object]:
+    """Return a structure, and nodes and force densities: those given, or those of a result."""
+    if time is not None and not isinstance(drawn, Trajectory):
+        raise ValueError("time goes with a run; simulate(model, ...) returns one")
+    shape = gamma = None
+    found = drawn.prestress if isinstance(drawn, ShapeTarget) else drawn
+    if isinstance(found, Prestress):
+        gamma, found = found.force_density, found.structure
+    elif isinstance(found, Trajectory):
+        at = float(found.time[-1]) if time is None else number("time", time, "s")
+        if not found.time[0] <= at <= found.time[-1]:
+            raise ValueError(
+                f"time is {at:g} s, expected {found.time[0]:g} to {found.time[-1]:g} s, as the run"
+            )
+        k = int(np.abs(found.time - at).argmin())
+        shape, gamma, found = found.nodes[:, :, k], found.force_density[:, k], found.structure
+    how = "or a Prestress, a ShapeTarget, a Trajectory; make one by Structure(...) or prism(...)"
+    instance("structure", found, Structure, how)
+    assert isinstance(found, Structure)  # just checked
+    return (
+        found, shape if nodes is None else nodes, gamma if force_density is None else force_density
+    )  # fmt: skip
 
 
 def _numbered(drawing: Drawing, shape: FloatArray, nodes: bool, members: bool) -> Drawing:

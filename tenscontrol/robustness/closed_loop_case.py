@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, final
@@ -9,7 +10,7 @@ from typing import Any, final
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control import Controller, Status, as_controller
+from tenscontrol.control import Controller, ControlWarning, Status, as_controller
 from tenscontrol.dynamics import Coordinates, Model, StringLaw, coordinates
 from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
 from tenscontrol.plant import LinearPlant, checked_reference
@@ -193,8 +194,8 @@ class ClosedLoopCase:
         if isinstance(law, Controller):
             put(self, "_coordinates", law.plant.coordinates)
             if self.target is not None:
-                shape = checked_reference(law.plant, self.target, "target")[0].nodes[:, :, 0]
-                put(self, "target", frozen(shape))
+                found = checked_reference(law.plant, self.target, "target", anywhere=True)[0]
+                put(self, "target", frozen(found.nodes[:, :, 0]))
         else:
             if self.target is not None:
                 shape = law.structure.checked_nodes("target", self.target)
@@ -235,22 +236,24 @@ class ClosedLoopCase:
         sensors = self.sensors
         if sensors is None and self.estimator is not None:
             sensors = self.estimator.sensors
-        run = simulate(
-            self._model(parameters),
-            self.duration,
-            self._start(parameters),
-            controller=self.controller,
-            rest_length=self.rest_length,
-            input=self.input,
-            winches=self.winches,
-            sample_time=self.sample_time,
-            step=self.step,
-            limits=HealthLimits(action="raise"),
-            estimator=self.estimator,
-            sensors=_varied_sensors(sensors, parameters),
-            seed=None if self.estimator is None else int(rng.integers(2**63)),
-            faults=self.faults,
-        )
+        # Where the loop ends is what a sweep asks.
+        with warnings.catch_warnings(action="ignore", category=ControlWarning):
+            run = simulate(
+                self._model(parameters),
+                self.duration,
+                self._start(parameters),
+                controller=self.controller,
+                rest_length=self.rest_length,
+                input=self.input,
+                winches=self.winches,
+                sample_time=self.sample_time,
+                step=self.step,
+                limits=HealthLimits(action="raise"),
+                estimator=self.estimator,
+                sensors=_varied_sensors(sensors, parameters),
+                seed=None if self.estimator is None else int(rng.integers(2**63)),
+                faults=self.faults,
+            )
         if run.stopped is not None:
             raise SweepError(f"a simulation {run.stopped}")
         return self._judged(run)

@@ -19,7 +19,7 @@ from tenscontrol.actuation import (
     motor_record,
     winding_work,
 )
-from tenscontrol.control import BaseController, Command
+from tenscontrol.control import BaseController, Command, Controller
 from tenscontrol.dynamics import Evaluator, Pieces, evaluate_columns, polynomial_at
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.interrupt import check
@@ -45,6 +45,9 @@ _NONE = frozen(np.zeros(0, dtype=np.int64))
 
 # Of motors that move rest lengths.
 _DYNAMIC = ("inertia", "lag", "backlash")
+
+# A command so close to a bound, relative to the largest, is at it.
+_CLOSE = 1e-7
 
 
 def run_closed_loop(
@@ -87,15 +90,17 @@ def run_closed_loop(
         if start is not None:
             earlier = None if start.control is None else start.control.estimate
             observation.go_on(earlier, start.held, round(begin))
-    rows: list[tuple[float, Command, WinchMove, float]] = []
+    rows: list[tuple[float, Command, WinchMove, float, float, FloatArray]] = []
 
     def record() -> ControlRecord:
         stood = None
         if loop.input == "rest_length":
             stood = rows[0][2].rest_length if actuators.start is None else actuators.start
+        end, _ = loop.motion(state)
         return _control_record(
-            repr(controller), rows, stood, sample, observation, actuators.motor_record()
-        )
+            rows, stood, sample, observation, actuators.motor_record(), controller, loop.now,
+            end[:, :seen],
+        )  # fmt: skip
 
     # Of a subdivision, the nodes of its parent come first.
     seen = controller.structure.nodes.shape[1]
@@ -126,7 +131,7 @@ def run_closed_loop(
         taken = perf_counter() - began
         check()  # a command that was interrupted is not applied
         move = actuators.begin(command, N, loop.faults.stuck(moment))
-        rows.append((loop.now, command, move, taken))
+        rows.append((loop.now, command, move, taken, controller.prediction_error, N[:, :seen]))
         end = min(loop.now + sample, until)
         whole = end - loop.now
         try:
@@ -139,33 +144,37 @@ def run_closed_loop(
                 if span > 1e-9 * whole:  # not round-off
                     state = loop.run(state, pieces, span)
         finally:
-            rows[-1] = (rows[-1][0], command, actuators.end(), taken)
+            rows[-1] = (*rows[-1][:2], actuators.end(), *rows[-1][3:])
             controller.applied(actuators.applied_input(N))
             if observation is not None:
                 observation.predict(actuators.reached, actuators.held)
 
 
 def _control_record(
-    controller: str,
-    rows: list[tuple[float, Command, WinchMove, float]],
+    rows: list[tuple[float, Command, WinchMove, float, float, FloatArray]],
     rest_length: FloatArray | None,
     sample_time: float,
     observation: Observation | None,
     motors: MotorRecord | None,
+    controller: BaseController,
+    until: float,
+    end: FloatArray,
 ) -> ControlRecord:
-    """Return the record of samples: start, command, move of the winches, computing time.
+    """Return the record of samples.
 
-    ``rest_length`` are those before the first sample, shape (α,); None where γ is held.
+    Of each: start, command, move of the winches, computing time, prediction error and nodes.
+    ``rest_length`` are those before the first sample, shape (α,); None where γ is held. The run
+    ends at a time with these nodes.
     """
-    times, commands, moves, taken = zip(*rows, strict=True)
+    times, commands, moves, taken, unforeseen, shapes = zip(*rows, strict=True)
     time, applied = frozen(np.array(times)), np.column_stack([move.rest_length for move in moves])
     rate = np.zeros_like(applied)
     if rest_length is not None:
         rate = np.diff(applied, axis=1, prepend=rest_length[:, None]) / sample_time
+    command = np.column_stack([command.value for command in commands])
     return ControlRecord(
-        controller=controller,
         time=time,
-        command=frozen(np.column_stack([command.value for command in commands])),
+        command=frozen(command),
         applied=frozen(applied),
         status=tuple(command.status for command in commands),
         fallback=tuple(command.fallback for command in commands),
@@ -176,7 +185,39 @@ def _control_record(
         computing_time=frozen(np.array(taken)),
         estimate=None if observation is None else observation.record(time),
         motors=motors,
+        prediction_error=frozen(np.array(unforeseen)),
+        tracking_error=_tracking_error(controller, np.r_[time, until], [*shapes, end]),
+        at_bound=_at_bound(controller, command),
+        controller=repr(controller),
+        sample_time=sample_time,
+        size=float(np.ptp(controller.structure.nodes, axis=1).max()),
+        slowest_vibration=(
+            controller.plant.slowest_vibration if isinstance(controller, Controller) else None
+        ),
     )
+
+
+def _tracking_error(
+    controller: BaseController, times: FloatArray, shapes: list[FloatArray]
+) -> FloatArray | None:
+    """Return the distance of the node that is farthest off the reference at each time, m."""
+    wanted = controller.reference_nodes(times)
+    if wanted is None or not isinstance(controller, Controller):
+        return None
+    lay, still = controller.plant.coordinates.laid_over, np.zeros_like(shapes[0])
+    off = np.stack([lay(N, still)[0] for N in shapes], axis=-1) - wanted
+    return frozen(np.linalg.norm(off, axis=0).max(axis=0))
+
+
+def _at_bound(controller: BaseController, command: FloatArray) -> IntArray:
+    """Return how many strings of each command, shape (α, K), are at a bound, shape (K,)."""
+    low, high = (bound[:, None] for bound in controller.bounds)
+    close = _CLOSE * np.abs(command).max()
+    at = (command <= low + close) | (command >= high - close)
+    if controller.largest_change is not None:
+        change = np.abs(np.diff(command, axis=1, prepend=command[:, :1]))
+        at |= change >= controller.largest_change[:, None] - close
+    return frozen(at.sum(axis=0))
 
 
 def _sample_time(

@@ -9,7 +9,7 @@ from contextlib import nullcontext
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control import BaseController, as_controller
+from tenscontrol.control import BaseController, ControlWarning, as_controller
 from tenscontrol.dynamics import Model, Pieces, Profile, as_pieces, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Method, Projector, largest_frequency, state_scale
@@ -176,6 +176,9 @@ def simulate(
     -----
     AccuracyWarning
         If the motion passes a limit: the integration was too coarse.
+    ControlWarning
+        Once, if the run ends away from the reference of its controller, or many programs were not
+        solved; see :attr:`ControlRecord.problems`.
     InterruptionWarning
         A RuntimeWarning: Ctrl-C or SIGTERM ended the run, and the motion up to there is returned,
         with its control record, from the main thread. Before the first step there is no motion:
@@ -340,6 +343,14 @@ def simulate(
         warnings.warn(f"the simulation {what}", InterruptionWarning, stacklevel=2)
     if stopped is None:
         _check(run, HealthLimits() if limits is None else limits)
+        found = [] if run.control is None else run.control.problems
+        if found:
+            warnings.warn(
+                f"under {type(controller).__name__} the run did not do what was asked: "
+                f"{'; '.join(found)}. run.control.summary() says more",
+                ControlWarning,
+                stacklevel=2,
+            )
     return run
 
 

@@ -126,6 +126,7 @@ RESULTS = {
     "shape.ShapeError",
     "shape.ShapePath",
     "shape.ShapeTarget",
+    "control.ControlWarning",
     "simulation.AccuracyWarning",
     "simulation.ControlRecord",
     "simulation.EstimateRecord",
@@ -1076,6 +1077,7 @@ call(
         "min_clearance": 0.01,
         "symmetry": symmetry(),
         "start": nodes(),
+        "place": "anywhere",
         "require_stable": True,
     },
     share=0.1,
@@ -1092,6 +1094,7 @@ call(
         "winches": tc.Winches(shortest=0.1, longest=2.0),
         "min_force_density": 1.0,
         "max_force_density": 60.0,
+        "place": "centre",
         "require_stable": True,
     },
     share=0.1,
@@ -1408,6 +1411,7 @@ call(
         "member_labels": True,
     },
 )
+call("plot.structure, run", lambda: {"structure": run(), "time": 0.0, "ax": space()}, share=0.2)
 call("plot.Drawing.update", lambda: {"nodes": nodes(), "force_density": None}, drawing)
 call(
     "plot.animate",
@@ -1424,6 +1428,7 @@ call(
 )
 call("plot.convergence_order", lambda: {"result": order(), "ax": flat()}, share=0.2)
 call("plot.estimate", lambda: {"run": closed_run(), "strings": [0, 1], "axes": None}, share=0.1)
+call("plot.tracking", lambda: {"run": closed_run(), "axes": None}, share=0.1)
 call("plot.health", lambda: {"run": run(), "axes": None}, share=0.1)
 call("plot.motors", lambda: {"run": closed_run(), "axes": None}, share=0.1)
 call(

@@ -257,7 +257,8 @@ def test_statuses_are_counted(model, by_length):
     controller = Script(
         by_length, [0.7 * np.ones(9)], step=0.02, statuses=("ok", "ok", "infeasible")
     )
-    run = tc.simulate(model, 0.2, controller=controller, step=1e-3)
+    with pytest.warns(tc.control.ControlWarning, match=r"30 % of the programs were not solved"):
+        run = tc.simulate(model, 0.2, controller=controller, step=1e-3)
     assert run.control.status_count == {"ok": 7, "infeasible": 3}
     assert run.control.status[:3] == ("ok", "ok", "infeasible")
     assert "7 ok, 3 infeasible" in run.summary()

@@ -248,6 +248,7 @@ def test_a_lost_measurement_shows_in_the_status_and_is_over_with_its_end(kind, h
     assert off(run, held) < 5e-3
 
 
+@pytest.mark.filterwarnings("ignore::tenscontrol.control.ControlWarning")
 @kinds
 @both
 def test_a_controller_that_is_not_told_of_a_cut_gives_safe_commands(kind, held):

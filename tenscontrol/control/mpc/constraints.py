@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tenscontrol.control.mpc.problem import RowBlock
-from tenscontrol.plant import LinearPlant
+from tenscontrol.plant import LinearPlant, ReferencePreview, string_map
 from tenscontrol.structure import bar_distances
 from tenscontrol.validation import (
     FloatArray,
@@ -22,6 +23,16 @@ from tenscontrol.validation import (
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+
+# Limits of strings by their quantity, and its unit.
+_STRING_LIMITS = {
+    "force_density": (("min_force_density", "max_force_density"), "N/m"),
+    "tension": (("min_tension", "max_tension"), "N"),
+}
+
+# A limit is broken by more than this, in units of a row: of strings, whose forces along a
+# reference are known as well as they balance it, and of positions.
+_HELD, _ROUND_OFF = 1e-2, 1e-4
 
 # Unit of positions inside a program, as a share of the size of the structure.
 _SHARE = 0.01
@@ -164,6 +175,51 @@ def clearance(plant: LinearPlant, clearance: float, penalty: float | None = None
     return OutputLimit(
         rows.transpose(0, 2, 1).reshape(len(passing), -1), low=clearance, penalty=penalty
     )
+
+
+def broken_limits(
+    plant: LinearPlant, blocks: Sequence[RowBlock], path: ReferencePreview
+) -> list[str]:
+    """Return a sentence for each soft limit that a given reference breaks.
+
+    Raise where the operating point or a reference breaks a hard one.
+    """
+    found = []
+    times, outputs = path.times, 0
+    preview, shapes = path.at(times), path.nodes_at(times).transpose(2, 1, 0)
+    strings = string_map(plant, plant.input) if any(block.quantity for block in blocks) else None
+    for block in blocks:
+        if block.quantity:
+            names, unit = _STRING_LIMITS[block.quantity]
+            here, there = (getattr(of, block.quantity) for of in (strings, preview))
+            close, which = _HELD * block.scale, "string"
+        else:
+            names, unit = (f"outputs[{outputs}].low", f"outputs[{outputs}].high"), "m"
+            here, there = block.offset, shapes.reshape(len(shapes), -1) @ block.on_nodes.T
+            close, which, outputs = _ROUND_OFF * block.scale, "row", outputs + 1
+        for at, values in ((None, here[None]), (times, there)):
+            for name, bound, over in zip(
+                names,
+                (block.low, block.high),
+                (block.low - values, values - block.high),
+                strict=True,
+            ):
+                k, i = np.unravel_index(int((over - close).argmax()), over.shape)
+                if over[k, i] <= close[i]:
+                    continue
+                where = "the operating point" if at is None else f"the reference at {at[k]:g} s"
+                text = (
+                    f"{name} is {bound[i]:.6g} {unit} for {which} {i}, but {where} has "
+                    f"{values[k, i]:.6g} {unit}, {over[k, i]:.2g} {unit} beyond"
+                )
+                if np.isinf(block.penalty[i]):
+                    raise ValueError(
+                        f"{text}: there programs with this hard limit have no solution. Move the "
+                        "limit or the shape, or give a finite penalty"
+                    )
+                if at is not None and path.given:
+                    found.append(f"{text}: the loop will rest between the two")
+    return found
 
 
 def output_block(plant: LinearPlant, limit: OutputLimit) -> RowBlock:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Unpack, final
 
 import numpy as np
@@ -28,8 +29,15 @@ from tenscontrol.control.mpc.settings import (
     make_solver,
 )
 from tenscontrol.control.mpc.sparse import Sparse
-from tenscontrol.control.status import Command, Fallback, Status
-from tenscontrol.plant import LinearPlant, ReferencePreview
+from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
+from tenscontrol.plant import (
+    LinearPlant,
+    OperatingPoint,
+    ReferencePreview,
+    linearize,
+    sampled,
+    to_model_strings,
+)
 from tenscontrol.validation import FloatArray, choice, frozen, instance
 
 if TYPE_CHECKING:
@@ -39,6 +47,14 @@ _FORMS = ("auto", "condensed", "sparse")
 
 # Up to so many unknown inputs the dense form is the cheaper one: tests/benchmarks/mpc_step.py.
 _LARGEST_CONDENSED = 600
+
+# A reference is farther than the linear plant holds where its loop comes to rest off by more than
+# this part of the size, or errors grow faster, 1/s. Those nearer than the third part of the size
+# are not tried. ``python -m tests.benchmarks.reference_distance`` shows runs on both sides.
+_OFF, _GROWS, _NEAR = 0.02, 0.01, 0.02
+
+# Least γ in a shape, relative to the largest: there a string is taken as taut.
+_TAUT = 1e-6
 
 # Beyond so many its dense matrices fill gigabytes.
 _MOST_CONDENSED = 5000
@@ -144,6 +160,40 @@ class MPCLaw(PredictiveLaw):
         if not self.design.sampled.ramp:
             return state
         return np.concatenate([state, previous_input - data.previous_origin])
+
+
+def law_in_shape(
+    plant: LinearPlant, made: Design, path: ReferencePreview, time: float
+) -> tuple[float, float]:
+    """Return how the LQR of the program does in a shape of the reference, on the plant there.
+
+    The rate, 1/s, at which errors grow, negative if they decay; and how far the node that is off
+    most comes to rest from its place, m.
+    """
+    from scipy.linalg import block_diag
+
+    r = plant.degrees_of_freedom
+    preview = path.at(np.array([time]))
+    q, gamma = preview.reference[0, :r], preview.force_density[0]
+    if plant.input == "force_density":
+        # The linear plant rests where v balances the change of the shape, as well as it can.
+        v = np.asarray(np.linalg.lstsq(plant.B[r:], -plant.A[r:, :r] @ q)[0], dtype=float)
+        gamma = gamma + to_model_strings(plant, "force_density", v)
+    gamma = np.maximum(gamma, _TAUT * gamma.max())
+    at = OperatingPoint(plant.to_nodes(q), gamma, plant.external_force)
+    there = linearize(plant.model, at, input=plant.input, require_equilibrium=False)
+    spread = to_model_strings(plant, plant.input, np.eye(plant.B.shape[1])).T
+    found = sampled(
+        replace(there, B=there.B @ spread), path.sample_time, 2 if made.sampled.ramp else 1
+    )
+    transition, by_input = found.augmented
+    turn, added = plant.coordinates.project(there.basis), len(transition) - 2 * r
+    feedback = made.problem.feedback @ block_diag(turn, turn, np.eye(added))
+    closed = transition - by_input @ feedback
+    growth = float(np.log(np.abs(np.linalg.eigvals(closed)).max())) / path.sample_time
+    drift = np.r_[found.drift, np.zeros(added)]
+    off = there.basis @ np.linalg.lstsq(np.eye(len(closed)) - closed, drift)[0][:r]
+    return growth, float(np.linalg.norm(off.reshape(-1, len(plant.nodes)), axis=1).max())
 
 
 @final
@@ -319,14 +369,18 @@ class MPC(PredictiveController):
     Raises
     ------
     TypeError, ValueError
-        If an argument is of the wrong kind or does not fit, or the plant has a
-        pole that no string reaches.
+        If an argument is of the wrong kind or does not fit, the plant has a pole that no string
+        reaches, or the operating point or the reference breaks a hard limit.
 
     Warns
     -----
     RuntimeWarning
         If γ is commanded but the strings are so stiff that winches, which hold
         rest lengths between samples, would undo it: see :func:`held_loop`.
+    ControlWarning
+        If a reference is farther than the linear plant holds: on the plant linearized in its
+        farthest shape, the LQR of the program comes to rest more than 2 % of the size off, or
+        lets errors grow. If a reference breaks a soft limit.
 
     Examples
     --------
@@ -357,10 +411,36 @@ class MPC(PredictiveController):
             load=None if self._observer is None else self._observer.model,
             path=ReferencePreview(plant, given.reference, made.sampled),
         )
+        for text in self._concerns(self._law.path):
+            warnings.warn(text, ControlWarning, stacklevel=2)
         self._solver = self._law.solver()
         self.reset()
         if plant.input == "force_density" and plant.model.strings is not None:
             warn_of_held_lengths(plant, made.problem.feedback, given.sample_time)
+
+    def _concerns(self, path: ReferencePreview) -> list[str]:
+        found = super()._concerns(path)
+        # What slack strings do where they are taut is not known.
+        if not path.given or len(self.plant.slack):
+            return found
+        plant, size = self.plant, float(np.ptp(self.plant.nodes, axis=1).max())
+        shapes = path.nodes_at(path.times) - plant.nodes[:, :, None]
+        far = np.linalg.norm(shapes, axis=0).max(axis=0)
+        if far.max() < _NEAR * size:
+            return found
+        time = float(path.times[far.argmax()])
+        growth, off = law_in_shape(plant, self._law.design, path, time)
+        if growth <= _GROWS and off <= _OFF * size:
+            return found
+        what = f"comes to rest {off:.2g} m off, {100 * off / size:.2g} % of the size"
+        if growth > _GROWS:
+            what = f"lets errors grow by a factor e in {1 / growth:.2g} s"
+        found.append(
+            f"the reference at {time:g} s is farther than the linear plant holds: there its loop "
+            f"{what}. Linearize nearer to it, take NMPC, or a GainSchedule in which another "
+            "controller takes over before"
+        )
+        return found
 
     @property
     def law(self) -> MPCLaw:
@@ -411,8 +491,9 @@ class MPC(PredictiveController):
         if self._previous_input is None:
             self._previous_input = frozen(data.previous_origin)
         previous = self._previous_input
+        free = law.free_response(data, state, previous)
         if observer is not None:
-            observer.expect(law.free_response(data, state, previous))
+            observer.expect(free)
         vectors = law.vectors(data, state, previous, self._previous_within_bounds)
         answer = self._solver.solve(*vectors, start=self._guess, deadline=deadline)
         self._iterations.append(answer.iterations)
@@ -423,6 +504,7 @@ class MPC(PredictiveController):
         self._plan = np.clip(inputs, self._low, self._high)
         self._used = 0
         self._guess = law.form.shifted(answer.x, answer.y)
+        self._predicted = free + law.design.sampled.by_input @ self._plan[0]
         return Command(self._plan[0])
 
     def _fall_back(self, status: Status) -> Command:

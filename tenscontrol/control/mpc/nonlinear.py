@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Unpack, final
@@ -21,7 +22,7 @@ from tenscontrol.control.mpc.settings import (
     make_solver,
 )
 from tenscontrol.control.mpc.sparse import Sparse
-from tenscontrol.control.status import Command, Fallback, Status
+from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.validation import FloatArray, frozen, instance, number, truth, whole_number
 
@@ -152,7 +153,13 @@ class NMPC(PredictiveController):
     Raises
     ------
     TypeError, ValueError
-        If an argument does not fit, or the plant has a pole that no string reaches.
+        If an argument does not fit, the plant has a pole that no string reaches, or the operating
+        point or the reference breaks a hard limit.
+
+    Warns
+    -----
+    ControlWarning
+        If a reference breaks a soft limit.
 
     Notes
     -----
@@ -192,6 +199,8 @@ class NMPC(PredictiveController):
         made = design(plant, given)
         super().__init__(plant, given, made)
         path = ReferencePreview(plant, given.reference, made.sampled)
+        for text in self._concerns(path):
+            warnings.warn(text, ControlWarning, stacklevel=2)
         # After all checks: it may be compiled.
         model = TrajectoryModel(plant, given, made.constraints, machine_code)
         self._law = NMPCLaw(
@@ -330,6 +339,7 @@ class NMPC(PredictiveController):
         self._plan.release(solved=True)
         self._record(rounds, work, change, preparing, began)
         assert self._plan.inputs is not None  # solved
+        self._predicted = self._plan.next_state
         return Command(self._plan.inputs[0])
 
     def _corrected(self, observer: LoadObserver, state: FloatArray) -> FloatArray:

@@ -203,6 +203,11 @@ class RealTimeIterate:
         self._low, self._high = bounds
         self.clear()
 
+    @property
+    def next_state(self) -> FloatArray:
+        """The planned state a sample ahead, shape (s,)."""
+        return np.asarray(self._states[1])
+
     def clear(self) -> None:
         """Forget the plan."""
         self._states: FloatArray = np.zeros((0, 0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Required, Self, TypedDict
@@ -16,7 +17,7 @@ from tenscontrol.control.controller import (
     warn_of_unreached,
 )
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
-from tenscontrol.control.mpc.constraints import OutputLimit, output_block
+from tenscontrol.control.mpc.constraints import OutputLimit, broken_limits, output_block
 from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.problem import (
     Constraints,
@@ -26,6 +27,7 @@ from tenscontrol.control.mpc.problem import (
     RowBlock,
     string_block,
 )
+from tenscontrol.control.status import ControlWarning
 from tenscontrol.limits import MOST_SAMPLES
 from tenscontrol.plant import (
     LinearPlant,
@@ -397,10 +399,15 @@ class PredictiveController(Controller):
         super().__init__(plant, settings.sample_time, made.low, made.high, made.problem.change)
         warn_of_unreached(self, stacklevel=4)
         self._longest_time = settings.longest_time
+        self._limits = made.constraints.blocks
         self._observer: LoadObserver | None = None
         if settings.load_gain is not None:
             response = acceleration_response(plant, settings.sample_time)
             self._observer = load_observer(plant, response, settings.load_gain, settings.tracked)
+
+    def _concerns(self, path: ReferencePreview) -> list[str]:
+        """Return what to warn of in a reference, or raise where it is not for this controller."""
+        return broken_limits(self.plant, self._limits, path) if self._limits else []
 
     @property
     def horizon(self) -> int:
@@ -425,7 +432,14 @@ class PredictiveController(Controller):
         TypeError, ValueError
             If it does not fit the structure.
         """
-        self._law = self._law.following(reference)
+        law = self._law.following(reference)
+        for text in self._concerns(law.path):
+            warnings.warn(text, ControlWarning, stacklevel=3)  # that of the lock is between
+        self._law = law
+
+    def reference_nodes(self, times: FloatArray) -> FloatArray:
+        """See :meth:`Controller.reference_nodes`."""
+        return self._law.path.nodes_at(times)
 
     def reset(self) -> None:
         """Forget the plan, the previous input, the estimated load and the statistics."""

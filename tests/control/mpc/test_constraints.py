@@ -172,8 +172,9 @@ def test_soft_limit_that_can_be_kept_is_the_hard_one(plant):
 
 
 def test_limit_out_of_reach_is_violated_softly_or_reported_when_hard(plant):
+    low = tc.prism(radius=tc.structure.prism_radius(tc.prism().bar_length[0], 0.97), height=0.97)
     for penalty, status in ((1e3, "ok"), (None, "infeasible")):
-        limit = OutputLimit(height_row(), low=1.02, penalty=penalty)  # after one sample already
+        limit = OutputLimit(height_row(), low=0.999, penalty=penalty)  # after one sample already
         mpc = tc.MPC(
             plant,
             horizon=4,
@@ -182,7 +183,56 @@ def test_limit_out_of_reach_is_violated_softly_or_reported_when_hard(plant):
             outputs=[limit],
             max_change=1e-3,
         )
-        assert mpc.command(0.0, plant.nodes, STILL).status.split(":")[0] == status
+        assert mpc.command(0.0, low.nodes, STILL).status.split(":")[0] == status
+
+
+def lowered(height):
+    radius = tc.structure.prism_radius(tc.prism().bar_length[0], height)
+    return tc.prism(radius=radius, height=height).nodes
+
+
+@pytest.mark.parametrize("law", [tc.MPC, tc.NMPC])
+def test_a_hard_limit_that_the_operating_point_or_the_reference_breaks_is_refused(plant, law):
+    """Before, each program was infeasible, or the loop stopped short, without a word."""
+    usual = {"horizon": 4, "sample_time": SAMPLE, "max_force_density": 60.0}
+    above, below = OutputLimit(height_row(), low=1.02), OutputLimit(height_row(), low=0.9)
+    with pytest.raises(
+        ValueError, match=r"outputs\[1\]\.low is 1\.02 m for row 0, but the operating"
+    ):
+        law(plant, outputs=[below, above], **usual)
+    far = tc.Reference([0.0, 1.0], np.stack([plant.nodes, lowered(0.85)], axis=-1))
+    with pytest.raises(ValueError, match=r"the reference at 1 s has 0\.85 m, 0\.05 m beyond"):
+        law(plant, outputs=[below], reference=far, **usual)
+    follows = law(plant, outputs=[below], **usual)
+    with pytest.raises(ValueError, match=r"the reference at 1 s"):
+        follows.follow(far)
+    follows.follow(lowered(0.95))
+    soft = OutputLimit(height_row(), low=0.9, penalty=10.0)
+    with pytest.warns(tc.control.ControlWarning, match="0.05 m beyond") as caught:
+        law(plant, outputs=[soft], reference=far, **usual)
+    assert caught[0].filename == __file__
+
+
+def test_hard_limits_of_strings_hold_along_the_reference():
+    prism = tc.prism()
+    plant = tc.linearize(
+        tc.Model(prism, strings=tc.LinearStrings(200.0)), tc.prestress(prism, 20.0),
+        input="rest_length",
+    )  # fmt: skip
+    usual = {"horizon": 4, "sample_time": SAMPLE, "string_penalty": np.inf}
+    with pytest.raises(
+        ValueError, match=r"min_force_density is 25 N/m for string [01], but the op"
+    ):
+        tc.MPC(plant, min_force_density=25.0, **usual)
+    tall, gamma = plant.nodes[:, :, None] * [1.0, 1.0], np.outer(plant.force_density, [1.0, 2.0])
+    rising = tc.Reference([0.0, 1.0], tall, gamma)
+    tc.MPC(plant, max_force_density=80.0, reference=rising, **usual)
+    with pytest.raises(
+        ValueError, match=r"max_force_density is 50 .*string [678], but the ref.* at 1 s"
+    ):
+        tc.MPC(plant, max_force_density=50.0, reference=rising, **usual)
+    with pytest.raises(ValueError, match=r"max_tension .* the reference at 1 s"):
+        tc.MPC(plant, max_tension=45.0, reference=rising, **usual)
 
 
 def test_least_force_density_is_kept(plant):
