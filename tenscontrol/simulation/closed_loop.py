@@ -158,6 +158,8 @@ def _control_record(
 def _sample_time(
     controller: BaseController, sample_time: float | None, step: float | None
 ) -> float:
+    if sample_time is not None:
+        sample_time = positive_number("sample_time", sample_time, "s")
     if controller.sample_time is not None:
         if sample_time is not None and sample_time != controller.sample_time:
             raise ValueError(
@@ -166,7 +168,7 @@ def _sample_time(
             )
         return controller.sample_time
     if sample_time is not None:
-        return positive_number("sample_time", sample_time, "s")
+        return sample_time
     if step is None:
         raise ValueError(
             "the controller acts in continuous time: give sample_time, or a step to sample at"
