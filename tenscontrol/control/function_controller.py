@@ -156,10 +156,10 @@ class FunctionController(BaseController):
             structure, input, sample_time, low, high, max_change,
             equilibrium_input=equilibrium_input,
         )  # fmt: skip
-        self._what = f"the command of {self.name}"
+        self._what = f"the command of {self.label}"
 
     @property
-    def name(self) -> str:
+    def label(self) -> str:
         """Name of the function, or of the class of the object."""
         named = self._given if self._function is self._given else type(self._given)
         name = getattr(named, "__qualname__", type(named).__qualname__)
@@ -199,7 +199,7 @@ class FunctionController(BaseController):
 
     def __repr__(self) -> str:
         when = "" if self.sample_time is None else f", every {self.sample_time:g} s"
-        return f"FunctionController({self.name}, input {self.input!r}{when})"
+        return f"FunctionController({self.label}, input {self.input!r}{when})"
 
 
 def as_controller(

@@ -102,7 +102,7 @@ def run_closed_loop(
         try:
             command = controller.command(loop.now, *motion)
         except Exception as error:
-            said = f"the controller {controller.name} raised {type(error).__name__}: {error}"
+            said = f"the controller {controller.label} raised {type(error).__name__}: {error}"
             if loop.spans and not isinstance(error, MemoryError):
                 raise loop.stopped(said) from error
             error.add_note(f"{said}, at {loop.now:.6g} s")  # there is no motion, or no room for it
