@@ -174,7 +174,7 @@ class BaseController(ABC):
         self._fallback_count: Counter[Fallback] = Counter()
 
     @property
-    def name(self) -> str:
+    def label(self) -> str:
         """What it is called in messages."""
         return type(self).__name__
 

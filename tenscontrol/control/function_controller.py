@@ -10,9 +10,11 @@ import numpy as np
 
 from tenscontrol.control.controller import BaseController
 from tenscontrol.control.status import Command, Status
+from tenscontrol.plant import INPUTS
 from tenscontrol.structure import Structure, whole_strings
 from tenscontrol.validation import (
     FloatArray,
+    choice,
     frozen,
     instance,
     measured,
@@ -130,7 +132,8 @@ class FunctionController(BaseController):
                 )
         if sample_time is None:
             sample_time = _own("sample_time", function)
-        count, by_length = len(structure.strings), input == "rest_length"
+        by_length = choice("input", input, INPUTS) == "rest_length"
+        count = len(structure.strings)
         if low is None:
             low = _SHORTEST * structure.string_length(structure.nodes) if by_length else 0.0
         low = per_member("low", low, count, "string")
@@ -145,6 +148,7 @@ class FunctionController(BaseController):
                     "max_change limits changes from sample to sample: give sample_time, s"
                 )
             max_change = per_member("max_change", max_change, count, "string")
+            positive("max_change", max_change, f"change of {input.replace('_', ' ')}")
         if equilibrium_input is not None:
             usual = per_member("equilibrium_input", equilibrium_input, count, "string")
             equilibrium_input = frozen(usual)
@@ -152,10 +156,10 @@ class FunctionController(BaseController):
             structure, input, sample_time, low, high, max_change,
             equilibrium_input=equilibrium_input,
         )  # fmt: skip
-        self._what = f"the command of {self.name}"
+        self._what = f"the command of {self.label}"
 
     @property
-    def name(self) -> str:
+    def label(self) -> str:
         """Name of the function, or of the class of the object."""
         named = self._given if self._function is self._given else type(self._given)
         name = getattr(named, "__qualname__", type(named).__qualname__)
@@ -173,7 +177,8 @@ class FunctionController(BaseController):
 
     def take_over(self, command: object) -> None:
         """Take over from another controller: as :meth:`applied`."""
-        self.applied(command)
+        super().take_over(command)
+        self._tell("applied", self._previous_input)
 
     def _tell(self, method: str, *arguments: object) -> None:
         own = _own(method, self._given)
@@ -194,7 +199,7 @@ class FunctionController(BaseController):
 
     def __repr__(self) -> str:
         when = "" if self.sample_time is None else f", every {self.sample_time:g} s"
-        return f"FunctionController({self.name}, input {self.input!r}{when})"
+        return f"FunctionController({self.label}, input {self.input!r}{when})"
 
 
 def as_controller(

@@ -185,7 +185,7 @@ def _law_code(controller: object) -> LawCode:
     if isinstance(controller, LQR):
         return lqr_code(controller)
     which = (
-        f"FunctionController of {controller.name}, which is Python"
+        f"FunctionController of {controller.label}, which is Python"
         if isinstance(controller, FunctionController)
         else type(controller).__name__
     )

@@ -123,7 +123,7 @@ def run_closed_loop(
         try:
             command = controller.command(loop.now, *motion)
         except Exception as error:
-            said = f"the controller {controller.name} raised {type(error).__name__}: {error}"
+            said = f"the controller {controller.label} raised {type(error).__name__}: {error}"
             if loop.spans and not isinstance(error, MemoryError):
                 raise loop.stopped(said) from error
             error.add_note(f"{said}, at {loop.now:.6g} s")  # there is no motion, or no room for it
@@ -223,6 +223,8 @@ def _at_bound(controller: BaseController, command: FloatArray) -> IntArray:
 def _sample_time(
     controller: BaseController, sample_time: float | None, step: float | None
 ) -> float:
+    if sample_time is not None:
+        sample_time = positive_number("sample_time", sample_time, "s")
     if controller.sample_time is not None:
         if sample_time is not None and sample_time != controller.sample_time:
             raise ValueError(
@@ -231,7 +233,7 @@ def _sample_time(
             )
         return controller.sample_time
     if sample_time is not None:
-        return positive_number("sample_time", sample_time, "s")
+        return sample_time
     if step is None:
         raise ValueError(
             "the controller acts in continuous time: give sample_time, or a step to sample at"

@@ -137,7 +137,7 @@ def test_names_and_representation():
         "<lambda>": own(structure, lambda *_: 1.0, input="force_density"),
         "LQR": own(structure, tc.LQR(tower().plant)),
     }
-    assert {name: each.name for name, each in named.items()} == {name: name for name in named}
+    assert {name: each.label for name, each in named.items()} == {name: name for name in named}
     assert repr(named["Holds"]) == "FunctionController(Holds, input 'rest_length', every 0.02 s)"
     for controller in (named["Holds"], tc.LQR(tower().plant, sample_time=SAMPLE)):
         assert simulated(controller).control.controller == repr(controller)

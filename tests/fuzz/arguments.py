@@ -92,7 +92,7 @@ MAY_BE_INFINITE = {
     "Ratios.least",
     "Ratios.ratio",
     "Ratios.time",
-    "Controller.bounds",
+    "BaseController.bounds",
     "ShapeTarget.clearance",
     "ShapePath.clearance",
     "DemandCheck.high",

@@ -79,7 +79,7 @@ def _load(folder, controller, run):
 
 def test_a_function_in_a_file_beside_the_scene(loaded):
     scene = loaded('function = "laws.py:hold"\nsample_time = 0.02\nmax_change = 0.001')
-    assert scene.controller.name == "hold"
+    assert scene.controller.label == "hold"
     control = scene.simulate().control
     change = np.diff(control.command, prepend=scene.rest_length[:, None])
     assert np.abs(change).max() == pytest.approx(0.001)
@@ -115,7 +115,7 @@ def test_a_function_of_an_installed_module(loaded, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     scene = loaded('function = "laws_of_a_package:hold"', "sample_time = 0.02")
     assert set(scene.simulate().control.status) == {"ok"}
-    assert pickle.loads(pickle.dumps(scene.controller)).name == "hold"
+    assert pickle.loads(pickle.dumps(scene.controller)).label == "hold"
     sys.modules.pop("laws_of_a_package")
 
 
