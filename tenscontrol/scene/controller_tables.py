@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control import MPC, Controller, GainSchedule, OutputLimit, energy_weights
+from tenscontrol.control import MPC, Controller, GainSchedule, OutputLimit
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.limits import LARGEST_SEED, MOST_DESIGNS
@@ -30,9 +30,6 @@ from tenscontrol.simulation import Fault
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, non_negative, positive_number, whole_number
-
-# Of energy_weights, where the scene gives no R.
-_INPUT_WEIGHT = 0.1
 
 
 def build_controller(
@@ -71,9 +68,6 @@ def build_controller(
         return _schedule(table, model, arguments, input)
     with table.checked():
         plant = linearize(model, rest, input=input)
-        if kind == "lqr":
-            Q, R = energy_weights(plant)
-            arguments = {"Q": Q, "R": _INPUT_WEIGHT * R} | arguments
         controller: Controller = schema.CONTROLLERS[kind](plant, **arguments)
     return controller
 
