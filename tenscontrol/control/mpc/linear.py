@@ -320,14 +320,15 @@ class MPC(PredictiveController):
     Raises
     ------
     TypeError, ValueError
-        If an argument is of the wrong kind or does not fit, or the plant has a
-        pole that no string reaches.
+        If an argument is of the wrong kind or does not fit, or no string reaches a motion that
+        grows or drifts.
 
     Warns
     -----
     RuntimeWarning
         If γ is commanded but the strings are so stiff that winches, which hold
-        rest lengths between samples, would undo it: see :func:`held_loop`.
+        rest lengths between samples, would undo it: see :func:`held_loop`. If no string reaches
+        a mode that does not decay, naming it: see ``left_alone``.
 
     Examples
     --------

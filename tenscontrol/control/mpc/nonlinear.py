@@ -153,7 +153,12 @@ class NMPC(PredictiveController):
     Raises
     ------
     TypeError, ValueError
-        If an argument does not fit, or the plant has a pole that no string reaches.
+        If an argument does not fit, or no string reaches a motion that grows or drifts.
+
+    Warns
+    -----
+    RuntimeWarning
+        If no string reaches a mode that does not decay, naming it: see ``left_alone``.
 
     Notes
     -----
