@@ -20,7 +20,6 @@ from tenscontrol.control import (
     GainSchedule,
     OutputLimit,
     as_controller,
-    energy_weights,
 )
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter, Sensors
@@ -43,9 +42,6 @@ from tenscontrol.simulation import Fault
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import Structure, whole_strings
 from tenscontrol.validation import FloatArray, non_negative, positive_number, whole_number
-
-# Of energy_weights, where the scene gives no R.
-_INPUT_WEIGHT = 0.1
 
 
 # What is designed on: the model with its strings whole, about its equilibrium.
@@ -99,9 +95,6 @@ def build_controller(
         return _schedule(table, model, arguments, input)
     with table.checked():
         plant = linearize(model, rest, input=input)
-        if kind == "lqr":
-            Q, R = energy_weights(plant)
-            arguments = {"Q": Q, "R": _INPUT_WEIGHT * R} | arguments
         controller: Controller = schema.CONTROLLERS[kind](plant, **arguments)
     return controller
 

@@ -11,9 +11,11 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import tenscontrol as tc
 from tenscontrol.plant import reached_states
+from tenscontrol.robustness import farthest_node
 from tests.random_structures import any_structure
 
 # The start is so far from rest: of the size of the structure, and of what slackens a string or
@@ -51,6 +53,24 @@ def known_plant(name):
     structure = known_structures()[name]
     model = tc.Model(structure, strings=tc.LinearStrings(1000.0))
     return tc.linearize(model, tc.prestress(structure, force_density=20.0), input="rest_length")
+
+
+def moved_reference(name, plant):
+    """Return a reference on which a node moves by 8 to 10 cm relative to others, over a second."""
+    N = plant.nodes
+    stay = {"six-bar ball": [8, 4, 0], "X frame in space": [1, 3]}.get(name, [])
+    node, by = (3, [0.0, 0.1, 0.0]) if "ball" in name else (0, [0.1, 0.0, 0.0])
+    demands = [tc.NodesAt([node], N[:, [node]] + np.array(by)[:, None])]
+    if name == "prism(6)":
+        demands = [tc.Height(0.9, top=list(range(6)), bottom=list(range(6, 12)))]
+    if stay:
+        demands.append(tc.NodesAt(stay, N[:, stay]))
+    model, bounds = plant.model, {"min_force_density": 5.0, "max_force_density": 80.0}
+    goal = tc.shape_target(model, demands, **bounds)
+    if name == "X frame in space":  # its bars cross: no path leads past that
+        return goal.nodes, goal.nodes
+    start = tc.prestress(model.structure, force_density=20.0)
+    return tc.shape_path(model, start, goal, duration=1.0).reference(), goal.nodes
 
 
 def disturbed(plant, share=0.05, seed=0):
@@ -103,10 +123,8 @@ def _turned_thrice(rng):
     """Return nodes, bars and strings that a turn by a third of a circle maps onto themselves."""
     count = int(rng.integers(1, 5))
     own = rng.uniform(-1, 1, (3, 2 * count))
-    turn = lambda i: np.array(  # noqa: E731
-        [[np.cos(i), -np.sin(i), 0], [np.sin(i), np.cos(i), 0], [0, 0, 1]]
-    )
-    nodes = np.hstack([turn(2 * np.pi * i / 3) @ own for i in range(3)])
+    turn = Rotation.from_euler("z", 120, degrees=True)
+    nodes = np.hstack([(turn**i).as_matrix() @ own for i in range(3)])
     m = 2 * count
     place = rng.permutation(m)
     bars = [
@@ -261,6 +279,26 @@ def known_table():
         print(f"{name}: {', '.join(left)}; {laws[0].left_alone.frequency.round(3)}")
 
 
+def moved_table():
+    """Print how far nodes are from a goal to which one of them moves, a second after its path."""
+    print("structure: a node moves by, mm; farthest node off at the end, MPC, NMPC")
+    for name in known_structures():
+        plant = known_plant(name)
+        reference, goal = moved_reference(name, plant)
+        settings = {"sample_time": 0.02, "reference": reference}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            laws = tc.MPC(plant, horizon=10, **settings), tc.NMPC(plant, horizon=5, **settings)
+        off = []
+        for law in laws:
+            run = tc.simulate(
+                plant.model, 2.0, plant.nodes, controller=law, step=1e-3, output_step=0.02
+            )
+            off.append(f"{1e3 * farthest_node(plant, run.nodes[:, :, -1:], goal):.4f}")
+        by = 1e3 * np.linalg.norm(goal - plant.nodes, axis=0).max()
+        print(f"{name}: {by:.0f}; {', '.join(off)}; {dict(run.control.status_count)}")
+
+
 def campaign(count, start=0):
     """Return outcome, figures and structure by seed, for so many stable structures."""
     done, seed = {}, start
@@ -284,6 +322,7 @@ def main():
     parser.add_argument("--count", type=int, default=200)
     given = parser.parse_args()
     known_table()
+    moved_table()
     done = campaign(given.count, given.start)
     for seed, (outcome, figures, structure) in done.items():
         if outcome != "holds":

@@ -236,12 +236,11 @@ time = 0.205
         tc.CutString(6, 0.205),
     )
     assert scene.faults == faults
-    natural_Q, natural_R = tc.energy_weights(plant)
     same = tc.simulate(
         scene.model,
         0.3,
         scene.nodes,
-        controller=tc.LQR(plant, natural_Q, 0.1 * natural_R, sample_time=0.02),
+        controller=tc.LQR(plant, sample_time=0.02),
         rest_length=scene.rest_length,
         step=2e-3,
         faults=faults,
@@ -365,9 +364,8 @@ def test_an_lqr_with_a_sample_time_is_designed_for_samples(load):
     discrete = load(PLAIN + law + "sample_time = 0.02\n")
     continuous = load(PLAIN.replace("[run]\n", "[run]\nsample_time = 0.02\n") + law)
     plant = discrete.controller.plant
-    Q, R = tc.energy_weights(plant)
     for scene, own in ((discrete, 0.02), (continuous, None)):
-        same = tc.LQR(plant, Q, 0.1 * R, sample_time=own)
+        same = tc.LQR(plant, sample_time=own)
         assert scene.controller.sample_time == own
         np.testing.assert_array_equal(scene.controller.gain, same.gain)
         assert scene.sample_time == (None if own else 0.02)

@@ -369,14 +369,15 @@ class MPC(PredictiveController):
     Raises
     ------
     TypeError, ValueError
-        If an argument is of the wrong kind or does not fit, the plant has a pole that no string
-        reaches, or the operating point or the reference breaks a hard limit.
+        If an argument is of the wrong kind or does not fit, no string reaches a motion that
+        grows or drifts, or the operating point or the reference breaks a hard limit.
 
     Warns
     -----
     RuntimeWarning
         If γ is commanded but the strings are so stiff that winches, which hold
-        rest lengths between samples, would undo it: see :func:`held_loop`.
+        rest lengths between samples, would undo it: see :func:`held_loop`. If no string reaches
+        a mode that does not decay, naming it: see ``left_alone``.
     ControlWarning
         If a reference is farther than the linear plant holds: on the plant linearized in its
         farthest shape, the LQR of the program comes to rest more than 2 % of the size off, or

@@ -153,11 +153,13 @@ class NMPC(PredictiveController):
     Raises
     ------
     TypeError, ValueError
-        If an argument does not fit, the plant has a pole that no string reaches, or the operating
-        point or the reference breaks a hard limit.
+        If an argument does not fit, no string reaches a motion that grows or drifts, or the
+        operating point or the reference breaks a hard limit.
 
     Warns
     -----
+    RuntimeWarning
+        If no string reaches a mode that does not decay, naming it: see ``left_alone``.
     ControlWarning
         If a reference breaks a soft limit.
 
