@@ -104,9 +104,6 @@ from .control import (
     clearance as clearance,
 )
 from .control import (
-    energy_weights as energy_weights,
-)
-from .control import (
     lqr as lqr,
 )
 from .deploy import (
@@ -141,6 +138,9 @@ from .plant import (
 )
 from .plant import (
     controllability as controllability,
+)
+from .plant import (
+    energy_weights as energy_weights,
 )
 from .plant import (
     equilibrium as equilibrium,

@@ -1,6 +1,6 @@
 """Controllers: LQR, MPC, nonlinear MPC, feedback linearization, gain schedules, functions."""
 
-from tenscontrol.control.controller import BaseController, Controller, energy_weights
+from tenscontrol.control.controller import BaseController, Controller
 from tenscontrol.control.feedback_linearization import (
     FeedbackLinearization,
     FeedbackLinearizationStatistics,
@@ -49,7 +49,6 @@ __all__ = [
     "Status",
     "as_controller",
     "clearance",
-    "energy_weights",
     "held_loop",
     "lqr",
 ]

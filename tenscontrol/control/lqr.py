@@ -9,8 +9,6 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import (
     Controller,
-    natural_weights,
-    regulator,
     warn_of_unreached,
 )
 from tenscontrol.control.status import Command, Status
@@ -18,8 +16,10 @@ from tenscontrol.plant import (
     LinearPlant,
     input_bounds,
     largest_change,
+    natural_weights,
     refuse_empty,
     refuse_unreachable,
+    regulator,
     sampled,
 )
 from tenscontrol.validation import FloatArray, frozen, instance, positive_number, weight_matrix

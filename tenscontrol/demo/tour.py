@@ -7,10 +7,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tenscontrol.actuation import Winches, to_rest_length
-from tenscontrol.control import LQR, MPC, energy_weights
+from tenscontrol.control import LQR, MPC
 from tenscontrol.dynamics import LinearStrings, Model
 from tenscontrol.interrupt import check
-from tenscontrol.plant import LinearPlant, Modes, Reference, controllability, linearize, modes
+from tenscontrol.plant import (
+    LinearPlant,
+    Modes,
+    Reference,
+    controllability,
+    energy_weights,
+    linearize,
+    modes,
+)
 from tenscontrol.simulation import Trajectory, simulate
 from tenscontrol.statics import Prestress, prestress, prism_force_density
 from tenscontrol.structure import Structure, prism, prism_radius

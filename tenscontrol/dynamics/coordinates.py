@@ -135,18 +135,7 @@ class Coordinates:
         return np.concatenate([q, self._projection @ V.ravel(order="F")])
 
     def laid_over(self, nodes: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return a motion laid over the reference by what supports leave of motion as one body.
-
-        Parameters
-        ----------
-        nodes, velocities : ndarray, shape (d, n)
-            m and m/s.
-
-        Returns
-        -------
-        nodes, velocities : ndarray, shape (d, n)
-            As they are where supports leave no such motion.
-        """
+        """See :meth:`measure`: nodes, m, and velocities, m/s, laid over the reference."""
         if len(self.structure.fixed) < 2 and not self.structure.rollers:
             turn, centre = self._alignment(nodes)
             return turn @ (nodes - centre) + self._reference[0], turn @ velocities

@@ -6,11 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tenscontrol.plant.controllability import reached_states
 from tenscontrol.plant.linear_plant import LinearPlant
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.validation import FloatArray, frozen, instance, truth
 
 # A Riccati residual above this fraction of its terms means that the solution is wrong.
 _RESIDUAL_TOLERANCE = 1e-6
+
+# Input weight, in units of energy_weights, when the user gives none.
+_INPUT_WEIGHT = {"force_density": 0.1, "rest_length": 1.0}
 
 
 @dataclass(frozen=True)
@@ -206,3 +210,75 @@ def _solve(
         raise ValueError(
             f"{messages.equation} has no stabilizing solution: {why}. {messages.no_solution}"
         ) from error
+
+
+def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArray, FloatArray]:
+    """Return weights that make displacement, speed and input commensurate.
+
+    With ω the highest frequency of the plant (1 rad/s if all are zero) and b
+    the largest acceleration that a unit input gives: ω² for displacements and
+    1 for rates, so that a free vibration costs the same at any moment, and
+    b²/ω² for inputs: the cost of the displacement at which a constant input balances.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    by_mode : bool
+        Whether each displacement costs its own energy, ``qᵀ K q`` with K the
+        stiffness (unstable parts by absolute value), in place of ω² for all. If
+        frequencies lie far apart, as with stiff strings of held rest length, ω² for all
+        makes soft motions as fast as the stiffest one, which slackens the strings.
+
+    Returns
+    -------
+    Q : ndarray, shape (2r, 2r)
+    R : ndarray, shape (α, α)
+
+    Raises
+    ------
+    TypeError
+        If ``plant`` is not a linear plant, or ``by_mode`` is not a truth value.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    >>> Q, R = tc.energy_weights(plant)
+    >>> round(float(Q[0, 0]), 1), float(Q[9, 9]), round(float(R[0, 0]), 3)
+    (235.7, 1.0, 0.048)
+    """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    r = plant.degrees_of_freedom
+    highest = plant.spectral_radius or 1.0
+    largest = float(np.linalg.norm(plant.B, 2))
+    Q = np.diag(np.r_[np.full(r, highest**2), np.ones(r)])
+    if truth("by_mode", by_mode, "whether each displacement costs its own energy"):
+        sizes, modes = np.linalg.eigh(-0.5 * (plant.A[r:, :r] + plant.A[r:, :r].T))
+        stiffness = (modes * np.abs(sizes)) @ modes.T
+        Q[:r, :r] = 0.5 * (stiffness + stiffness.T)
+    return Q, np.eye(plant.B.shape[1]) * (largest / highest) ** 2
+
+
+def natural_weights(plant: LinearPlant) -> tuple[FloatArray, FloatArray]:
+    """Return Q and R that controllers take if the user gives none."""
+    Q, R = energy_weights(plant, by_mode=plant.input == "rest_length")
+    return Q, _INPUT_WEIGHT[plant.input] * R
+
+
+def regulator(
+    plant: LinearPlant, A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, discrete: bool
+) -> tuple[FloatArray, tuple[FloatArray, np.ndarray, FloatArray, float]]:
+    """Return the weight of ``z`` or ``[z; v_previous]``, and the Riccati solution.
+
+    What no string reaches is left alone: :func:`reached_states` says what that is.
+    """
+    units, level = state_units(plant)
+    found, s, added = reached_states(plant), len(Q), len(A) - len(Q)
+    weight, units = np.pad(Q, (0, added)), np.concatenate([units, np.full(added, level)])
+    count = found.count + added
+    basis = np.zeros((len(A), len(A)))
+    basis[:s, : found.count], basis[:s, count:] = np.split(found.basis, [found.count], axis=1)
+    basis[s:, found.count : count] = np.eye(added)
+    solution = regulator_riccati(A, B, weight, R, units, level, (basis, count), discrete=discrete)
+    return weight, solution

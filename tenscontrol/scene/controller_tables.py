@@ -43,7 +43,6 @@ from tenscontrol.statics import Prestress
 from tenscontrol.structure import Structure, whole_strings
 from tenscontrol.validation import FloatArray, non_negative, positive_number, whole_number
 
-
 # What is designed on: the model with its strings whole, about its equilibrium.
 Design = tuple[Model, Prestress]
 

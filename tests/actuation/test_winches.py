@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import tenscontrol as tc
-from tenscontrol.control.controller import largest_change
+from tenscontrol.plant import largest_change
 
 COUNT = 5
 RATE, SHORTEST, LONGEST, STEP = 0.5, 0.3, 1.5, 0.02

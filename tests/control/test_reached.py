@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.control.controller import regulator
 from tenscontrol.dynamics.machine_code import compiler
-from tenscontrol.plant import sampled
+from tenscontrol.plant import regulator, sampled
 from tenscontrol.robustness import farthest_node
 from tests.control.reached import (
     campaign,

@@ -12,8 +12,6 @@ import numpy as np
 from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import (
     Controller,
-    natural_weights,
-    regulator,
     warn_of_unreached,
 )
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
@@ -37,8 +35,10 @@ from tenscontrol.plant import (
     acceleration_response,
     input_bounds,
     largest_change,
+    natural_weights,
     refuse_empty,
     refuse_unreachable,
+    regulator,
     sampled,
     string_map,
     to_commanded_strings,
