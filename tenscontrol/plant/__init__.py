@@ -21,6 +21,7 @@ from tenscontrol.plant.linear_plant import (
     input_bounds,
     largest_change,
     sampled,
+    state_units,
 )
 from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coordinates, linearize
 from tenscontrol.plant.modes import Modes, modes, modes_of
@@ -52,7 +53,6 @@ from tenscontrol.plant.riccati import (
     regulator,
     regulator_riccati,
     riccati_residual,
-    state_units,
 )
 from tenscontrol.plant.string_outputs import (
     StringMap,

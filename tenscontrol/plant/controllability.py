@@ -15,9 +15,9 @@ from tenscontrol.plant.linear_plant import (
     is_undamped,
     kept,
     squared_frequencies,
+    state_units,
 )
 from tenscontrol.plant.modes import Modes, modes_of
-from tenscontrol.plant.riccati import state_units
 from tenscontrol.plant.string_outputs import to_commanded_strings
 from tenscontrol.validation import FloatArray, freeze_arrays, frozen, instance
 

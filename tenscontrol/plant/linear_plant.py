@@ -277,6 +277,14 @@ class LinearPlant:
         )
 
 
+def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:
+    """Return units of the state, shape (s,), and of the input: of one speed and acceleration."""
+    r = plant.degrees_of_freedom
+    highest = plant.spectral_radius or 1.0
+    largest = float(np.linalg.norm(plant.B, 2)) or 1.0
+    return frozen(np.r_[np.full(r, 1 / highest), np.ones(r)]), highest / largest
+
+
 def load_arguments(model: Model, load: FloatArray) -> list[FloatArray]:
     """Return the load input of a model's functions: what is not built in, on the free nodes."""
     if not model.has_external_force:

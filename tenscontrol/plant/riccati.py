@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tenscontrol.plant.controllability import reached_states
-from tenscontrol.plant.linear_plant import LinearPlant
+from tenscontrol.plant.linear_plant import LinearPlant, state_units
 from tenscontrol.validation import FloatArray, frozen, instance, truth
 
 # A Riccati residual above this fraction of its terms means that the solution is wrong.
@@ -154,14 +154,6 @@ def _discrete_sylvester(F: FloatArray, G: FloatArray, C: FloatArray) -> FloatArr
 def _symmetric(matrix: FloatArray) -> FloatArray:
     """Return a matrix that is symmetric but for round-off, which solvers refuse, without that."""
     return 0.5 * (matrix + matrix.T)
-
-
-def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:
-    """Return units of the state, shape (s,), and of the input: of one speed and acceleration."""
-    r = plant.degrees_of_freedom
-    highest = plant.spectral_radius or 1.0
-    largest = float(np.linalg.norm(plant.B, 2)) or 1.0
-    return frozen(np.r_[np.full(r, 1 / highest), np.ones(r)]), highest / largest
 
 
 def riccati_residual(
