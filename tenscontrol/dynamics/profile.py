@@ -325,7 +325,7 @@ def sampled(
         found = []
         for time in times.tolist():
             value = float_array(f"{name} at {time:.6g} s", function(time))
-            if value.shape != shape and value.shape != ():
+            if value.shape != shape and (value.shape or len(shape) > 1):
                 raise ValueError(
                     f"{name} returns shape {value.shape} at {time:.6g} s, expected {shape}"
                 )
@@ -334,7 +334,8 @@ def sampled(
 
     ends = np.linspace(start, end, _PARTS + 1).tolist()
     open_parts = list(pairwise(ends))[::-1]
-    size = 0.0
+    # So that what is small beside the rest need not be met to more than that.
+    size = float(np.abs(values(np.linspace(start, end, 8 * _PARTS + 1))).max(initial=0.0))
     kept: list[tuple[float, float, FloatArray]] = []
     while open_parts:
         a, b = open_parts.pop()
@@ -365,11 +366,12 @@ def as_pieces(
 ) -> Pieces:
     """Return an argument that may change in time as polynomials, rows in Fortran order.
 
-    It is a :class:`Profile`, a callable, or an array of this shape; one number is for all entries.
+    It is a :class:`Profile`, a callable, or an array of this shape; one number is for all strings.
     """
+    fitting = (shape, ()) if len(shape) == 1 else (shape,)
     if isinstance(value, Profile):
         found = value.values.shape[:-1]
-        if found not in (shape, ()):
+        if found not in fitting:
             raise ValueError(
                 f"{name} is a profile of values of shape {found}, expected {shape}: {meaning}"
             )
@@ -380,6 +382,6 @@ def as_pieces(
     if callable(value):
         return sampled(name, value, shape, start, end)
     array = float_array(name, value)
-    if array.shape not in (shape, ()):
+    if array.shape not in fitting:
         raise ValueError(f"{name} has shape {array.shape}, expected {shape}: {meaning}")
     return Pieces.constant(np.broadcast_to(array, shape).ravel(order="F"))

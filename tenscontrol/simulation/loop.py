@@ -165,6 +165,13 @@ class Loop:
             chosen = Choice(method.name, "tolerance", self.tolerance, "asked for")
         else:
             chosen = Choice(method.name, "step", self.step, "asked for")
+        if equation.layout.degree and not method.follows:
+            able = [name for name, each in METHODS.items() if each.follows]
+            raise ValueError(
+                f"method {method.name!r} takes held inputs only, but an input changes in time; "
+                f"these follow it: {able}. A method of your own that asks equation.ahead(u, t) for "
+                "the input at each time says so by Method(follows=True)"
+            )
         if method.differentiates and equation.form == "loops":
             equation = self._equation_of("mapped")
         # Not what the user says of a method that he has not chosen, and that needs no projection.
