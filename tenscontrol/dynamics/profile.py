@@ -238,13 +238,17 @@ class Pieces:
 
     def least(self, start: float, end: float) -> tuple[float, float]:
         """Return the least value between two times, as looked at often, and when that is."""
-        looks = np.linspace(0.0, 1.0, 3 if self.degree < 2 else _LOOKS)
-        ends = np.unique([start, *self.breaks(start, end), end])
-        times = np.unique(ends[:-1, None] + np.diff(ends)[:, None] * looks)
-        # What holds up to a jump is looked at just before it.
-        times = np.union1d(times, np.nextafter(ends[1:], start))
-        values = self.at(times).min(axis=0, initial=np.inf)
-        return float(values.min()), float(times[values.argmin()])
+        found = [(np.inf, start)]
+        some = self.within(start, end)
+        looks = np.linspace(0.0, 1.0, 2 if self.degree < 2 else _LOOKS)
+        ends = np.append(some.start[1:], end)
+        for a, b, origin, c in zip(
+            np.append(start, ends[:-1]), ends, some.origin, some.coefficients, strict=True
+        ):
+            times = a + (b - a) * looks
+            values = polynomial_at(c, times - origin).min(axis=0, initial=np.inf)
+            found.append((float(values.min()), float(times[values.argmin()])))
+        return min(found)
 
     @staticmethod
     def added(parts: Sequence[Pieces]) -> Pieces:

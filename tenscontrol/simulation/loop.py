@@ -429,6 +429,8 @@ class Loop:
 
 def support_offset(model: Model, value: object, start: float, end: float) -> Pieces:
     """Return by how much each node moves with supports, m, node by node, after checking it can."""
+    from scipy.sparse import csr_array, eye_array, kron
+
     structure = model.structure
     d, n = structure.nodes.shape
     fixed, size = structure.fixed, float(np.ptp(structure.nodes, axis=1).max())
@@ -461,11 +463,10 @@ def support_offset(model: Model, value: object, start: float, end: float) -> Pie
                 f"support_motion moves the fixed node {carried[node]} along {axis}, but bars lead "
                 f"from it to node {node}, which a roller holds along {axis}"
             )
-    every = np.zeros((n, d, len(fixed), d))
     nodes = np.flatnonzero(carried >= 0)
-    for i in range(d):
-        every[nodes, i, column[nodes], i] = 1.0
-    return given.mapped(every.reshape(d * n, -1))
+    shape = n, len(fixed)
+    moves = csr_array((np.ones(len(nodes)), (nodes, column[nodes])), shape=shape)
+    return given.mapped(kron(moves, eye_array(d)).tocsr())
 
 
 def step_doubling_error(
