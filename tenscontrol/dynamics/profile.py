@@ -14,8 +14,8 @@ import numpy as np
 from tenscontrol.interrupt import check
 from tenscontrol.validation import FloatArray, IntArray, choice, float_array, frozen
 
-#: How a profile goes from one value to the next.
-INTERPOLATIONS = ("hold", "linear", "cubic")
+# How a profile goes from one value to the next.
+_INTERPOLATIONS = ("hold", "linear", "cubic")
 
 # A callable is replaced by polynomials of this degree, up to this error as part of its size. It is
 # first looked at in so many parts; one below the last share of the time is not halved again.
@@ -60,7 +60,7 @@ class Profile:
     interpolation: str = "linear"
 
     def __post_init__(self) -> None:
-        choice("interpolation", self.interpolation, INTERPOLATIONS)
+        choice("interpolation", self.interpolation, _INTERPOLATIONS)
         time, values = float_array("time", self.time), float_array("values", self.values)
         if time.ndim != 1 or not len(time):
             raise ValueError(f"time has shape {time.shape}, expected (K,): at least one time, s")
