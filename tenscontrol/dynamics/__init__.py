@@ -23,12 +23,11 @@ from tenscontrol.dynamics.machine_code import (
     compiler,
 )
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
-from tenscontrol.dynamics.profile import INTERPOLATIONS, Pieces, Profile, as_pieces, polynomial_at
+from tenscontrol.dynamics.profile import Pieces, Profile, as_pieces, polynomial_at
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
 
 __all__ = [
     "BUILDING",
-    "INTERPOLATIONS",
     "KINDS",
     "ColumnEvaluator",
     "Compiled",
