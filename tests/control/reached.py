@@ -330,6 +330,7 @@ def main():
     structures = [structure for _, _, structure in done.values()]
     print("outcomes:", dict(Counter(outcome.split(":")[0] for outcome, _, _ in done.values())))
     print("bars:", dict(sorted(Counter(len(each.bars) for each in structures).items())))
+    print("class:", dict(sorted(Counter(each.structure_class for each in structures).items())))
     print("supported:", sum(len(each.fixed_rows) > 0 for each in structures))
     for name in ("residual", "angle", "apart", "decay"):
         values = [figures[name] for _, figures, _ in done.values() if figures]
