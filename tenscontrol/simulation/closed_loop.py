@@ -225,21 +225,19 @@ class Actuators:
         self._input = controller.input
         self._loop = loop
         self._law = loop.model.strings
-        self._winches = Winches() if winches is None else winches
+        self._winches = winches
         self._sample_time = sample_time
         self._drive: Drive | None = None
         self._asked: list[FloatArray] = []
         self._weak: list[int] = []
-        self._earlier = None
-        if run is not None and run.control is not None and rest_length is None:
-            self._earlier = run.control.motors
+        self._earlier: MotorRecord | None = None
         self.start: FloatArray | None = None
         self._current: FloatArray | None = None
         if run is not None and rest_length is None:
             kind = "force_density" if run.rest_length is None else "rest_length"
             last = run.held if kind == loop.input else None
             if last is not None and run.control is not None:
-                last = run.control.applied[:, -1]
+                last, self._earlier = run.control.applied[:, -1], run.control.motors
             elif last is not None:
                 last = self._to_strings(loop.input, last)
             if loop.input == "rest_length":
@@ -254,7 +252,7 @@ class Actuators:
             if winches is not None:
                 winches.refuse_out_of_range("rest_length", self.start)
         elif loop.input == "rest_length" and (
-            self._winches.rate is not None or self._winches.ramp or self._motor is not None
+            winches is not None and (winches.rate is not None or winches.ramp or winches.motor)
         ):
             raise ValueError(
                 "winches with a rate, substeps or a motor need rest_length: where they stand, "
@@ -278,7 +276,7 @@ class Actuators:
     @property
     def ticks(self) -> int:
         """Parts of a sample, in each of which inputs are one polynomial in time."""
-        return self._winches.ticks
+        return 1 if self._winches is None else self._winches.ticks
 
     def begin(self, command: Command, nodes: FloatArray, stuck: IntArray) -> WinchMove:
         """Take the command of a sample, and return the move to expect, one entry a winch."""
@@ -286,41 +284,50 @@ class Actuators:
         if self._held == "force_density":
             desired, weak = self._unless_stuck(desired, stuck), _NONE
             if self._motor is not None:
-                most = self._motor.torque / self._motor.lever
-                most = most / self._structure.string_length(nodes)
-                weak = np.flatnonzero(desired > most)
-                desired = np.minimum(desired, most)
-            self._held_move = WinchMove(frozen(desired), _NONE, _NONE, frozen(weak))
+                most, length = (
+                    self._motor.torque / self._motor.lever,
+                    self._structure.string_length(nodes),
+                )
+                weak = np.flatnonzero(desired * length > most)
+                desired = desired.copy()
+                desired[weak] = most[weak] / length[weak]
             self._weak.append(len(weak))
-            self._current = desired
-            return self._held_move
+            return self._set(desired, weak)
         if self._convert:
             assert self._law is not None  # a rest length is held
             gamma = self._to_plant("force_density", desired)
             desired = self._law.rest_length(self._structure.string_length(nodes), gamma)
             desired = self._to_strings("rest_length", desired)
-        self._asked.append(desired)
+        if self._motor is not None:
+            self._asked.append(desired)
         desired = self._unless_stuck(desired, stuck)
+        if self._winches is None:
+            return self._set(desired, _NONE)
         if self._drive is None:
-            motion = None if self._earlier is None else tuple(self._earlier.at_end)
+            motion = None if self._earlier is None else self._earlier.at_end
             start = desired if self._current is None else self._current
             self._drive = Drive(self._winches, start, self._sample_time, motion)
         self._weak.append(0)
         return self._drive.begin(desired, stuck)
+
+    def _set(self, value: FloatArray, weak: IntArray) -> WinchMove:
+        """Hold a value at once, and return the move."""
+        self._current = value
+        self._at_once = WinchMove(frozen(value), _NONE, _NONE, frozen(weak))
+        return self._at_once
 
     def tick(self, index: int, state: FloatArray, now: float) -> FloatArray | Pieces:
         """Return the input of the plant's strings in a tick that begins at a time, s."""
         if self._drive is None:
             assert self._current is not None  # begun
             self.reached = self._current
-            self.held = self._to_plant("force_density", self._current)
+            self.held = self._to_plant(self._held, self._current)
             return self.held
-
-        N, V = (part.ravel(order="F") for part in self._loop.motion(state))
 
         def pull(
             rest_length: FloatArray, later: float
         ) -> tuple[FloatArray, FloatArray, FloatArray]:
+            N, V = (part.ravel(order="F") for part in self._loop.motion(state))
             moved = np.concatenate([N + later * V, V])
             lengths = self._to_plant("rest_length", rest_length)
             _, force, _, slope, length = self._winding(moved, lengths, np.zeros_like(lengths))
@@ -342,7 +349,7 @@ class Actuators:
     def end(self) -> WinchMove:
         """Return the move of the sample, with the limits that were met."""
         if self._drive is None:
-            return self._held_move
+            return self._at_once
         move = self._drive.end()
         self._weak[-1] = len(move.torque_limited)
         return move
