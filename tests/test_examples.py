@@ -31,6 +31,7 @@ def test_every_example_is_tested():
         "plot_control_shape.py",
         "plot_control_lqr.py",
         "plot_control_morph.py",
+        "plot_control_profiles.py",
         "plot_control_spine.py",
         "plot_control_stiffness.py",
         "plot_control_string_mass.py",
@@ -50,6 +51,17 @@ def test_prism_modes():
     held = run("plot_prism_modes.py")["held"]
     assert held.frequency[0] == pytest.approx(2.31873, abs=5e-6)
     assert held.label[0] == "mechanism"
+
+
+def test_profiles():
+    result = run("plot_control_profiles.py")
+    run_, height = result["run"], result["height"]
+    ground = run_.nodes[:, 0] - result["tower"].nodes[:, [0]]
+    assert ground[1] == pytest.approx([result["ground"](t)[1, 0] for t in run_.time], abs=1e-9)
+    assert height[0] - height[-1] == pytest.approx(0.0882, abs=2e-3)
+    still = np.abs(run_.velocities[:, :, np.isclose(run_.time, 1.99, atol=6e-3)]).max()
+    assert still < 0.05  # before the gust
+    assert np.abs(run_.bar_length_error).max() < 1e-12
 
 
 def test_library():

@@ -73,6 +73,7 @@ def values(tmp_path_factory):
         run.work,
         run.health,
         tc.HealthLimits(),
+        tc.Profile([0.0, 1.0], np.ones((9, 2))),
         tc.CutString(string=3, time=1.0),
         tc.StuckWinch(string=5, time=0.8, until=1.5),
         tc.LostMeasurement(time=0.5, until=0.7),
@@ -201,6 +202,7 @@ def _given():
             "strings": prism.strings.copy(),
             "bar_mass": np.ones(3),
         },
+        "Profile": {"time": np.arange(2.0), "values": np.ones((9, 2))},
         "LinearStrings": {"stiffness": np.ones(9), "damping": np.ones(9)},
         "ElasticStrings": {"axial_rigidity": np.ones(9), "damping": np.ones(9)},
         "Case": {

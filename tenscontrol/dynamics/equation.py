@@ -155,11 +155,23 @@ class Equation:
         return int(self.slope.size1_in(2))
 
     def ahead(self, u: Any, time: Any) -> Any:
-        """Return the expression of the input that begins a time later: of one held, itself."""
+        """Return the expression of the input that begins a time later: of one held, itself.
+
+        Parameters
+        ----------
+        u : casadi.SX or MX, shape (inputs, 1)
+        time : casadi.SX or MX, or float
+            s.
+        """
         return self.layout.ahead(u, time)
 
     def of_strings(self, u: Any) -> Any:
-        """Return the expression of the rest lengths, or force densities, at the time of u."""
+        """Return the expression of the rest lengths, or force densities, at the time of u.
+
+        Parameters
+        ----------
+        u : casadi.SX or MX, shape (inputs, 1)
+        """
         values = self.layout.values(u)
         return values if self.layout.count == self.layout.strings else values[: self.layout.strings]
 
@@ -198,7 +210,8 @@ def in_time(
     q, v = (symbol(name, force.size1_in(i)) for name, i in (("q", 0), ("v", 1)))
     u = symbol("u", layout.size)
     values, rates = layout.values(u), layout.values(u, 1)
-    values = ca.vertcat(values, rates[layout.count - layout.offset :])
+    if layout.offset:
+        values = ca.vertcat(values, rates[layout.count - layout.offset :])
     room, rate = gap(x, values)
     if moves:
         rate = rate - rates[: layout.strings]

@@ -82,14 +82,33 @@ class Profile:
         object.__setattr__(self, "values", frozen(values))
 
     def at(self, time: object) -> FloatArray:
-        """Return the value at a time, s, shape (...); at many, shape (T,), shape (..., T).
+        """Return the value at a time, or at many.
 
-        At a jump it is the value after it.
+        Parameters
+        ----------
+        time : float or array_like, shape (T,)
+            s.
+
+        Returns
+        -------
+        ndarray, shape (...) or (..., T)
+            At a jump the value after it.
         """
         return self._evaluated(time, 0)
 
     def rate(self, time: object) -> FloatArray:
-        """Return the rate at a time, in the unit of the values per second; as :meth:`at`."""
+        """Return the rate at a time, or at many, in the unit of the values per second.
+
+        Parameters
+        ----------
+        time : float or array_like, shape (T,)
+            s.
+
+        Returns
+        -------
+        ndarray, shape (...) or (..., T)
+            At a kink the rate after it; a jump has none.
+        """
         return self._evaluated(time, 1)
 
     def _evaluated(self, time: object, order: int) -> FloatArray:
@@ -157,7 +176,8 @@ class Pieces:
     @property
     def is_constant(self) -> bool:
         """Whether nothing ever changes."""
-        return not self.degree and len(self.start) == 1
+        c = self.coefficients
+        return not c[:, :, 1:].any() and bool((c == c[:1]).all())
 
     def index(self, time: FloatArray) -> IntArray:
         """Return which piece holds from each time on."""

@@ -13,6 +13,7 @@ from tenscontrol.dynamics import (
     Evaluator,
     Model,
     Pieces,
+    as_pieces,
     evaluate_columns,
     polynomial_at,
     unpack_states,
@@ -32,7 +33,7 @@ from tenscontrol.integrate import (
 from tenscontrol.interrupt import finishing
 from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
-from tenscontrol.structure import Structure, node_mass
+from tenscontrol.structure import Structure, carried_by_supports, node_mass
 from tenscontrol.validation import FloatArray, frozen, positive_number
 
 # Intervals that are integrated again: those in which velocities change most, others spread over
@@ -41,6 +42,10 @@ _VIOLENT, _SPREAD, _SHARE = 4, 16, 0.25
 
 # These intervals may miss the worst of the motion.
 _SAFETY = 2.0
+
+# A support whose place changes by more than this part of the size at once jumps; supports whose
+# motions differ by less than the second part of the largest move alike.
+_JUMP, _ALIKE = 1e-9, 1e-12
 
 
 class SimulationError(ArithmeticError):
@@ -431,6 +436,47 @@ class Loop:
             faults=self.faults.listed,
             note=self.note,
         )
+
+
+def support_offset(model: Model, value: object, start: float, end: float) -> Pieces:
+    """Return by how much each node moves with supports, m, node by node, after checking it can."""
+    structure = model.structure
+    d, n = structure.nodes.shape
+    fixed, size = structure.fixed, float(np.ptp(structure.nodes, axis=1).max())
+    if not len(fixed):
+        raise ValueError(
+            "support_motion is given, but no node of the structure is fixed; fix some by "
+            "Structure(..., fixed=[...])"
+        )
+    shape, meaning = (d, len(fixed)), "m, one column a fixed node, in the order of structure.fixed"
+    given = as_pieces("support_motion", value, shape, meaning, start, end)
+    jump, time = given.jumps(start, end)
+    if jump > _JUMP * size:
+        raise ValueError(
+            f"support_motion jumps by {jump:.3g} m at {time:.6g} s, expected a continuous motion: "
+            "interpolate by 'linear' or 'cubic'"
+        )
+    carried = carried_by_supports(structure)
+    column = np.searchsorted(fixed, carried)
+    motions = given.coefficients.reshape(len(given.start), len(fixed), d, -1)
+    largest = np.abs(motions).max(initial=0.0)
+    for i, node in enumerate(fixed):
+        if np.abs(motions[:, i] - motions[:, column[node]]).max() > _ALIKE * largest:
+            raise ValueError(
+                f"support_motion moves the fixed nodes {carried[node]} and {node} differently, but "
+                "bars lead from one to the other: give both the same displacement"
+            )
+    for node, axis in structure.rollers:
+        if carried[node] >= 0 and motions[:, column[node], "xyz".index(axis)].any():
+            raise ValueError(
+                f"support_motion moves the fixed node {carried[node]} along {axis}, but bars lead "
+                f"from it to node {node}, which a roller holds along {axis}"
+            )
+    every = np.zeros((n, d, len(fixed), d))
+    nodes = np.flatnonzero(carried >= 0)
+    for i in range(d):
+        every[nodes, i, column[nodes], i] = 1.0
+    return given.mapped(every.reshape(d * n, -1))
 
 
 def step_doubling_error(

@@ -19,7 +19,7 @@ from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
-from tenscontrol.simulation.loop import Loop, SimulationError
+from tenscontrol.simulation.loop import Loop, SimulationError, support_offset
 from tenscontrol.simulation.trajectory import AccuracyWarning, HealthLimits, Trajectory
 from tenscontrol.structure import (
     carried_by_supports,
@@ -47,9 +47,6 @@ _OUTPUTS = 1000
 # the first part of that is round-off, the second what RK4 leaves in a motion that has died out.
 _EXACT, _PROJECTED = 1e-8, 1e-3
 _ROUND_OFF, _LEFT = 1e-12, 1e-6
-
-# A support that goes on from another place, by more than this part of the size, jumps.
-_ROUND_OFF_MOTION = 1e-9
 
 
 def simulate(
@@ -83,9 +80,9 @@ def simulate(
     """Return the motion of a model.
 
     Give one of ``force_density`` (γ held), ``rest_length`` (rest length held)
-    and ``controller``. Under a controller the actuators hold their value from
-    sample to sample: real winches hold the rest length, so that γ moves with
-    the structure between samples.
+    and ``controller``. What is held may change in time as it is told. Under a controller the
+    actuators hold their value from sample to sample: real winches hold the rest length, so that γ
+    moves with the structure between samples.
 
     Parameters
     ----------
@@ -99,10 +96,10 @@ def simulate(
         must be where the structure has them, and must not move.
     start : Trajectory, optional
         A run to go on from, in place of ``nodes`` and ``velocities``; see the notes.
-    rest_length : float or array_like, shape (α,), optional
-        Rest lengths, m. With a controller: those at the start, one per string
-        that it commands.
-    force_density : float or array_like, shape (α,), optional
+    rest_length : float, array_like, shape (α,), Profile or callable, optional
+        Rest lengths, m; over time as a :class:`Profile` or a function of time, see the notes. With
+        a controller: those at the start, one per string that it commands, constant.
+    force_density : float, array_like, shape (α,), Profile or callable, optional
         γ, N/m.
     controller : Controller, optional
         For example ``LQR(...)`` or ``MPC(...)``. It is reset first. One that
@@ -119,8 +116,11 @@ def simulate(
     faults : sequence of CutString, StuckWinch and LostMeasurement
         The controller gets the input that is applied (:meth:`Controller.applied`), but
         does not notice cuts.
-    external_force : array_like, shape (d, n), optional
-        Constant load W, N, for a model built with ``external_force=True``.
+    external_force : array_like, shape (d, n), Profile or callable, optional
+        Load W, N, for a model built with ``external_force=True``.
+    support_motion : Profile, callable or array_like, shape (d, number of fixed nodes), optional
+        By how much fixed nodes are displaced from where the structure has them, m, in the order of
+        ``structure.fixed``. See the notes.
     method : str or Method
         ``"auto"``, one of :data:`METHODS`, or a :class:`Method` of your own. ``"auto"`` is
         ``"rk4"`` where ``step`` is given; else it chooses by the largest string frequency,
@@ -163,7 +163,8 @@ def simulate(
     Raises
     ------
     TypeError, ValueError
-        If an argument is of the wrong kind or does not fit, with its name.
+        If an argument is of the wrong kind or does not fit, with its name; if a function of time
+        jumps or has kinks, or supports jump, or bars join supports that move differently.
     SimulationError
         If the motion runs away, or passes a limit that is set to raise; it
         carries the motion up to there.
@@ -191,6 +192,25 @@ def simulate(
     a new first step: the same to their tolerance. A run that ended within a sample begins a new
     one, and a sample whose command was interrupted is measured again.
 
+    **What changes in time** is a :class:`Profile`, or a function ``time -> array`` that is smooth,
+    time in s. A function is replaced by polynomials of degree 9, off by 1e-12 of its largest value;
+    it is called before the run, and what happens between the times it is called at, some hundred a
+    run at least, is not seen. Every method integrates the polynomials themselves, and ends a step
+    where a piece of a profile does. So its order holds, also where strings go slack and taut
+    meanwhile; but steps are no longer than pieces. A string that is damped is so by the rate of its
+    length, not by that of its rest length. Times are those of the run: one that goes on by
+    ``start`` is given the same profile; without it, the last values stay.
+
+    **Supports that move** carry the bars on them, and all bars joined to these, so supports joined
+    by bars must move alike. Where the velocity of a support jumps, as at the start of a motion
+    that does not begin slowly and at each kink of a linear profile, the bars on it are struck: of
+    a uniform bar, the free end goes along with the hinge in the direction of the bar, and back by
+    half across it. States returned at such a time are those before it, but the first. Nodes and
+    velocities at the start are those in space; velocities of supports there are those before.
+
+    Where any of these changes, ``run.conserves_energy`` is false, and the energy of a load is that
+    of the load at the time.
+
     Examples
     --------
     A prism let go with too little force in its vertical strings:
@@ -209,6 +229,14 @@ def simulate(
     >>> more = tc.simulate(model, 1.0, start=run, step=1e-3)
     >>> more.time[[0, -1]]
     array([1., 2.])
+
+    Its vertical strings are wound in by a tenth within half a second:
+
+    >>> wound = np.repeat([1.0, 1.0, 0.9], 3) * start
+    >>> profile = tc.Profile([0.0, 0.5], np.column_stack([start, wound]), "cubic")
+    >>> run = tc.simulate(model, 1.0, rest_length=profile, step=1e-3)
+    >>> (run.rest_length[6, [0, 250, 500, 1000]] / start[6]).round(3)
+    array([1.  , 0.95, 0.9 , 0.9 ])
     """
     instance("model", model, Model, "make one by Model(structure)")
     duration = positive_number("duration", duration, "s")
@@ -255,7 +283,7 @@ def simulate(
             held = _inputs(model, rest_length, force_density, *span)
         offset = None
         if support_motion is not None:
-            offset = _support_motion(model, support_motion, *span)
+            offset = support_offset(model, support_motion, *span)
         loop = Loop(
             model,
             input=what,
@@ -282,7 +310,7 @@ def simulate(
             state, loop.note = initial_state(model, N, V, loop.input, first)
         else:
             assert N is not None  # of the run
-            assert V is not None
+            assert V is not None  # of the run
             state = pack_state(model.structure, N, V)
         try:
             end = loop.now + duration
@@ -403,47 +431,6 @@ def _load(model: Model, external_force: object, start: float, end: float) -> Flo
     shape = model.structure.nodes.shape
     pieces = as_pieces("external_force", external_force, shape, "one force per node", start, end)
     return Pieces.added([pieces, Pieces.constant(model.constant_force.ravel(order="F"))])
-
-
-def _support_motion(model: Model, value: object, start: float, end: float) -> Pieces:
-    """Return by how much each node moves with supports, m, node by node, after checking it can."""
-    structure = model.structure
-    d, n = structure.nodes.shape
-    fixed, size = structure.fixed, float(np.ptp(structure.nodes, axis=1).max())
-    if not len(fixed):
-        raise ValueError(
-            "support_motion is given, but no node of the structure is fixed; fix some by "
-            "Structure(..., fixed=[...])"
-        )
-    shape, meaning = (d, len(fixed)), "m, one column a fixed node, in the order of structure.fixed"
-    given = as_pieces("support_motion", value, shape, meaning, start, end)
-    jump, time = given.jumps(start, end)
-    if jump > _ROUND_OFF_MOTION * size:
-        raise ValueError(
-            f"support_motion jumps by {jump:.3g} m at {time:.6g} s, expected a continuous motion: "
-            "interpolate by 'linear' or 'cubic'"
-        )
-    carried = carried_by_supports(structure)
-    column = np.searchsorted(fixed, carried)
-    motions = given.coefficients.reshape(len(given.start), len(fixed), d, -1)
-    largest = np.abs(motions).max(initial=0.0)
-    for i, node in enumerate(fixed):
-        if np.abs(motions[:, i] - motions[:, column[node]]).max() > 1e-12 * largest:
-            raise ValueError(
-                f"support_motion moves the fixed nodes {carried[node]} and {node} differently, but "
-                "bars lead from one to the other: give both the same displacement"
-            )
-    for node, axis in structure.rollers:
-        if carried[node] >= 0 and motions[:, column[node], "xyz".index(axis)].any():
-            raise ValueError(
-                f"support_motion moves the fixed node {carried[node]} along {axis}, but bars lead "
-                f"from it to node {node}, which a roller holds along {axis}"
-            )
-    every = np.zeros((n, d, len(fixed), d))
-    nodes = np.flatnonzero(carried >= 0)
-    for i in range(d):
-        every[nodes, i, column[nodes], i] = 1.0
-    return given.mapped(every.reshape(d * n, -1))
 
 
 def _beside(

@@ -202,8 +202,8 @@ class Trajectory:
     kinetic_energy, potential_energy : ndarray, shape (T,)
         J. The potential energy is ½ Σ γ l² where γ is held, the elastic
         energy of the strings where rest lengths are, less ``tr(Wᵀ N)`` where
-        weights or a load act. It jumps where a controller changes its command, and
-        falls where a string is cut.
+        weights or a load act, with what is held and the load at the time. It jumps where a
+        controller changes its command, and falls where a string is cut.
     momentum, angular_momentum : ndarray, shape (3, T)
         kg m/s, and kg m²/s about the origin. In the plane (2, T) and (1, T).
     bar_length_error : ndarray, shape (β, T)
@@ -214,7 +214,7 @@ class Trajectory:
         Steps, rejections, evaluations of the right-hand side, switches.
     conserves_energy : bool
         Whether nothing takes or gives energy but strings that are cut: no damping, no
-        controller.
+        controller, no input, load or support that changes in time.
     conserves_momentum : bool
         Whether nothing holds or pushes the structure from outside.
     control : ControlRecord or None

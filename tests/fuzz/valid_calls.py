@@ -167,6 +167,8 @@ WITHIN = {
     "dynamics.StringLaw.as_expressions",
     "dynamics.StringLaw.with_parameters",
     "dynamics.Equation.symbols",
+    "dynamics.Equation.ahead",
+    "dynamics.Equation.of_strings",
     "dynamics.Coordinates.expressions",
     "dynamics.Coordinates.hidden",
     "Height.miss",
@@ -552,12 +554,19 @@ call(
     },
 )
 call("Model.mass_matrix", on=elastic)
+call("Model.of_all_nodes", lambda: {"name": "kinetic_energy"}, elastic)
 call("Model.state_equation", lambda: {"input": "rest_length"}, elastic)
 call(
     "Model.equation",
     lambda: {"input": "force_density", "external_force": STILL, "form": "flat"},
     loaded,
 )
+call(
+    "Profile",
+    lambda: {"time": [0.0, 1.0], "values": np.ones((9, 2)), "interpolation": "linear"},
+)
+for name in ("at", "rate"):
+    call(f"Profile.{name}", lambda: {"time": 0.5}, lambda: tc.Profile([0.0, 1.0], np.ones((9, 2))))
 call("dynamics.coordinates", lambda: {"model": model(), "nodes": nodes(), "kind": "internal"})
 call(
     "dynamics.Coordinates.project",
