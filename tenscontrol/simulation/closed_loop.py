@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from math import ceil
 from time import perf_counter
@@ -392,13 +393,15 @@ class Actuators:
         if self._motor is None:
             return None
         model, error, close = self._loop.model, 0.0, 1e-6 * self._sample_time / self.ticks
-        instants, first = _instants(self._loop)
-        ends, before = (instants[0], instants[2]), instants[0]
+        motion, first, count = _intervals(self._loop)
+        every = np.arange(count)
+        ends = motion(np.zeros(count), every), motion(np.ones(count), every)
+        before = ends[0]
         if self._drive is None:
             turning, work = cable_work(model, ends)
             start, at_end = turning[0].position[:, 0], np.zeros((2, self._count))
         else:
-            stored, forces, work, error = winding_work(model, instants)
+            stored, forces, work, error = winding_work(model, ends, motion)
             # A jump of rest lengths at the standing structure gives what strings store more.
             previous = np.column_stack([stored[0][:, 0], stored[1][:, first[1:] - 1]])
             if self.start is not None:
@@ -485,34 +488,42 @@ def _commands_parent(loop: Loop, controller: Controller) -> bool:
     return by_segment
 
 
-def _instants(loop: Loop) -> tuple[tuple[Instants, Instants, Instants], IntArray]:
-    """Return beginnings, middles and ends of intervals, and which are the first of a span.
+def _intervals(loop: Loop) -> tuple[Callable[[FloatArray, IntArray], Instants], IntArray, int]:
+    """Return the motion between states kept, which intervals begin a span, and their count.
 
-    The first interval is the start alone.
+    The motion takes shares of intervals from 0 to 1 and which intervals, shape (T,) each. The first
+    interval is the start alone.
     """
     spans = [span for span in loop.spans if len(span.time)]
     counts = np.array([len(span.time) for span in spans])
     first = np.cumsum(counts) - counts
     which = np.repeat(np.arange(len(spans)), counts)
-    time = np.concatenate([span.time for span in spans])
-    begins = np.concatenate([time[:1], time[:-1]])
+    ends = np.concatenate([span.time for span in spans])
+    begins = np.concatenate([ends[:1], ends[:-1]])
     states = np.hstack([span.states for span in spans])
     before = np.hstack([np.column_stack([span.begin, span.states[:, :-1]]) for span in spans])
-    coefficients = np.stack([span.coefficients for span in spans])[which].transpose(1, 2, 0)
-    origin = np.array([span.origin for span in spans])[which]
-    # Half way the motion is that of a quintic with positions, velocities and accelerations.
-    half, step, middle = len(states) // 2, time - begins, (begins + time) / 2
-    flat = coefficients.reshape(-1, len(which), order="F")
-    slopes = []
-    for at, x in ((begins, before), (time, states)):
-        u = np.vstack([flat, at - origin]) if loop.equation.layout.degree else flat
-        slopes.append(evaluate_columns(loop.equation.kinked_slope, x, u)[0])
-    between = (before + states) / 2
-    between[:half] += 5 / 32 * step * (before - states)[half:]
-    between[:half] += step**2 / 64 * (slopes[0] + slopes[1])[half:]
-    found, strings = [], coefficients[: len(loop.model.structure.strings)]
-    for at, x in ((begins, before), (middle, between), (time, states)):
-        series = [polynomial_at(strings, at - origin, order) for order in range(3)]
-        every = loop.all_nodes(x, coefficients, at - origin)
-        found.append(Instants(at, every, np.stack(series)))
-    return (found[0], found[1], found[2]), first
+    coefficients = np.stack([span.coefficients for span in spans])
+    origin = np.array([span.origin for span in spans])
+    flat = coefficients.transpose(0, 2, 1).reshape(len(spans), -1)[which].T
+    accelerations, half = [], len(states) // 2
+    for time, x in ((begins, before), (ends, states)):
+        u = np.vstack([flat, time - origin[which]]) if loop.equation.layout.degree else flat
+        accelerations.append(evaluate_columns(loop.equation.kinked_slope, x, u)[0][half:])
+
+    def at(s: FloatArray, k: IntArray) -> Instants:
+        # The quintic with positions, velocities and accelerations of both ends.
+        h, late = ends[k] - begins[k], s**3 * (10 - 15 * s + 6 * s**2)
+        x0, x1 = before[:, k], states[:, k]
+        x = (1 - s) * x0 + s * x1
+        x[:half] = (1 - late) * x0[:half] + late * x1[:half]
+        x[:half] += h * (s - s**3 * (6 - 8 * s + 3 * s**2)) * x0[half:]
+        x[:half] += h * s**3 * (7 * s - 4 - 3 * s**2) * x1[half:]
+        x[:half] += h**2 / 2 * s**2 * (1 - s) ** 3 * accelerations[0][:, k]
+        x[:half] += h**2 / 2 * s**3 * (1 - s) ** 2 * accelerations[1][:, k]
+        time, of = (1 - s) * begins[k] + s * ends[k], which[k]
+        given = coefficients[of].transpose(1, 2, 0)
+        strings = given[: len(loop.model.structure.strings)]
+        series = [polynomial_at(strings, time - origin[of], order) for order in range(3)]
+        return Instants(time, loop.all_nodes(x, given, time - origin[of]), np.stack(series))
+
+    return at, first, len(ends)
