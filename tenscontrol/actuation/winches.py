@@ -423,13 +423,13 @@ class Drive:
         self._weak = np.zeros(len(wanted), dtype=bool)
         return self._move
 
-    def tick(self, index: int, now: float, pull: Pull) -> Tick:
-        """Move through a tick of the sample, which begins now, s, and return how."""
+    def tick(self, number: int, now: float, pull: Pull) -> Tick:
+        """Move through a tick of the sample, counted from 1, that begins now, s; return how."""
         winches = self._winches
         time = self._sample_time / winches.ticks
         target = self._target
-        if winches.ramp and index + 1 < winches.ticks:
-            target = self._start + (index + 1) / winches.ticks * (target - self._start)
+        if winches.ramp and number < winches.ticks:
+            target = self._start + number / winches.ticks * (target - self._start)
         if winches.degree == 2:
             end, speed = self._accelerated(target, time, pull)
             acceleration = (speed - self.speed) / time

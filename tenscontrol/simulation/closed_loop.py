@@ -123,14 +123,12 @@ def run_closed_loop(
         end = min(loop.now + sample, until)
         whole = end - loop.now
         try:
-            for i in range(actuators.ticks):
-                pieces = actuators.tick(i, state, loop.now)
-                last = i + 1 == actuators.ticks
-                span = (
-                    end if last else min((begin + k + (i + 1) / actuators.ticks) * sample, end)
-                ) - loop.now
+            for i in range(1, actuators.ticks + 1):
+                held = actuators.tick(i, state, loop.now)
+                until_tick = (begin + k + i / actuators.ticks) * sample
+                span = (end if i == actuators.ticks else min(until_tick, end)) - loop.now
                 if span > 1e-9 * whole:  # not round-off
-                    state = loop.run(state, pieces, span)
+                    state = loop.run(state, held, span)
         finally:
             rows[-1] = (rows[-1][0], command, actuators.end(), taken)
             controller.applied(actuators.applied_input(N))
@@ -317,8 +315,8 @@ class Actuators:
         self._at_once = WinchMove(frozen(value), _NONE, _NONE, frozen(weak))
         return self._at_once
 
-    def tick(self, index: int, state: FloatArray, now: float) -> FloatArray | Pieces:
-        """Return the input of the plant's strings in a tick that begins at a time, s."""
+    def tick(self, number: int, state: FloatArray, now: float) -> FloatArray | Pieces:
+        """Return the input of the plant's strings in a tick, counted from 1, that begins now, s."""
         if self._drive is None:
             assert self._current is not None  # begun
             self.reached = self._current
@@ -339,7 +337,7 @@ class Actuators:
                 self._to_strings("length", length),
             )
 
-        found = self._drive.tick(index, now, pull)
+        found = self._drive.tick(number, now, pull)
         self._current = self.reached = self._drive.rest_length
         self.held = self._to_plant("rest_length", self.reached)
         lengths = self._to_plant("rest_length", found.rest_length.T).T
