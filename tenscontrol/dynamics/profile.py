@@ -238,13 +238,17 @@ class Pieces:
 
     def least(self, start: float, end: float) -> tuple[float, float]:
         """Return the least value between two times, as looked at often, and when that is."""
-        looks = np.linspace(0.0, 1.0, 3 if self.degree < 2 else _LOOKS)
-        ends = np.unique([start, *self.breaks(start, end), end])
-        times = np.unique(ends[:-1, None] + np.diff(ends)[:, None] * looks)
-        # What holds up to a jump is looked at just before it.
-        times = np.union1d(times, np.nextafter(ends[1:], start))
-        values = self.at(times).min(axis=0, initial=np.inf)
-        return float(values.min()), float(times[values.argmin()])
+        found = [(np.inf, start)]
+        some = self.within(start, end)
+        looks = np.linspace(0.0, 1.0, 2 if self.degree < 2 else _LOOKS)
+        ends = np.append(some.start[1:], end)
+        for a, b, origin, c in zip(
+            np.append(start, ends[:-1]), ends, some.origin, some.coefficients, strict=True
+        ):
+            times = a + (b - a) * looks
+            values = polynomial_at(c, times - origin).min(axis=0, initial=np.inf)
+            found.append((float(values.min()), float(times[values.argmin()])))
+        return min(found)
 
     @staticmethod
     def added(parts: Sequence[Pieces]) -> Pieces:
@@ -325,7 +329,7 @@ def sampled(
         found = []
         for time in times.tolist():
             value = float_array(f"{name} at {time:.6g} s", function(time))
-            if value.shape != shape and value.shape != ():
+            if value.shape != shape and (value.shape or len(shape) > 1):
                 raise ValueError(
                     f"{name} returns shape {value.shape} at {time:.6g} s, expected {shape}"
                 )
@@ -334,7 +338,8 @@ def sampled(
 
     ends = np.linspace(start, end, _PARTS + 1).tolist()
     open_parts = list(pairwise(ends))[::-1]
-    size = 0.0
+    # So that what is small beside the rest need not be met to more than that.
+    size = float(np.abs(values(np.linspace(start, end, 8 * _PARTS + 1))).max(initial=0.0))
     kept: list[tuple[float, float, FloatArray]] = []
     while open_parts:
         a, b = open_parts.pop()
@@ -365,11 +370,12 @@ def as_pieces(
 ) -> Pieces:
     """Return an argument that may change in time as polynomials, rows in Fortran order.
 
-    It is a :class:`Profile`, a callable, or an array of this shape; one number is for all entries.
+    It is a :class:`Profile`, a callable, or an array of this shape; one number is for all strings.
     """
+    fitting = (shape, ()) if len(shape) == 1 else (shape,)
     if isinstance(value, Profile):
         found = value.values.shape[:-1]
-        if found not in (shape, ()):
+        if found not in fitting:
             raise ValueError(
                 f"{name} is a profile of values of shape {found}, expected {shape}: {meaning}"
             )
@@ -380,6 +386,6 @@ def as_pieces(
     if callable(value):
         return sampled(name, value, shape, start, end)
     array = float_array(name, value)
-    if array.shape not in (shape, ()):
+    if array.shape not in fitting:
         raise ValueError(f"{name} has shape {array.shape}, expected {shape}: {meaning}")
     return Pieces.constant(np.broadcast_to(array, shape).ravel(order="F"))

@@ -87,7 +87,7 @@ class FixedStep(Integrator):
 
     @abstractmethod
     def step_function(self, equation: Equation) -> ca.Function:
-        """Return ``(x, u, taut, h) -> x1``: one step for fixed ``taut``.
+        """Return ``(x, u, taut, h) -> x1``: one step for fixed ``taut``; u begins with it.
 
         Parameters
         ----------

@@ -146,7 +146,7 @@ def where_needed(function: ca.Function) -> ca.Function:
 
 
 class Integrator(ABC):
-    """Integrates ``ẋ = f(x, u)`` with u held.
+    """Integrates ``ẋ = f(x, u)`` with u held, or told for all times: see :meth:`Equation.ahead`.
 
     Parameters
     ----------
@@ -210,7 +210,8 @@ class Integrator(ABC):
         state : ndarray, shape (states,)
             x at the start.
         held : ndarray, shape (inputs,)
-            u, constant over the span.
+            u, constant over the span; or polynomials in time, as the equation takes them, with the
+            time at which the span begins.
         duration : float
             Length of the span, s.
         outputs : int

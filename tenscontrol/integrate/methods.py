@@ -47,6 +47,9 @@ class Method:
         Whether its steps can be compiled.
     differentiates : bool
         Whether it takes derivatives of the equation.
+    follows : bool
+        Whether it integrates inputs that change within a step: it asks :meth:`Equation.ahead` for
+        the input at each time within it. Else profiles and moving supports are refused.
     """
 
     name: str
@@ -57,6 +60,7 @@ class Method:
     projects: bool = False
     compiles: bool = True
     differentiates: bool = False
+    follows: bool = False
 
     def __post_init__(self) -> None:
         text("name", self.name, "what the method is called")
@@ -66,7 +70,7 @@ class Method:
         for i, setting in enumerate(self.settings):
             choice(f"settings[{i}]", setting, ("step", "tolerance"))
         function("make", self.make, "(equation, step=... or tolerance=...) -> Integrator")
-        for name in ("drifts", "projects", "compiles", "differentiates"):
+        for name in ("drifts", "projects", "compiles", "differentiates", "follows"):
             truth(name, getattr(self, name), "what the method does")
 
     @property
@@ -121,13 +125,19 @@ class Method:
 
 _STEP, _TOLERANCE = ("step",), ("tolerance",)
 _SYMPLECTIC = "symplectic, fixed steps; no damping"
+_OWN = {"drifts": False, "follows": True}
 _ALL = (
-    Method("rk4", _STEP, "order 4, fixed steps; bar lengths drift", RK4),
-    Method("rattle", _STEP, "order 2, symplectic, fixed steps", Rattle, drifts=False),
-    Method("rattle4", _STEP, f"order 4, {_SYMPLECTIC}", Rattle4, drifts=False),
-    Method("rattle6", _STEP, f"order 6, {_SYMPLECTIC}: the fastest", Rattle6, drifts=False),
+    Method("rk4", _STEP, "order 4, fixed steps; bar lengths drift", RK4, follows=True),
+    Method("rattle", _STEP, "order 2, symplectic, fixed steps", Rattle, **_OWN),
+    Method("rattle4", _STEP, f"order 4, {_SYMPLECTIC}", Rattle4, **_OWN),
+    Method("rattle6", _STEP, f"order 6, {_SYMPLECTIC}: the fastest", Rattle6, **_OWN),
     Method(
-        "dop853", _TOLERANCE, "order 8, steps of its own: accuracy on demand", DOP853, projects=True
+        "dop853",
+        _TOLERANCE,
+        "order 8, steps of its own: accuracy on demand",
+        DOP853,
+        projects=True,
+        follows=True,
     ),
     Method(
         "cvodes",
@@ -137,6 +147,7 @@ _ALL = (
         projects=True,
         compiles=False,
         differentiates=True,
+        follows=True,
     ),
     Method(
         "energy_momentum",
@@ -146,6 +157,7 @@ _ALL = (
         drifts=False,
         compiles=False,
         differentiates=True,
+        follows=True,
     ),
 )
 

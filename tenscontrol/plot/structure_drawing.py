@@ -177,6 +177,8 @@ class Drawing:
     marks : tuple of (str, Line3D or Line2D, ndarray of int)
         Marks of nodes that move with them: joints of bars, pulleys of clustered strings, point
         masses on bars, rollers. Each has its name and its nodes.
+    supports : Line3D, Line2D or None
+        The marks of the fixed nodes, which a simulation may move; None without any.
     """
 
     structure: Structure
@@ -189,6 +191,7 @@ class Drawing:
     string_labels: tuple[Any, ...]
     colorbar: Any
     marks: tuple[tuple[str, Any, IntArray], ...] = ()
+    supports: Any = None
 
     def update(self, nodes: object, force_density: object = None) -> None:
         """Move the drawing to other node positions. The limits of the axes stay.
@@ -216,6 +219,8 @@ class Drawing:
         self.strings.set_segments(segments(positions, _paths(self.structure)))
         moved = [(self.nodes, positions)]
         moved += [(points, positions[:, which]) for _, points, which in self.marks]
+        if self.supports is not None:
+            moved.append((self.supports, positions[:, self.structure.fixed]))
         for points, where in moved:
             set_places = points.set_data_3d if self.structure.dimension == 3 else points.set_data
             set_places(*where)
@@ -253,15 +258,16 @@ def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -
             add(members)
     dot = marker_style("o", style.node_size, style.node_color)
     (dots,) = ax.plot(*nodes, zorder=style.layer + 0.6, **dot)
-    if len(structure.fixed):  # they stay where they are, so nothing updates them
+    supports = None
+    if len(structure.fixed):
         triangle = marker_style("^", _SUPPORT * style.node_size, style.node_color, mfc="white")
-        ax.plot(*nodes[:, structure.fixed], zorder=style.layer + 0.5, **triangle)
+        (supports,) = ax.plot(*nodes[:, structure.fixed], zorder=style.layer + 0.5, **triangle)
     marks = []
     for name, which in marked_nodes(structure).items():
         look, above = _mark_style(name, style)
         (line,) = ax.plot(*nodes[:, which], zorder=style.layer + above, **look)
         marks.append((name, line, which))
-    return Drawing(structure, ax, bars, strings, dots, (), (), (), None, tuple(marks))
+    return Drawing(structure, ax, bars, strings, dots, (), (), (), None, tuple(marks), supports)
 
 
 def marked_nodes(structure: Structure) -> dict[str, IntArray]:

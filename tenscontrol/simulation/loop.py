@@ -170,6 +170,13 @@ class Loop:
             chosen = Choice(method.name, "tolerance", self.tolerance, "asked for")
         else:
             chosen = Choice(method.name, "step", self.step, "asked for")
+        if equation.layout.degree and not method.follows:
+            able = [name for name, each in METHODS.items() if each.follows]
+            raise ValueError(
+                f"method {method.name!r} takes held inputs only, but an input changes in time; "
+                f"these follow it: {able}. A method of your own that asks equation.ahead(u, t) for "
+                "the input at each time says so by Method(follows=True)"
+            )
         if method.differentiates and equation.form == "loops":
             equation = self._equation_of("mapped")
         # Not what the user says of a method that he has not chosen, and that needs no projection.
@@ -440,6 +447,8 @@ class Loop:
 
 def support_offset(model: Model, value: object, start: float, end: float) -> Pieces:
     """Return by how much each node moves with supports, m, node by node, after checking it can."""
+    from scipy.sparse import csr_array, eye_array, kron
+
     structure = model.structure
     d, n = structure.nodes.shape
     fixed, size = structure.fixed, float(np.ptp(structure.nodes, axis=1).max())
@@ -472,11 +481,10 @@ def support_offset(model: Model, value: object, start: float, end: float) -> Pie
                 f"support_motion moves the fixed node {carried[node]} along {axis}, but bars lead "
                 f"from it to node {node}, which a roller holds along {axis}"
             )
-    every = np.zeros((n, d, len(fixed), d))
     nodes = np.flatnonzero(carried >= 0)
-    for i in range(d):
-        every[nodes, i, column[nodes], i] = 1.0
-    return given.mapped(every.reshape(d * n, -1))
+    shape = n, len(fixed)
+    moves = csr_array((np.ones(len(nodes)), (nodes, column[nodes])), shape=shape)
+    return given.mapped(kron(moves, eye_array(d)).tocsr())
 
 
 def step_doubling_error(

@@ -45,6 +45,7 @@ _OUTPUTS = 1000
 # largest speed, is taken as it is; up to the second, at which a run counts as inaccurate, it is
 # projected. Near rest the speed is what forces and stiffness can give a structure of this size:
 # the first part of that is round-off, the second what RK4 leaves in a motion that has died out.
+# An input below zero by the first part of its largest value is zero.
 _EXACT, _PROJECTED = 1e-8, 1e-3
 _ROUND_OFF, _LEFT = 1e-12, 1e-6
 
@@ -415,7 +416,8 @@ def _inputs(
     shape = (len(model.structure.strings),)
     pieces = as_pieces(name, value, shape, "one per string", start, end)
     least, time = pieces.least(start, end)
-    if least < 0 or (least == 0 and name == "rest_length"):
+    round_off = _ROUND_OFF * float(np.abs(pieces.coefficients[:, :, 0]).max(initial=0.0))
+    if least < -round_off or (least <= 0 and name == "rest_length"):
         what = "a positive length in m" if name == "rest_length" else "at least 0"
         raise ValueError(
             f"{name} falls to {least:.3g} at {time:.6g} s, expected {what}. Cubic pieces may swing "
@@ -460,6 +462,8 @@ def _beside(
     try:
         refuse_moved_supports("nodes" if start is None else "start", structure, N)
     except ValueError as error:
+        if loop.offset is None:
+            raise
         by = f"less what support_motion displaces it by at {loop.now:g} s"
         raise ValueError(f"{error}, {by}") from None
     return N, np.zeros_like(N) if V is None else V - before

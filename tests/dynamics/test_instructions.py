@@ -171,3 +171,19 @@ def test_the_order_of_the_nodes_costs_nothing(seed):
     )
     counts = {tc.Model(each).dynamics.n_instructions() for each in (first, shuffled)}
     assert max(counts) - min(counts) <= 0.02 * min(counts)
+
+
+@pytest.mark.parametrize("held", ["force_density", "rest_length"])
+def test_an_input_that_is_held_has_no_time_and_no_instruction_for_it(held):
+    model = tc.Model(standing(), strings=tc.LinearStrings(100.0, 0.5))
+    plain, moving = model.equation(held), model.equation(held, degree=1)
+    loaded = model.equation(held, load_input=True)
+    shaken = model.equation(held, load_input=True, offset_input=True)
+    u = ca.MX.sym("u", plain.inputs)
+    assert plain.inputs == 9
+    assert plain.ahead(u, 0.1) is u
+    assert plain.of_strings(u) is u
+    assert moving.inputs == 2 * 9 + 1
+    assert cheaper(plain.slope, moving.slope)
+    assert cheaper(plain.slope, loaded.slope)
+    assert cheaper(loaded.slope, shaken.slope)

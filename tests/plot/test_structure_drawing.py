@@ -1,5 +1,7 @@
 """The drawing of a structure: every member where it is, bars unlike strings without colour."""
 
+from dataclasses import replace
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -243,4 +245,13 @@ def test_fixed_nodes_stand_on_triangles():
     np.testing.assert_array_equal(np.array(triangles[0].get_data_3d()), prism.nodes[:, [3, 4]])
     free = tc.plot.structure(prism)
     assert all(line.get_marker() != "^" for line in free.ax.lines)
+    plt.close("all")
+
+
+def test_marks_of_supports_move_with_them(prism):
+    standing = replace(prism, fixed=[3, 4, 5])
+    drawing = tc.plot.structure(standing)
+    drawing.update(standing.nodes + 0.1)
+    np.testing.assert_allclose(drawing.supports.get_data_3d(), standing.nodes[:, 3:] + 0.1)
+    assert tc.plot.structure(prism).supports is None
     plt.close("all")
