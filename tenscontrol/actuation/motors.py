@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 from tenscontrol.dynamics import Model, evaluate_columns
 from tenscontrol.validation import (
     FloatArray,
+    IntArray,
     float_array,
     freeze_arrays,
     frozen,
@@ -33,6 +35,9 @@ _OF_MOTORS = (
     ("backlash", "angle in rad"),
     ("zero", "rest length in m"),
 )
+# Parts of an interval in which a string goes slack or taut.
+_PARTS = 32
+
 _MAY_BE_ZERO = ("inertia", "lag", "backlash")
 
 
@@ -291,29 +296,44 @@ def cable_work(model: Model, ends: tuple[Instants, Instants]) -> tuple[list[Turn
 
 
 def winding_work(
-    model: Model, instants: tuple[Instants, Instants, Instants]
+    model: Model,
+    ends: tuple[Instants, Instants],
+    motion: Callable[[FloatArray, IntArray], Instants],
 ) -> tuple[list[FloatArray], list[FloatArray], FloatArray, float]:
     """Return stored energy, J, and force, N, at both ends of intervals, work, J, and its error, J.
 
-    All but the error for each string of the model, shape (α′, T). ``instants`` are beginnings,
-    middles and ends. Of two quadratures of order 4, Simpson's and the corrected trapezoid, the
-    work is the mean in which the leading errors cancel, the error their difference.
+    All but the error for each string of the model, shape (α′, T). ``motion`` is that at shares of
+    intervals. Of two quadratures of order 4, Simpson's and the corrected trapezoid, the work is
+    the mean in which the leading errors cancel, the error their difference. Where a string goes
+    slack or taut, an interval is cut into many.
     """
+    winding, count = model.of_all_nodes("winding"), len(ends[0].time)
+    middle = motion(np.full(count, 0.5), np.arange(count))
     stored, forces, powers, slopes = [], [], [], []
-    for each in instants:
+    for each in (ends[0], middle, ends[1]):
         lengths, rates, accelerations = each.inputs
-        energy, force, change, *_ = evaluate_columns(
-            model.of_all_nodes("winding"), each.states, lengths, rates
-        )
+        energy, force, change, *_ = evaluate_columns(winding, each.states, lengths, rates)
         stored.append(energy)
         forces.append(force)
         powers.append(-force * rates)
         slopes.append(-change * rates - force * accelerations)
-    time = instants[2].time - instants[0].time
+    time = ends[1].time - ends[0].time
     trapezoid = time * (powers[0] + powers[2]) / 2 + time**2 * (slopes[0] - slopes[2]) / 12
     simpson = time * (powers[0] + 4 * powers[1] + powers[2]) / 6
-    error = float(np.abs(simpson - trapezoid).sum())
-    return stored[::2], forces[::2], (4 * simpson + trapezoid) / 5, error
+    work, error = (4 * simpson + trapezoid) / 5, np.abs(simpson - trapezoid)
+    taut = [force > 0 for force in forces]
+    switches = ((taut[0] != taut[1]) | (taut[0] != taut[2])) & (powers[0] + powers[2] != 0)
+    cut = np.flatnonzero(switches.any(axis=0))
+    if len(cut):
+        shares = np.repeat((np.arange(_PARTS) + 0.5) / _PARTS, len(cut))
+        many = motion(shares, np.tile(cut, _PARTS))
+        lengths, rates, _ = many.inputs
+        power = -evaluate_columns(winding, many.states, lengths, rates)[1] * rates
+        finer = time[cut] * power.reshape(len(power), _PARTS, -1).mean(axis=1)
+        of = switches[:, cut]
+        error[:, cut] = np.where(of, np.abs(finer - work[:, cut]) / _PARTS, error[:, cut])
+        work[:, cut] = np.where(of, finer, work[:, cut])
+    return stored[::2], forces[::2], work, float(error.sum())
 
 
 def motor_record(

@@ -391,7 +391,7 @@ class Drive:
         winches: Winches,
         rest_length: FloatArray,
         sample_time: float,
-        motion: tuple[FloatArray, FloatArray] | None = None,
+        motion: FloatArray | None = None,
     ) -> None:
         count = len(rest_length)
         winches.move(rest_length, rest_length, sample_time)  # or the limits do not fit
@@ -401,7 +401,10 @@ class Drive:
         rate = np.inf if winches.largest_rate is None else winches.largest_rate
         self._rate = np.broadcast_to(rate, count)
         self.rest_length = rest_length
-        self.position, self.speed = (rest_length, np.zeros(count)) if motion is None else motion
+        if motion is None:
+            motion = np.stack([rest_length, np.zeros(count)])
+        self.position: FloatArray = motion[0]
+        self.speed: FloatArray = motion[1]
         self._before = self.position
         self._ticks: list[tuple[float, Tick]] = []
 
@@ -420,13 +423,13 @@ class Drive:
         self._weak = np.zeros(len(wanted), dtype=bool)
         return self._move
 
-    def tick(self, index: int, now: float, pull: Pull) -> Tick:
-        """Move through a tick of the sample, which begins now, s, and return how."""
+    def tick(self, number: int, now: float, pull: Pull) -> Tick:
+        """Move through a tick of the sample, counted from 1, that begins now, s; return how."""
         winches = self._winches
         time = self._sample_time / winches.ticks
         target = self._target
-        if winches.ramp and index + 1 < winches.ticks:
-            target = self._start + (index + 1) / winches.ticks * (target - self._start)
+        if winches.ramp and number < winches.ticks:
+            target = self._start + number / winches.ticks * (target - self._start)
         if winches.degree == 2:
             end, speed = self._accelerated(target, time, pull)
             acceleration = (speed - self.speed) / time
@@ -452,7 +455,8 @@ class Drive:
             string = np.column_stack([self.rest_length, share * first, share * acceleration / 2])
             found = Tick(string[:, : winches.degree + 1], motion, share)
         self.rest_length, self.position, self.speed = reached, end, speed
-        self._ticks.append((now, found))
+        if winches.motor is not None:
+            self._ticks.append((now, found))
         return found
 
     def turning(self, begins: FloatArray, times: FloatArray, force: FloatArray) -> Turning:
@@ -484,12 +488,9 @@ class Drive:
 
     def _followed(self, target: FloatArray, time: float) -> FloatArray:
         """Return the positions at the end of a tick, without inertia or limit of torque."""
-        gap = target - self.position
-        lag = np.zeros(1) if self._motor is None else self._motor.lag
+        gap, lag, most = target - self.position, self._motor.lag, self._rate * time
         if not lag.any():
-            return np.clip(
-                target, self.position - self._rate * time, self.position + self._rate * time
-            )
+            return np.clip(target, self.position - most, self.position + most)
         # At the largest speed first, then ever slower.
         far = np.abs(gap)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -508,8 +509,8 @@ class Drive:
         As fast as torque and speed allow, and no faster than can be stopped at the target.
         """
         motor, lever = self._motor, self._motor.lever
-        expected = self.rest_length + self.speed * time
-        forces = [pull(self.rest_length, 0.0)[0], pull(np.maximum(expected, 0.0), time)[0]]
+        expected = np.maximum(self.rest_length + self.speed * time, self.rest_length / 2)
+        forces = [pull(self.rest_length, 0.0)[0], pull(expected, time)[0]]
         gain = lever / np.maximum(motor.inertia, _LEAST_INERTIA)
         winding = gain * (motor.torque - lever * np.maximum(*forces))
         paying = gain * (motor.torque + lever * np.minimum(*forces))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from math import ceil
 from time import perf_counter
@@ -135,14 +136,12 @@ def run_closed_loop(
         end = min(loop.now + sample, until)
         whole = end - loop.now
         try:
-            for i in range(actuators.ticks):
-                pieces = actuators.tick(i, state, loop.now)
-                last = i + 1 == actuators.ticks
-                span = (
-                    end if last else min((begin + k + (i + 1) / actuators.ticks) * sample, end)
-                ) - loop.now
+            for i in range(1, actuators.ticks + 1):
+                held = actuators.tick(i, state, loop.now)
+                until_tick = (begin + k + i / actuators.ticks) * sample
+                span = (end if i == actuators.ticks else min(until_tick, end)) - loop.now
                 if span > 1e-9 * whole:  # not round-off
-                    state = loop.run(state, pieces, span)
+                    state = loop.run(state, held, span)
         finally:
             rows[-1] = (*rows[-1][:2], actuators.end(), *rows[-1][3:])
             controller.applied(actuators.applied_input(N))
@@ -280,21 +279,19 @@ class Actuators:
         self._input = controller.input
         self._loop = loop
         self._law = loop.model.strings
-        self._winches = Winches() if winches is None else winches
+        self._winches = winches
         self._sample_time = sample_time
         self._drive: Drive | None = None
         self._asked: list[FloatArray] = []
         self._weak: list[int] = []
-        self._earlier = None
-        if run is not None and run.control is not None and rest_length is None:
-            self._earlier = run.control.motors
+        self._earlier: MotorRecord | None = None
         self.start: FloatArray | None = None
         self._current: FloatArray | None = None
         if run is not None and rest_length is None:
             kind = "force_density" if run.rest_length is None else "rest_length"
             last = run.held if kind == loop.input else None
             if last is not None and run.control is not None:
-                last = run.control.applied[:, -1]
+                last, self._earlier = run.control.applied[:, -1], run.control.motors
             elif last is not None:
                 last = self._to_strings(loop.input, last)
             if loop.input == "rest_length":
@@ -309,7 +306,7 @@ class Actuators:
             if winches is not None:
                 winches.refuse_out_of_range("rest_length", self.start)
         elif loop.input == "rest_length" and (
-            self._winches.rate is not None or self._winches.ramp or self._motor is not None
+            winches is not None and (winches.rate is not None or winches.ramp or winches.motor)
         ):
             raise ValueError(
                 "winches with a rate, substeps or a motor need rest_length: where they stand, "
@@ -338,7 +335,7 @@ class Actuators:
     @property
     def ticks(self) -> int:
         """Parts of a sample, in each of which inputs are one polynomial in time."""
-        return self._winches.ticks
+        return 1 if self._winches is None else self._winches.ticks
 
     def begin(self, command: Command, nodes: FloatArray, stuck: IntArray) -> WinchMove:
         """Take the command of a sample, and return the move to expect, one entry a winch."""
@@ -346,41 +343,50 @@ class Actuators:
         if self._held == "force_density":
             desired, weak = self._unless_stuck(desired, stuck), _NONE
             if self._motor is not None:
-                most = self._motor.torque / self._motor.lever
-                most = most / self._structure.string_length(nodes)
-                weak = np.flatnonzero(desired > most)
-                desired = np.minimum(desired, most)
-            self._held_move = WinchMove(frozen(desired), _NONE, _NONE, frozen(weak))
+                most, length = (
+                    self._motor.torque / self._motor.lever,
+                    self._structure.string_length(nodes),
+                )
+                weak = np.flatnonzero(desired * length > most)
+                desired = desired.copy()
+                desired[weak] = most[weak] / length[weak]
             self._weak.append(len(weak))
-            self._current = desired
-            return self._held_move
+            return self._set(desired, weak)
         if self._convert:
             assert self._law is not None  # a rest length is held
             gamma = self._to_plant("force_density", desired)
             desired = self._law.rest_length(self._structure.string_length(nodes), gamma)
             desired = self._to_strings("rest_length", desired)
-        self._asked.append(desired)
+        if self._motor is not None:
+            self._asked.append(desired)
         desired = self._unless_stuck(desired, stuck)
+        if self._winches is None:
+            return self._set(desired, _NONE)
         if self._drive is None:
-            motion = None if self._earlier is None else tuple(self._earlier.at_end)
+            motion = None if self._earlier is None else self._earlier.at_end
             start = desired if self._current is None else self._current
             self._drive = Drive(self._winches, start, self._sample_time, motion)
         self._weak.append(0)
         return self._drive.begin(desired, stuck)
 
-    def tick(self, index: int, state: FloatArray, now: float) -> FloatArray | Pieces:
-        """Return the input of the plant's strings in a tick that begins at a time, s."""
+    def _set(self, value: FloatArray, weak: IntArray) -> WinchMove:
+        """Hold a value at once, and return the move."""
+        self._current = value
+        self._at_once = WinchMove(frozen(value), _NONE, _NONE, frozen(weak))
+        return self._at_once
+
+    def tick(self, number: int, state: FloatArray, now: float) -> FloatArray | Pieces:
+        """Return the input of the plant's strings in a tick, counted from 1, that begins now, s."""
         if self._drive is None:
             assert self._current is not None  # begun
             self.reached = self._current
-            self.held = self._to_plant("force_density", self._current)
+            self.held = self._to_plant(self._held, self._current)
             return self.held
-
-        N, V = (part.ravel(order="F") for part in self._loop.motion(state))
 
         def pull(
             rest_length: FloatArray, later: float
         ) -> tuple[FloatArray, FloatArray, FloatArray]:
+            N, V = (part.ravel(order="F") for part in self._loop.motion(state))
             moved = np.concatenate([N + later * V, V])
             lengths = self._to_plant("rest_length", rest_length)
             _, force, _, slope, length = self._winding(moved, lengths, np.zeros_like(lengths))
@@ -391,7 +397,7 @@ class Actuators:
                 self._to_strings("length", length),
             )
 
-        found = self._drive.tick(index, now, pull)
+        found = self._drive.tick(number, now, pull)
         self._current = self.reached = self._drive.rest_length
         self.held = self._to_plant("rest_length", self.reached)
         lengths = self._to_plant("rest_length", found.rest_length.T).T
@@ -402,7 +408,7 @@ class Actuators:
     def end(self) -> WinchMove:
         """Return the move of the sample, with the limits that were met."""
         if self._drive is None:
-            return self._held_move
+            return self._at_once
         move = self._drive.end()
         self._weak[-1] = len(move.torque_limited)
         return move
@@ -445,13 +451,15 @@ class Actuators:
         if self._motor is None:
             return None
         model, error, close = self._loop.model, 0.0, 1e-6 * self._sample_time / self.ticks
-        instants, first = _instants(self._loop)
-        ends, before = (instants[0], instants[2]), instants[0]
+        motion, first, count = _intervals(self._loop)
+        every = np.arange(count)
+        ends = motion(np.zeros(count), every), motion(np.ones(count), every)
+        before = ends[0]
         if self._drive is None:
             turning, work = cable_work(model, ends)
             start, at_end = turning[0].position[:, 0], np.zeros((2, self._count))
         else:
-            stored, forces, work, error = winding_work(model, instants)
+            stored, forces, work, error = winding_work(model, ends, motion)
             # A jump of rest lengths at the standing structure gives what strings store more.
             previous = np.column_stack([stored[0][:, 0], stored[1][:, first[1:] - 1]])
             if self.start is not None:
@@ -538,34 +546,42 @@ def _commands_parent(loop: Loop, controller: BaseController) -> bool:
     return by_segment
 
 
-def _instants(loop: Loop) -> tuple[tuple[Instants, Instants, Instants], IntArray]:
-    """Return beginnings, middles and ends of intervals, and which are the first of a span.
+def _intervals(loop: Loop) -> tuple[Callable[[FloatArray, IntArray], Instants], IntArray, int]:
+    """Return the motion between states kept, which intervals begin a span, and their count.
 
-    The first interval is the start alone.
+    The motion takes shares of intervals from 0 to 1 and which intervals, shape (T,) each. The first
+    interval is the start alone.
     """
     spans = [span for span in loop.spans if len(span.time)]
     counts = np.array([len(span.time) for span in spans])
     first = np.cumsum(counts) - counts
     which = np.repeat(np.arange(len(spans)), counts)
-    time = np.concatenate([span.time for span in spans])
-    begins = np.concatenate([time[:1], time[:-1]])
+    ends = np.concatenate([span.time for span in spans])
+    begins = np.concatenate([ends[:1], ends[:-1]])
     states = np.hstack([span.states for span in spans])
     before = np.hstack([np.column_stack([span.begin, span.states[:, :-1]]) for span in spans])
-    coefficients = np.stack([span.coefficients for span in spans])[which].transpose(1, 2, 0)
-    origin = np.array([span.origin for span in spans])[which]
-    # Half way the motion is that of a quintic with positions, velocities and accelerations.
-    half, step, middle = len(states) // 2, time - begins, (begins + time) / 2
-    flat = coefficients.reshape(-1, len(which), order="F")
-    slopes = []
-    for at, x in ((begins, before), (time, states)):
-        u = np.vstack([flat, at - origin]) if loop.equation.layout.degree else flat
-        slopes.append(evaluate_columns(loop.equation.kinked_slope, x, u)[0])
-    between = (before + states) / 2
-    between[:half] += 5 / 32 * step * (before - states)[half:]
-    between[:half] += step**2 / 64 * (slopes[0] + slopes[1])[half:]
-    found, strings = [], coefficients[: len(loop.model.structure.strings)]
-    for at, x in ((begins, before), (middle, between), (time, states)):
-        series = [polynomial_at(strings, at - origin, order) for order in range(3)]
-        every = loop.all_nodes(x, coefficients, at - origin)
-        found.append(Instants(at, every, np.stack(series)))
-    return (found[0], found[1], found[2]), first
+    coefficients = np.stack([span.coefficients for span in spans])
+    origin = np.array([span.origin for span in spans])
+    flat = coefficients.transpose(0, 2, 1).reshape(len(spans), -1)[which].T
+    accelerations, half = [], len(states) // 2
+    for time, x in ((begins, before), (ends, states)):
+        u = np.vstack([flat, time - origin[which]]) if loop.equation.layout.degree else flat
+        accelerations.append(evaluate_columns(loop.equation.kinked_slope, x, u)[0][half:])
+
+    def at(s: FloatArray, k: IntArray) -> Instants:
+        # The quintic with positions, velocities and accelerations of both ends.
+        h, late = ends[k] - begins[k], s**3 * (10 - 15 * s + 6 * s**2)
+        x0, x1 = before[:, k], states[:, k]
+        x = (1 - s) * x0 + s * x1
+        x[:half] = (1 - late) * x0[:half] + late * x1[:half]
+        x[:half] += h * (s - s**3 * (6 - 8 * s + 3 * s**2)) * x0[half:]
+        x[:half] += h * s**3 * (7 * s - 4 - 3 * s**2) * x1[half:]
+        x[:half] += h**2 / 2 * s**2 * (1 - s) ** 3 * accelerations[0][:, k]
+        x[:half] += h**2 / 2 * s**3 * (1 - s) ** 2 * accelerations[1][:, k]
+        time, of = (1 - s) * begins[k] + s * ends[k], which[k]
+        given = coefficients[of].transpose(1, 2, 0)
+        strings = given[: len(loop.model.structure.strings)]
+        series = [polynomial_at(strings, time - origin[of], order) for order in range(3)]
+        return Instants(time, loop.all_nodes(x, given, time - origin[of]), np.stack(series))
+
+    return at, first, len(ends)

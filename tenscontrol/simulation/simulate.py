@@ -112,8 +112,8 @@ def simulate(
         What the actuators hold between samples. The rest length if the model
         has a string law, else γ.
     winches : Winches, optional
-        Limits of the winches; none if not given. With a rate or substeps, ``rest_length`` says
-        where they start.
+        Limits of the winches and their motors; none if not given. With a rate, substeps or a
+        motor, ``rest_length`` says where they start. Where γ is held, the motors of the cables.
     sample_time : float, optional
         For a controller without a sample time of its own, s; else ``step``.
     faults : sequence of CutString, StuckWinch and LostMeasurement

@@ -121,7 +121,7 @@ def with_load(number):
     return mpc_of(plants_of(6)[number], winches=winches, load_gain=1.0)
 
 
-@pytest.mark.parametrize(("push", "gained"), [(1e-4, 5.0), (1e-3, 40.0)])
+@pytest.mark.parametrize(("push", "gained"), [(1e-4, 2.5), (1e-3, 20.0)])
 def test_the_nearest_plant_predicts_where_a_far_one_does_not(push, gained):
     """By what the shape does otherwise than predicted, as accelerations, near the start."""
     winches = tc.Winches(substeps=10)
@@ -135,7 +135,7 @@ def test_the_nearest_plant_predicts_where_a_far_one_does_not(push, gained):
         )  # fmt: skip
         left[name] = np.linalg.norm(found.controllers[found.active].load)
     assert left["middle"] > gained * left["nearest"]
-    assert left["far"] > 4 * left["middle"]
+    assert left["far"] > 3 * left["middle"]
 
 
 def test_bars_may_be_turned_beyond_the_coordinates():

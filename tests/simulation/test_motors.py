@@ -8,7 +8,8 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import Command, Controller
-from tests.known_structures import d_bar
+from tests.known_structures import arm, d_bar
+from tests.random_structures import any_structure
 
 SAMPLE, INERTIA, GEAR = 0.02, 1e-6, {"drum_radius": 0.01, "gear_ratio": 20.0}
 
@@ -106,8 +107,36 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", SCENES)
 def test_what_motors_give_is_what_the_structure_gets(name, kind):
-    run = run_of(name, step=2.5e-4, **KINDS[kind])
+    run = run_of(name, 0.2, step=2.5e-4, **KINDS[kind])
     assert unbalanced(run, KINDS[kind].get("inertia", 0.0)) < 1e-6
+
+
+def test_strings_that_go_slack_on_the_way():
+    """An arm that falls from a shape that is none of rest."""
+    model = tc.Model(arm(), strings=LINEAR, gravity=9.81)
+    start = 0.97 * model.structure.string_length()
+    winches = tc.Winches(ramp=True, motor=tc.Motor(**GEAR))
+    run = tc.simulate(
+        model, 0.4, controller=Wave(model, start), winches=winches, rest_length=start,
+        step=2.5e-4,
+    )  # fmt: skip
+    assert run.work.switches > 5
+    assert unbalanced(run) < 1e-6
+
+
+@pytest.mark.parametrize("seed", [0, 3, 7])
+def test_structures_that_nobody_chose(seed):
+    """Bars that share nodes, supports, clusters; strings go slack and taut."""
+    structure = any_structure(seed)
+    model = tc.Model(structure, strings=ELASTIC if seed % 2 else LINEAR)
+    start = 0.97 * structure.string_length()
+    winches = tc.Winches(rate=0.1, ramp=True, motor=tc.Motor(**GEAR))
+    run = tc.simulate(
+        model, 0.1, controller=Wave(model, start), winches=winches, rest_length=start,
+        method="dop853", tolerance=1e-11,
+    )  # fmt: skip
+    assert run.work.switches > 0
+    assert unbalanced(run) < 1e-6
 
 
 def test_the_energy_of_a_motor_is_that_of_an_oracle():
