@@ -205,7 +205,7 @@ class Controller(ABC):
         self._previous_input: FloatArray | None = None
         # z that a subclass predicts for the next sample, and how far the last one was off, m.
         self._predicted: FloatArray | None = None
-        self._prediction_error = np.nan
+        self._prediction_error: float | None = None
         self._displacements, self._dimension = plant.basis, len(plant.nodes)
         self._status_count: Counter[Status] = Counter()
         self._fallback_count: Counter[Fallback] = Counter()
@@ -236,10 +236,10 @@ class Controller(ABC):
         return self._change
 
     @property
-    def prediction_error(self) -> float:
+    def prediction_error(self) -> float | None:
         """How far the last measurement was off what was predicted a sample before, m.
 
-        Of the node that is off most. NaN for a controller that predicts nothing, and where there
+        Of the node that is off most. None for a controller that predicts nothing, and where there
         was no measurement or no prediction.
         """
         return self._prediction_error
@@ -336,7 +336,7 @@ class Controller(ABC):
     def _compare(self, state: FloatArray | None) -> None:
         """Note how far a state is off the prediction, which is then used up."""
         predicted, self._predicted = self._predicted, None
-        self._prediction_error = np.nan
+        self._prediction_error = None
         if predicted is not None and state is not None:
             off = (state - predicted)[: self._displacements.shape[1]]
             nodes = (self._displacements @ off).reshape(-1, self._dimension)

@@ -53,7 +53,8 @@ class ControlRecord:
         Measurements and estimates; None without an estimator.
     prediction_error : ndarray, shape (K,), or None
         How far the node that was off most was from where the controller had predicted it a sample
-        before, m. NaN where nothing was predicted, or nothing measured.
+        before, m. NaN where nothing was predicted, or nothing measured; None where that is so
+        throughout.
     tracking_error : ndarray, shape (K + 1,), or None
         Distance of the node that is farthest off its place in the reference of the controller, at
         the start of each sample and at the end of the run, m. The shape is first laid over that

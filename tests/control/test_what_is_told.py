@@ -64,19 +64,19 @@ def test_there_is_no_prediction_error_where_nothing_was_predicted():
     mpc = law(tc.MPC)
     nodes = plant().nodes
     mpc.command(0.0, nodes, STILL)
-    assert np.isnan(mpc.prediction_error)
+    assert mpc.prediction_error is None
     mpc.command(SAMPLE, nodes, STILL)
     assert mpc.prediction_error < 1e-6
     mpc.command(2 * SAMPLE, np.full((3, 6), np.nan), STILL)
-    assert np.isnan(mpc.prediction_error)
+    assert mpc.prediction_error is None
     mpc.command(3 * SAMPLE, nodes, STILL)
-    assert np.isnan(mpc.prediction_error)
+    assert mpc.prediction_error is None
     mpc.command(4 * SAMPLE, nodes, STILL)
     assert mpc.prediction_error < 1e-6
     mpc.take_over(plant().equilibrium_input)
     mpc.command(5 * SAMPLE, nodes, STILL)
-    assert np.isnan(mpc.prediction_error)
-    assert np.isnan(tc.LQR(plant()).prediction_error)
+    assert mpc.prediction_error is None
+    assert tc.LQR(plant()).prediction_error is None
 
 
 def test_a_schedule_tells_of_the_controller_in_use():

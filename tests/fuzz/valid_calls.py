@@ -167,6 +167,14 @@ WITHIN = {
     "dynamics.StringLaw.as_expressions",
     "dynamics.StringLaw.with_parameters",
     "dynamics.Equation.symbols",
+    "GainSchedule.reference_nodes",
+    "LQR.reference_nodes",
+    "MPC.reference_nodes",
+    "NMPC.reference_nodes",
+    "FeedbackLinearization.reference_nodes",
+    "control.Controller.reference_nodes",
+    "plant.LinearPlant.refuse_long_sample_time",
+    "dynamics.Coordinates.laid_over",
     "dynamics.Coordinates.expressions",
     "dynamics.Coordinates.hidden",
     "Height.miss",
@@ -1105,6 +1113,7 @@ call(
 )
 call("HealthLimits.passed", lambda: {"health": run().health}, tc.HealthLimits)
 call("simulation.Trajectory.summary", on=run)
+call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("scene.Scene.simulate", lambda: {"progress": False}, scene, 0.05)
 call(
     "scene.Scene.linearize",
