@@ -203,13 +203,13 @@ class BaseController(ABC):
         return self._change
 
     @property
-    def prediction_error(self) -> float:
+    def prediction_error(self) -> float | None:
         """How far the last measurement was off what was predicted a sample before, m.
 
-        Of the node that is off most. NaN for a controller that predicts nothing, and where there
+        Of the node that is off most. None for a controller that predicts nothing, and where there
         was no measurement or no prediction.
         """
-        return np.nan
+        return None
 
     def reference_nodes(self, times: FloatArray) -> FloatArray | None:
         """Return the shapes that it steers to at given times, shape (d, n, K), m; None if none.
@@ -474,11 +474,11 @@ class Controller(BaseController):
         )  # fmt: skip
         # z that a subclass predicts for the next sample, and how far the last one was off, m.
         self._predicted: FloatArray | None = None
-        self._prediction_error = np.nan
+        self._prediction_error: float | None = None
         self._displacements, self._dimension = plant.basis, len(plant.nodes)
 
     @property
-    def prediction_error(self) -> float:
+    def prediction_error(self) -> float | None:
         """See :attr:`BaseController.prediction_error`."""
         return self._prediction_error
 
@@ -503,7 +503,7 @@ class Controller(BaseController):
     def _compare(self, state: FloatArray | None) -> None:
         """Note how far a state, None if there is none, is off what was predicted."""
         predicted, self._predicted = self._predicted, None
-        self._prediction_error = np.nan
+        self._prediction_error = None
         if predicted is not None and state is not None:
             off = (state - predicted)[: self._displacements.shape[1]]
             nodes = (self._displacements @ off).reshape(-1, self._dimension)

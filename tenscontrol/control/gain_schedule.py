@@ -93,7 +93,7 @@ class GainSchedule(Controller):
         return self._controllers[self._active].left_alone
 
     @property
-    def prediction_error(self) -> float:
+    def prediction_error(self) -> float | None:
         """See :attr:`Controller.prediction_error`: that of the controller in use."""
         return self._controllers[self._active].prediction_error
 

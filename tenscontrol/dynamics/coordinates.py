@@ -107,9 +107,8 @@ class Coordinates:
     def measure(self, nodes: object, velocities: object) -> FloatArray:
         """Return the reduced state ``z = [q; q̇]`` of a motion.
 
-        In internal coordinates the shape is first laid over the reference as
-        well as a rigid motion that the supports leave can, so that a structure that has
-        travelled or turned is measured as one that has not.
+        In internal coordinates it is first :meth:`laid_over` the reference, so that a structure
+        that has travelled or turned is measured as one that has not.
 
         Parameters
         ----------

@@ -157,7 +157,13 @@ class LinearPlant:
         return float(vibrations.min(initial=np.inf))
 
     def refuse_long_sample_time(self, sample_time: float) -> None:
-        """Raise if even the slowest vibration turns many times in a sample time, s."""
+        """Raise if even the slowest vibration turns more than ten times in a sample.
+
+        Parameters
+        ----------
+        sample_time : float
+            s.
+        """
         slowest = self.slowest_vibration
         if np.isfinite(slowest) and sample_time * slowest > _MOST_TURNED:
             raise ValueError(

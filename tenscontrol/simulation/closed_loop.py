@@ -91,7 +91,7 @@ def run_closed_loop(
         if start is not None:
             earlier = None if start.control is None else start.control.estimate
             observation.go_on(earlier, start.held, round(begin))
-    rows: list[tuple[float, Command, WinchMove, float, float, FloatArray]] = []
+    rows: list[tuple[float, Command, WinchMove, float, float | None, FloatArray]] = []
 
     def record() -> ControlRecord:
         stood = None
@@ -150,7 +150,7 @@ def run_closed_loop(
 
 
 def _control_record(
-    rows: list[tuple[float, Command, WinchMove, float, float, FloatArray]],
+    rows: list[tuple[float, Command, WinchMove, float, float | None, FloatArray]],
     rest_length: FloatArray | None,
     sample_time: float,
     observation: Observation | None,
@@ -171,6 +171,7 @@ def _control_record(
     if rest_length is not None:
         rate = np.diff(applied, axis=1, prepend=rest_length[:, None]) / sample_time
     command = np.column_stack([command.value for command in commands])
+    predicts = any(each is not None for each in unforeseen)
     return ControlRecord(
         time=time,
         command=frozen(command),
@@ -184,7 +185,7 @@ def _control_record(
         computing_time=frozen(np.array(taken)),
         estimate=None if observation is None else observation.record(time),
         motors=motors,
-        prediction_error=frozen(np.array(unforeseen)),
+        prediction_error=frozen(np.array(unforeseen, dtype=float)) if predicts else None,
         tracking_error=_tracking_error(controller, np.r_[time, until], [*shapes, end]),
         at_bound=_at_bound(controller, command),
         controller=repr(controller),

@@ -16,8 +16,9 @@ from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, choice, instance, positive_number
 
 # A run ends away from its reference: by this part of the size, with errors in the last third above
-# this part of those before, if it lasts so many radians of the slowest vibration.
-_AWAY, _FALLING, _TURNED = 0.02, 0.9, 4 * np.pi
+# this part of those before, if it lasts so many radians of the slowest vibration. Or
+# by the fourth, and so many times the error at the start.
+_AWAY, _FALLING, _TURNED, _LOST, _WORSE = 0.02, 0.9, 4 * np.pi, 0.2, 1.2
 
 # More programs not solved than this are worth a warning.
 _UNSOLVED_SHARE = 0.05
@@ -55,7 +56,8 @@ class ControlRecord:
         Angle, speed, torque, power and energy; None where the winches have no motor.
     prediction_error : ndarray, shape (K,), or None
         How far the node that was off most was from where the controller had predicted it a sample
-        before, m. NaN where nothing was predicted, or nothing measured.
+        before, m. NaN where nothing was predicted, or nothing measured; None where that is so
+        throughout.
     tracking_error : ndarray, shape (K + 1,), or None
         Distance of the node that is farthest off its place in the reference of the controller, at
         the start of each sample and at the end of the run, m. The shape is first laid over that
@@ -102,25 +104,22 @@ class ControlRecord:
     def problems(self) -> list[str]:
         """A sentence for what went wrong; empty where the run did what was asked.
 
-        The run ends away from the reference: by more than 2 % of the size, at more than 0.9 of the
-        largest error of the second third in the last one, after two turns of the slowest vibration
-        of the plant. Programs were not solved: more than one in twenty.
+        The run ends away from the reference: by more than 2 % of the size in its last tenth, with
+        errors in the last third of more than 0.9 of the largest of those in the second, after two
+        turns of the slowest vibration of the plant. Or by more than a fifth of the size, and 1.2
+        times as far as it began. Programs were not solved: more than one in twenty.
         """
-        found = []
-        error = self.tracking_error
+        found, error = [], self.tracking_error
         if error is not None and self.size is not None and self.slowest_vibration is not None:
-            third, end = len(error) // 3, float(error[-1])
+            off = error / self.size
+            end = float(off[-max(1, len(off) // 10) :].max())
+            third = max(1, len(off) // 3)
             long = float(self.time[-1] - self.time[0]) * self.slowest_vibration > _TURNED
-            far = end > _AWAY * self.size
-            if (
-                third
-                and long
-                and far
-                and error[-third:].max() > _FALLING * error[-2 * third :].max()
-            ):
+            stays = long and off[-third:].max() > _FALLING * off[-2 * third :].max()
+            if (end > _AWAY and stays) or end > max(_LOST, _WORSE * float(off[0])):
                 found.append(
-                    f"it ends {end:.2g} m from its reference, {100 * end / self.size:.2g} % of "
-                    "the size, and comes no nearer"
+                    f"it ends up to {end * self.size:.2g} m from its reference, {100 * end:.2g} % "
+                    "of the size, and comes no nearer"
                 )
         if self.unsolved > _UNSOLVED_SHARE:
             worst = Counter(status for status in self.status if status in UNSOLVED).most_common(1)

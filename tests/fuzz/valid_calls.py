@@ -171,6 +171,14 @@ WITHIN = {
     "dynamics.Equation.symbols",
     "dynamics.Equation.ahead",
     "dynamics.Equation.of_strings",
+    "GainSchedule.reference_nodes",
+    "LQR.reference_nodes",
+    "MPC.reference_nodes",
+    "NMPC.reference_nodes",
+    "FeedbackLinearization.reference_nodes",
+    "control.Controller.reference_nodes",
+    "plant.LinearPlant.refuse_long_sample_time",
+    "dynamics.Coordinates.laid_over",
     "dynamics.Coordinates.expressions",
     "dynamics.Coordinates.hidden",
     "Height.miss",
@@ -1169,6 +1177,7 @@ call(
 )
 call("HealthLimits.passed", lambda: {"health": run().health}, tc.HealthLimits)
 call("simulation.Trajectory.summary", on=run)
+call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("scene.Scene.simulate", lambda: {"progress": False}, scene, 0.05)
 call(
     "scene.Scene.linearize",
