@@ -278,7 +278,11 @@ def simulate(
     what = _input_kind(model, rest_length, force_density, controller is not None, input)
     law: BaseController | None = None
     if controller is not None:
-        law = as_controller(controller, model.structure, what, sample_time)
+        law = (
+            controller
+            if isinstance(controller, BaseController)
+            else as_controller(controller, model.structure, what, sample_time)
+        )
     breaking = Faults(faults, float(np.ptp(model.structure.nodes, axis=1).max()), what)
     winch_count = None if law is None else len(law.commanded.strings)
     breaking.refuse_unknown(len(model.structure.strings), winch_count)
