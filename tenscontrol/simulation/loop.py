@@ -200,6 +200,9 @@ class Loop:
             held = Pieces.ramp(self.now, duration, *held)
         elif not isinstance(held, Pieces):
             held = Pieces.constant(held)
+        if held.degree > self.degree:
+            found = f"found one of degree {held.degree}"
+            raise ValueError(f"the loop was made for inputs of degree {self.degree}, {found}")
         end = self.now + duration
         inputs = held.within(self.now, end)
         self.moves |= not inputs.is_constant

@@ -192,7 +192,7 @@ def test_force_densities_follow_a_profile(prism):
 def test_a_sinusoidal_load(method):
     structure = STRUCTURES["ball"]()
     model, values = scene(structure, external_force=True)
-    push = np.random.default_rng(4).uniform(-3, 3, structure.nodes.shape)
+    push = np.random.default_rng(4).uniform(-30, 30, structure.nodes.shape)
 
     def load(t):
         return push * np.sin(40 * t)
