@@ -379,8 +379,8 @@ class MPC(PredictiveController):
     ControlWarning
         If a reference is farther than the linear plant holds: on the plant linearized in its last
         shape, the LQR of the program comes to rest more than 2 % of the size off; or there, or in
-        the farthest shape, it lets errors grow by a factor e in 2 s or less. If a reference breaks a
-        soft limit.
+        the farthest shape, it lets errors grow by a factor e in 2 s or less. If a reference breaks
+        a soft limit.
 
     Examples
     --------
