@@ -103,6 +103,7 @@ def report():
     )
 
 
+@pytest.mark.filterwarnings("ignore::tenscontrol.control.ControlWarning")
 @pytest.mark.parametrize("held", ["force_density", "rest_length"])
 def test_rows_are_what_loops_made_by_hand_give(report, held):
     row = report.rows[1]

@@ -238,8 +238,10 @@ def test_a_reference_moves_no_support():
 
 
 def test_a_way_around_is_a_reference():
-    # Halfway round as one body, and far away: shapes count, not places.
-    half = nodes() * [[-1.0], [-1.0], [1.0]] + [[5.0], [0.0], [0.0]]
+    # Another shape, halfway round as one body, and far away: shapes count, not places.
+    radius = tc.structure.prism_radius(tc.prism().bar_length[0], 0.98)
+    shape = tc.prism(radius=radius, height=0.98).nodes
+    half = shape * [[-1.0], [-1.0], [1.0]] + [[5.0], [0.0], [0.0]]
     controller = of("MPC", reference=half)
     assert controller.command(0.0, nodes(), STILL).status is Status.OK
 
