@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol import limits, validation
+from tenscontrol import validation
 from tests.refused import assert_refused, lengths, line, model, prism, refused, regulator, run
 
 HUGE = 10**400  # Python writes 4300 digits at most, and no double holds as many as 309
@@ -112,11 +112,11 @@ def test_outputs_are_counted():
 def test_large_structures_are_made():
     assert len(tc.prism_tower(1000).bars) == 3000
     assert len(tc.net(225, 225, 0.1, 0.1).strings) > 100_000
-    limits.refuse_memory("rows is 1", 4e9, "things", 1.0)
-    limits.refuse_time("rows is 1", 86_400.0, "things", 1.0)
+    validation.refuse_memory("rows is 1", 4e9, "things", 1.0)
+    validation.refuse_time("rows is 1", 86_400.0, "things", 1.0)
 
 
-@pytest.mark.parametrize("refuse", [limits.refuse_memory, limits.refuse_time])
+@pytest.mark.parametrize("refuse", [validation.refuse_memory, validation.refuse_time])
 @pytest.mark.parametrize("count", [np.inf, np.nan, 1e300])
 def test_what_cannot_be_counted_is_refused(refuse, count):
     with pytest.raises(ValueError, match=r"^x is 1, which makes .* things, about"):
@@ -124,7 +124,7 @@ def test_what_cannot_be_counted_is_refused(refuse, count):
 
 
 def test_seeds_may_be_as_large_as_those_of_numpy():
-    assert validation.whole_number("seed", 2**128 - 1, 0, limits.LARGEST_SEED) == 2**128 - 1
+    assert validation.whole_number("seed", 2**128 - 1, 0, validation.LARGEST_SEED) == 2**128 - 1
 
 
 @pytest.mark.parametrize("value", [5e-324, 1e-71, 1.1e70, 1e308])

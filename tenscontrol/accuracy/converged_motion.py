@@ -16,9 +16,8 @@ import numpy as np
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.dynamics import Evaluator, builds, unpack_states
 from tenscontrol.integrate import DOP853
-from tenscontrol.limits import MOST_RUNS
 from tenscontrol.scene import Scene
-from tenscontrol.validation import FloatArray, frozen, function, whole_number
+from tenscontrol.validation import MOST_RUNS, FloatArray, frozen, function, whole_number
 
 _TOLERANCE = 1e-13
 

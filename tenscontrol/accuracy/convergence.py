@@ -18,11 +18,10 @@ from tenscontrol.accuracy.measured_run import (
     method_named,
 )
 from tenscontrol.interrupt import keeping
-from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, shown
-from tenscontrol.validation import FloatArray, frozen, instance, whole_number
+from tenscontrol.validation import MOST_RUNS, FloatArray, frozen, instance, whole_number
 
 # Errors above this part of the size are not small yet; below so many times what the reference is
 # off by, and so many units of round-off a step, they are not the method's any more.

@@ -16,12 +16,12 @@ from tenscontrol.accuracy.measured_run import (
 )
 from tenscontrol.integrate import IntegrationError, IntegrationInterrupt, Work
 from tenscontrol.interrupt import keeping
-from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, shown
 from tenscontrol.validation import (
     LARGEST,
+    MOST_RUNS,
     FloatArray,
     choice,
     frozen,

@@ -10,10 +10,17 @@ import numpy as np
 from tenscontrol.accuracy.case import Case, as_case, only_free, state_change
 from tenscontrol.integrate import DOP853
 from tenscontrol.interrupt import keeping
-from tenscontrol.limits import LARGEST_SEED, MOST_RUNS
 from tenscontrol.scene import Scene
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, frozen, function, positive_number, whole_number
+from tenscontrol.validation import (
+    LARGEST_SEED,
+    MOST_RUNS,
+    FloatArray,
+    frozen,
+    function,
+    positive_number,
+    whole_number,
+)
 
 # Size of the perturbation, m: far above round-off, far below what the motion is sensitive to.
 _PERTURBATION = 1e-10

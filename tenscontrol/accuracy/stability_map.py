@@ -15,12 +15,11 @@ from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import LinearStrings, Model, evaluate_columns
 from tenscontrol.integrate import IntegrationError, Method
 from tenscontrol.interrupt import keeping
-from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.statics import prestress
 from tenscontrol.structure import prism, restore_bar_lengths, spread_force_density, subdivide
 from tenscontrol.tables import aligned
-from tenscontrol.validation import FloatArray, frozen, function, instance, whole_number
+from tenscontrol.validation import MOST_RUNS, FloatArray, frozen, function, instance, whole_number
 
 # A motion with more than so many times its kinetic energy is not stable.
 _GROWN = 100.0

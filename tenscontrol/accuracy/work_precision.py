@@ -24,11 +24,11 @@ from tenscontrol.accuracy.peers import Peer
 from tenscontrol.accuracy.predictability import Predictability, predictability
 from tenscontrol.integrate import METHODS, Method
 from tenscontrol.interrupt import keeping
-from tenscontrol.limits import MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.scene import Scene
 from tenscontrol.tables import aligned, markdown, shown, write_csv
 from tenscontrol.validation import (
+    MOST_RUNS,
     FloatArray,
     choice,
     frozen,

@@ -10,9 +10,9 @@ import numpy as np
 
 from tenscontrol.actuation.motors import Motor, Turning, each_motor
 from tenscontrol.dynamics import Model, StringLaw, polynomial_at
-from tenscontrol.limits import MOST_SAMPLES
 from tenscontrol.structure import refuse_strings_without_length
 from tenscontrol.validation import (
+    MOST_SAMPLES,
     FloatArray,
     IntArray,
     float_array,

@@ -13,9 +13,8 @@ import numpy as np
 
 from tenscontrol.control import Command, Controller, Fallback, Status
 from tenscontrol.dynamics import CompilerError, compiler
-from tenscontrol.limits import LONGEST_WAIT
 from tenscontrol.plant import LinearPlant
-from tenscontrol.validation import FloatArray, positive_number
+from tenscontrol.validation import LONGEST_WAIT, FloatArray, positive_number
 
 # Status and fallback by their numbers in the C code: controller.h.
 _STATUSES = (

@@ -28,8 +28,7 @@ import casadi as ca
 from tenscontrol import processes
 from tenscontrol.dynamics.evaluator import builds, paused
 from tenscontrol.files import write_file
-from tenscontrol.limits import LONGEST_WAIT
-from tenscontrol.validation import instance, positive_number
+from tenscontrol.validation import LONGEST_WAIT, instance, positive_number
 
 #: Environment variable that names the compiler, before ``CC``; ``none`` switches compiling off.
 VARIABLE = "TENSCONTROL_COMPILER"

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.limits import MOST_SAMPLES
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
+    MOST_SAMPLES,
     FloatArray,
     IntArray,
     choice,

@@ -9,8 +9,14 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.limits import MOST_RUNS
-from tenscontrol.validation import FloatArray, float_array, frozen, positive_number, whole_number
+from tenscontrol.validation import (
+    MOST_RUNS,
+    FloatArray,
+    float_array,
+    frozen,
+    positive_number,
+    whole_number,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

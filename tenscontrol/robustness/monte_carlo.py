@@ -11,7 +11,6 @@ from typing import Any
 
 from tenscontrol._version import __version__
 from tenscontrol.interrupt import interruptible
-from tenscontrol.limits import LARGEST_SEED, MOST_RUNS
 from tenscontrol.progress import progress_bar
 from tenscontrol.robustness import store
 from tenscontrol.robustness.closed_loop_case import Outcome
@@ -19,7 +18,15 @@ from tenscontrol.robustness.distributions import Distribution
 from tenscontrol.robustness.pool import run_one, spread, workers
 from tenscontrol.robustness.store import Record
 from tenscontrol.robustness.sweep_report import SweepError, SweepReport, collected
-from tenscontrol.validation import file_path, instance, truth, whole_number, wrong_kind
+from tenscontrol.validation import (
+    LARGEST_SEED,
+    MOST_RUNS,
+    file_path,
+    instance,
+    truth,
+    whole_number,
+    wrong_kind,
+)
 
 
 def sweep(

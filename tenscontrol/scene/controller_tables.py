@@ -23,7 +23,6 @@ from tenscontrol.control import (
 )
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter, Sensors
-from tenscontrol.limits import LARGEST_SEED, MOST_DESIGNS
 from tenscontrol.plant import Reference, linearize
 from tenscontrol.scene import schema
 from tenscontrol.scene.document import Document, Table
@@ -41,7 +40,14 @@ from tenscontrol.shape import (
 from tenscontrol.simulation import Fault
 from tenscontrol.statics import Prestress
 from tenscontrol.structure import Structure, whole_strings
-from tenscontrol.validation import FloatArray, non_negative, positive_number, whole_number
+from tenscontrol.validation import (
+    LARGEST_SEED,
+    MOST_DESIGNS,
+    FloatArray,
+    non_negative,
+    positive_number,
+    whole_number,
+)
 
 # What is designed on: the model with its strings whole, about its equilibrium.
 Design = tuple[Model, Prestress]

@@ -25,9 +25,9 @@ from tenscontrol.control import (
 )
 from tenscontrol.dynamics import ElasticStrings, LinearStrings
 from tenscontrol.estimation import KalmanFilter, Sensors
-from tenscontrol.limits import LARGEST_WHOLE
 from tenscontrol.simulation import CutString, LostMeasurement, StuckWinch
 from tenscontrol.structure import Structure, skin, subdivide
+from tenscontrol.validation import LARGEST_WHOLE
 
 # Beyond, squares and products leave the range of double precision.
 _LEAST, _MOST = 1e-30, 1e30

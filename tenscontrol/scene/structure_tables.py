@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.dynamics import ElasticStrings, LinearStrings, Model, StringLaw
-from tenscontrol.limits import LARGEST_SEED
 from tenscontrol.scene.document import Document, Table
 from tenscontrol.scene.schema import (
     FORCE,
@@ -32,6 +31,7 @@ from tenscontrol.structure import (
     whole_strings,
 )
 from tenscontrol.validation import (
+    LARGEST_SEED,
     FloatArray,
     non_negative,
     per_member,

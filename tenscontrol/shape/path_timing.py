@@ -9,11 +9,10 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import builds, kernel
-from tenscontrol.limits import refuse_memory
 from tenscontrol.shape.continuation import Continuation, Waypoint
 from tenscontrol.shape.nonlinear_program import ShapeProblem
 from tenscontrol.statics import Prestress, prestress
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, refuse_memory
 
 # More shapes than a step needs, since the path is slowed down in the end; and what rounds off a
 # rate.

@@ -8,7 +8,6 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model, coordinates
-from tenscontrol.limits import MOST_DESIGNS
 from tenscontrol.plant import (
     STRINGS_MOVE_NO_CENTRE,
     LinearPlant,
@@ -36,6 +35,7 @@ from tenscontrol.structure import (
     same_members,
 )
 from tenscontrol.validation import (
+    MOST_DESIGNS,
     FloatArray,
     choice,
     float_array,

@@ -24,7 +24,6 @@ from tenscontrol.control import BaseController, Command, Controller
 from tenscontrol.dynamics import Evaluator, Pieces, evaluate_columns, polynomial_at
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.interrupt import check
-from tenscontrol.limits import refuse_memory
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.observation import Observation
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
@@ -39,6 +38,7 @@ from tenscontrol.validation import (
     per_member,
     positive,
     positive_number,
+    refuse_memory,
     shaped,
 )
 

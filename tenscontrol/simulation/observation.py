@@ -10,9 +10,8 @@ import numpy as np
 from tenscontrol.control import BaseController
 from tenscontrol.dynamics import Evaluator, Model, pack_state
 from tenscontrol.estimation import Estimate, FilterStatistics, KalmanFilter, Sensors
-from tenscontrol.limits import LARGEST_SEED
 from tenscontrol.structure import same_members, to_strings
-from tenscontrol.validation import FloatArray, frozen, instance, whole_number
+from tenscontrol.validation import LARGEST_SEED, FloatArray, frozen, instance, whole_number
 
 
 @dataclass(frozen=True, eq=False)

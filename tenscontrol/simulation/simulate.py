@@ -14,7 +14,6 @@ from tenscontrol.dynamics import Model, Pieces, Profile, as_pieces, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Method, Projector, largest_frequency, state_scale
 from tenscontrol.interrupt import InterruptionWarning, interruptible
-from tenscontrol.limits import refuse_memory, refuse_time
 from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
@@ -34,6 +33,8 @@ from tenscontrol.validation import (
     frozen,
     instance,
     positive_number,
+    refuse_memory,
+    refuse_time,
     shaped,
     truth,
 )

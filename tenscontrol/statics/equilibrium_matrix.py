@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.limits import refuse_memory
 from tenscontrol.structure import Structure, is_movable
-from tenscontrol.validation import FloatArray, instance
+from tenscontrol.validation import FloatArray, instance, refuse_memory
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

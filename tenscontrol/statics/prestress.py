@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from tenscontrol.limits import MOST_RUNS
 from tenscontrol.statics.equilibrium_matrix import MemberForces, member_forces
 from tenscontrol.statics.least_distance import can_be_positive, largest_share, nearest_between
 from tenscontrol.statics.stability import (
@@ -18,6 +17,7 @@ from tenscontrol.statics.stability import (
 )
 from tenscontrol.structure import Structure, free_coordinates, rigid_basis
 from tenscontrol.validation import (
+    MOST_RUNS,
     FloatArray,
     IntArray,
     choice,

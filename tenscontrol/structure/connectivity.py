@@ -7,8 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tenscontrol.limits import refuse_memory
-from tenscontrol.validation import FloatArray, IntArray, choice, float_array, indices, items
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    choice,
+    float_array,
+    indices,
+    items,
+    refuse_memory,
+)
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -10,7 +10,6 @@ from math import ceil
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
-from tenscontrol.limits import refuse_time
 from tenscontrol.validation import (
     FloatArray,
     float_array,
@@ -18,6 +17,7 @@ from tenscontrol.validation import (
     items,
     positive,
     positive_number,
+    refuse_time,
 )
 
 

@@ -26,7 +26,6 @@ from tenscontrol.control.mpc.problem import (
     string_block,
 )
 from tenscontrol.control.status import ControlWarning
-from tenscontrol.limits import MOST_SAMPLES
 from tenscontrol.plant import (
     LinearPlant,
     Reference,
@@ -45,6 +44,7 @@ from tenscontrol.plant import (
     to_model_strings,
 )
 from tenscontrol.validation import (
+    MOST_SAMPLES,
     FloatArray,
     float_array,
     frozen,
