@@ -95,7 +95,7 @@ class OptiMPC:
 
     def __init__(self, plant, horizon):
         A, B, _ = plant.discretize(self.sample_time)
-        Q, R = (self.sample_time * each for each in tc.energy_weights(plant))
+        Q, R = tc.energy_weights(plant, by_mode=True)  # those of the regulator
         opti = ca.Opti("conic")
         Z, V = opti.variable(len(A), horizon + 1), opti.variable(B.shape[1], horizon)
         state, previous = opti.parameter(len(A)), opti.parameter(B.shape[1])

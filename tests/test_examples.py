@@ -103,7 +103,7 @@ def test_control_own():
     held = [off["rest lengths held"][-1] for off in (on_ball, on_tower)]
     assert last["PD on string lengths"] < 0.5 * held[0]
     assert last["LQR of python-control"] < 1e-5
-    assert last["MPC by casadi.Opti"] < 0.2 * held[1]
+    assert last["MPC by casadi.Opti"] < 0.3 * held[1]
     imitated = on_tower["network"] - on_tower["the LQR it imitates"]
     assert np.abs(imitated).max() < 1e-3
     assert set(found["tower_runs"]["MPC by casadi.Opti"].control.status) == {"ok"}

@@ -17,7 +17,7 @@ def row(stiffness, radius, errors, slack=()):
         StiffnessRun(*loop, error, "ran away" if error is None else None, 1.0, k in slack, 0)
         for k, (loop, error) in enumerate(zip(LOOPS, errors, strict=True))
     )
-    return StiffnessRow(stiffness, 0.0, tc.control.HeldLoop(radius, 0.99), 0.995, runs)
+    return StiffnessRow(stiffness, 0.0, tc.control.HeldLoop(radius, 0.99), 0.995, None, runs)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import tenscontrol as tc
 from tenscontrol.control.disturbance import LoadObserver, load_model
@@ -92,14 +93,15 @@ def controlled(kind, plant, pieces):
         made = tc.NMPC(plant, horizon=4, sample_time=SAMPLE, winches=winches, load_gain=0.5)
         return made, lambda z, before, now: made.sampled(z, now).full().ravel()
     made = tc.MPC(plant, horizon=8, sample_time=SAMPLE, winches=winches, load_gain=0.5)
-    fine = plant.discretize(SAMPLE / pieces)
+    (states, inputs), ramp = plant.B.shape, pieces > 1
+    exponent = np.zeros((states + 2 * inputs,) * 2)  # of [z; v; what v gains in the sample]
+    exponent[:states, : states + inputs] = SAMPLE * np.hstack([plant.A, plant.B])
+    exponent[states : states + inputs, states + inputs :] = ramp * np.eye(inputs)
+    grown = expm(exponent)[:states]
 
     def sample(z, before, now):
-        for piece in range(1, pieces + 1):
-            z = fine[0] @ z + fine[1] @ (
-                before + piece / pieces * (now - before) - plant.rest_length
-            )
-        return z
+        start = before if ramp else now
+        return grown @ np.concatenate([z, start - plant.rest_length, now - before])
 
     return made, sample
 

@@ -76,7 +76,7 @@ ESTIMATION = [
             lambda: lengths().disturb(np.full(9, np.inf), np.random.default_rng(0)), ValueError,
             r"exact\[0\] is inf"),
     refused("kalman of a sample without end", lambda: estimator(1e30), ValueError,
-            r"sample_time is 1e\+30 s, in which the plant turns by up to"),
+            r"sample_time is 1e\+30 s, in which even the slowest vibration of the plant"),
     refused("reset to no shape", lambda: estimator().reset(state=np.full(18, 1e6)), ValueError,
             r"state is of no shape of the structure: q turns bar"),
     refused("Sensors of no strings chosen", lambda: lengths(strings=()), ValueError,

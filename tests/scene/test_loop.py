@@ -236,18 +236,20 @@ time = 0.205
         tc.CutString(6, 0.205),
     )
     assert scene.faults == faults
-    same = tc.simulate(
-        scene.model,
-        0.3,
-        scene.nodes,
-        controller=tc.LQR(plant, sample_time=0.02),
-        rest_length=scene.rest_length,
-        step=2e-3,
-        faults=faults,
-        estimator=estimator,
-        seed=7,
-    )
-    run = scene.simulate()
+    with pytest.warns(tc.control.ControlWarning, match="ends up to"):  # a string is cut
+        same = tc.simulate(
+            scene.model,
+            0.3,
+            scene.nodes,
+            controller=tc.LQR(plant, sample_time=0.02),
+            rest_length=scene.rest_length,
+            step=2e-3,
+            faults=faults,
+            estimator=estimator,
+            seed=7,
+        )
+    with pytest.warns(tc.control.ControlWarning, match="ends up to"):
+        run = scene.simulate()
     np.testing.assert_array_equal(run.nodes, same.nodes)
     np.testing.assert_array_equal(
         run.control.estimate.measurement, same.control.estimate.measurement
@@ -302,7 +304,8 @@ def test_an_estimator_of_whole_strings(load):
         + "[[faults]]\nkind = 'cut_string'\nstring = 17\ntime = 0.1\n"
     )
     assert scene.estimator.plant.model.structure is scene.structure.parent
-    run = scene.simulate()
+    with pytest.warns(tc.control.ControlWarning, match="ends up to"):
+        run = scene.simulate()
     assert run.control.estimate.nodes.shape == (3, 6, 15)
     assert (run.force_density[17, run.time > 0.101] == 0).all()
 
