@@ -64,6 +64,15 @@ def test_import_time(printed):
     ]  # fmt: skip
 
 
+def test_reference_distance(printed):
+    text = printed("reference_distance", "prism --shares 0.05 0.4")
+    rows = [line.split() for line in text.splitlines()[1:]]
+    assert [(line[1], line[3], line[-1]) for line in rows if line[2] == "sideways"] == [
+        ("rest_length", "5", "no"), ("rest_length", "40", "no"),
+        ("force_density", "5", "no"), ("force_density", "40", "yes"),
+    ]  # fmt: skip
+
+
 def test_model_cost(printed):
     text = printed("model_cost", "--calls 10")
     assert row(text, "γ held  ") == [316, 2]

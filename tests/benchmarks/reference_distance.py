@@ -37,7 +37,7 @@ def structures():
     }
 
 
-def cases(name, input):
+def cases(name, input, shares):
     """Yield direction, share, plant and reference of each distance that a path leads to."""
     structure, stiffness, level = structures()[name]
     model = tc.Model(structure, strings=tc.LinearStrings(stiffness, damping=0.01 * stiffness))
@@ -47,7 +47,7 @@ def cases(name, input):
     node, size = int(structure.nodes[-1].argmax()), float(np.ptp(structure.nodes, axis=1).max())
     for side, way in DIRECTIONS.items():
         along = np.array(way)[[0, 2]] if d == 2 else np.array(way)
-        for share in SHARES:
+        for share in shares:
             place = structure.nodes[:, node] + share * size * along / np.linalg.norm(along)
             goal = tc.shape_target(
                 model, tc.NodesAt([node], place[:, None]), place="centre", force_density=level
@@ -80,14 +80,15 @@ def main(arguments=None):
     """Print a row for each structure, input, direction and distance."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", default=list(structures()))
-    names = parser.parse_args(arguments).names
+    parser.add_argument("--shares", nargs="+", type=float, default=SHARES, metavar="PART")
+    given = parser.parse_args(arguments)
     print(
         "structure        input          way       distance   growth/s  offset   error     warned"
     )
-    for name in names:
+    for name in given.names:
         for input in ("rest_length", "force_density"):
             try:
-                for side, share, plant, reference in cases(name, input):
+                for side, share, plant, reference in cases(name, input, given.shares):
                     mpc, warned, error = run(plant, reference)
                     path = mpc.law.path
                     growth, offset = law_in_shape(plant, mpc.law.design, path, path.span[1])
