@@ -23,6 +23,9 @@ from tenscontrol.validation import FloatArray, instance, positive_number, shaped
 # tests/control/test_held_loop.py, with nonlinear runs on both sides of the limit.
 SLOWEST = 0.25
 
+# A spectral radius this close to 1 tells nothing of the rate.
+_ROUND_OFF = 1e-13
+
 
 @dataclass(frozen=True, eq=False)
 class HeldLoop:
@@ -121,7 +124,13 @@ def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLo
             designed_transition - designed_input @ K,
         )
     )
-    return HeldLoop(*(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops))
+    radius, designed = (float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops)
+    if abs(1 - designed) <= _ROUND_OFF:
+        raise ValueError(
+            f"sample_time is {sample_time:g} s, in which the loop as designed neither decays nor "
+            "grows by more than round-off: give a longer one, or a gain that damps"
+        )
+    return HeldLoop(radius, designed)
 
 
 def _with_held_lengths(plant: LinearPlant) -> tuple[LinearPlant, StringMap]:

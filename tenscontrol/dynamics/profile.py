@@ -384,6 +384,13 @@ def as_pieces(
         pieces = value.pieces
         return Pieces(pieces.start, pieces.origin, pieces.coefficients[:, order])
     if callable(value):
+        try:
+            value(start)
+        except TypeError as error:
+            raise TypeError(
+                f"{name} cannot be called with a time: {error}; expected a function of a time, s, "
+                f"that returns an array, {meaning}"
+            ) from error
         return sampled(name, value, shape, start, end)
     array = float_array(name, value)
     if array.shape not in fitting:

@@ -510,8 +510,9 @@ def _in_a_shape(
     drawn: object, nodes: object, force_density: object, time: object
 ) -> tuple[Structure, object, object]:
     """Return a structure, and nodes and force densities: those given, or those of a result."""
-    if time is not None and not isinstance(drawn, Trajectory):
-        raise ValueError("time goes with a run; simulate(model, ...) returns one")
+    if time is not None:
+        made = "time goes with a run, which simulate(model, ...) returns"
+        instance("structure", drawn, Trajectory, made)
     shape = gamma = None
     found = drawn.prestress if isinstance(drawn, ShapeTarget) else drawn
     if isinstance(found, Prestress):

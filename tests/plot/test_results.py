@@ -58,7 +58,7 @@ def test_times_that_do_not_fit_are_refused():
     rest, _, run = loop()
     with pytest.raises(ValueError, match=r"time is 3 s, expected 0 to 0\.3 s"):
         tc.plot.structure(run, time=3.0)
-    with pytest.raises(ValueError, match="time goes with a run"):
+    with pytest.raises(TypeError, match=r"structure is a Prestress, .*time goes with a run"):
         tc.plot.structure(rest, time=0.1)
     with pytest.raises(TypeError, match=r"structure is .*Prestress, a ShapeTarget, a Trajectory"):
         tc.plot.structure(run.nodes)
