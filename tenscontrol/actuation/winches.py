@@ -436,8 +436,9 @@ class Drive:
             first = self.speed
         else:
             end = self._followed(target, time)
-            if np.isfinite(self._motor.torque).any():
-                least = np.minimum(self.position, self._least(pull, time * (not winches.jumps)))
+            later = time * (not winches.jumps)
+            if self._strains(pull, end, later):
+                least = np.minimum(self.position, self._least(pull, later))
                 self._weak |= end < least
                 end = np.maximum(end, least)
             end = np.where(self._stuck, self.position, end)
@@ -531,6 +532,13 @@ class Drive:
         # What jams stops at once.
         self.speed = np.where(self._stuck, 0.0, self.speed)
         return np.where(self._stuck, self.position, end), np.where(self._stuck, 0.0, speed)
+
+    def _strains(self, pull: Pull, end: FloatArray, time: float) -> bool:
+        """Whether positions ask for more than the torque of a motor, now or so long after it."""
+        most = self._motor.torque / self._motor.lever
+        return bool(np.isfinite(most).any()) and any(
+            (pull(end + self._play, later)[0] > most).any() for later in dict.fromkeys((0.0, time))
+        )
 
     def _least(self, pull: Pull, time: float) -> FloatArray:
         """Return the positions beyond which a motor cannot wind in, now and so long after it."""

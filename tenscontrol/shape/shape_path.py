@@ -342,7 +342,7 @@ def _with_centre_kept(
         fields = left_by_supports(structure, rigid_motions(last))
         momenta = (mass @ fields.reshape(len(mass), -1)).reshape(fields.shape).T
         rate = turned.ravel(order="F")
-        rate = rate - fields @ np.linalg.lstsq(momenta @ fields, momenta @ rate)[0]
+        rate = rate - fields @ np.linalg.lstsq(momenta @ fields, momenta @ rate, rcond=None)[0]
         shapes.append(last)
         rates.append(rate.reshape(N.shape, order="F"))
     return np.stack(shapes, axis=-1), np.stack(rates, axis=-1)

@@ -384,10 +384,14 @@ class Actuators:
             self.held = self._to_plant(self._held, self._current)
             return self.held
 
+        motion: list[FloatArray] = []  # of all nodes, where it is asked for
+
         def pull(
             rest_length: FloatArray, later: float
         ) -> tuple[FloatArray, FloatArray, FloatArray]:
-            N, V = (part.ravel(order="F") for part in self._loop.motion(state))
+            if not motion:
+                motion.extend(part.ravel(order="F") for part in self._loop.motion(state))
+            N, V = motion
             moved = np.concatenate([N + later * V, V])
             lengths = self._to_plant("rest_length", rest_length)
             _, force, _, slope, length = self._winding(moved, lengths, np.zeros_like(lengths))

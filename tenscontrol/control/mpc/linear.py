@@ -177,7 +177,7 @@ def law_in_shape(
     q, gamma = preview.reference[0, :r], preview.force_density[0]
     if plant.input == "force_density":
         # The linear plant rests where v balances the change of the shape, as well as it can.
-        v = np.asarray(np.linalg.lstsq(plant.B[r:], -plant.A[r:, :r] @ q)[0], dtype=float)
+        v = np.asarray(np.linalg.lstsq(plant.B[r:], -plant.A[r:, :r] @ q, rcond=None)[0])
         gamma = gamma + to_model_strings(plant, "force_density", v)
     gamma = np.maximum(gamma, _TAUT * gamma.max())
     at = OperatingPoint(plant.to_nodes(q), gamma, plant.external_force)
@@ -192,7 +192,7 @@ def law_in_shape(
     closed = transition - by_input @ feedback
     growth = float(np.log(np.abs(np.linalg.eigvals(closed)).max())) / path.sample_time
     drift = np.r_[found.drift, np.zeros(added)]
-    off = there.basis @ np.linalg.lstsq(np.eye(len(closed)) - closed, drift)[0][:r]
+    off = there.basis @ np.linalg.lstsq(np.eye(len(closed)) - closed, drift, rcond=None)[0][:r]
     return growth, float(np.linalg.norm(off.reshape(-1, len(plant.nodes)), axis=1).max())
 
 
