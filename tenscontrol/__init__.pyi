@@ -113,6 +113,9 @@ from .dynamics import (
     ElasticStrings as ElasticStrings,
 )
 from .dynamics import (
+    Ground as Ground,
+)
+from .dynamics import (
     LinearStrings as LinearStrings,
 )
 from .dynamics import (
@@ -238,6 +241,7 @@ __all__ = [
     "FeedbackLinearization",
     "FunctionController",
     "GainSchedule",
+    "Ground",
     "HealthLimits",
     "Height",
     "KalmanFilter",

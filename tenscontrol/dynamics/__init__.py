@@ -1,5 +1,12 @@
 """The equations of motion as CasADi functions."""
 
+from tenscontrol.dynamics.contact_laws import (
+    ContactLaw,
+    Contacts,
+    Ground,
+    HertzGround,
+    SmoothGround,
+)
 from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates, normal_basis
 from tenscontrol.dynamics.equation import Equation, InputLayout, smooth_equation
 from tenscontrol.dynamics.evaluator import (
@@ -8,6 +15,7 @@ from tenscontrol.dynamics.evaluator import (
     Evaluator,
     Exclusive,
     Prepared,
+    SharedEvaluator,
     builds,
     built,
     evaluate_columns,
@@ -33,17 +41,23 @@ __all__ = [
     "Compiled",
     "Compiler",
     "CompilerError",
+    "ContactLaw",
+    "Contacts",
     "Coordinates",
     "ElasticStrings",
     "Equation",
     "Evaluator",
     "Exclusive",
+    "Ground",
+    "HertzGround",
     "InputLayout",
     "LinearStrings",
     "Model",
     "Pieces",
     "Prepared",
     "Profile",
+    "SharedEvaluator",
+    "SmoothGround",
     "StringLaw",
     "as_pieces",
     "builds",

@@ -1,4 +1,4 @@
-"""The state equation as integrators see it: smooth between the switches of strings."""
+"""The state equation as integrators see it: smooth between switches of strings and contacts."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.evaluator import Prepared, builds
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
@@ -72,12 +73,12 @@ class InputLayout:
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """A state equation ``ẋ = f(x, u)`` that is smooth while no string goes slack or taut.
+    """A state equation ``ẋ = f(x, u)`` that is smooth while nothing switches.
 
-    Strings whose rest length is held pull or are slack; ``taut`` says which, 1
-    or 0 for each, and is an input of its own so that a step never crosses the
-    switching surface between the two. Where no string can go slack (force densities are
-    held), ``taut`` has no entries. Made by :meth:`Model.equation`.
+    Strings whose rest length is held pull or are slack, and nodes press on the ground or do not;
+    ``taut`` says which, 1 or 0 for each string, then for each contact, and is an input of its own
+    so that a step never crosses the switching surface between the two. Where force densities are
+    held and nothing can touch, ``taut`` has no entries. Made by :meth:`Model.equation`.
 
     Attributes
     ----------
@@ -85,12 +86,13 @@ class Equation:
         ``(x, u, taut) -> xdot``, dense columns.
     gap : casadi.Function
         ``(x, u) -> (gap, gap_rate)``: how far each string is from slack, m,
-        positive where it pulls, and how fast the stretch grows, m/s.
+        positive where it pulls, and how fast the stretch grows, m/s; and how deep each contact is,
+        m, positive where it presses, and how fast it sinks, m/s.
     force : casadi.Function or None
         ``(q, v, u, taut) -> F``: forces along the free coordinates from positions and
         velocities, N, node by node. None for an equation that is no structure's.
     velocity_dependent : bool
-        Whether the force depends on the velocities: some string is damped.
+        Whether the force depends on the velocities: a string or the ground is damped, or rubs.
     structure : Structure or None
     law : StringLaw or None
         The law of the strings where rest lengths are held; None where γ is.
@@ -101,6 +103,8 @@ class Equation:
         operations on all members at once (MX); loops over the members in C.
     input_layout : InputLayout or None
         What u holds; None for the values of the strings.
+    contacts : Contacts or None
+        The nodes that can touch the ground; None without ground.
     prepared : Prepared
         What integrators have built for this equation, for every later call; not for users.
     """
@@ -114,6 +118,7 @@ class Equation:
     load: FloatArray | None = None
     form: str = "flat"
     input_layout: InputLayout | None = None
+    contacts: Contacts | None = None
     prepared: Prepared = field(default_factory=Prepared, init=False, repr=False)
 
     @cached_property
@@ -151,8 +156,23 @@ class Equation:
 
     @cached_property
     def switches(self) -> int:
-        """Number of strings that can go slack: entries of ``taut``."""
+        """Number of strings that can go slack, and of contacts: entries of ``taut``."""
         return int(self.slope.size1_in(2))
+
+    def gap_scale(self, u: Any) -> Any:
+        """Return the expression of the length that round-off in each gap is a part of, m.
+
+        The rest length of a string; for a contact the size of the structure.
+
+        Parameters
+        ----------
+        u : casadi.SX or MX, shape (inputs, 1)
+        """
+        of_strings = self.of_strings(u) if self.law is not None else type(u)(0, 1)
+        if self.contacts is None or self.structure is None:
+            return of_strings
+        size = float(np.ptp(self.structure.nodes, axis=1).max())
+        return ca.vertcat(of_strings, ca.DM.ones(self.contacts.switches) * size)
 
     def ahead(self, u: Any, time: Any) -> Any:
         """Return the expression of the input that begins a time later: of one held, itself.
@@ -201,7 +221,8 @@ def in_time(
 ) -> tuple[ca.Function, ...]:
     """Return slope, gap and force of u from those of the values in it, which end in Ė.
 
-    ``moves`` is whether strings have a gap, whose rate is less by that of the rest lengths.
+    ``moves`` is whether strings have a gap, whose rate is less by that of the rest lengths; gaps
+    of contacts follow theirs.
     """
     slope, gap, force = functions
     if not layout.degree and not layout.offset:
@@ -214,7 +235,8 @@ def in_time(
         values = ca.vertcat(values, rates[layout.count - layout.offset :])
     room, rate = gap(x, values)
     if moves:
-        rate = rate - rates[: layout.strings]
+        strings = layout.strings
+        rate = ca.vertcat(rate[:strings] - rates[:strings], rate[strings:])
     return (
         ca.Function("slope", [x, u, taut], [slope(x, values, taut)]),
         ca.Function("gap", [x, u], [ca.densify(room), ca.densify(rate)]),

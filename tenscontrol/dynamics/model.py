@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.contact_laws import ContactLaw, Contacts, checked_grounds
 from tenscontrol.dynamics.equation import FORMS, Equation, InputLayout, in_time
 from tenscontrol.dynamics.evaluator import Prepared, built
 from tenscontrol.dynamics.forms import loops_functions, mapped_functions, members_alone
@@ -66,6 +68,8 @@ class Model:
         Acceleration of free fall, m/s²; a number, at least 0, is downward, along −z, in the
         plane along −y; a vector has the direction of the fall. The weight of a bar acts half at
         each end.
+    ground : ContactLaw or sequence of ContactLaw, optional
+        :class:`Ground`, or several: a corner, a wall, a step. Without it nothing stops a fall.
 
     Raises
     ------
@@ -101,6 +105,7 @@ class Model:
         strings: StringLaw | None = None,
         external_force: object = False,
         gravity: object = None,
+        ground: ContactLaw | Sequence[ContactLaw] | None = None,
     ) -> None:
         instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
         if strings is not None:
@@ -122,6 +127,8 @@ class Model:
             constant += _weights(structure, _gravity_vector(gravity, structure.dimension))
         self._structure = structure
         self._strings = strings
+        laws = checked_grounds(ground, structure)
+        self._contacts = Contacts.of(structure, laws) if laws else None
         self._external_force = takes_load
         self._constant_force = frozen(constant)
         self._prepared = Prepared()
@@ -135,6 +142,16 @@ class Model:
     def strings(self) -> StringLaw | None:
         """The string law, or None."""
         return self._strings
+
+    @property
+    def ground(self) -> tuple[ContactLaw, ...]:
+        """The contact laws of the ground; empty where there is none."""
+        return () if self._contacts is None else self._contacts.laws
+
+    @property
+    def contacts(self) -> Contacts | None:
+        """The nodes that can touch the ground; None where there is none."""
+        return self._contacts
 
     @property
     def has_external_force(self) -> bool:
@@ -299,20 +316,25 @@ class Model:
             make = {"flat": self._flat_functions, "mapped": mapped_functions}.get(
                 form, loops_functions
             )
-            functions = make(self._structure, law, load, layout)
+            contacts = self._contacts
+            functions = make(self._structure, law, load, layout, contacts)
             symbol = ca.SX.sym if form == "flat" else ca.MX.sym
             slope, gap, force = in_time(functions, layout, law is not None, symbol)
             damped = law is not None and law.is_damped
+            damped |= contacts is not None and contacts.is_velocity_dependent
             constant = frozen(load) if load.any() else None
-            return Equation(slope, gap, force, damped, self._structure, law, constant, form, layout)
+            return Equation(
+                slope, gap, force, damped, self._structure, law, constant, form, layout, contacts
+            )
 
         # Another compiler makes another library.
         by = compiler() if form == "loops" else None
         return self._prepared.get(("equation", input, load.tobytes(), form, layout, by), build)
 
     def _flat_functions(
-        self, structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout
-    ) -> tuple[ca.Function, ...]:
+        self, structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout,
+        contacts: Contacts | None,
+    ) -> tuple[ca.Function, ...]:  # fmt: skip
         """Return slope, gap and force, every member written out."""
         s = self._symbols()
         s["load"] = ca.sparsify(ca.DM(load)) if load.any() else None
@@ -334,6 +356,11 @@ class Model:
             taut = ca.SX.sym("taut", len(structure.strings))
             gap = law.gap(length, u, rate)
             gamma = taut * law.taut_force_density(length, u, rate)
+        if contacts is not None:
+            s["pressing"] = ca.SX.sym("pressing", contacts.switches)
+            gaps, rates = contacts.gaps(s["ends"], s["end_rates"])
+            taut, gap = ca.vertcat(taut, s["pressing"]), ca.vertcat(gap, gaps)
+            rate = ca.vertcat(rate, rates)
         on_free = ca.densify(self._forces(s, gamma)[:, structure.free.tolist()])
         forces = kernel.free_entries(structure, on_free)
         q, v = (kernel.free_entries(structure, s[name]) for name in ("N", "Nd"))
@@ -490,7 +517,11 @@ class Model:
         return ca.Function(name, given, list(outputs.values()), names, list(outputs))
 
     def _forces(self, s: dict[str, Any], gamma: Any) -> Any:
-        return kernel.node_forces(self._structure, s["ends"], gamma, s["load"])
+        forces = kernel.node_forces(self._structure, s["ends"], gamma, s["load"])
+        if self._contacts is None:
+            return forces
+        pressing = s.get("pressing")
+        return forces + self._contacts.forces(s["ends"], s["end_rates"], pressing)
 
     def _ndd(self, s: dict[str, Any], gamma: Any) -> Any:
         forces = self._forces(s, gamma)

@@ -11,7 +11,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ColumnEvaluator, Equation, Evaluator, builds
+from tenscontrol.dynamics import ColumnEvaluator, Equation, Evaluator, SharedEvaluator, builds
 from tenscontrol.integrate.events import BAND, CHATTER, first_crossing, refuse_chatter
 from tenscontrol.integrate.integrator import (
     IntegrationError,
@@ -94,6 +94,15 @@ class CVODES(Integrator):
         gap = self._solvers.gap
         self._gap_of = None if gap is None else ColumnEvaluator(gap)
 
+    def _gap_scale(self, held: FloatArray) -> float:
+        """Return the largest length that round-off in a gap is a part of, m."""
+
+        def build() -> SharedEvaluator:
+            u = self._equation.symbols()[1]
+            return SharedEvaluator(ca.Function("scale", [u], [self._equation.gap_scale(u)]))
+
+        return float(self._equation.prepared.get("gap scale", build)(held)[0].max())
+
     def _build(self) -> _Solvers:
         equation = self._equation
         grid = _LOOKS if equation.switches else _OUTPUTS
@@ -134,8 +143,7 @@ class CVODES(Integrator):
         states = np.empty((len(state), outputs))
         band = BAND
         if equation.switches and equation.structure is not None:
-            # Where strings can go slack, u holds their rest lengths, first of all.
-            band *= float(held[: equation.layout.strings].max())
+            band *= self._gap_scale(held)
         given = held, equation.layout.degree > 0, scale
         motion = _Motion(self._solvers, self._slopes, self._gap_of, band, given, times)
         done = 0

@@ -461,6 +461,9 @@ def _mean_forces(equation: Equation, N0: Any, N1: Any, u: Any, h: Any) -> Any:
             for N, values in ((N0, layout.values(u)), (N1, at_end))
         )
     u = middle[: layout.strings] if layout.count > layout.strings else middle
+    if equation.contacts is not None:
+        pushed = equation.contacts.mean_forces(N0, N1, h)
+        load = pushed if load is None else load + pushed
     if len(structure.strings) == 0:
         return kernel.node_forces(structure, N0, u, load)
     S0, S1 = (kernel.differences(N, structure.segments) for N in (N0, N1))

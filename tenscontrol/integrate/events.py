@@ -1,8 +1,9 @@
-"""Event location: steps end where a string goes slack or taut.
+"""Event location: steps end where a string goes slack or taut, or a contact opens or closes.
 
 A step across such a switching surface loses the order of every method. So a step is taken with
-the strings that pull and those that are slack as they are at its start. If one of them changes
-within, the step is cut there, and the rest follows with the string changed.
+the strings that pull and those that are slack as they are at its start, and so with contacts. If
+one of them changes within, the step is cut there, and the rest follows with it changed. What is
+said of strings below holds for contacts.
 
 Methods whose step is a CasADi expression locate switches inside CasADi: :func:`located`,
 :func:`crossing`, :func:`landing`. CVODES cannot: its call takes many steps of its own, starts
@@ -24,10 +25,10 @@ from tenscontrol.integrate.integrator import where_needed
 from tenscontrol.validation import FloatArray
 
 # How far a string may pass the border of slack before it is acted on, as part of its rest
-# length; in CVODES, of the longest rest length. It covers round-off, so that strings
-# that switch together by symmetry are taken together, and a string that was switched does not
-# switch back at once: it must come back by twice as much. The force is wrong by the stiffness
-# times this, for as long as the string needs to cross it.
+# length, and a contact as part of the size; in CVODES, of the largest of these. It covers
+# round-off, so that strings that switch together by symmetry are taken together, and a string that
+# was switched does not switch back at once: it must come back by twice as much. The force is wrong
+# by the stiffness times this, for as long as the string needs to cross it.
 BAND = 1e-11
 
 # The search inside a step: samples, how often it zooms in on the samples next to the first
@@ -92,7 +93,7 @@ def crossing(equation: Equation) -> ca.Function:
     x, u, taut, h = equation.symbols()
     x1 = equation.symbol("x1", n)
     sign = 2 * taut - 1
-    band = BAND * equation.of_strings(u)
+    band = BAND * equation.gap_scale(u)
     (gap0, rate0), (gap1, rate1) = equation.gap(x, u), equation.gap(x1, equation.ahead(u, h))
     room0, room1 = sign * gap0 + band, sign * gap1 + band
     out, back = -sign * rate0, sign * rate1
@@ -128,7 +129,7 @@ def landing(step: ca.Function, equation: Equation) -> ca.Function:
         low, high, found = zoom(*within, low, high)
     inside, outside = room(*within, low), room(*within, high)
     # The string that is out first, by the secants; several, where they go out together.
-    band = 0.5 * BAND * equation.of_strings(u)
+    band = 0.5 * BAND * equation.gap_scale(u)
     near, start = ca.mmin(band), ca.fmax(inside, 0)
     first = ca.mmin(ca.if_else(outside < 0, start / ca.if_else(outside < 0, start - outside, 1), 1))
     out = ca.logic_and(outside < 0, inside + first * (outside - inside) <= near)
@@ -188,7 +189,7 @@ def _room(equation: Equation) -> ca.Function:
         if power:
             v = v * s + power * coefficients[:, power]
     gap = equation.gap(ca.vertcat(q, v / h), equation.ahead(u, s * h))[0]
-    room = (2 * taut - 1) * gap + BAND * equation.of_strings(u)
+    room = (2 * taut - 1) * gap + BAND * equation.gap_scale(u)
     return ca.Function("room", [coefficients, u, taut, h, s], [room])
 
 
@@ -240,9 +241,7 @@ def _approach(step: ca.Function, equation: Equation) -> ca.Function:
     inputs = [state, x, taut, u, h, chosen]
     again = ca.vertcat(part - gap / speed, part, gap, speed, taken + 1, end)
     choose = where_needed(ca.Function("again", inputs, [again]))
-    far = ca.logic_or(
-        taken == 0, ca.fabs(gap_before) > 0.4 * BAND * ca.mmin(equation.of_strings(u))
-    )
+    far = ca.logic_or(taken == 0, ca.fabs(gap_before) > 0.4 * BAND * ca.mmin(equation.gap_scale(u)))
     return ca.Function("approach", inputs, [choose(far, *inputs)])
 
 

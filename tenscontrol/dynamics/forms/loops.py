@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.equation import InputLayout
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.dynamics.forms.elimination import SOLVE, Elimination
@@ -21,6 +22,7 @@ from tenscontrol.dynamics.forms.passes import (
     Read,
     Write,
     body_passes,
+    contact_passes,
     gap_passes,
     string_passes,
 )
@@ -34,15 +36,18 @@ _VECTORS = "pvfa"
 
 
 def loops_functions(
-    structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout | None = None
-) -> tuple[ca.Function, ...]:
+    structure: Structure, law: StringLaw | None, load: FloatArray,
+    layout: InputLayout | None = None, contacts: Contacts | None = None,
+) -> tuple[ca.Function, ...]:  # fmt: skip
     """Return slope, gap and force of :class:`Equation` in compiled C, without derivatives."""
-    return compiled_source(loops_source(structure, law, load, layout), ("slope", "gap", "force"))
+    source = loops_source(structure, law, load, layout, contacts)
+    return compiled_source(source, ("slope", "gap", "force"))
 
 
 def loops_source(
-    structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout | None = None
-) -> str:
+    structure: Structure, law: StringLaw | None, load: FloatArray,
+    layout: InputLayout | None = None, contacts: Contacts | None = None,
+) -> str:  # fmt: skip
     """Return the C text: the functions of :class:`Equation` with CasADi's interface.
 
     ``law`` is None where force densities are held; ``load`` are constant forces on all nodes, N,
@@ -50,13 +55,17 @@ def loops_source(
     """
     strings, bodies = string_passes(structure, law), body_passes(structure)
     gaps = [] if law is None else gap_passes(structure, law)
+    slacking = 0 if law is None else len(structure.strings)  # strings that can go slack
+    ground, ground_gaps = contact_passes(contacts, slacking)
+    strings, gaps = [*strings, *ground], [*gaps, *ground_gaps]
     solver = Elimination(structure) if structure.blocks else None
     passes = [*strings, *bodies, *gaps, *([] if solver is None else [solver.assembly])]
     slots = _slots(structure)
     loops = [_Loop(each, structure.dimension, slots) for each in passes]
     calls = {loop.over.name: loop.call for loop in loops}
     d, states, alpha = structure.dimension, 2 * len(structure.free_rows), len(structure.strings)
-    switches, supported = 0 if law is None else alpha, len(structure.fixed_rows) > 0
+    switches = slacking + (0 if contacts is None else contacts.switches)
+    supported = len(structure.fixed_rows) > 0
     entries, inputs, start = structure.nodes.size, alpha, _LOADED if load.any() else _UNLOADED
     sizes: dict[str, Any] = {}
     if layout is not None and layout.load:
@@ -65,7 +74,7 @@ def loops_source(
     if layout is not None and layout.offset:
         sizes["OFFSET_AT"] = inputs
         inputs += 2 * entries
-    largest = max(states, inputs, 1)
+    largest = max(states, inputs, switches, 1)
     sizes |= {"ENTRIES": entries, "FREE": states // 2, "LARGEST": largest}
     work = 3 * entries + 2 * largest
     tables: dict[str, Any] = {}

@@ -13,23 +13,34 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.equation import InputLayout
-from tenscontrol.dynamics.forms.passes import Pass, body_passes, gap_passes, string_passes
+from tenscontrol.dynamics.forms.passes import (
+    Pass,
+    body_passes,
+    contact_passes,
+    gap_passes,
+    string_passes,
+)
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray
 
 
 def mapped_functions(
-    structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout | None = None
-) -> tuple[ca.Function, ...]:
+    structure: Structure, law: StringLaw | None, load: FloatArray,
+    layout: InputLayout | None = None, contacts: Contacts | None = None,
+) -> tuple[ca.Function, ...]:  # fmt: skip
     """Return slope, gap and force of :class:`Equation`; arguments as for ``loops_source``."""
     free, alpha = structure.free.tolist(), len(structure.strings)
+    slacking = 0 if law is None else alpha  # strings that can go slack
+    ground, ground_gaps = contact_passes(contacts, slacking)
+    switches = slacking + (0 if contacts is None else contacts.switches)
     (N, p), (Nd, v) = (
         _symbols(structure, name, at)
         for name, at in (("N", structure.nodes), ("Nd", np.zeros_like(structure.nodes)))
     )
-    u, taut = ca.MX.sym("u", alpha), ca.MX.sym("taut", 0 if law is None else alpha)
+    u, taut = ca.MX.sym("u", alpha), ca.MX.sym("taut", switches)
     arrays = {"p": p, "v": v, "u": u.T, "taut": taut.T}
     ends, given, varying = arrays, u, None
     if layout is not None and layout.load:
@@ -39,13 +50,14 @@ def mapped_functions(
         offsets = [ca.MX.sym(name, *structure.nodes.shape) for name in ("offset", "rate")]
         ends = arrays | {"p": p + offsets[0], "v": v + offsets[1]}
         given = ca.vertcat(given, *map(ca.vec, offsets))
-    arrays["f"] = _forces(structure, ends, law, load)
+    arrays["f"] = _forces(structure, ends, [*string_passes(structure, law), *ground], load)
     if varying is not None:
         arrays["f"] += varying
     x = ca.vertcat(ca.vec(N), ca.vec(Nd))
     gap = rate = ca.MX(0, 1)
-    if law is not None:
-        gap, rate = (row.T for row in _gaps(structure, ends, law))
+    if law is not None or ground_gaps:
+        gaps = [] if law is None else gap_passes(structure, law)
+        gap, rate = (row.T for row in _gaps([*gaps, *ground_gaps], ends))
     xdot = ca.vertcat(ca.vec(Nd), _accelerations(structure, arrays))
     on_free = kernel.free_entries(structure, ca.densify(arrays["f"][:, free]))
     return (
@@ -65,7 +77,7 @@ def _symbols(structure: Structure, name: str, fixed: FloatArray) -> tuple[Any, A
 
 
 def _forces(
-    structure: Structure, arrays: dict[str, Any], law: StringLaw | None, load: FloatArray
+    structure: Structure, arrays: dict[str, Any], passes: list[Pass], load: FloatArray
 ) -> Any:
     """Return the forces on all nodes, N, shape (d, n)."""
     d, n = structure.nodes.shape
@@ -73,7 +85,7 @@ def _forces(
     # Which pull goes to which node, and its sign.
     ends = [np.zeros((3, 0), dtype=int)]
     total = 0
-    for each in string_passes(structure, law):
+    for each in passes:
         for write in each.writes:
             pull = total + each.count * write.output + np.arange(each.count)
             ends.append(np.array([pull, write.at, np.full(each.count, write.sign)]))
@@ -86,13 +98,14 @@ def _forces(
     return forces + ca.DM(load) if load.any() else forces
 
 
-def _gaps(structure: Structure, arrays: dict[str, Any], law: StringLaw) -> list[Any]:
-    """Return how far each string is from slack, and how fast that changes, shape (1, α) each."""
-    passes = gap_passes(structure, law)
+def _gaps(passes: list[Pass], arrays: dict[str, Any]) -> list[Any]:
+    """Return the gap of each switch, and how fast that changes, shape (1, α) each."""
     outputs = [_outputs(each, arrays) for each in passes]
-    if not structure.has_clusters:
+    if len(passes) < 2:
         return outputs[0] if outputs else [ca.MX(1, 0)] * 2
-    order = np.argsort(np.concatenate([each.writes[0].at for each in passes])).tolist()
+    places = [np.arange(each.count) if each.writes[0].at is None else each.writes[0].at
+              for each in passes]  # fmt: skip
+    order = np.argsort(np.concatenate(places)).tolist()
     return [ca.horzcat(*parts)[:, order] for parts in zip(*outputs, strict=True)]
 
 
@@ -117,9 +130,13 @@ def _accelerations(structure: Structure, arrays: dict[str, Any]) -> Any:
 
 def _outputs(over: Pass, arrays: dict[str, Any]) -> list[Any]:
     """Return the outputs of the kernel, a column a member."""
-    columns = {
-        name: arrays[read.array] if read.at is None else arrays[read.array][:, read.at.tolist()]
-        for name, read in over.reads.items()
-    }
+    columns = {}
+    for name, read in over.reads.items():
+        array = arrays[read.array]
+        if read.at is not None:
+            array = array[:, read.at.tolist()]
+        elif array.shape[1] > over.count:  # switches of contacts follow those of strings
+            array = array[:, : over.count]
+        columns[name] = array
     columns |= {name: ca.DM(value).T for name, value in over.parameters.items()}
     return [ca.densify(part) for part in over.kernel(columns)]

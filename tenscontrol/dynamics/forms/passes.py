@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics.contact_laws import ContactLaw, Contacts
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
@@ -27,7 +28,8 @@ Columns = dict[str, Any]
 class Read:
     """One column of a kernel: of the member itself, or of one of its nodes."""
 
-    array: str  # "p", "v", "f": positions, velocities, forces of nodes; "u", "taut" of strings
+    # "p", "v", "f": positions, velocities, forces of nodes; "u" of strings; "taut" of switches
+    array: str
     at: IntArray | None = None  # the node, or the string; None: member i reads entry i
 
 
@@ -35,7 +37,7 @@ class Read:
 class Write:
     """One output of a kernel."""
 
-    # "f", which is added up; "a", accelerations; "gap" and "rate" of strings
+    # "f", which is added up; "a", accelerations; "gap" and "rate" of switches
     array: str
     output: int  # which output of the kernel
     at: IntArray | None = None  # as for a read
@@ -104,6 +106,35 @@ def gap_passes(structure: Structure, law: StringLaw) -> list[Pass]:
         )
         for strings, nodes in _by_segments(structure)
     ]
+
+
+def contact_passes(contacts: Contacts | None, strings: int) -> tuple[list[Pass], list[Pass]]:
+    """Return the passes that add the forces of the ground, and those that measure the gaps.
+
+    The switches of contacts follow those of so many strings.
+    """
+    forces, gaps = [], []
+    for i, (law, nodes, switch) in enumerate(contacts or ()):
+        if not len(nodes):
+            continue
+
+        def push(columns: Columns, law: ContactLaw = law) -> tuple[Any, ...]:
+            return (law.force(columns["p"], columns["v"], columns.get("taut", 1)),)
+
+        def gap(columns: Columns, law: ContactLaw = law) -> tuple[Any, ...]:
+            depth, rate, _ = law.sinking(columns["p"], columns["v"])
+            return law.gap(depth, rate), rate
+
+        reads = {"p": Read("p", nodes), "v": Read("v", nodes)}
+        of_force = reads
+        if switch is not None:
+            at = strings + np.arange(switch.start, switch.stop)
+            of_force = reads | {"taut": Read("taut", at)}
+            writes = (Write("gap", 0, at), Write("rate", 1, at))
+            gaps.append(Pass(f"ground_gaps_{i}", len(nodes), gap, reads, writes, {}))
+        on = (Write("f", 0, nodes),)
+        forces.append(Pass(f"ground_{i}", len(nodes), push, of_force, on, {}))
+    return forces, gaps
 
 
 def body_passes(structure: Structure) -> list[Pass]:

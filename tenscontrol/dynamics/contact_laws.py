@@ -1,0 +1,573 @@
+"""Contact laws: the force of the ground on nodes from their depth in it, and how fast they sink.
+
+Sign convention::
+
+      ^ normal n          depth  p = (h − n·x), positive in the ground
+      |   ● node          rate   ṗ = −n·ẋ,      positive while it sinks
+    ──┴──────────── n·x = h
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, final
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.dynamics import kernel
+from tenscontrol.structure import Structure
+from tenscontrol.validation import (
+    LARGEST_WHOLE,
+    FloatArray,
+    IntArray,
+    direction,
+    float_array,
+    frozen,
+    indices,
+    number,
+    positive_number,
+    wrong_kind,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+# Nodes of quadrature: exact for forces that are polynomials, or a power n + 1/2, of the depth.
+_QUADRATURE = np.polynomial.legendre.leggauss(6)
+
+
+@dataclass(frozen=True, eq=False)
+class ContactLaw(ABC):
+    """How the ground pushes on nodes that have sunk into it, and rubs on them.
+
+    A law of your own is a frozen dataclass with one formula, :meth:`normal_force`; with a second,
+    :meth:`gap`, where its force vanishes elsewhere than at the surface or by Hunt & Crossley's
+    damping. In formulas depth and rate are CasADi expressions of one shape: write them with
+    operators and functions of CasADi. Friction is that of Coulomb, rounded near rest::
+
+        F_t = −μ F_n v_t / √(|v_t|² + v_s²)
+
+    so that a node at rest under a tangential force F < μ F_n creeps with v_s F/√(μ² F_n² − F²).
+
+    Parameters
+    ----------
+    stiffness : float
+        k, positive; its unit is the law's.
+    damping : float
+        d of Hunt & Crossley's factor 1 + d ṗ, s/m, at least 0.
+    friction : float
+        μ, at least 0.
+    slip_speed : float
+        v_s, m/s, positive: above it friction is that of Coulomb.
+    normal : array_like, shape (d,), optional
+        Direction away from the ground; upward, the last axis, if not given.
+    height : float or casadi.Function
+        h of the plane ``n·x = h``, m. Or a function of x and y (in the plane of x), m, twice
+        differentiable, under an upward normal.
+    nodes : array_like of int, optional
+        The nodes that it acts on; all, if not given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a parameter is not finite, or out of its range.
+
+    References
+    ----------
+    K. H. Hunt, F. R. E. Crossley, *Coefficient of restitution interpreted as damping in
+    vibroimpact*, J. Appl. Mech. 42 (1975), 440-445, doi:10.1115/1.3423596.
+    """
+
+    stiffness: float
+    damping: float = 0.0
+    friction: float = 0.0
+    slip_speed: float = 0.01
+    normal: FloatArray | None = None
+    height: float | ca.Function = 0.0
+    nodes: IntArray | None = None
+
+    if TYPE_CHECKING:  # arguments are anything array-like, attributes are arrays
+
+        def __init__(
+            self,
+            stiffness: float,
+            damping: float = 0.0,
+            friction: float = 0.0,
+            slip_speed: float = 0.01,
+            normal: ArrayLike | None = None,
+            height: float | ca.Function = 0.0,
+            nodes: ArrayLike | None = None,
+        ) -> None: ...
+
+    # Expressions in CasADi: the only statement of the law.
+
+    @abstractmethod
+    def normal_force(self, depth: Any, rate: Any) -> Any:
+        """Return the force on a node in the ground, N, along the normal.
+
+        Smooth; beyond the border that :meth:`gap` draws it may have any value.
+
+        Parameters
+        ----------
+        depth, rate : casadi.SX or MX, shape (1, k)
+            p, m, and ṗ, m/s.
+        """
+
+    def gap(self, depth: Any, rate: Any) -> Any:
+        """Return how far a node is from having no force, positive where it has; None for never.
+
+        A force that vanishes at the surface, or with 1 + d ṗ where a node is drawn out fast.
+
+        Parameters
+        ----------
+        depth, rate : casadi.SX or MX, shape (1, k)
+            p, m, and ṗ, m/s.
+        """
+        return ca.fmin(depth, 1 + self.damping * rate) if self.damping else depth
+
+    def stored_energy(self, depth: Any) -> Any:
+        """Return the work that slow sinking takes, J, by quadrature of the force.
+
+        Parameters
+        ----------
+        depth : casadi.SX or MX, shape (1, k)
+            p, m.
+        """
+        inside = ca.fmax(depth, 0)
+        energy: Any = 0
+        for node, weight in zip(*_QUADRATURE, strict=True):
+            part = (1 + node) / 2  # of the root of the depth
+            energy += weight * part * self.normal_force(inside * part**2, 0 * depth)
+        return energy * inside
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            name, value = field.name, getattr(self, field.name)
+            if name in ("damping", "friction"):
+                if number(name, value, "s/m" if name == "damping" else "–") < 0:
+                    raise ValueError(f"{name} is {value:g}, expected at least 0")
+                object.__setattr__(self, name, float(value))
+            elif name not in ("normal", "height", "nodes"):
+                unit = "m/s" if name == "slip_speed" else "a positive parameter of the law"
+                object.__setattr__(self, name, positive_number(name, value, unit))
+        if self.normal is not None:
+            size = np.size(float_array("normal", self.normal))
+            object.__setattr__(self, "normal", frozen(direction("normal", self.normal, size)))
+        if isinstance(self.height, ca.Function):
+            _check_height(self.height, self.normal)
+        else:
+            object.__setattr__(self, "height", number("height", self.height, "m"))
+        if self.nodes is not None:
+            given = np.atleast_1d(float_array("nodes", self.nodes))
+            if given.ndim != 1 or not len(given):
+                raise ValueError(f"nodes has shape {given.shape}, expected (k,): at least one node")
+            nodes = indices("nodes", given, LARGEST_WHOLE, "nodes")
+            object.__setattr__(self, "nodes", frozen(nodes))
+
+    @property
+    def is_velocity_dependent(self) -> bool:
+        """Whether the force depends on velocities: there is damping or friction."""
+        return self.damping > 0 or self.friction > 0
+
+    @property
+    def switches(self) -> bool:
+        """Whether the force has a border, where it is not smooth."""
+        one = ca.SX.sym("one")
+        return self.gap(one, one) is not None
+
+    def up(self, dimension: int) -> FloatArray:
+        """Return the normal in the plane (2) or in space (3), shape (d,)."""
+        return np.eye(dimension)[-1] if self.normal is None else self.normal
+
+    def sinking(self, positions: Any, velocities: Any) -> tuple[Any, Any, Any]:
+        """Return depth, rate, and the direction in which depth falls, shape (1, k) and (d, k).
+
+        For a plane the direction is the normal. Above a curved surface the depth is ``(h − z)/√(1 +
+        |∇h|²)``, the distance to first order, and the direction −∇p is as long as makes the normal
+        force that of the stored energy.
+
+        Parameters
+        ----------
+        positions, velocities : casadi.SX or MX, shape (d, k)
+            Of nodes, m and m/s.
+        """
+        if isinstance(self.height, ca.Function):
+            depth, away = _surface(self.height, positions.shape[0])(positions)
+        else:
+            normal = ca.DM(self.up(positions.shape[0]))
+            depth = self.height - ca.mtimes(normal.T, positions)
+            away = ca.repmat(normal, 1, positions.shape[1])
+        return depth, -kernel.dots(away, velocities), away
+
+    def force(self, positions: Any, velocities: Any, pressing: Any = None) -> Any:
+        """Return the force on nodes, N, shape (d, k).
+
+        Parameters
+        ----------
+        positions, velocities : casadi.SX or MX, shape (d, k)
+            Of nodes, m and m/s.
+        pressing : casadi.SX or MX, shape (1, k), optional
+            1 for nodes with a force, 0 for those without; by :meth:`gap` if not given.
+        """
+        depth, rate, away = self.sinking(positions, velocities)
+        normal_force = self.normal_force(depth, rate)
+        if pressing is None:
+            gap = self.gap(depth, rate)
+            pressing = 1 if gap is None else gap > 0
+        return self.resultant(pressing * normal_force, away, velocities)
+
+    def mean_force(self, before: Any, after: Any, h: Any) -> Any:
+        """Return the mean force, N, over a way: its work is what the depths store at its ends.
+
+        By quadrature over the part of the way in the ground, with the mean velocity.
+
+        Parameters
+        ----------
+        before, after : casadi.SX or MX, shape (d, k)
+            Positions of nodes, m.
+        h : casadi.SX or MX
+            The time that the way takes, s.
+        """
+        velocities = (after - before) / h
+        starts, ends = (self.sinking(part, velocities)[0] for part in (before, after))
+        _, _, away = self.sinking((before + after) / 2, velocities)
+        rate = (ends - starts) / h
+        low, high, share = starts, ends, 1
+        if self.switches:
+            low, high = ca.fmax(starts, 0), ca.fmax(ends, 0)
+            enters = (starts > 0) != (ends > 0)
+            share = ca.if_else(
+                enters, (high - low) / ca.if_else(enters, ends - starts, 1), starts > 0
+            )
+        force: Any = 0
+        for node, weight in zip(*_QUADRATURE, strict=True):
+            at = self.normal_force(low + (1 + node) / 2 * (high - low), rate)
+            force += weight / 2 * (ca.fmax(at, 0) if self.switches else at)
+        return self.resultant(share * force, away, velocities)
+
+    def resultant(self, normal_force: Any, away: Any, velocities: Any) -> Any:
+        """Return the normal force with its friction, N, shape (d, k).
+
+        Parameters
+        ----------
+        normal_force : casadi.SX or MX, shape (1, k)
+            N.
+        away, velocities : casadi.SX or MX, shape (d, k)
+            Direction of :meth:`sinking`, and the velocities of the nodes, m/s.
+        """
+        force = kernel.scale_columns(away, normal_force)
+        if not self.friction:
+            return force
+        across = kernel.dots(away, velocities)
+        if isinstance(self.height, ca.Function):
+            across = across / kernel.dots(away, away)
+        slip = velocities - kernel.scale_columns(away, across)
+        speed = ca.sqrt(kernel.dots(slip, slip) + self.slip_speed**2)
+        return force - kernel.scale_columns(slip, self.friction * normal_force / speed)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Ground(ContactLaw):
+    """Ground of constant stiffness: ``F_n = max(0, k p (1 + d ṗ))`` at depth p, with friction.
+
+    Hunt & Crossley with exponent 1. A point that meets it with the speed v, without gravity,
+    leaves it slower by 2/3 d v², as long as d v is small.
+
+    Parameters
+    ----------
+    stiffness : float
+        k, N/m, positive.
+    damping, friction, slip_speed, normal, height, nodes
+        See :class:`~tenscontrol.dynamics.ContactLaw`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a parameter is not finite, or out of its range.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> ground = tc.Ground(stiffness=5e3, damping=0.3, friction=0.5)
+    >>> model = tc.Model(tc.library.six_bar_ball(), gravity=9.81, ground=ground)
+    >>> wall = tc.Ground(stiffness=5e3, normal=[1.0, 0.0, 0.0], height=-2.0)
+    >>> model = tc.Model(tc.library.six_bar_ball(), gravity=9.81, ground=[ground, wall])
+    """
+
+    def normal_force(self, depth: Any, rate: Any) -> Any:
+        """Return k p (1 + d ṗ), N; see :meth:`ContactLaw.normal_force`."""
+        return self.stiffness * depth * _factor(self, rate)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class HertzGround(ContactLaw):
+    """Elastic ground under round nodes: ``F_n = max(0, k p^{3/2} (1 + d ṗ))`` at depth p.
+
+    Parameters
+    ----------
+    stiffness : float
+        k, N/m^{3/2}, positive: 4/3 E* √R of a sphere of radius R on a half-space.
+    damping, friction, slip_speed, normal, height, nodes
+        See :class:`~tenscontrol.dynamics.ContactLaw`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a parameter is not finite, or out of its range.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> ground = tc.dynamics.HertzGround(stiffness=1e6, friction=0.5)
+    >>> model = tc.Model(tc.library.six_bar_ball(), gravity=9.81, ground=ground)
+    """
+
+    def normal_force(self, depth: Any, rate: Any) -> Any:
+        """Return k p √p (1 + d ṗ), N, odd in p; see :meth:`ContactLaw.normal_force`."""
+        # The root has a derivative at zero too.
+        root = (depth * depth + _ROOTED) ** 0.25
+        return self.stiffness * depth * root * _factor(self, rate)
+
+
+# m²: below all depths that matter.
+_ROOTED = 1e-30
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class SmoothGround(ContactLaw):
+    """Ground without a border, for predictions: the force of :class:`Ground` rounded at its foot.
+
+    From ``width`` above the surface to as far below, the depth p is replaced by (p + w)²/4w, and
+    the factor 1 + d ṗ by one that stays positive. So no switch is to be located, and the force has
+    continuous derivatives, as optimizers need.
+
+    Parameters
+    ----------
+    stiffness : float
+        k, N/m, positive.
+    damping, friction, slip_speed, normal, height, nodes
+        See :class:`~tenscontrol.dynamics.ContactLaw`.
+    width : float
+        w, m, positive.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a parameter is not finite, or out of its range.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> ground = tc.dynamics.SmoothGround(stiffness=1e3, friction=0.5, slip_speed=0.05, width=0.01)
+    >>> model = tc.Model(tc.library.six_bar_ball(), gravity=9.81, ground=ground)
+    """
+
+    width: float = 0.01
+
+    if TYPE_CHECKING:
+
+        def __init__(
+            self,
+            stiffness: float,
+            damping: float = 0.0,
+            friction: float = 0.0,
+            slip_speed: float = 0.01,
+            normal: ArrayLike | None = None,
+            height: float | ca.Function = 0.0,
+            nodes: ArrayLike | None = None,
+            width: float = 0.01,
+        ) -> None: ...
+
+    def normal_force(self, depth: Any, rate: Any) -> Any:
+        """Return the force, N; see :meth:`ContactLaw.normal_force`."""
+        near = ca.fmin(ca.fmax(depth + self.width, 0), 2 * self.width)
+        rounded = near**2 / (4 * self.width) + ca.fmax(depth - self.width, 0)
+        factor = _factor(self, rate)
+        if self.damping:
+            factor = (factor + ca.sqrt(factor**2 + _ROUNDED**2)) / 2
+        return self.stiffness * rounded * factor
+
+    def gap(self, depth: Any, rate: Any) -> None:
+        """Return None: the force is smooth everywhere; see :meth:`ContactLaw.gap`."""
+
+    def stored_energy(self, depth: Any) -> Any:
+        """Return the work that slow sinking takes, J; see :meth:`ContactLaw.stored_energy`."""
+        near = ca.fmin(ca.fmax(depth + self.width, 0), 2 * self.width)
+        beyond = ca.fmax(depth - self.width, 0)
+        energy = near**3 / (12 * self.width) + beyond * (self.width + beyond / 2)
+        factor = (1 + np.sqrt(1 + _ROUNDED**2)) / 2 if self.damping else 1.0
+        return self.stiffness * factor * energy
+
+
+# Part of the factor 1 + d ṗ by which it is rounded where it would vanish.
+_ROUNDED = 0.1
+
+
+def _factor(law: ContactLaw, rate: Any) -> Any:
+    """Return 1 + d ṗ, without an instruction where there is no damping."""
+    return 1 + law.damping * rate if law.damping else 1
+
+
+def _check_height(height: ca.Function, normal: FloatArray | None) -> None:
+    inputs = [height.sparsity_in(i).shape for i in range(height.n_in())]
+    one = [(1, 1)]
+    if inputs not in (one, 2 * one) or height.n_out() != 1 or height.size_out(0) != (1, 1):
+        raise ValueError(
+            f"height is {height}, expected a function of the numbers x and y, in the plane of x, "
+            "with one number as its value: casadi.Function('height', [x, y], [h])"
+        )
+    if normal is not None and (normal[:-1].any() or normal[-1] < 0):
+        raise ValueError(
+            f"normal is {normal}, expected none beside a height that is a function: it is measured "
+            "upward, along the last axis"
+        )
+
+
+def _surface(height: ca.Function, dimension: int) -> ca.Function:
+    """Return ``(x) -> (p, −∇p)`` of one node."""
+    x = ca.SX.sym("x", dimension)
+    across = ca.vertsplit(x)[:-1]
+    h = height(*across)
+    slopes = [ca.jacobian(h, each) for each in across]
+    depth = (h - x[-1]) / ca.sqrt(1 + sum(slope**2 for slope in slopes))
+    return ca.Function("surface", [x], [depth, -ca.gradient(depth, x)])
+
+
+def checked_grounds(ground: object, structure: Structure) -> tuple[ContactLaw, ...]:
+    """Return the contact laws that a model is given, one or several, after checking that they fit.
+
+    Parameters
+    ----------
+    ground : ContactLaw or sequence of ContactLaw, or None
+    structure : Structure
+    """
+    if ground is None:
+        return ()
+    several = ground if isinstance(ground, Sequence) else (ground,)
+    dimension, count = structure.nodes.shape
+    for i, law in enumerate(several):
+        called = "ground" if several is not ground else f"ground[{i}]"
+        if not isinstance(law, ContactLaw):
+            raise wrong_kind(called, law, "a contact law, as Ground(stiffness=...), or several")
+        if law.normal is not None and len(law.normal) != dimension:
+            raise ValueError(
+                f"{called}.normal has {len(law.normal)} entries, expected {dimension}: the "
+                f"structure has nodes of shape {structure.nodes.shape}"
+            )
+        if isinstance(law.height, ca.Function) and law.height.n_in() != dimension - 1:
+            raise ValueError(
+                f"{called}.height is a function of {law.height.n_in()} numbers, expected "
+                f"{dimension - 1}: the structure has nodes of shape {structure.nodes.shape}"
+            )
+        if law.nodes is not None:
+            indices(f"{called}.nodes", np.asarray(law.nodes, float), count, "nodes")
+    return tuple(several)
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """The nodes that can touch, law by law, and their places among the switches of a model.
+
+    Attributes
+    ----------
+    laws : tuple of ContactLaw
+    nodes : tuple of ndarray of int
+        For each law.
+    switch : tuple of slice or None
+        For each law, where its nodes stand among the switches of contacts; None where the force
+        is smooth.
+    """
+
+    laws: tuple[ContactLaw, ...]
+    nodes: tuple[IntArray, ...]
+    switch: tuple[slice | None, ...]
+
+    @classmethod
+    def of(cls, structure: Structure, laws: tuple[ContactLaw, ...]) -> Contacts:
+        """Return the contacts of what is not fixed.
+
+        Parameters
+        ----------
+        structure : Structure
+        laws : tuple of ContactLaw
+        """
+        nodes, switch, count = [], [], 0
+        for law in laws:
+            some = structure.free
+            if law.nodes is not None:
+                some = np.intersect1d(some, law.nodes)
+            nodes.append(some)
+            switches = law.switches
+            switch.append(slice(count, count + len(some)) if switches else None)
+            count += len(some) * switches
+        return cls(laws, tuple(nodes), tuple(switch))
+
+    def __iter__(self) -> Any:
+        return iter(zip(self.laws, self.nodes, self.switch, strict=True))
+
+    @property
+    def switches(self) -> int:
+        """Number of switches."""
+        return max((each.stop for each in self.switch if each is not None), default=0)
+
+    @property
+    def is_velocity_dependent(self) -> bool:
+        """Whether a force depends on velocities."""
+        return any(law.is_velocity_dependent for law in self.laws)
+
+    def forces(self, N: Any, Nd: Any, pressing: Any = None) -> Any:
+        """Return the forces of the ground on all nodes, N, shape (d, n).
+
+        Parameters
+        ----------
+        N, Nd : casadi.SX or MX, shape (d, n)
+            Positions, m, and velocities, m/s.
+        pressing : casadi.SX, shape (switches, 1), optional
+            1 for each switch whose node has a force, 0 where it has none; as it is by the gaps if
+            not given.
+        """
+        forces = type(N)(*N.shape)
+        for law, nodes, switch in self:
+            at = nodes.tolist()
+            which = None if pressing is None or switch is None else pressing[switch].T
+            forces[:, at] = forces[:, at] + law.force(N[:, at], Nd[:, at], which)
+        return forces
+
+    def mean_forces(self, before: Any, after: Any, h: Any) -> Any:
+        """Return the mean forces on all nodes over a way, N, shape (d, n).
+
+        Parameters
+        ----------
+        before, after : casadi.SX or MX, shape (d, n)
+            Positions, m.
+        h : casadi.SX or MX
+            The time that the way takes, s.
+        """
+        forces = type(before)(*before.shape)
+        for law, nodes, _ in self:
+            at = nodes.tolist()
+            forces[:, at] = forces[:, at] + law.mean_force(before[:, at], after[:, at], h)
+        return forces
+
+    def gaps(self, N: Any, Nd: Any) -> tuple[Any, Any]:
+        """Return the gap of each switch, m, and the rate of its depth, m/s, columns.
+
+        Parameters
+        ----------
+        N, Nd : casadi.SX or MX, shape (d, n)
+            Positions, m, and velocities, m/s.
+        """
+        gaps, rates = [type(N)(0, 1)], [type(N)(0, 1)]
+        for law, nodes, switch in self:
+            if switch is not None:
+                at = nodes.tolist()
+                depth, rate, _ = law.sinking(N[:, at], Nd[:, at])
+                gaps.append(law.gap(depth, rate).T)
+                rates.append(rate.T)
+        return ca.vertcat(*gaps), ca.vertcat(*rates)
