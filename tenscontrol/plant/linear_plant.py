@@ -344,20 +344,20 @@ def kept(
 
 
 @kept
-def sampled(plant: LinearPlant, sample_time: float, substeps: int) -> Sampled:
-    """Return the sampled model; the input ramps to v, or jumps to it if there is one substep."""
+def sampled(plant: LinearPlant, sample_time: float, ramp: bool) -> Sampled:
+    """Return the sampled model, of an input that ramps to v or jumps to it."""
     from scipy.linalg import expm
 
     plant.refuse_long_sample_time(sample_time)
     transition, whole, drift = plant.discretize(sample_time)
     states, inputs = whole.shape
     now = whole
-    if substeps > 1:
+    if ramp:
         exponent = np.zeros((states + 2 * inputs,) * 2)
         exponent[:states, : states + inputs] = sample_time * np.hstack([plant.A, plant.B])
         exponent[states : states + inputs, states + inputs :] = np.eye(inputs)
         now = expm(exponent)[:states, states + inputs :]
-    return Sampled(sample_time, transition, whole - now, now, drift, substeps > 1)
+    return Sampled(sample_time, transition, whole - now, now, drift, ramp)
 
 
 @kept

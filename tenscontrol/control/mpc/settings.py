@@ -284,7 +284,7 @@ def design(plant: LinearPlant, settings: MPCSettings) -> Design:
         lengths = to_commanded_strings(plant, "length", lengths)
         level = float((lengths - plant.equilibrium_input).max())
     winches, sample_time = settings.winches, settings.sample_time
-    model = sampled(plant, sample_time, 1 if winches is None else winches.substeps)
+    model = sampled(plant, sample_time, winches is not None and winches.ramp)
     transition, input_matrix = model.augmented
     weight, (gain, _, cost, _) = regulator(
         plant, transition, input_matrix, state_weight, input_weight, discrete=True
