@@ -10,10 +10,7 @@ from typing import Required, Self, TypedDict
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control.controller import (
-    Controller,
-    warn_of_unreached,
-)
+from tenscontrol.control.controller import Controller, warn_of_unreached
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
 from tenscontrol.control.mpc.constraints import OutputLimit, broken_limits, output_block
 from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
