@@ -51,7 +51,7 @@ _SYMMETRIC = 1e-9
 
 INPUTS = ("force_density", "rest_length")
 
-# No rest length is commanded below this part of that at the operating point, or of the string.
+# Least rest length commanded, as part of that at the operating point, or of the string's length.
 SHORTEST = 0.01
 
 
