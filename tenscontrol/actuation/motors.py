@@ -51,6 +51,11 @@ class EachMotor(NamedTuple):
     play: FloatArray  # rest length within the play of the drum, m
     zero: FloatArray  # rest length at angle zero, m; not finite where it is that at the start
 
+    @property
+    def most_tension(self) -> FloatArray:
+        """Force that the largest torque holds, N."""
+        return self.torque / self.lever
+
 
 @dataclass(frozen=True, eq=False)
 class Motor:

@@ -297,8 +297,7 @@ class Winches:
         rest_length : ndarray, shape (α,)
             m.
         """
-        low = 0.0 if self.shortest is None else self.shortest
-        high = np.inf if self.longest is None else self.longest
+        low, high = _range(self)
         rest_length = float_array("rest_length", rest_length)
         shape = np.broadcast_shapes(np.shape(low), np.shape(high))
         if rest_length.ndim != 1 or shape not in ((), rest_length.shape):
@@ -336,9 +335,7 @@ class Winches:
             value = getattr(self, name)
             if value is not None:
                 one_or_per_string(name, value, len(start))
-        low = -np.inf if self.shortest is None else self.shortest
-        high = np.inf if self.longest is None else self.longest
-        within = np.clip(goal, low, high)
+        within = np.clip(goal, *_range(self))
         rate = self.largest_rate
         reach = np.inf if rate is None else rate * sample_time
         reached = np.clip(within, start - reach, start + reach)
@@ -347,6 +344,12 @@ class Winches:
             frozen(np.flatnonzero(reached != within)),
             frozen(np.flatnonzero(within != goal)),
         )
+
+
+def _range(winches: Winches) -> tuple[FloatArray | float, FloatArray | float]:
+    """Return the shortest and the longest rest length, m."""
+    low = 0.0 if winches.shortest is None else winches.shortest
+    return low, np.inf if winches.longest is None else winches.longest
 
 
 # Moves at once, with any torque.
@@ -412,12 +415,10 @@ class Drive:
         """Take a command, m, shape (α,), and return the move that it leads to if torque allows."""
         self._move = self._winches.move(self.position, wanted, self._sample_time)
         self._stuck = np.isin(np.arange(len(wanted)), stuck)
-        low = 0.0 if self._winches.shortest is None else self._winches.shortest
-        high = np.inf if self._winches.longest is None else self._winches.longest
         self._target = self._move.rest_length
         self._start = self.position
-        if not self._winches.jumps and self._winches.has_drive:
-            self._target = np.clip(wanted, low, high)
+        if self._winches.has_drive:
+            self._target = np.clip(wanted, *_range(self._winches))
             self._move = replace(self._move, rate_limited=self._move.rate_limited[:0])
         self._slow = np.zeros(len(wanted), dtype=bool)
         self._weak = np.zeros(len(wanted), dtype=bool)
@@ -535,14 +536,14 @@ class Drive:
 
     def _strains(self, pull: Pull, end: FloatArray, time: float) -> bool:
         """Whether positions ask for more than the torque of a motor, now or so long after it."""
-        most = self._motor.torque / self._motor.lever
+        most = self._motor.most_tension
         return bool(np.isfinite(most).any()) and any(
             (pull(end + self._play, later)[0] > most).any() for later in dict.fromkeys((0.0, time))
         )
 
     def _least(self, pull: Pull, time: float) -> FloatArray:
         """Return the positions beyond which a motor cannot wind in, now and so long after it."""
-        most, found = self._motor.torque / self._motor.lever, []
+        most, found = self._motor.most_tension, []
         for later in dict.fromkeys((0.0, time)):
             length = pull(self.rest_length, later)[2]
             rest = np.minimum(self.rest_length, (1 - _TAUT) * length)

@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscontrol.control.controller import BaseController
 from tenscontrol.control.status import Command, Status
-from tenscontrol.plant import INPUTS
+from tenscontrol.plant import INPUTS, SHORTEST
 from tenscontrol.structure import Structure, whole_strings
 from tenscontrol.validation import (
     FloatArray,
@@ -23,9 +23,6 @@ from tenscontrol.validation import (
     positive,
     wrong_kind,
 )
-
-# The least rest length commanded, unless another is given, as part of a string's length.
-_SHORTEST = 0.01
 
 _UNITS = {"force_density": "γ, N/m", "rest_length": "rest length, m"}
 
@@ -135,7 +132,7 @@ class FunctionController(BaseController):
         by_length = choice("input", input, INPUTS) == "rest_length"
         count = len(structure.strings)
         if low is None:
-            low = _SHORTEST * structure.string_length(structure.nodes) if by_length else 0.0
+            low = SHORTEST * structure.string_length(structure.nodes) if by_length else 0.0
         low = per_member("low", low, count, "string")
         if by_length:
             positive("low", low, "rest length in m")

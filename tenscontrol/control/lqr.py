@@ -132,7 +132,7 @@ class LQR(Controller):
             sample_time = positive_number("sample_time", sample_time, "s")
         bounds = input_bounds(plant, max_force_density, winches)
         change = largest_change(plant, max_change, winches, sample_time)
-        if sample_time is None and winches is not None and winches.substeps > 1:
+        if sample_time is None and winches is not None and winches.ramp:
             raise ValueError(
                 f"winches.substeps is {winches.substeps}: rest lengths are ramps over samples, so "
                 "give sample_time, s"
@@ -142,7 +142,7 @@ class LQR(Controller):
         if sample_time is None:
             A, B = plant.A, plant.B
         else:
-            A, B = sampled(plant, sample_time, 1 if winches is None else winches.substeps).augmented
+            A, B = sampled(plant, sample_time, winches is not None and winches.ramp).augmented
         _, (gain, poles, cost, residual) = regulator(
             plant, A, B, state_weight, input_weight, sample_time is not None
         )

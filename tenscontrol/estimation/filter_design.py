@@ -135,7 +135,7 @@ def filter_design(
         sample_time=sample_time,
         load=False,
         substeps=substeps,
-        sampled=sampled(plant, sample_time, substeps),
+        sampled=sampled(plant, sample_time, substeps > 1),
         process_covariance=(share * pull) ** 2 * by_load @ by_load.T,
         start_covariance=_start(plant, spread, pull),
         start=_start_state(plant, start),

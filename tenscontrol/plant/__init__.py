@@ -15,6 +15,7 @@ from tenscontrol.plant.controllability import (
 from tenscontrol.plant.equilibrium import equilibrium, held_value
 from tenscontrol.plant.linear_plant import (
     INPUTS,
+    SHORTEST,
     LinearPlant,
     Sampled,
     acceleration_response,
@@ -65,6 +66,7 @@ from tenscontrol.plant.string_outputs import (
 
 __all__ = [
     "INPUTS",
+    "SHORTEST",
     "STRINGS_MOVE_NO_CENTRE",
     "Controllability",
     "LeftSpace",

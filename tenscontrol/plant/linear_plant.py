@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 _Arguments = ParamSpec("_Arguments")
 _Value = TypeVar("_Value")
 
-# A rest length is kept above this fraction of its value at the operating point.
-_SHORTEST = 0.01
-
 # Radians of the slowest vibration in a sample from which on nothing is controlled between samples;
 # poles below the second part of the largest are no vibrations.
 _MOST_TURNED, _AT_REST = 20 * np.pi, 1e-6
@@ -53,6 +50,9 @@ _NOISE = 1e-13
 _SYMMETRIC = 1e-9
 
 INPUTS = ("force_density", "rest_length")
+
+# Least rest length commanded, as part of that at the operating point, or of the string's length.
+SHORTEST = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,20 +344,20 @@ def kept(
 
 
 @kept
-def sampled(plant: LinearPlant, sample_time: float, substeps: int) -> Sampled:
-    """Return the sampled model; the input ramps to v, or jumps to it if there is one substep."""
+def sampled(plant: LinearPlant, sample_time: float, ramp: bool) -> Sampled:
+    """Return the sampled model, of an input that ramps to v or jumps to it."""
     from scipy.linalg import expm
 
     plant.refuse_long_sample_time(sample_time)
     transition, whole, drift = plant.discretize(sample_time)
     states, inputs = whole.shape
     now = whole
-    if substeps > 1:
+    if ramp:
         exponent = np.zeros((states + 2 * inputs,) * 2)
         exponent[:states, : states + inputs] = sample_time * np.hstack([plant.A, plant.B])
         exponent[states : states + inputs, states + inputs :] = np.eye(inputs)
         now = expm(exponent)[:states, states + inputs :]
-    return Sampled(sample_time, transition, whole - now, now, drift, substeps > 1)
+    return Sampled(sample_time, transition, whole - now, now, drift, ramp)
 
 
 @kept
@@ -426,7 +426,7 @@ def input_bounds(
                 "max_force_density limits plants with input='force_density'; this one has "
                 "input='rest_length', and winches limit rest lengths"
             )
-        least, most = _SHORTEST * plant.equilibrium_input, np.full(count, np.inf)
+        least, most = SHORTEST * plant.equilibrium_input, np.full(count, np.inf)
         if winches is not None:
             winches.refuse_out_of_range("plant.rest_length", plant.equilibrium_input)
             if winches.shortest is not None:

@@ -17,8 +17,8 @@ from tenscontrol.plot.style import (
     REFERENCE_WIDTH,
     checked_indices,
     legend_above,
-    panel_axes,
     reference_style,
+    timed_panels,
 )
 from tenscontrol.simulation import ControlRecord, CutString, Trajectory
 from tenscontrol.structure import Structure
@@ -131,17 +131,16 @@ def trajectory(
     if run.rest_length is not None and len(run.structure.strings):
         wound = _by_group(run.structure, _rest_lengths(run))
         content["rest_length"] = (wound, "rest length, m", True)
-    places = panel_axes(axes, list(content))
     panels = {}
-    for ax, (name, (rows, label, held)) in zip(places, content.items(), strict=True):
-        last = axes is not None or name == list(content)[-1]
+    for ax, name, xlabel in timed_panels(axes, list(content)):
+        rows, label, held = content[name]
         panels[name] = draw_curves(
             ax,
             run.time,
             rows,
             label,
             held=held,
-            xlabel="time, s" if last else None,
+            xlabel=xlabel,
             references=levels if name == "coordinates" else None,
         )
         if name != "coordinates":
@@ -231,18 +230,17 @@ def motors(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
     if structure.parent is not None and len(structure.strings) != len(record.zero):
         structure = structure.parent
     units = {"angle": "rad", "speed": "rad/s", "torque": "N m", "power": "W", "energy": "J"}
-    places, panels = panel_axes(axes, list(units)), {}
-    for ax, (name, unit) in zip(places, units.items(), strict=True):
+    panels = {}
+    for ax, name, xlabel in timed_panels(axes, list(units)):
         values = getattr(record, name)
         total = {"all motors": values.sum(axis=0, keepdims=True)}
-        last = axes is not None or name == "energy"
         panels[name] = draw_curves(
             ax,
             record.time,
             total if name == "energy" else _by_group(structure, values),
-            f"motor {name}, {unit}",
+            f"motor {name}, {units[name]}",
             held=name == "speed",
-            xlabel="time, s" if last else None,
+            xlabel=xlabel,
         )
         panels[name] = _with_faults(panels[name], run)
     return panels
@@ -302,10 +300,8 @@ def health(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str, 
         longest = float(run.structure.bar_length.max())
         content["bar_length_error"] = (worst, "bar-length error, m", longest)
     panels = {}
-    for ax, name in zip(panel_axes(axes, list(content)), content, strict=True):
+    for ax, name, xlabel in timed_panels(axes, list(content)):
         rows, label, size = content[name]
-        last = axes is not None or name == list(content)[-1]
-        xlabel = "time, s" if last else None
         if size is None:
             panels[name] = draw_curves(ax, run.time, rows, label, xlabel=xlabel)
         else:
@@ -366,13 +362,10 @@ def tracking(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str
     whole = {} if record.sample_time is None else {"sample time": np.array(record.sample_time)}
     content["computing_time"] = (record.time, record.computing_time, "computing time, s", whole)
     panels = {}
-    for ax, name in zip(panel_axes(axes, list(content)), content, strict=True):
+    for ax, name, xlabel in timed_panels(axes, list(content)):
         times, values, label, levels = content[name]
-        last = axes is not None or name == list(content)[-1]
         rows = {"farthest node" if label.endswith("m") else "controller": values[None]}
-        panels[name] = draw_curves(
-            ax, times, rows, label, references=levels, xlabel="time, s" if last else None
-        )
+        panels[name] = draw_curves(ax, times, rows, label, references=levels, xlabel=xlabel)
         if (values > 0).any():  # NaN is not
             ax.set_yscale("log")
             ax.yaxis.set_minor_locator(NullLocator())

@@ -6,7 +6,7 @@ and in how dark they are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from math import ceil
@@ -127,6 +127,14 @@ def panel_axes(axes: Sequence[Axes] | None, names: Sequence[str]) -> list[Axes]:
         figure.align_ylabels(column)
         return column
     return given_axes(axes, len(names), f"one for each of {', '.join(names)}", "flat")
+
+
+def timed_panels(
+    axes: Sequence[Axes] | None, names: Sequence[str]
+) -> Iterator[tuple[Axes, str, str | None]]:
+    """Yield axes, name and time label of each panel; of new ones, only the lowest has a label."""
+    for ax, name in zip(panel_axes(axes, names), names, strict=True):
+        yield ax, name, "time, s" if axes is not None or name == names[-1] else None
 
 
 def given_axes(axes: Sequence[Any], count: int, which: str, kind: str) -> list[Any]:

@@ -344,10 +344,8 @@ class Actuators:
         if self._held == "force_density":
             desired, weak = self._unless_stuck(desired, stuck), _NONE
             if self._motor is not None:
-                most, length = (
-                    self._motor.torque / self._motor.lever,
-                    self._structure.string_length(nodes),
-                )
+                most = self._motor.most_tension
+                length = self._structure.string_length(nodes)
                 weak = np.flatnonzero(desired * length > most)
                 desired = desired.copy()
                 desired[weak] = most[weak] / length[weak]

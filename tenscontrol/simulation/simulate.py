@@ -9,7 +9,7 @@ from contextlib import nullcontext
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control import BaseController, ControlWarning, as_controller
+from tenscontrol.control import ControlWarning, as_controller
 from tenscontrol.dynamics import Model, Pieces, Profile, as_pieces, pack_state
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.integrate import Method, Projector, largest_frequency, state_scale
@@ -277,13 +277,9 @@ def simulate(
             kept = start.held
             rest_length, force_density = (None, kept) if start.rest_length is None else (kept, None)
     what = _input_kind(model, rest_length, force_density, controller is not None, input)
-    law: BaseController | None = None
+    law = None
     if controller is not None:
-        law = (
-            controller
-            if isinstance(controller, BaseController)
-            else as_controller(controller, model.structure, what, sample_time)
-        )
+        law = as_controller(controller, model.structure, what, sample_time)
     breaking = Faults(faults, float(np.ptp(model.structure.nodes, axis=1).max()), what)
     winch_count = None if law is None else len(law.commanded.strings)
     breaking.refuse_unknown(len(model.structure.strings), winch_count)

@@ -90,7 +90,7 @@ def test_jumps_that_are_ever_smaller_converge_to_the_ramp():
 @pytest.mark.parametrize("pieces", [1, 7])
 def test_the_model_of_a_sample_is_that_of_the_nonlinear_plant(pieces):
     plant = plant_of()
-    model = sampled(plant, SAMPLE, pieces)
+    model = sampled(plant, SAMPLE, pieces > 1)
     errors = []
     for size in (2e-4, 1e-4):
         change = size * np.random.default_rng(1).uniform(-1, 1, 9)
@@ -102,10 +102,10 @@ def test_the_model_of_a_sample_is_that_of_the_nonlinear_plant(pieces):
     assert errors[1] < 0.6 * errors[0]
 
 
-def test_one_piece_is_the_zero_order_hold_and_pieces_add_up():
+def test_a_jump_is_the_zero_order_hold_and_a_ramp_adds_up():
     plant = plant_of()
     transition, input_matrix, drift = plant.discretize(SAMPLE)
-    jump, wind = (sampled(plant, SAMPLE, pieces) for pieces in (1, 9))
+    jump, wind = (sampled(plant, SAMPLE, ramp) for ramp in (False, True))
     assert not jump.ramp
     assert not jump.by_previous.any()
     for model in (jump, wind):
@@ -200,7 +200,7 @@ def test_the_regulator_is_that_of_the_state_and_of_what_winches_hold():
     plant = plant_of(1e4)
     law = regulator(plant, 20)
     s, a = plant.B.shape
-    model = sampled(plant, SAMPLE, 20)
+    model = sampled(plant, SAMPLE, True)
     loop = np.zeros((s + a, s + a))
     for i, unit in enumerate(1e-7 * np.eye(s + a)):
         state, held = unit[:s], plant.rest_length + unit[s:]

@@ -76,12 +76,16 @@ class Wave(Controller):
         return Command(self.start * (1 + self.size * shift))
 
 
-def run_of(name, duration=0.4, size=5e-3, step=5e-4, law=None, rate=None, ramp=True, **motor):
+def winches_of(rate=None, ramp=True, **motor):
+    """Winches with motors, which ramp unless it is said otherwise."""
+    return tc.Winches(rate=rate, ramp=ramp, motor=tc.Motor(**GEAR, **motor))
+
+
+def run_of(name, duration=0.4, size=5e-3, step=5e-4, law=None, **kind):
     model, start = scene(name, law)
-    winches = tc.Winches(rate=rate, ramp=ramp, motor=tc.Motor(**(GEAR | motor)))
     return tc.simulate(
-        model, duration, controller=Wave(model, start, size), winches=winches, rest_length=start,
-        step=step,
+        model, duration, controller=Wave(model, start, size), winches=winches_of(**kind),
+        rest_length=start, step=step,
     )  # fmt: skip
 
 
@@ -282,12 +286,8 @@ def test_the_loop_of_a_reversal_is_as_wide_as_the_play():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_run_in_two_parts_is_the_one(kind):
-    options = dict(KINDS[kind])
     model, start = scene("planar D-bar")
-    winches = tc.Winches(
-        rate=options.pop("rate", None), ramp=options.pop("ramp", True),
-        motor=tc.Motor(**GEAR, **options),
-    )  # fmt: skip
+    winches = winches_of(**KINDS[kind])
     given = {"controller": Wave(model, start), "winches": winches, "step": 1e-3}
     whole = tc.simulate(model, 0.4, rest_length=start, **given)
     first = tc.simulate(model, 0.2, rest_length=start, **given)
@@ -301,12 +301,8 @@ def test_a_run_in_two_parts_is_the_one(kind):
 
 @pytest.mark.parametrize("kind", ["ramps", "inertia", "lag"])
 def test_a_stuck_winch_stands(kind):
-    options = dict(KINDS[kind])
     model, start = scene("planar D-bar")
-    winches = tc.Winches(
-        rate=options.pop("rate", None), ramp=options.pop("ramp", True),
-        motor=tc.Motor(**GEAR, **options),
-    )  # fmt: skip
+    winches = winches_of(**KINDS[kind])
     run = tc.simulate(
         model, 0.4, controller=Wave(model, start), winches=winches, rest_length=start, step=1e-3,
         faults=[tc.StuckWinch(1, time=0.1, until=0.3), tc.CutString(0, time=0.25)],

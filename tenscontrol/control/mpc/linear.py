@@ -183,9 +183,7 @@ def law_in_shape(
     at = OperatingPoint(plant.to_nodes(q), gamma, plant.external_force)
     there = linearize(plant.model, at, input=plant.input, require_equilibrium=False)
     spread = to_model_strings(plant, plant.input, np.eye(plant.B.shape[1])).T
-    found = sampled(
-        replace(there, B=there.B @ spread), path.sample_time, 2 if made.sampled.ramp else 1
-    )
+    found = sampled(replace(there, B=there.B @ spread), path.sample_time, made.sampled.ramp)
     transition, by_input = found.augmented
     turn, added = plant.coordinates.project(there.basis), len(transition) - 2 * r
     feedback = made.problem.feedback @ block_diag(turn, turn, np.eye(added))

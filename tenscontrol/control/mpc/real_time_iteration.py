@@ -69,15 +69,15 @@ class TrajectoryModel:
         machine_code: bool,
     ) -> None:
         sample_time, length, winches = settings.sample_time, settings.horizon, settings.winches
-        substeps = 1 if winches is None else winches.substeps
+        ramp = winches is not None and winches.ramp
         stiff = (
             plant.input == "rest_length" and explicit_substeps(plant, sample_time) > _MOST_EXPLICIT
         )
-        self.implicit = stiff or substeps > 1
+        self.implicit = stiff or ramp
         self.discretization: Discretization
         prepared = plant.prepared
         if self.implicit:
-            self.discretization = RadauIIA(plant, sample_time, length, substeps, machine_code)
+            self.discretization = RadauIIA(plant, sample_time, length, ramp, machine_code)
         else:
             self.discretization = RK4(plant, sample_time, length, machine_code)
         self.acceleration = reduced_acceleration(plant, taut=self.implicit)

@@ -10,10 +10,7 @@ from typing import Required, Self, TypedDict
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.control.controller import (
-    Controller,
-    warn_of_unreached,
-)
+from tenscontrol.control.controller import Controller, warn_of_unreached
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
 from tenscontrol.control.mpc.constraints import OutputLimit, broken_limits, output_block
 from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
@@ -284,7 +281,7 @@ def design(plant: LinearPlant, settings: MPCSettings) -> Design:
         lengths = to_commanded_strings(plant, "length", lengths)
         level = float((lengths - plant.equilibrium_input).max())
     winches, sample_time = settings.winches, settings.sample_time
-    model = sampled(plant, sample_time, 1 if winches is None else winches.substeps)
+    model = sampled(plant, sample_time, winches is not None and winches.ramp)
     transition, input_matrix = model.augmented
     weight, (gain, _, cost, _) = regulator(
         plant, transition, input_matrix, state_weight, input_weight, discrete=True

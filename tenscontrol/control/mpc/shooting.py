@@ -190,7 +190,7 @@ class RadauIIA(Discretization):
     """
 
     def __init__(
-        self, plant: LinearPlant, sample_time: float, length: int, substeps: int, machine_code: bool
+        self, plant: LinearPlant, sample_time: float, length: int, ramp: bool, machine_code: bool
     ) -> None:
         along, self.back_end = plant.prepared.get(
             ("Radau IIA", length, machine_code),
@@ -201,7 +201,7 @@ class RadauIIA(Discretization):
             plant.prepared.get(("Radau IIA", 1), lambda: taut_slopes(plant).map(3))
         )
         self._taut = Evaluator(plant.prepared.get("taut", lambda: _taut_force_density(plant)))
-        self.ramp, self._plant = substeps > 1, plant
+        self.ramp, self._plant = ramp, plant
         self._sample_time, self._r = sample_time, plant.degrees_of_freedom
         self._share = _NODES[:, None] if self.ramp else np.ones((3, 1))
         # What the accelerations at the stages do to places and speeds there.

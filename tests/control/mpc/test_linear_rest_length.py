@@ -171,7 +171,7 @@ def test_path_holds_each_shape_of_a_reference():
     prism = tc.prism()
     plant = at_target(1e4)
     reference = demo.ramp(prism, 1.0, demo.TARGET, 2.0)
-    path = ReferencePreview(plant, reference, sampled(plant, SAMPLE, 1))
+    path = ReferencePreview(plant, reference, sampled(plant, SAMPLE, False))
     stretch = path.at(reference.time[[0, 7, 40]])
     for k, at in enumerate((0, 7, 40)):
         nodes = reference.nodes[:, :, at]
@@ -194,7 +194,7 @@ def test_shape_out_of_balance_shows_as_drift():
     ]), STILL)[:9]  # fmt: skip
     shape = plant.to_nodes(q)
     reference = tc.Reference([0.0], shape[:, :, None])
-    path = ReferencePreview(plant, reference, sampled(plant, SAMPLE, 1))
+    path = ReferencePreview(plant, reference, sampled(plant, SAMPLE, False))
     stretch = path.at(np.zeros(1))
     run = tc.simulate(plant.model, SAMPLE, shape, rest_length=stretch.input[0], step=1e-4)
     found = plant.measure(run.nodes[:, :, -1], run.velocities[:, :, -1])
