@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import warnings
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -37,23 +38,36 @@ def structures():
     }
 
 
-def cases(name, input, shares):
-    """Yield direction, share, plant and reference of each distance that a path leads to."""
+@cache
+def at_start(name):
+    """Return the model of a structure, and its prestress."""
     structure, stiffness, level = structures()[name]
     model = tc.Model(structure, strings=tc.LinearStrings(stiffness, damping=0.01 * stiffness))
-    rest = tc.prestress(structure, force_density=level)
+    return model, tc.prestress(structure, force_density=level)
+
+
+@cache
+def way(name, place, level):
+    """Return the path of a structure until its highest node is at a place: of any input."""
+    model, rest = at_start(name)
+    node = int(model.structure.nodes[-1].argmax())
+    there = tc.NodesAt([node], np.array(place)[:, None])
+    goal = tc.shape_target(model, there, place="centre", force_density=level)
+    return tc.shape_path(model, rest, goal, duration=2.0).reference()
+
+
+def cases(name, input, shares):
+    """Yield direction, share, plant and reference of each distance that a path leads to."""
+    model, rest = at_start(name)
+    structure, level = model.structure, structures()[name][2]
     plant = tc.linearize(model, rest, input=input)
     d = structure.dimension
     node, size = int(structure.nodes[-1].argmax()), float(np.ptp(structure.nodes, axis=1).max())
-    for side, way in DIRECTIONS.items():
-        along = np.array(way)[[0, 2]] if d == 2 else np.array(way)
+    for side, sense in DIRECTIONS.items():
+        along = np.array(sense)[[0, 2]] if d == 2 else np.array(sense)
         for share in shares:
             place = structure.nodes[:, node] + share * size * along / np.linalg.norm(along)
-            goal = tc.shape_target(
-                model, tc.NodesAt([node], place[:, None]), place="centre", force_density=level
-            )
-            path = tc.shape_path(model, rest, goal, duration=2.0)
-            yield side, share, plant, path.reference()
+            yield side, share, plant, way(name, tuple(place.tolist()), level)
 
 
 def run(plant, reference, **settings):

@@ -11,7 +11,7 @@ from tenscontrol.dynamics.machine_code import FLAGS, Compiler
 
 @pytest.fixture(autouse=True, scope="package")
 def quick_to_compile(tmp_path_factory):
-    """Compile without optimization, and the files of the solver once for all controllers."""
+    """Compile without optimization, but the files of the solver, once for all controllers."""
     original, objects = Compiler.link, {}
     flags = [flag for flag in FLAGS if flag != "-shared"]
 
@@ -30,7 +30,7 @@ def quick_to_compile(tmp_path_factory):
         missing = [source for source, key in keys.items() if key not in objects]
         if missing:
             made = tmp_path_factory.mktemp("objects")
-            command = [*self.command, *flags, *extra, "-c", *map(str, missing)]
+            command = [*self.command, *flags, *extra, "-O1", "-c", *map(str, missing)]
             if subprocess.run(command, cwd=made, capture_output=True).returncode:
                 return original(self, sources, folder, name, timeout, extra)
             objects.update((keys[source], made / f"{source.stem}.o") for source in missing)

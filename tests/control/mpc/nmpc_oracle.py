@@ -51,6 +51,8 @@ class IpoptNMPC(Controller):
             **quiet, "ipopt.tol": tolerance, "ipopt.warm_start_init_point": "yes",
             "ipopt.hessian_approximation": hessian, "ipopt.max_iter": 3000,
         }  # fmt: skip
+        if hessian == "exact" and not winds:
+            options["hess_lag"] = self._hessian(problem, cost, nmpc.sampled, Z, U)
         self._given = problem, options
         self._cold = ca.nlpsol("nmpc", "ipopt", problem, options)
         low, high = (np.tile(bound / self._level, N) for bound in self.bounds)
@@ -58,6 +60,28 @@ class IpoptNMPC(Controller):
         self._bounds = {"lbx": np.r_[-free, low], "ubx": np.r_[free, high], "lbg": 0, "ubg": 0}
         self._split, self._N = s * N, N
         self.reset()
+
+    def _hessian(self, problem, cost, sampled, Z, U):
+        """Return the second derivatives of the Lagrangian, those of the motion by samples."""
+        (s, N), a = Z.shape, U.shape[0]
+        z, u, weight = (ca.SX.sym(name, size) for name, size in zip("zuw", (s, a, s), strict=True))
+        gap = -sampled(self._unit * z, self._level * u) / self._unit
+        second = ca.hessian(ca.dot(weight, gap), ca.vertcat(z, u))[0]
+        of_f, of_g = ca.MX.sym("of_f"), ca.MX.sym("of_g", s, N)
+        before = ca.horzcat(problem["p"][:s] / self._unit, Z[:, :-1])
+        of_sample = ca.Function("second", [z, u, weight], [second]).map(N)(before, U, of_g)
+        # The sample k is of the state before, which is the unknown k − 1, and of the input k.
+        first, *others = ca.horzsplit(of_sample, s + a)
+        by_states = ca.diagcat(*(each[:s, :s] for each in others), ca.MX(s, s))
+        by_both = ca.blockcat([
+            [ca.MX(s * (N - 1), a), ca.diagcat(*(each[:s, s:] for each in others))],
+            [ca.MX(s, a), ca.MX(s, a * (N - 1))],
+        ])  # fmt: skip
+        by_inputs = ca.diagcat(*(each[s:, s:] for each in (first, *others)))
+        of_motion = ca.blockcat([[by_states, by_both], [ca.MX(a * N, s * N), by_inputs]])
+        found = ca.triu(of_f * ca.hessian(cost, problem["x"])[0] + of_motion)
+        given = [problem["x"], problem["p"], of_f, ca.vec(of_g)]
+        return ca.Function("nlp_hess_l", given, [found])
 
     @cached_property
     def _warm(self):
