@@ -38,6 +38,7 @@ def test_every_example_is_tested():
         "plot_control_stiffness.py",
         "plot_control_string_mass.py",
         "plot_control_t_bar.py",
+        "plot_ground_lander.py",
         "plot_library.py",
         "plot_paper_skin.py",
         "plot_paper_string_mass.py",
@@ -54,6 +55,19 @@ def test_control_ball():
     assert [len(each) for each in found["left_alone"].values()] == [1, 0]
     assert all(controlled[-1] < 0.02 * controlled[0] for controlled, _ in found["returns"].values())
     assert all(abs(moved[-1, 1] - 0.1) < 1e-3 for moved in found["moves"].values())
+
+
+def test_ground_lander():
+    found = run("plot_ground_lander.py")
+    # Softest and stiffest strings both stop the payload harder than those between.
+    for height, values in found["peak"].items():
+        least = values.argmin()
+        assert 0 < least < len(values) - 1, height
+        assert values[0] > 1.5 * values[least]
+        # Least deceleration: at constant force over all the room there is.
+        assert values[least] > 0.9 * height / found["LENGTH"]
+    assert list(found["best"].values()) == sorted(found["best"].values())
+    assert found["error"] < 1e-4
 
 
 def test_prism_modes():

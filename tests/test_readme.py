@@ -52,6 +52,14 @@ def test_the_way_from_a_shape_to_winch_commands_runs(capsys, monkeypatch):
     assert heights[-1] == pytest.approx(0.85, abs=5e-3)
 
 
+def test_the_page_on_ground_runs():
+    names = ran("ground", 3)
+    run = names["run"]
+    assert -0.95 < run.nodes[2].min() < -0.9  # it has landed, and not sunk
+    assert names["bounced"].nodes[0].max() < 1.05  # in front of the wall
+    assert -0.96 < names["landed"].nodes[2].min() < -0.9
+
+
 def test_the_page_on_own_controllers_runs():
     run = ran("own_controllers", 2)["run"]
     assert run.control.controller.startswith("FunctionController(policy, input 'force_density'")
