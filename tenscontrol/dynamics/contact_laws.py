@@ -162,11 +162,11 @@ class ContactLaw(ABC):
         else:
             object.__setattr__(self, "height", number("height", self.height, "m"))
         if self.nodes is not None:
-            given = np.atleast_1d(float_array("nodes", self.nodes))
-            if given.ndim != 1 or not len(given):
-                raise ValueError(f"nodes has shape {given.shape}, expected (k,): at least one node")
-            nodes = indices("nodes", given, LARGEST_WHOLE, "nodes")
-            object.__setattr__(self, "nodes", frozen(nodes))
+            nodes = np.atleast_1d(float_array("nodes", self.nodes))
+            if nodes.ndim != 1 or not len(nodes):
+                raise ValueError(f"nodes has shape {nodes.shape}, expected (k,): at least one node")
+            found = indices("nodes", nodes, LARGEST_WHOLE, "nodes")
+            object.__setattr__(self, "nodes", frozen(found))
 
     @property
     def is_velocity_dependent(self) -> bool:
