@@ -1388,6 +1388,7 @@ call(
         "input": "rest_length",
         "winches": tc.Winches(rate=0.5),
         "faults": [tc.CutString(3, 0.05)],
+        "ground": [tc.Ground(1e3, friction=0.5, height=-0.1)],
     },
     share=0.5,
 )
