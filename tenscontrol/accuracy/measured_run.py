@@ -97,17 +97,21 @@ def invariants(case: Case, states: FloatArray) -> Invariants:
     bars = nodes[:, structure.bars[:, 1]] - nodes[:, structure.bars[:, 0]]
     off = np.abs(np.linalg.norm(bars, axis=0) - structure.bar_length[:, None])
     work = np.einsum("in,int->t", case.load, nodes)
+    if model.contacts is not None:
+        (stored,) = evaluate_columns(model.ground_energy, states)
+        potential = potential + stored
     return Invariants(kinetic[0], potential[0] - work, linear, angular, off.max(axis=0, initial=0))
 
 
 def conserves_energy(case: Case) -> bool:
-    """Return whether the motion conserves energy: no string is damped."""
+    """Return whether the motion conserves energy: no string is damped, and no contact rubs."""
     return not case.equation().velocity_dependent
 
 
 def conserves_momentum(case: Case) -> bool:
     """Return whether the motion conserves momentum: nothing acts from outside."""
-    return not case.load.any() and not len(case.structure.fixed_rows)
+    held = len(case.structure.fixed_rows) or case.model.contacts is not None
+    return not case.load.any() and not held
 
 
 def deviations(

@@ -391,6 +391,11 @@ class Model:
         return self._elastic_energy(self._symbols())
 
     @built
+    def ground_energy(self) -> ca.Function:
+        """``(x) -> energy``: what the ground stores where nodes are in it, J."""
+        return self._ground_energy(self._symbols())
+
+    @built
     def momentum(self) -> ca.Function:
         """``(x) -> (linear, angular)``: kg m/s, and kg m²/s about the origin.
 
@@ -437,6 +442,10 @@ class Model:
         stored = law.as_expressions().stored_energy(length, s["rest_length"])
         energy = ca.densify(ca.sum1(stored))
         return self._function("elastic_energy", s, "x rest_length", energy=energy)
+
+    def _ground_energy(self, s: dict[str, Any]) -> ca.Function:
+        stored = ca.SX(0) if self._contacts is None else self._contacts.stored_energy(s["nodes"])
+        return self._function("ground_energy", s, "x", energy=ca.densify(stored))
 
     def _string_motion(self, s: dict[str, Any]) -> ca.Function:
         """``(x) -> (length, rate)``: of each string, m and m/s, shape (α,)."""
