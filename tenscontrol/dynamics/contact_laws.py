@@ -574,20 +574,6 @@ class Contacts:
             forces[:, at] = forces[:, at] + law.mean_force(before[:, at], after[:, at], h)
         return forces
 
-    def stored_energy(self, N: Any) -> Any:
-        """Return the energy that the ground stores, J.
-
-        Parameters
-        ----------
-        N : casadi.SX or MX, shape (d, n)
-            Positions, m.
-        """
-        energy: Any = 0
-        for law, nodes, _ in self:
-            at = N[:, nodes.tolist()]
-            energy += ca.sum2(law.stored_energy(law.sinking(at, 0 * at)[0]))
-        return energy
-
     def gaps(self, N: Any, Nd: Any) -> tuple[Any, Any]:
         """Return the gap of each switch, m, and the rate of its depth, m/s, columns.
 

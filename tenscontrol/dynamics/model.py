@@ -301,7 +301,8 @@ class Model:
             meaning = "one force per node, N"
             load = load + shaped("external_force", external_force, load.shape, meaning)
         if form == "auto":
-            form = _suitable_form(self._structure)
+            small = self._prepared.get("small", lambda: _is_small(self._structure))
+            form = "flat" if small else "mapped" if compiler() is None else "loops"
         degree = whole_number("degree", degree, 0, _MOST_DEGREE)
         truth("load_input", load_input, "whether the load is an input")
         truth("offset_input", offset_input, "whether supports move")
@@ -391,11 +392,6 @@ class Model:
         return self._elastic_energy(self._symbols())
 
     @built
-    def ground_energy(self) -> ca.Function:
-        """``(x) -> energy``: what the ground stores where nodes are in it, J."""
-        return self._ground_energy(self._symbols())
-
-    @built
     def momentum(self) -> ca.Function:
         """``(x) -> (linear, angular)``: kg m/s, and kg m²/s about the origin.
 
@@ -442,10 +438,6 @@ class Model:
         stored = law.as_expressions().stored_energy(length, s["rest_length"])
         energy = ca.densify(ca.sum1(stored))
         return self._function("elastic_energy", s, "x rest_length", energy=energy)
-
-    def _ground_energy(self, s: dict[str, Any]) -> ca.Function:
-        stored = ca.SX(0) if self._contacts is None else self._contacts.stored_energy(s["nodes"])
-        return self._function("ground_energy", s, "x", energy=ca.densify(stored))
 
     def _string_motion(self, s: dict[str, Any]) -> ca.Function:
         """``(x) -> (length, rate)``: of each string, m and m/s, shape (α,)."""
@@ -574,11 +566,10 @@ def unpack_states(structure: Structure, states: FloatArray) -> tuple[FloatArray,
     return nodes.reshape(shape).swapaxes(0, 1), velocities.reshape(shape).swapaxes(0, 1)
 
 
-def _suitable_form(structure: Structure) -> str:
-    """Return "flat", "mapped" or "loops", by what members cost and whether C compiles here."""
-    if len(structure.bars) + len(structure.strings) <= LARGEST_FLAT >= members_alone(structure):
-        return "flat"
-    return "mapped" if compiler() is None else "loops"
+def _is_small(structure: Structure) -> bool:
+    """Whether every member is written out, by what members cost."""
+    members = len(structure.bars) + len(structure.strings)
+    return members <= LARGEST_FLAT >= members_alone(structure)
 
 
 def _gravity_vector(gravity: object, dimension: int) -> FloatArray:
