@@ -126,6 +126,20 @@ def test_simulation(printed):
         assert row(text, "MuJoCo RK4, step 1e-3")[0] < 1e-5
 
 
+def test_ground_drop(printed):
+    text = printed("ground_drop", "--duration 0.4 --settings 3 --repeats 1 --plain")
+    errors = [row(text, "dop853 ", which)[1] for which in range(3)]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 1e-4
+    if find_spec("mujoco") is None:
+        assert "mujoco rk4 does not take part: mujoco is not installed" in text
+    else:
+        assert "mujoco rk4 has a law of its own, contacts with linear damping" in text
+        own = [row(text, "mujoco rk4  ", which)[1] for which in range(3)]
+        assert own[-1] < own[0] < 0.1
+        assert float(re.search(r"the laws are (\S+) m apart", text)[1]) > own[-1]
+
+
 def test_repeated_runs(printed):
     text = printed("repeated_runs", "--repeats 1")
     for name in ("rk4 ", "rattle6 ", "dop853 ", "energy_momentum "):

@@ -16,6 +16,8 @@ from tests.public import public, public_classes, tree
 PACKAGE = Path(tc.__file__).parent
 PROJECT = Path(__file__).parent.parent
 
+GROUNDS = (tc.Ground, tc.dynamics.HertzGround, tc.dynamics.SmoothGround)
+
 # ---- values ----
 
 
@@ -84,6 +86,8 @@ def values(tmp_path_factory):
         winches.move(start.rest_length, start.rest_length, 0.01),
         model.strings,
         tc.ElasticStrings(axial_rigidity=np.full(9, 100.0)),
+        *(grounds := [ground(1e3, nodes=np.arange(3), normal=np.ones(3)) for ground in GROUNDS]),
+        tc.Model(prism, ground=grounds).contacts,
         tc.OperatingPoint(prism.nodes.copy(), rest.force_density.copy(), still),
         regulator.command(0.0, prism.nodes, still),
         tc.Reference([0.0], prism.nodes[:, :, None], rest.force_density[:, None]),
@@ -205,6 +209,7 @@ def _given():
         "Profile": {"time": np.arange(2.0), "values": np.ones((9, 2))},
         "LinearStrings": {"stiffness": np.ones(9), "damping": np.ones(9)},
         "ElasticStrings": {"axial_rigidity": np.ones(9), "damping": np.ones(9)},
+        "Ground": {"stiffness": 1e3, "normal": np.ones(3), "nodes": np.arange(3)},
         "Case": {
             "model": tc.Model(prism),
             "duration": 1.0,

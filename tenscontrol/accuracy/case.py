@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Equation, Model, builds, pack_state
-from tenscontrol.integrate import is_expandable
+from tenscontrol.integrate import is_expandable, largest_frequency
 from tenscontrol.plant import held_value
 from tenscontrol.scene import Scene
 from tenscontrol.simulation import checked_load, initial_state
@@ -182,17 +182,25 @@ _DENSE = 600
 def fastest_rate(case: Case) -> float:
     """Return the largest magnitude of the eigenvalues of ∂f/∂x at the start, 1/s.
 
-    All strings pull. Of an undamped structure that is its highest angular frequency ω; 1/duration
-    at least.
+    All strings pull. Of an undamped structure that is its highest angular frequency ω; with ground
+    that with all nodes on it, too; 1/duration at least.
     """
     equation = case.equation()
     x, u, taut, _ = equation.symbols(ca.SX if is_expandable(equation) else ca.MX)
     jacobian = ca.Function("jacobian", [x, u, taut], [ca.jacobian(equation.slope(x, u, taut), x)])
-    matrix = jacobian(case.state, case.value, np.ones(equation.switches))
+    pulls = np.ones(equation.switches)
+    touching = 0.0
+    if equation.contacts is not None and equation.contacts.switches:
+        touching = largest_frequency(equation, case.state, case.value)
+        # What a contact says far above the ground is no rate of any motion.
+        contacts = slice(equation.switches - equation.contacts.switches, None)
+        depth = equation.gap(case.state, case.value)[0].full()[contacts, 0]
+        pulls[contacts] = depth > 0
+    matrix = jacobian(case.state, case.value, pulls)
     if equation.states <= _DENSE:
         found = np.linalg.eigvals(matrix.full())
     else:
         from scipy.sparse.linalg import eigs
 
         found = eigs(matrix.sparse().tocsc(), k=6, which="LM", return_eigenvectors=False)
-    return max(float(np.abs(found).max(initial=0.0)), 1 / case.duration)
+    return max(float(np.abs(found).max(initial=0.0)), touching, 1 / case.duration)

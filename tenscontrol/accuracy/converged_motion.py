@@ -1,8 +1,8 @@
 """The motion that others are measured against, with an estimate of its own error.
 
-Switches of strings are located here a second time, beside ``tenscontrol.integrate``, and by other
-means, on purpose: the reference shares no code with the integrators that are measured, so that a
-mistake in their location of switches cannot hide in it.
+Switches of strings and contacts are located here a second time, beside ``tenscontrol.integrate``,
+and by other means, on purpose: the reference shares no code with the integrators that are measured,
+so that a mistake in their location of switches cannot hide in it.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ _TOLERANCE = 1e-13
 # Switches closer than this part of the duration are one moment, set apart by round-off.
 _TOGETHER = 1e-9
 
-# How far a string may pass the border of slack before the switch is acted on, m. It passes within
+# How far a string may pass the border of slack, or a contact that of the ground, before the switch
+# is acted on, m. It passes within
 # a time t in which the force is wrong by less than stiffness × this: below round-off after t.
 _BORDER = 1e-11
 
-# Where within a step the strings are looked at.
+# Where within a step the gaps are looked at.
 _LOOKS = np.linspace(0.0, 1.0, 9)[1:]
 
-# So many switches a string within such a part of the duration are no motion but chatter.
+# So many switches for each within such a part of the duration are no motion but chatter.
 _CHATTER, _INSTANT = 50, 1e-9
 
 
@@ -52,7 +53,8 @@ class ConvergedMotion:
     error : float
         Estimate of its error, m: the largest distance of a node between the two.
     switches : ndarray, shape (S,)
-        When strings went slack or taut, s; what switches within round-off counts once.
+        When strings went slack or taut, or contacts opened or closed, s; what switches within
+        round-off counts once.
     """
 
     time: FloatArray
@@ -76,7 +78,7 @@ def converged_motion(
     """Return the motion of a case as exactly as double precision allows, and its error.
 
     It is integrated by SciPy's DOP853 in smooth pieces, each switch of a
-    string found by Brent's method on the dense output, and again by the
+    string or a contact found by Brent's method on the dense output, and again by the
     package's own ``"dop853"``, which shares neither the steps nor the search
     for switches with it. How far the two part is the estimate of the error.
 
@@ -210,7 +212,7 @@ class PiecewiseSolver:
         count = _CHATTER * strings
         recent = self.switches[-count:]
         if len(recent) == count and now - recent[0] < _INSTANT * self._case.duration:
-            raise ArithmeticError(f"strings switch without end at {now:.6g} s")
+            raise ArithmeticError(f"strings or contacts switch without end at {now:.6g} s")
 
     def _gaps(self, state: FloatArray) -> FloatArray:
         if not self._can_switch:

@@ -11,7 +11,14 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case
 from tenscontrol.actuation import to_rest_length
-from tenscontrol.dynamics import LinearStrings, Model
+from tenscontrol.dynamics import (
+    ContactLaw,
+    Ground,
+    HertzGround,
+    LinearStrings,
+    Model,
+    SmoothGround,
+)
 from tenscontrol.integrate import METHODS, largest_frequency
 from tenscontrol.statics import prism_force_density
 from tenscontrol.structure import Structure, prism, segment_counts, spread_force_density, subdivide
@@ -40,6 +47,9 @@ _COST = {_STEPPED: 3.0}
 
 # Nodes for which the budget is meant.
 _NODES = 6
+
+# m/s², of what falls.
+_GRAVITY = 9.81
 
 # Part of the force that balances which the vertical strings start with.
 _LET_GO = 0.9
@@ -375,10 +385,154 @@ def _d_bar() -> Iterator[Extreme]:
         yield Extreme("D-bar through slack", f"{k:g} N/m", case)
 
 
+# ---- on the ground ----
+
+
+def _dropped(
+    structure: Structure | None = None,
+    stiffness: float = 1e4,
+    height: float = 0.1,
+    duration: float = 0.5,
+    spin: float = 0.0,
+    string_damping: float = 0.5,
+    ground: type[ContactLaw] = Ground,
+    **law: Any,
+) -> Case:
+    """Return a prism that stands askew above the ground, let go with a speed sideways.
+
+    ``height`` is that of its lowest node, by its size of 1 m. Masses are 1 kg a bar.
+    """
+    at = _askew(prism() if structure is None else structure)
+    gamma = prism_force_density(3, 10.0)[0]
+    strings = LinearStrings(stiffness=100.0, damping=string_damping)
+    lengths = to_rest_length(Model(at, strings=strings), at.nodes, gamma).rest_length
+    given = {"damping": 0.3, "friction": 0.5} | law
+    floor = ground(stiffness, height=at.nodes[2].min() - height, **given)
+    model = Model(at, strings=strings, gravity=_GRAVITY, ground=floor)
+    centre = at.nodes.mean(axis=1, keepdims=True)
+    moving = np.cross([spin, 0.0, spin], (at.nodes - centre).T).T
+    moving[0] += 0.5
+    return Case(model, duration, velocities=moving, input="rest_length", value=lengths)
+
+
+def _askew(structure: Structure) -> Structure:
+    """Return the structure turned, so that no two nodes are at one height."""
+    a, b = 0.3, 0.2
+    about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
+    return replace(structure, nodes=about_y @ about_x @ structure.nodes)
+
+
+def _ground_stiffness(powers: range = range(2, 10)) -> Iterator[Extreme]:
+    for power in powers:
+        case = _dropped(stiffness=10.0**power, duration=0.4 if power < 7 else 0.2)
+        yield Extreme("ground stiffness", f"1e{power} N/m", case)
+
+
+def _ground_without_loss() -> Iterator[Extreme]:
+    """Ground that gives back all that it takes: prism and bar bounce again and again."""
+    for power in (3, 6):
+        case = _dropped(
+            stiffness=10.0**power, duration=1.0, string_damping=0.0, damping=0.0, friction=0.0
+        )
+        yield Extreme("ground without loss", f"1e{power} N/m", case)
+    nodes = np.array([[-0.5, 0.5], [0.0, 0.0], [0.1, 0.1]])
+    bar = Structure(nodes, [[0, 1]], np.zeros((0, 2), int), 2.0)
+    model = Model(bar, gravity=_GRAVITY, ground=Ground(1e4))
+    case = Case(model, 10.0, input="force_density", value=np.zeros(0))
+    yield Extreme("ground without loss", "a bar bounces for 10 s", case)
+
+
+def _ground_mass() -> Iterator[Extreme]:
+    for masses in ([1e-3, 1.0, 1.0], [1e-3, 1.0, 1e3]):
+        case = _dropped(prism(bar_mass=masses), stiffness=1e4)
+        label = ", ".join(f"{mass:g}" for mass in masses)
+        yield Extreme("bars on the ground", f"{label} kg in one", case)
+
+
+def _drop_height(heights: tuple[float, ...] = (1e-3, 1e-1, 1e1, 1e3)) -> Iterator[Extreme]:
+    for height in heights:
+        falls = float(np.sqrt(2 * height / _GRAVITY))
+        yield Extreme("drop", f"{height:g} sizes", _dropped(height=height, duration=falls + 0.3))
+
+
+def _friction(values: tuple[float, ...] = (0.0, 0.1, 1.0, 5.0)) -> Iterator[Extreme]:
+    for friction in values:
+        yield Extreme("friction", f"{friction:g}", _dropped(friction=friction))
+    sticks = _dropped(friction=0.5, slip_speed=1e-5)
+    yield Extreme("friction", "slip speed 1e-5 m/s", sticks)
+
+
+def _resting() -> Iterator[Extreme]:
+    """Nodes that rest on the ground, stick to it, and press for a minute."""
+    for power in (3, 5):
+        case = _dropped(stiffness=10.0**power, height=1e-3, duration=60.0, damping=1.0)
+        yield Extreme("rest for 60 s", f"1e{power} N/m", case, budget=3e6)
+
+
+def _spinning_drop(speeds: tuple[float, ...] = (10.0, 100.0)) -> Iterator[Extreme]:
+    for speed in speeds:
+        case = _dropped(spin=speed / np.sqrt(2), duration=0.3)
+        yield Extreme("spinning drop", f"{speed:g} rad/s", case, turning=speed)
+
+
+def _ground_laws() -> Iterator[Extreme]:
+    yield Extreme("ground law", "Hertz", _dropped(stiffness=1e5, ground=HertzGround))
+    yield Extreme("ground law", "smooth", _dropped(ground=SmoothGround))
+    case = _dropped(damping=30.0)
+    yield Extreme("ground law", "damping 30 s/m", case)
+    wall = Ground(1e4, damping=0.3, friction=0.5, normal=np.array([-1.0, 0.0, 0.3]), height=-0.7)
+    floor = case.model.ground[0]
+    corner = Model(
+        case.structure, strings=case.model.strings, gravity=_GRAVITY, ground=[floor, wall]
+    )
+    yield Extreme("ground law", "a corner", replace(case, model=corner))
+
+
+def _grazing() -> Iterator[Extreme]:
+    """Return a bar that turns, and whose end just reaches the ground, again and again."""
+    for turned in (next(_free_bar((10.0,))),):
+        above = np.array([0.0, 1.0, 0.0])  # it turns in the plane of x and y
+        start = turned.case
+        along = start.velocities - start.velocities.mean(axis=1, keepdims=True)
+        ground = Ground(1e5, friction=0.5, normal=above, height=-0.5)
+        case = replace(start, model=Model(start.structure, ground=ground), velocities=along)
+
+        def motion(time: FloatArray) -> FloatArray:
+            half = 0.5 * np.array([np.cos(10 * time), np.sin(10 * time), 0 * time])
+            return np.stack([-half, half], axis=1)
+
+        yield Extreme("grazing", "a bar at 10 rad/s", case, turning=10.0, closed_form=motion)
+
+
+def _ground_scale() -> Iterator[Extreme]:
+    """Return the same drop at sizes from microns to kilometres."""
+    for length, label in ((1e-6, "1 µm"), (1e3, "1 km")):
+        case = _dropped()
+        strings, floor = case.model.strings, case.model.ground[0]
+        structure = replace(
+            case.structure, nodes=length * case.nodes, bar_mass=length**3 * np.ones(3)
+        )
+        # Time goes with the length, speeds stay.
+        model = Model(
+            structure,
+            strings=LinearStrings(stiffness=100.0 * length, damping=0.5 * length**2),
+            gravity=_GRAVITY / length,
+            ground=replace(floor, stiffness=1e4 * length, height=length * float(floor.height)),
+        )
+        assert strings is not None  # of a prism
+        scaled = Case(
+            model, length * case.duration, velocities=case.velocities, input="rest_length",
+            value=length * case.value,
+        )  # fmt: skip
+        yield Extreme("drop of another scale", label, scaled)
+
+
 _ALL = (
     _stiffness, _node_mass, _bar_mass, _segments, _free_bar, _spun_prism, _prestress, _slack,
     _zero_length, _aspect, _long_steps, _damped, _many_steps, _scale, _class_2_tower, _spine,
-    _chain, _short_segment, _d_bar,
+    _chain, _short_segment, _d_bar, _ground_stiffness, _ground_without_loss, _ground_mass,
+    _drop_height, _friction, _resting, _spinning_drop, _ground_laws, _grazing, _ground_scale,
 )  # fmt: skip
 
 

@@ -8,12 +8,19 @@ from statistics import median
 from time import perf_counter
 from typing import Any, TypeVar
 
+import casadi as ca
 import numpy as np
 
 from tenscontrol.accuracy.case import Case, fastest_rate
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, largest_distance
 from tenscontrol.accuracy.peers import Peer, steps_between
-from tenscontrol.dynamics import evaluate_columns, pack_state, unpack_states
+from tenscontrol.dynamics import (
+    ContactLaw,
+    builds,
+    evaluate_columns,
+    pack_state,
+    unpack_states,
+)
 from tenscontrol.integrate import METHODS, IntegrationError, Method, Work
 from tenscontrol.validation import FloatArray, choice, items, positive_number
 
@@ -23,6 +30,9 @@ _TOLERANCES = tuple(10.0**-k for k in range(3, 13))
 
 # Time after which a run is not repeated any more, s.
 _PATIENCE = 3.0
+
+#: By how much the reference of a peer that has a law of its own is finer than its finest run.
+FINER = 8.0
 
 NOT_KNOWN = float("nan")
 
@@ -97,17 +107,38 @@ def invariants(case: Case, states: FloatArray) -> Invariants:
     bars = nodes[:, structure.bars[:, 1]] - nodes[:, structure.bars[:, 0]]
     off = np.abs(np.linalg.norm(bars, axis=0) - structure.bar_length[:, None])
     work = np.einsum("in,int->t", case.load, nodes)
+    if model.contacts is not None:
+        potential = potential + _stored_in_ground(case, nodes)
     return Invariants(kinetic[0], potential[0] - work, linear, angular, off.max(axis=0, initial=0))
 
 
+@builds
+def _stored_in_ground(case: Case, nodes: FloatArray) -> FloatArray:
+    """Return what contacts store, J, shape (T,), at positions of all nodes, m, (d, n, T)."""
+    d, _, count = nodes.shape
+    energy = np.zeros(count)
+    for i, (law, at, _) in enumerate(case.model.contacts or ()):
+
+        def build(law: ContactLaw = law) -> ca.Function:
+            x = ca.SX.sym("x", d)
+            depth = law.sinking(x, 0 * x)[0]
+            return ca.Function("stored", [x], [ca.densify(law.stored_energy(depth))])
+
+        function = case.equation().prepared.get(("stored in ground", i), build)
+        (stored,) = evaluate_columns(function, nodes[:, at].reshape(d, -1))
+        energy += stored.reshape(len(at), count).sum(axis=0)
+    return energy
+
+
 def conserves_energy(case: Case) -> bool:
-    """Return whether the motion conserves energy: no string is damped."""
+    """Return whether the motion conserves energy: no string is damped, and no contact rubs."""
     return not case.equation().velocity_dependent
 
 
 def conserves_momentum(case: Case) -> bool:
     """Return whether the motion conserves momentum: nothing acts from outside."""
-    return not case.load.any() and not len(case.structure.fixed_rows)
+    held = len(case.structure.fixed_rows) or case.model.contacts is not None
+    return not case.load.any() and not held
 
 
 def deviations(
@@ -207,6 +238,7 @@ class Bench:
         self._machine_code = machine_code
         self._start = invariants(case, case.state[:, None])
         self._true = invariants(case, reference.states)
+        self._own: dict[Peer, FloatArray] = {}
 
     def own(self, method: Method, setting: float) -> Measurement:
         """Return what one of our methods gives at a setting."""
@@ -226,10 +258,11 @@ class Bench:
         except (ValueError, ArithmeticError) as error:
             return replace(row, failure=str(error))
         row = replace(row, **timing, **_counts(span.work), back_end=integrator.back_end)
-        return self._judged(row, *unpack_states(case.structure, span.states))
+        nodes, velocities = unpack_states(case.structure, span.states)
+        return self._judged(row, nodes, velocities, self._reference.nodes)
 
-    def peer(self, peer: Peer, setting: float) -> Measurement:
-        """Return what another package gives at a setting."""
+    def peer(self, peer: Peer, setting: float, finest: float) -> Measurement:
+        """Return what another package gives at a setting, of which ``finest`` is the finest run."""
         row = Measurement(peer.name, True, "setting", setting)
         began = perf_counter()
         try:
@@ -238,7 +271,20 @@ class Bench:
         except (ValueError, ArithmeticError, RuntimeError) as error:
             return replace(row, failure=str(error))
         row = replace(row, **timing, evaluations=solution.evaluations or None)
-        return self._judged(row, solution.nodes, solution.velocities)
+        if peer.own_law(self._case) is None:
+            return self._judged(row, solution.nodes, solution.velocities, self._reference.nodes)
+        try:
+            own = self._own_motion(peer, finest / FINER)
+        except (ValueError, ArithmeticError, RuntimeError) as error:
+            return replace(row, failure=f"no reference of its own law: {error}")
+        # What it conserves is not what the case conserves.
+        return self._judged(row, solution.nodes, None, own)
+
+    def _own_motion(self, peer: Peer, setting: float) -> FloatArray:
+        """Return the motion of a peer under its own law, found once."""
+        if peer not in self._own:
+            self._own[peer] = peer.prepare(self._case, setting, self._reference.time)().nodes
+        return self._own[peer]
 
     def _timed(self, run: Callable[[], Result], built: float) -> tuple[Result, dict[str, Any]]:
         """Return what a run returns, with its median time and what came before the first."""
@@ -255,10 +301,9 @@ class Bench:
         return result, {"time": typical, "build_time": build, "repeats": max(len(times), 1)}
 
     def _judged(
-        self, row: Measurement, nodes: FloatArray, velocities: FloatArray | None
+        self, row: Measurement, nodes: FloatArray, velocities: FloatArray | None, true: FloatArray
     ) -> Measurement:
         """Return the row with errors and health of the motion, or with why there are none."""
-        true = self._reference.nodes
         if nodes.shape != true.shape:
             raise ValueError(
                 f"{row.method} returned nodes of shape {nodes.shape}, expected {true.shape}: "

@@ -12,6 +12,7 @@ import numpy as np
 from tenscontrol.accuracy.case import Case, as_case
 from tenscontrol.accuracy.converged_motion import ConvergedMotion, converged_motion
 from tenscontrol.accuracy.measured_run import (
+    FINER,
     NOT_KNOWN,
     Bench,
     Measurement,
@@ -115,6 +116,9 @@ class WorkPrecision:
         How perturbations grow; None where the reference was given.
     refused : tuple of (str, str)
         Peers that do not take part, with their reason.
+    own_laws : tuple of (str, str)
+        Peers whose law is another than that of the case, and in what: their errors are against
+        their own motions, at a setting 8 times finer than their finest.
     """
 
     case: Case
@@ -122,6 +126,7 @@ class WorkPrecision:
     reference: ConvergedMotion
     predictability: Predictability | None
     refused: tuple[tuple[str, str], ...]
+    own_laws: tuple[tuple[str, str], ...] = ()
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -251,6 +256,11 @@ class WorkPrecision:
         if any(row.back_end == "machine code" for row in self.rows):
             lines.append("our own methods that can be compiled are in machine code")
         lines += [f"{name} does not take part: {why}" for name, why in self.refused]
+        lines += [
+            f"{name} has a law of its own, {law}: its errors are against its own motion at a "
+            f"setting {FINER:g} times finer than its finest"
+            for name, law in self.own_laws
+        ]
         return "\n".join(lines)
 
     def table(self) -> str:
@@ -392,7 +402,8 @@ def work_precision(
         instance(f"peers[{i}]", peer, Peer, "make one by subclassing Peer")
     given = _checked_settings(settings, chosen, peers)
     wanted = {m: given.get(m.name) or default_settings(m, case) for m in chosen}
-    other = [(p, x) for p in peers for x in given.get(p.name) or p.settings]
+    theirs = {p: given.get(p.name) or p.settings for p in peers}
+    other = [(p, x) for p in peers for x in theirs[p]]
     total = 2 + sum(map(len, wanted.values())) + len(other)
     rows: list[Measurement] = []
     kept = keeping("runs are measured", rows.__len__)
@@ -409,13 +420,17 @@ def work_precision(
         bench = Bench(case, reference, repeats, machine_code)
         spacing = case.duration / len(reference.time)
         runs = [partial(bench.own, m, x) for m in chosen for x in as_taken(m, wanted[m], spacing)]
-        runs += [partial(bench.peer, p, x) for p, x in other if refusals[p.name] is None]
+        runs += [
+            partial(bench.peer, p, x, min(theirs[p])) for p, x in other if refusals[p.name] is None
+        ]
         for run in runs:
             rows.append(run())
             report(2 + len(rows))
         report(total)
     refused = tuple((name, why) for name, why in refusals.items() if why is not None)
-    return WorkPrecision(case, tuple(rows), reference, growth, refused)
+    laws = {peer.name: peer.own_law(case) for peer in peers if refusals[peer.name] is None}
+    own = tuple((name, law) for name, law in laws.items() if law is not None)
+    return WorkPrecision(case, tuple(rows), reference, growth, refused, own)
 
 
 def _checked_settings(

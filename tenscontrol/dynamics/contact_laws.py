@@ -147,25 +147,26 @@ class ContactLaw(ABC):
         for field in fields(self):
             name, value = field.name, getattr(self, field.name)
             if name in ("damping", "friction"):
-                if number(name, value, "s/m" if name == "damping" else "–") < 0:
-                    raise ValueError(f"{name} is {value:g}, expected at least 0")
-                object.__setattr__(self, name, float(value))
+                given = number(name, value, "s/m" if name == "damping" else "–")
+                if given < 0:
+                    raise ValueError(f"{name} is {given:g}, expected at least 0")
+                object.__setattr__(self, name, given)
             elif name not in ("normal", "height", "nodes"):
-                unit = "m/s" if name == "slip_speed" else "a positive parameter of the law"
+                unit = "m/s" if name == "slip_speed" else "SI units"
                 object.__setattr__(self, name, positive_number(name, value, unit))
         if self.normal is not None:
-            size = np.size(float_array("normal", self.normal))
-            object.__setattr__(self, "normal", frozen(direction("normal", self.normal, size)))
+            dimension = 2 if np.size(float_array("normal", self.normal)) == 2 else 3
+            object.__setattr__(self, "normal", frozen(direction("normal", self.normal, dimension)))
         if isinstance(self.height, ca.Function):
             _check_height(self.height, self.normal)
         else:
             object.__setattr__(self, "height", number("height", self.height, "m"))
         if self.nodes is not None:
-            given = np.atleast_1d(float_array("nodes", self.nodes))
-            if given.ndim != 1 or not len(given):
-                raise ValueError(f"nodes has shape {given.shape}, expected (k,): at least one node")
-            nodes = indices("nodes", given, LARGEST_WHOLE, "nodes")
-            object.__setattr__(self, "nodes", frozen(nodes))
+            nodes = np.atleast_1d(float_array("nodes", self.nodes))
+            if nodes.ndim != 1 or not len(nodes):
+                raise ValueError(f"nodes has shape {nodes.shape}, expected (k,): at least one node")
+            found = indices("nodes", nodes, LARGEST_WHOLE, "nodes")
+            object.__setattr__(self, "nodes", frozen(found))
 
     @property
     def is_velocity_dependent(self) -> bool:
@@ -179,7 +180,13 @@ class ContactLaw(ABC):
         return self.gap(one, one) is not None
 
     def up(self, dimension: int) -> FloatArray:
-        """Return the normal in the plane (2) or in space (3), shape (d,)."""
+        """Return the normal in the plane (2) or in space (3), shape (d,).
+
+        Parameters
+        ----------
+        dimension : int
+            Of the structure.
+        """
         return np.eye(dimension)[-1] if self.normal is None else self.normal
 
     def sinking(self, positions: Any, velocities: Any) -> tuple[Any, Any, Any]:
@@ -281,8 +288,12 @@ class Ground(ContactLaw):
     ----------
     stiffness : float
         k, N/m, positive.
-    damping, friction, slip_speed, normal, height, nodes
-        See :class:`~tenscontrol.dynamics.ContactLaw`.
+    damping, friction, slip_speed : float
+        d, s/m, μ, and v_s, m/s: see :class:`~tenscontrol.dynamics.ContactLaw`, as for the others.
+    normal : array_like, shape (d,), optional
+    height : float or casadi.Function
+        m.
+    nodes : array_like of int, optional
 
     Raises
     ------
@@ -312,8 +323,12 @@ class HertzGround(ContactLaw):
     ----------
     stiffness : float
         k, N/m^{3/2}, positive: 4/3 E* √R of a sphere of radius R on a half-space.
-    damping, friction, slip_speed, normal, height, nodes
-        See :class:`~tenscontrol.dynamics.ContactLaw`.
+    damping, friction, slip_speed : float
+        d, s/m, μ, and v_s, m/s: see :class:`~tenscontrol.dynamics.ContactLaw`, as for the others.
+    normal : array_like, shape (d,), optional
+    height : float or casadi.Function
+        m.
+    nodes : array_like of int, optional
 
     Raises
     ------
@@ -351,8 +366,12 @@ class SmoothGround(ContactLaw):
     ----------
     stiffness : float
         k, N/m, positive.
-    damping, friction, slip_speed, normal, height, nodes
-        See :class:`~tenscontrol.dynamics.ContactLaw`.
+    damping, friction, slip_speed : float
+        d, s/m, μ, and v_s, m/s: see :class:`~tenscontrol.dynamics.ContactLaw`, as for the others.
+    normal : array_like, shape (d,), optional
+    height : float or casadi.Function
+        m.
+    nodes : array_like of int, optional
     width : float
         w, m, positive.
 
@@ -502,7 +521,7 @@ class Contacts:
             some = structure.free
             if law.nodes is not None:
                 some = np.intersect1d(some, law.nodes)
-            nodes.append(some)
+            nodes.append(frozen(some))
             switches = law.switches
             switch.append(slice(count, count + len(some)) if switches else None)
             count += len(some) * switches

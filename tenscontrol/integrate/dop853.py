@@ -181,9 +181,9 @@ def _interpolate(recorded: FloatArray, times: FloatArray, states: FloatArray, do
     recorded = recorded[:, recorded[1] > 0]
     if not recorded.size:
         return done
-    ends = recorded[0] + recorded[1]
-    # The step itself was taken to reach the time but for round-off.
-    reached = int(np.searchsorted(times, ends[-1] * (1 + 1e-14), side="right"))
+    # A step that reaches a time but for round-off, as one to a switch may, was recorded for it.
+    ends = (recorded[0] + recorded[1]) * (1 + 2e-14)
+    reached = int(np.searchsorted(times, ends[-1], side="right"))
     now = times[done:reached]
     within = recorded[:, np.minimum(np.searchsorted(ends, now), len(ends) - 1)]
     part = (now - within[0]) / within[1]

@@ -11,7 +11,7 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.control import Controller, ControlWarning, Status, as_controller
-from tenscontrol.dynamics import Coordinates, Model, StringLaw, coordinates
+from tenscontrol.dynamics import ContactLaw, Coordinates, Model, StringLaw, coordinates
 from tenscontrol.estimation import KINDS, KalmanFilter, Sensors
 from tenscontrol.plant import LinearPlant, checked_reference
 from tenscontrol.robustness.distributions import one_number
@@ -32,8 +32,12 @@ from tenscontrol.validation import (
 )
 
 _PARAMETERS = (
-    "bar_mass", "string_node_mass", "point_mass", "stiffness", "damping", "start", "noise", "delay",
+    "bar_mass", "string_node_mass", "point_mass", "stiffness", "damping", "ground_stiffness",
+    "ground_damping", "friction", "start", "noise", "delay",
 )  # fmt: skip
+
+# What factors on the ground act on.
+_GROUND = {"ground_stiffness": "stiffness", "ground_damping": "damping", "friction": "friction"}
 
 # What a factor on the stiffness acts on, by the law.
 _STIFFNESS = ("stiffness", "axial_rigidity")
@@ -96,7 +100,9 @@ class ClosedLoopCase:
 
     For :func:`sweep`. The parameters it knows: ``"bar_mass"``, ``"string_node_mass"``,
     ``"point_mass"``, ``"stiffness"`` and ``"damping"`` are factors on the nominal values, one for
-    all or one a member, of point masses one a node; ``"start"`` is where the structure starts,
+    all or one a member, of point masses one a node; so are ``"ground_stiffness"``,
+    ``"ground_damping"`` and ``"friction"``, one for all contact laws of the ground or one a law;
+    ``"start"`` is where the structure starts,
     coordinates q of the controller's plant, m √kg, for a function internal ones about the target.
     With an estimator, ``"noise"`` is a factor on the standard deviations of all readings, and
     ``"delay"`` how many samples late they come: draw it by :class:`OneOf`. The estimator is not
@@ -131,6 +137,8 @@ class ClosedLoopCase:
         As in :class:`Model`. Weights go with the masses.
     rest_length, input, winches, sample_time, estimator, sensors, faults : optional
         As in :func:`simulate`.
+    ground : ContactLaw or sequence of ContactLaw, optional
+        As in :class:`Model`; nominal.
 
     Raises
     ------
@@ -170,6 +178,7 @@ class ClosedLoopCase:
     estimator: KalmanFilter | None = None
     sensors: Sensors | None = None
     faults: Sequence[Fault] = ()
+    ground: ContactLaw | Sequence[ContactLaw] | None = None
     # In which the nodes are to be at their place.
     _coordinates: Coordinates = field(init=False, repr=False)
 
@@ -220,7 +229,8 @@ class ClosedLoopCase:
         faults = Faults(self.faults, size, held)
         faults.refuse_unknown(len(self.structure.strings), winches)
         put(self, "faults", tuple(self.faults))
-        self._model({})  # refuses strings and gravity that do not fit
+        model = self._model({})  # refuses strings, gravity and ground that do not fit
+        put(self, "ground", model.ground)
 
     def __call__(self, parameters: Mapping[str, object], rng: np.random.Generator) -> Outcome:
         """Return what becomes of the closed loop with these factors and start; noise by ``rng``.
@@ -279,7 +289,10 @@ class ClosedLoopCase:
                 strings = _varied_strings(
                     strings, name, of_law, parameters[name], len(structure.strings)
                 )
-        return Model(structure, strings=strings, gravity=self.gravity)
+        ground = self.ground
+        for name in (each for each in _GROUND if each in parameters):
+            ground = _varied_ground(ground, name, parameters[name])
+        return Model(structure, strings=strings, gravity=self.gravity, ground=ground)
 
     def _start(self, parameters: Mapping[str, object]) -> FloatArray | None:
         if "start" not in parameters:
@@ -321,6 +334,19 @@ def _varied_strings(
         raise SweepError(f"{name} is drawn, but the strings have none: {strings!r}")
     value = per_member(name, factor, count, "string")
     return replace(strings, **{scaled[0]: value * getattr(strings, scaled[0])})
+
+
+def _varied_ground(ground: Any, name: str, factor: object) -> tuple[ContactLaw, ...]:
+    """Return the contact laws with a parameter multiplied."""
+    nominal = [getattr(law, _GROUND[name]) for law in ground or ()]
+    if not any(nominal):
+        why = "the ground has none" if nominal else "there is no ground: give ground"
+        raise SweepError(f"{name} is drawn, but {why}")
+    factors = per_member(name, factor, len(nominal), "contact law of the ground")
+    return tuple(
+        replace(law, **{_GROUND[name]: by * value})
+        for law, by, value in zip(ground, factors, nominal, strict=True)
+    )
 
 
 def _varied_sensors(sensors: Sensors | None, parameters: Mapping[str, object]) -> Sensors | None:

@@ -336,9 +336,7 @@ def build_estimator(
 def build_faults(document: Document, strings: int, winches: int | None) -> tuple[Fault, ...]:
     """Return the faults; ``strings`` can be cut; ``winches`` is None without a controller."""
     found: list[Fault] = []
-    for i in range(len(document.values.get("faults", ()))):
-        title, values = f"[[faults]] number {i + 1}", document.values["faults"][i]
-        table = Table(document, ("faults", i), title, values, schema.TABLES["faults"])
+    for table in document.entries("faults"):
         kind, entry = table.chosen("kind", schema.FAULT_KEYS)
         if kind != "cut_string" and winches is None:
             raise entry.error("kind", f"{entry.title} goes with a table [controller]")

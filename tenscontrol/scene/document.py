@@ -12,7 +12,7 @@ from pathlib import Path
 from stat import S_ISREG
 from typing import Any
 
-from tenscontrol.scene.schema import LISTS, RENAMED, TABLES, Keys
+from tenscontrol.scene.schema import LISTS, ONE_OR_LIST, RENAMED, TABLES, Keys
 
 # A scene of 30,000 bars given by their numbers is below this, and is read in a few seconds.
 _MOST_BYTES, _MOST_KEYS, _MOST_LISTS, _DEEPEST = 10_000_000, 100_000, 250_000, 16
@@ -48,6 +48,15 @@ class Document:
         """Return a table, empty if the file has none; with the keys of one kind if given."""
         known = TABLES[name] if keys is None else keys
         return Table(self, (name,), f"[{name}]{note}", self.values.get(name, {}), known)
+
+    def entries(self, name: str) -> Iterator[Table]:
+        """Return the tables of a list, or the one that is written without being a list."""
+        given = self.values.get(name, [])
+        if isinstance(given, dict):
+            yield self.table(name)
+            return
+        for i, values in enumerate(given):
+            yield Table(self, (name, i), f"[[{name}]] number {i + 1}", values, TABLES[name])
 
     def has(self, name: str) -> bool:
         """Whether the file has this table."""
@@ -106,9 +115,11 @@ class Table:
             raise self.error(key, f"{said}; {meant} {words}")
         return value
 
-    def chosen(self, key: str, kinds: Mapping[str, Keys]) -> tuple[str, Table]:
+    def chosen(
+        self, key: str, kinds: Mapping[str, Keys], default: str | None = None
+    ) -> tuple[str, Table]:
         """Return the word at a key, and the table with the keys that go with this word."""
-        kind = self.choice(key, tuple(kinds))
+        kind = self.choice(key, tuple(kinds), default)
         title = f"{self.title} with {key} = {kind!r}"
         return kind, Table(self.document, self.path, title, self.values, kinds[kind])
 
@@ -179,7 +190,7 @@ def read_document(file: str | Path) -> Document:
         if table not in TABLES:
             hint = _hint(table[:60], TABLES, "The tables")
             raise document.error((table,), f"a scene has no table [{table[:60]}]{hint}")
-        if table in LISTS:
+        if table in LISTS and not (table in ONE_OR_LIST and isinstance(value, dict)):
             if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
                 raise document.error((table,), f"{table} is no list of tables; write [[{table}]]")
         elif not isinstance(value, dict):

@@ -27,6 +27,7 @@ from tenscontrol.scene.document import Document, Table, read_document
 from tenscontrol.scene.structure_tables import (
     build_design,
     build_force_density,
+    build_ground,
     build_law,
     build_loads,
     build_start,
@@ -34,7 +35,12 @@ from tenscontrol.scene.structure_tables import (
 )
 from tenscontrol.simulation import Fault, Trajectory, simulate
 from tenscontrol.statics import prestress
-from tenscontrol.structure import Structure, to_strings, whole_strings
+from tenscontrol.structure import (
+    Structure,
+    refuse_load_without_support,
+    to_strings,
+    whole_strings,
+)
 from tenscontrol.validation import (
     FloatArray,
     file_path,
@@ -231,13 +237,18 @@ def load_scene(file: str | Path) -> Scene:
         keep. ``per = "segment"``: values of each segment.
     ``[loads]``
         ``gravity``; ``forces = [{node = 0, force = [0.0, 0.0, 1.0]}]``.
+    ``[ground]``, or ``[[ground]]`` for several
+        ``kind = "linear"``, if not given, ``"hertz"`` or ``"smooth"`` with the arguments of
+        :class:`Ground`, :class:`~tenscontrol.dynamics.HertzGround` or
+        :class:`~tenscontrol.dynamics.SmoothGround`; ``height`` is a number.
     ``[prestress]``
         ``force_density``: a number, for which :func:`prestress` finds a state of self-stress, with
         ``reference``; or the γ of all strings, in balance or not. ``min_force_density`` and
         ``max_force_density`` are bounds of the γ that it finds, with a number or alone. ``per`` as
         above: a segment under the tension of its string has s times its γ. ``shape_gives = true``:
         this is the γ before weights and loads act; the scene has the shape in balance with them,
-        found by :func:`equilibrium`.
+        found by :func:`equilibrium`. Where there is ground and nothing else to hold the weights,
+        a number is the γ before they act too, and the structure starts in its shape, falling.
     ``[start]``
         ``velocities``; ``disturbance``, the distance by which the farthest node is moved at
         random, m, with ``seed``.
@@ -305,10 +316,15 @@ def load_scene(file: str | Path) -> Scene:
     gravity, forces = build_loads(document, structure)
     law, whole_law = laws or (None, None)
     load: Any = False if forces is None else forces
+    ground = build_ground(document, structure)
     with document.table("loads").checked():
-        model = Model(structure, strings=law, external_force=load, gravity=gravity)
+        model = Model(
+            structure, strings=law, external_force=load, gravity=gravity, ground=ground or None
+        )
     shape_gives = bool(document.table("prestress").get("shape_gives"))
-    acting = np.zeros_like(model.constant_force) if shape_gives else model.constant_force
+    acting = model.constant_force
+    if shape_gives or (ground and not _is_held(structure, acting)):
+        acting = np.zeros_like(acting)
     force_density = build_force_density(document, structure, acting)
     run = document.table("run")
     settings = _settings(run)
@@ -325,14 +341,18 @@ def load_scene(file: str | Path) -> Scene:
         with document.table("prestress").checked("shape_gives"):
             rest = equilibrium(model, **{input: given})
         structure, force_density = rest.structure, rest.force_density
-        model = Model(structure, strings=law, external_force=load, gravity=gravity)
+        model = Model(
+            structure, strings=law, external_force=load, gravity=gravity, ground=ground or None
+        )
     winches = build_winches(document, structure)
     _refuse_alone(document)
     controller = estimator = None
     if document.has("controller"):
         # Only designs need an equilibrium.
         design = cache(
-            lambda: build_design(document, structure, whole_law, gravity, forces, force_density)
+            lambda: build_design(
+                document, structure, whole_law, gravity, forces, force_density, ground
+            )
         )
         together = to_strings(structure, "force_density", force_density)
         whole = whole_strings(structure)
@@ -359,6 +379,15 @@ def load_scene(file: str | Path) -> Scene:
         input=input,
         **settings,
     )
+
+
+def _is_held(structure: Structure, load: FloatArray) -> bool:
+    """Whether supports can balance the resultant of a load; else only the ground does."""
+    try:
+        refuse_load_without_support(structure, load)
+    except ValueError:
+        return False
+    return True
 
 
 def _settings(run: Table) -> dict[str, Any]:

@@ -23,7 +23,14 @@ from tenscontrol.control import (
     MPCSettings,
     OutputLimit,
 )
-from tenscontrol.dynamics import ElasticStrings, LinearStrings
+from tenscontrol.dynamics import (
+    ContactLaw,
+    ElasticStrings,
+    Ground,
+    HertzGround,
+    LinearStrings,
+    SmoothGround,
+)
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.simulation import CutString, LostMeasurement, StuckWinch
 from tenscontrol.structure import Structure, skin, subdivide
@@ -188,7 +195,8 @@ _MEANINGS: Keys = {
         (NUMBER, "m", "bar_length leg_length length width spacing rise sag"),
         (NUMBER, "s", "duration step output_step sample_time time_limit start time until"),
         (NUMBER, "rad", "twist slope spread"),
-        (NUMBER, "", "overlap across up"),
+        (NUMBER, "", "overlap across up friction"),
+        (NUMBER, "m/s", "slip_speed"),
         (NUMBER, "Hz", "frequency"),
         (NUMBER, "1/m", "penalty"),
         (NUMBER, "kg", "node_mass"),
@@ -219,6 +227,7 @@ _MEANINGS: Keys = {
         (POINTS, "m", "positions"),
         (POINTS, "m/s", "velocities"),
         (POINT, "N", "force"),
+        (POINT, "", "normal"),
         (VECTOR, "m/s²", "gravity"),
         (FORCES, "", "forces"),
         (TEXTS, "", "string_groups"),
@@ -283,6 +292,18 @@ LAWS = _named(
     linear=_keys("law", LinearStrings) | _keys("per"),
     elastic=_keys("law", ElasticStrings) | _keys("per"),
 )
+GROUNDS: Mapping[str, type[ContactLaw]] = _named(
+    linear=Ground, hertz=HertzGround, smooth=SmoothGround
+)
+GROUND_KEYS: Mapping[str, Keys] = MappingProxyType(
+    {
+        kind: _keys(
+            "kind", law, damping=(NUMBER, "s/m"),
+            stiffness=(NUMBER, "N/m^1.5" if kind == "hertz" else "N/m"),
+        )
+        for kind, law in GROUNDS.items()
+    }
+)  # fmt: skip
 CONTROLLERS: Mapping[str, Callable[..., Controller]] = _named(
     lqr=LQR, mpc=MPC, nmpc=NMPC, feedback_linearization=FeedbackLinearization
 )
@@ -318,6 +339,7 @@ TABLES = _named(
     subdivide=_keys("", subdivide),
     strings=_keys("law stiffness axial_rigidity damping per"),
     loads=_keys("gravity forces"),
+    ground={key: each for keys in GROUND_KEYS.values() for key, each in keys.items()},
     prestress=_keys(
         "force_density min_force_density max_force_density reference per shape_gives",
         reference=(TEXT, ""),
@@ -334,7 +356,9 @@ TABLES = _named(
     faults={key: each for keys in FAULT_KEYS.values() for key, each in keys.items()},
 )
 # Those of which a file has a list, each with a heading like [[faults]].
-LISTS = ("faults",)
+LISTS = ("faults", "ground")
+# Those of which one may be written like [ground] too.
+ONE_OR_LIST = ("ground",)
 
 # Entries of lists.
 FORCE = _keys("node force")

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.dynamics import ElasticStrings, LinearStrings, Model, StringLaw
+from tenscontrol.dynamics import ContactLaw, ElasticStrings, LinearStrings, Model, StringLaw
 from tenscontrol.scene.document import Document, Table
 from tenscontrol.scene.schema import (
     FORCE,
     GENERATOR_KEYS,
     GENERATORS,
+    GROUND_KEYS,
+    GROUNDS,
     LAWS,
     MEMBERS,
     arguments,
@@ -33,6 +35,8 @@ from tenscontrol.structure import (
 from tenscontrol.validation import (
     LARGEST_SEED,
     FloatArray,
+    direction,
+    indices,
     non_negative,
     per_member,
     positive_number,
@@ -172,6 +176,22 @@ def build_loads(document: Document, structure: Structure) -> tuple[object, Float
     return gravity, forces
 
 
+def build_ground(document: Document, structure: Structure) -> tuple[ContactLaw, ...]:
+    """Return the contact laws of the ground, one for each table."""
+    found = []
+    for entry in document.entries("ground"):
+        kind, table = entry.chosen("kind", GROUND_KEYS, "linear")
+        table.need("stiffness")
+        with table.checked():
+            if "normal" in table:
+                direction("normal", table.get("normal"), structure.dimension)
+            if "nodes" in table:
+                given = np.array(table.get("nodes"), dtype=float)
+                indices("nodes", given, structure.nodes.shape[1], "nodes")
+            found.append(GROUNDS[kind](**table.without("kind")))
+    return tuple(found)
+
+
 def build_force_density(document: Document, structure: Structure, load: FloatArray) -> FloatArray:
     """Return γ of each string in the shape of the structure, N/m, shape (α,).
 
@@ -229,11 +249,15 @@ def build_design(
     gravity: object,
     forces: FloatArray | None,
     gamma: FloatArray,
+    ground: tuple[ContactLaw, ...],
 ) -> tuple[Model, Prestress]:
     """Return the model with its strings whole, and its equilibrium, for the controller."""
     design = whole_strings(structure)
-    load: Any = False if forces is None else forces[:, : design.nodes.shape[1]]
-    model = Model(design, strings=law, external_force=load, gravity=gravity)
+    count = design.nodes.shape[1]
+    load: Any = False if forces is None else forces[:, :count]
+    there = [_on_first(each, count) for each in ground]
+    laws = [each for each in there if each is not None]
+    model = Model(design, strings=law, external_force=load, gravity=gravity, ground=laws or None)
     with document.table("prestress").checked("force_density", "for a controller "):
         if design is not structure:
             together = to_strings(structure, "force_density", gamma)
@@ -241,6 +265,14 @@ def build_design(
                 raise ValueError("force_density differs between the segments of a string")
             gamma = together
         return model, prestress(design, gamma, external_force=model.constant_force)
+
+
+def _on_first(law: ContactLaw, count: int) -> ContactLaw | None:
+    """Return a contact law on those of its nodes that are among the first so many, or None."""
+    if law.nodes is None:
+        return law
+    nodes = law.nodes[law.nodes < count]
+    return replace(law, nodes=nodes) if len(nodes) else None
 
 
 def build_start(document: Document, model: Model) -> tuple[FloatArray, FloatArray]:

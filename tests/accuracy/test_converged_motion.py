@@ -44,7 +44,7 @@ def test_strings_that_chatter_are_refused(monkeypatch):
     monkeypatch.setattr(
         PiecewiseSolver, "_first_crossing", lambda self, between, start, *_: start + 1e-15
     )
-    with pytest.raises(ArithmeticError, match="strings switch without end at"):
+    with pytest.raises(ArithmeticError, match="strings or contacts switch without end at"):
         list(solver.states(np.array([1.0]), 1e-10))
 
 

@@ -317,3 +317,97 @@ def test_mujoco_gains_four_orders_by_its_best_method():
         errors = [np.abs(solved(MuJoCo(method), case, h).nodes - exact).max() for h in steps]
         order = np.polyfit(np.log(steps), np.log(errors), 1)[0]
         assert order == pytest.approx(4.0 if method == "rk4" else 1.0, abs=0.4)
+
+
+# ---- MuJoCo: its own ground ----
+
+
+def bar_on_ground(height=0.0, speed=0.0, duration=0.4, gravity=None, tilt=0.0, **law):
+    """A bar of 2 kg above, or on, ground of 1e3 N/m."""
+    turn = np.array([[np.cos(tilt), 0, 0], [0, 1, 0], [np.sin(tilt), 0, 0]])
+    nodes = turn @ np.array([[-0.5, 0.5], [0, 0], [0, 0]])
+    nodes[2] += height - nodes[2].min()
+    bar = tc.Structure(nodes, [[0, 1]], np.zeros((0, 2), int), 2.0)
+    velocities = np.array([[speed], [0.0], [-speed]]) * np.ones(2)
+    model = tc.Model(bar, gravity=gravity, ground=tc.Ground(1e3, **law))
+    return Case(model, duration, velocities=velocities, input="force_density", value=np.zeros(0))
+
+
+@needs_mujoco
+@pytest.mark.parametrize("tilt", [0.0, 0.4])
+def test_mujoco_bounces_on_ground_without_loss_as_the_case_does(tilt):
+    """Its impedance of 1e-4 is the difference; a bar that lands askew has another mass there."""
+    case = bar_on_ground(height=0.1, speed=2.0, tilt=tilt)
+    found = solved(MuJoCo("rk4"), case, 1e-4, outputs=40)
+    exact = ours(case, outputs=40)[0]
+    assert exact[2].min() < -0.02
+    assert np.abs(found.nodes - exact).max() < 1e-3
+    assert MuJoCo("rk4").own_law(case) is not None
+    assert MuJoCo("rk4").own_law(prism_case()) is None
+
+
+@needs_mujoco
+def test_mujoco_rests_on_ground_as_deep_as_the_case_does():
+    case = bar_on_ground(duration=6.0, gravity=9.81, damping=5.0, friction=0.5)
+    found = solved(MuJoCo("rk4"), case, 1e-3)
+    np.testing.assert_allclose(found.nodes[2, :, -1], -9.81 / 1e3, rtol=1e-3)
+
+
+@needs_mujoco
+def test_mujoco_slides_to_rest_under_the_friction_of_the_case():
+    """Far above the slip speed both laws are Coulomb's, and the way is v²/2µg."""
+    law = {"damping": 5.0, "friction": 0.5, "slip_speed": 1e-3}
+    case = bar_on_ground(height=-9.81e-3, duration=0.6, gravity=9.81, **law)
+    sliding = np.array([[2.0], [0.0], [0.0]]) * np.ones(2)
+    case = Case(case.model, 0.6, velocities=sliding, input="force_density", value=np.zeros(0))
+    found, exact = solved(MuJoCo("rk4"), case, 2e-4, outputs=6), ours(case, outputs=6)[0]
+    ways = [nodes[0, 0, -1] - case.nodes[0, 0] for nodes in (exact, found.nodes)]
+    coulomb = 2.0**2 / (2 * 0.5 * 9.81)
+    assert ways[0] == pytest.approx(coulomb, rel=1e-3)
+    assert ways[1] == pytest.approx(coulomb, rel=1e-2)  # the balls roll a little
+
+
+@needs_mujoco
+def test_mujoco_takes_several_planes_each_on_its_nodes():
+    """One end on the floor, the other stopped by a wall that the first does not see."""
+    floor = tc.Ground(1e3, damping=0.1, nodes=[0], height=-0.1)
+    wall = tc.Ground(1e3, damping=0.1, normal=[-1.0, 0.0, 0.0], height=-0.6, nodes=[1])
+    bar = tc.Structure([[-0.5, 0.5], [0, 0], [0, 0.2]], [[0, 1]], np.zeros((0, 2), int), 2.0)
+    moving = np.array([[1.0], [0.0], [-1.0]]) * np.ones(2)
+    case = Case(
+        tc.Model(bar, ground=[floor, wall]), 0.3, velocities=moving, input="force_density",
+        value=np.zeros(0),
+    )  # fmt: skip
+    found, exact = solved(MuJoCo("rk4"), case, 2e-4, outputs=30), ours(case, outputs=30)[0]
+    assert np.abs(found.nodes - exact).max() < 5e-3
+    free = case.nodes[:, :, None] + moving[:, :, None] * 0.01 * np.arange(1, 31)
+    assert np.abs(exact - free).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("ground", "why"),
+    [
+        (tc.dynamics.HertzGround(1e3), "springs on planes, not HertzGround"),
+        (tc.dynamics.SmoothGround(1e3), "springs on planes, not SmoothGround"),
+        (tc.Ground(1e3, friction=0.5), "rub by their damping, and the ground has none"),
+    ],
+)
+@needs_mujoco
+def test_mujoco_refuses_other_contact_laws(ground, why):
+    case = Case(tc.Model(tc.prism(), ground=ground), 0.1, input="force_density", value=np.ones(9))
+    assert why in MuJoCo("rk4").refuse(case)
+
+
+@needs_mujoco
+def test_errors_of_a_peer_with_its_own_law_are_against_its_own_motion():
+    case = bar_on_ground(height=0.1, speed=2.0, damping=0.5, friction=0.3)
+    found = tc.work_precision(
+        case, ["rk4"], {"rk4": [1e-4]}, peers=[MuJoCo("rk4", [1e-3, 5e-4])], repeats=1, outputs=20
+    )
+    coarse, fine = found.of("mujoco rk4")
+    assert fine.error < coarse.error < 2e-3
+    assert np.isnan(fine.energy_error)
+    apart = solved(MuJoCo("rk4"), found.case, 1e-4, outputs=20).nodes - found.reference.nodes
+    assert np.abs(apart).max() > 2 * coarse.error
+    assert dict(found.own_laws).keys() == {"mujoco rk4"}
+    assert "law of its own" in found.summary()

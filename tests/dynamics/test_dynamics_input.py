@@ -1,5 +1,6 @@
 """Input of dynamics that must be refused by name."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -111,6 +112,69 @@ MODEL = [
             r"acceleration(.|\n)*\(N\) has mismatching shape\. Got 6-by-3"),
 ]
 
+X, Y, Z = (ca.SX.sym(name) for name in "xyz")
+GROUND = [
+    refused("ground stiffness missing", lambda: tc.Ground(), TypeError, r"'stiffness'"),
+    refused("ground stiffness zero", lambda: tc.Ground(0.0), ValueError,
+            r"stiffness is 0\.0, expected a positive finite number in SI units"),
+    refused("ground stiffness text", lambda: tc.Ground("5e3"), TypeError, r"stiffness is '5e3'"),
+    refused("ground stiffness of two", lambda: tc.dynamics.HertzGround([1.0, 2.0]), TypeError,
+            r"stiffness is \[1\.0, 2\.0\]"),
+    refused("ground damping negative", lambda: tc.Ground(1e3, damping=-0.1), ValueError,
+            r"damping is -0\.1, expected at least 0"),
+    refused("ground friction nan", lambda: tc.Ground(1e3, friction=NAN), ValueError,
+            r"friction is nan"),
+    refused("ground friction text", lambda: tc.Ground(1e3, friction="dry"), TypeError,
+            r"friction .*'dry'"),
+    refused("ground slip_speed zero", lambda: tc.Ground(1e3, slip_speed=0.0), ValueError,
+            r"slip_speed is 0\.0, expected a positive finite number in m/s"),
+    refused("ground width zero", lambda: tc.dynamics.SmoothGround(1e3, width=0), ValueError,
+            r"width is 0, expected a positive"),
+    refused("ground width of a kinked law", lambda: tc.Ground(1e3, width=0.1), TypeError,
+            r"argument 'width'"),
+    refused("ground normal zero", lambda: tc.Ground(1e3, normal=[0, 0, 0]), ValueError,
+            r"normal is 0, expected a direction"),
+    refused("ground normal of nothing", lambda: tc.Ground(1e3, normal=[]), ValueError,
+            r"normal has shape \(0,\), expected \(3,\)"),
+    refused("ground normal of two axes", lambda: tc.Ground(1e3, normal=np.eye(3)), ValueError,
+            r"normal has shape \(3, 3\), expected \(3,\)"),
+    refused("ground height inf", lambda: tc.Ground(1e3, height=INF), ValueError, r"height is inf"),
+    refused("ground height an expression", lambda: tc.Ground(1e3, height=X**2), TypeError,
+            r"height must be .*real numbers"),
+    refused("ground height of three",
+            lambda: tc.Ground(1e3, height=ca.Function("h", [X, Y, Z], [X])), ValueError,
+            r"height is .*expected a function of the numbers x and y"),
+    refused("ground height of a vector",
+            lambda: tc.Ground(1e3, height=ca.Function("h", [ca.vertcat(X, Y)], [X])), ValueError,
+            r"height is .*expected a function of the numbers x and y"),
+    refused("ground height beside a normal",
+            lambda: tc.Ground(1e3, normal=[1, 0, 1], height=ca.Function("h", [X, Y], [X])),
+            ValueError, r"normal is .*expected none beside a height that is a function"),
+    refused("ground nodes of none", lambda: tc.Ground(1e3, nodes=[]), ValueError,
+            r"nodes has shape \(0,\), expected \(k,\): at least one"),
+    refused("ground nodes negative", lambda: tc.Ground(1e3, nodes=[0, -1]), ValueError,
+            r"nodes\[1\] is -1"),
+    refused("ground nodes of a fraction", lambda: tc.Ground(1e3, nodes=[0.5]), TypeError,
+            r"nodes\[0\] is 0\.5, expected a whole number"),
+    refused("ContactLaw itself", lambda: tc.dynamics.ContactLaw(1e3), TypeError,
+            r"abstract class ContactLaw.*normal_force"),
+    refused("Model ground number", lambda: tc.Model(prism(), ground=5e3), TypeError,
+            r"ground is a float, expected a contact law, as Ground\(stiffness=...\), or several"),
+    refused("Model ground class", lambda: tc.Model(prism(), ground=[tc.Ground(1.0), tc.Ground]),
+            TypeError, r"ground\[1\] is .*expected a contact law"),
+    refused("Model ground of strings", lambda: tc.Model(prism(), ground=tc.LinearStrings(1.0)),
+            TypeError, r"ground is a LinearStrings, expected a contact law"),
+    refused("Model ground in the plane",
+            lambda: tc.Model(prism(), ground=tc.Ground(1e3, normal=[0.0, 1.0])), ValueError,
+            r"ground\.normal has 2 entries, expected 3: .*\(3, 6\)"),
+    refused("Model ground over a line",
+            lambda: tc.Model(prism(), ground=[tc.Ground(1e3, height=ca.Function("h", [X], [X]))]),
+            ValueError, r"ground\[0\]\.height is a function of 1 numbers, expected 2"),
+    refused("Model ground unknown node",
+            lambda: tc.Model(prism(), ground=tc.Ground(1e3, nodes=[5, 6])), ValueError,
+            r"ground\.nodes\[1\] is 6, expected 0 to 5"),
+]
+
 COORDINATES = [
     refused("coordinates unknown", lambda: tc.dynamics.coordinates(model(), kind="modal"),
             ValueError, r"is 'modal', expected one of 'nodes', 'minimal', 'internal'"),
@@ -176,7 +240,7 @@ FOUND_IN_REVIEW = [
 # fmt: on
 
 
-CASES = [*STRINGS, *MODEL, *COORDINATES, *FOUND_IN_REVIEW]
+CASES = [*STRINGS, *MODEL, *GROUND, *COORDINATES, *FOUND_IN_REVIEW]
 
 
 @pytest.mark.parametrize(("call", "exception", "message"), CASES)

@@ -97,6 +97,7 @@ RESULTS = {
     "deploy.CompiledController",
     "deploy.GeneratedController",
     "dynamics.Compiled",
+    "dynamics.Contacts",
     "dynamics.Coordinates",
     "dynamics.Equation",
     "estimation.Estimate",
@@ -145,6 +146,7 @@ ABSTRACT = {
     "control.Fallback",
     "control.QPSolver",
     "control.Status",
+    "dynamics.ContactLaw",
     "dynamics.StringLaw",
     "integrate.Integrator",
     "robustness.Distribution",
@@ -168,6 +170,24 @@ WITHIN = {
     "dynamics.StringLaw.gap",
     "dynamics.StringLaw.as_expressions",
     "dynamics.StringLaw.with_parameters",
+    "Ground.normal_force",
+    "dynamics.HertzGround.normal_force",
+    "dynamics.SmoothGround.normal_force",
+    "dynamics.SmoothGround.gap",
+    "dynamics.SmoothGround.stored_energy",
+    "dynamics.ContactLaw.normal_force",
+    "dynamics.ContactLaw.gap",
+    "dynamics.ContactLaw.stored_energy",
+    "dynamics.ContactLaw.sinking",
+    "dynamics.ContactLaw.force",
+    "dynamics.ContactLaw.mean_force",
+    "dynamics.ContactLaw.resultant",
+    "dynamics.ContactLaw.up",
+    "dynamics.Contacts.of",
+    "dynamics.Contacts.forces",
+    "dynamics.Contacts.mean_forces",
+    "dynamics.Contacts.gaps",
+    "dynamics.Equation.gap_scale",
     "dynamics.Equation.symbols",
     "dynamics.Equation.ahead",
     "dynamics.Equation.of_strings",
@@ -189,8 +209,10 @@ WITHIN = {
     "PointAt.miss",
     "Twist.miss",
     "shape.Demand.miss",
+    "accuracy.Peer.own_law",
     "accuracy.Peer.refuse",
     "accuracy.Peer.prepare",
+    "accuracy.peers.MuJoCo.own_law",
     "accuracy.peers.MuJoCo.refuse",
     "accuracy.peers.MuJoCo.prepare",
     "control.QPSolver.update",
@@ -560,6 +582,28 @@ for law in (lambda: tc.LinearStrings(100.0, 0.1), lambda: tc.ElasticStrings(np.f
         law,
     )
     call(f"dynamics.StringLaw.for_count, {kind}", lambda: {"count": 9}, law)
+call(
+    "Ground",
+    lambda: {
+        "stiffness": 5e3,
+        "damping": 0.3,
+        "friction": 0.5,
+        "slip_speed": 0.01,
+        "normal": [0.0, 0.1, 1.0],
+        "height": -0.5,
+        "nodes": [0, 1, 2],
+    },
+)
+call("dynamics.HertzGround", lambda: {"stiffness": 1e5, "friction": 0.5, "nodes": [3]})
+call("dynamics.SmoothGround", lambda: {"stiffness": 1e3, "damping": 0.1, "width": 0.02})
+call(
+    "Model, grounded",
+    lambda: {
+        "structure": prism(),
+        "gravity": 9.81,
+        "ground": [tc.Ground(5e3), tc.Ground(1e3, normal=[1.0, 0.0, 0.0], height=-2.0)],
+    },
+)
 call(
     "Model",
     lambda: {
@@ -1346,6 +1390,7 @@ call(
         "input": "rest_length",
         "winches": tc.Winches(rate=0.5),
         "faults": [tc.CutString(3, 0.05)],
+        "ground": [tc.Ground(1e3, friction=0.5, height=-0.1)],
     },
     share=0.5,
 )

@@ -252,6 +252,7 @@ def test_every_scene_that_ships_is_tested():
         "prism_standing",
         "d_bar_on_rails",
         "class2_tower",
+        "ball_drop",
     }
 
 

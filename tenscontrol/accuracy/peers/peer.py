@@ -67,6 +67,22 @@ class Peer(ABC):
         """
         return None
 
+    def own_law(self, case: Case) -> str | None:
+        """Return in what forces the peer differs from the case, or None where they are the same.
+
+        Where it does, its errors are measured against its own motion at a much finer setting.
+
+        Parameters
+        ----------
+        case : Case
+
+        Returns
+        -------
+        str or None
+            None unless overridden.
+        """
+        return None
+
     @abstractmethod
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """Build all that is built once, and return what runs the case.

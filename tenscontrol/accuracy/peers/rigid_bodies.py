@@ -7,11 +7,12 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any, final
 
+import casadi as ca
 import numpy as np
 
 from tenscontrol.accuracy.case import Case
 from tenscontrol.accuracy.peers.peer import Peer, Solution, checked_run, peer_settings, spaced
-from tenscontrol.dynamics import ElasticStrings, LinearStrings
+from tenscontrol.dynamics import ElasticStrings, Ground, LinearStrings
 from tenscontrol.validation import FloatArray, choice
 
 # Method: evaluations of the forces a step, and name in MuJoCo.
@@ -21,6 +22,16 @@ _METHODS = {
     "implicitfast": (1, "mjINT_IMPLICITFAST"),
     "rk4": (4, "mjINT_RK4"),
 }
+
+# MuJoCo's contacts are springs and dashpots where their impedance is its least: its default takes
+# most of what other forces do from the bodies in contact, too.
+_IMPEDANCE = 1e-4
+
+# The speed of an impact, m/s, in which its linear damping takes what that of our law takes.
+_IMPACT = 1.0
+
+# Radius of the balls at nodes that touch, as part of the size.
+_BALL = 1e-4
 
 # Slack by less than this part of the rest length is round-off of a string at its border.
 _SLACK = 1e-9
@@ -34,8 +45,13 @@ class MuJoCo(Peer):
     so that they keep their lengths exactly; nodes on no bar are points on three
     slides. Bars that share nodes, carry point masses or roll, and structures in the plane are
     refused: MuJoCo's joints between bodies in a loop are springs. The loop over steps runs in C
-    between outputs. Contact and constraints are off. Slack/taut switches are not located: MuJoCo
-    does not.
+    between outputs. Slack/taut switches are not located: MuJoCo does not.
+
+    Constraints are off, but for planes of :class:`~tenscontrol.Ground`, which nodes touch as small
+    balls. MuJoCo has its own law there, made as alike as it can be: the stiffness is that of the
+    ground, by a negative ``solref`` at the least impedance; its damping is linear, and loses what
+    ours loses in an impact at 1 m/s; its friction is that of Coulomb in an elliptic cone, and
+    viscous below it, as steep as ours is under a third of the weight.
 
     Parameters
     ----------
@@ -71,7 +87,18 @@ class MuJoCo(Peer):
             if structure.blocks:
                 found = f"bar {structure.coupled_bars[0]} joined to a bar, a point mass or a roller"
             return f"bars must be apart, with both ends free or one fixed; there is {found}"
+        for ground in case.model.ground:
+            if not isinstance(ground, Ground) or isinstance(ground.height, ca.Function):
+                return f"MuJoCo's contacts are springs on planes, not {ground!r:.60}"
+            if ground.friction and not ground.damping:
+                return "MuJoCo's contacts rub by their damping, and the ground has none"
         return None
+
+    def own_law(self, case: Case) -> str | None:
+        """See :meth:`Peer.own_law`."""
+        if case.model.contacts is None:
+            return None
+        return "contacts with linear damping, and friction that is viscous below that of Coulomb"
 
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
@@ -81,6 +108,7 @@ class MuJoCo(Peer):
         each, name = _METHODS[self.method]
         scene = RigidScene(case)
         model = mujoco.MjModel.from_xml_string(scene.xml)
+        scene.set_contacts(model)
         model.opt.integrator = getattr(mujoco.mjtIntegrator, name)
         spacing, inner = spaced(times, setting)
         model.opt.timestep = spacing / inner
@@ -143,6 +171,8 @@ class RigidScene:
             [np.hstack([drift, spin]).ravel(), swing.ravel(), V[:, self._points].T.ravel()]
         )
         self._set_loads(case.load)
+        self._laws = list(case.model.contacts or ())
+        self._radius = _BALL * case.size
         self.xml = self._xml()
 
     def _set_loads(self, load: FloatArray) -> None:
@@ -163,20 +193,20 @@ class RigidScene:
     def _xml(self) -> str:
         structure, N = self._case.structure, self._case.nodes
         mass, free = structure.bar_mass, structure.free_bars
-        bodies = [
+        bodies = [  # inertia m l²/12
             _body(0.5 * (N[:, i] + N[:, j]), "<freejoint/>", np.zeros(3), mass[bar],
-                  mass[bar] * float(arm @ arm) / 3, _site(i, -arm) + _site(j, arm))  # m l²/12
+                  mass[bar] * float(arm @ arm) / 3, self._node(i, -arm) + self._node(j, arm))
             for bar, (i, j), arm in zip(free, self._free, self._arm, strict=True)
         ]  # fmt: skip
         swinging = zip(structure.swinging_bars, self._swinging, self._reach, strict=True)
         bodies += [
             _body(N[:, i], '<joint type="ball"/>', 0.5 * reach, mass[bar],
-                  mass[bar] * float(reach @ reach) / 12, _site(j, reach))
+                  mass[bar] * float(reach @ reach) / 12, self._node(j, reach))
             for bar, (i, j), reach in swinging
         ]  # fmt: skip
         slides = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in _AXES)
         bodies += [
-            _body(N[:, i], slides, np.zeros(3), point_mass, point_mass, _site(i, np.zeros(3)))
+            _body(N[:, i], slides, np.zeros(3), point_mass, point_mass, self._node(i, np.zeros(3)))
             for point_mass, i in zip(structure.string_node_mass, self._points, strict=True)
         ]
         fixed = "".join(_site(i, N[:, i]) for i in structure.fixed)
@@ -185,12 +215,54 @@ class RigidScene:
             for i in self._loaded
             for axis in _AXES
         )
+        touch = "enable" if self._laws else "disable"
         return (
-            '<mujoco><option gravity="0 0 0">'
-            '<flag contact="disable" constraint="disable" autoreset="disable"/></option>'
-            f'<worldbody><site name="space"/>{fixed}{"".join(bodies)}</worldbody>'
+            '<mujoco><option gravity="0 0 0" cone="elliptic" tolerance="1e-14">'
+            f'<flag contact="{touch}" constraint="{touch}" autoreset="disable"/></option>'
+            f'<worldbody><site name="space"/>{self._planes()}{fixed}{"".join(bodies)}</worldbody>'
             f"<tendon>{self._tendons()}</tendon><actuator>{motors}</actuator></mujoco>"
         )
+
+    def _planes(self) -> str:
+        """Return a plane for each law, lower by the radius of the balls."""
+        found = []
+        for i, (law, _, _) in enumerate(self._laws):
+            up = law.up(3)
+            at = f'pos="{_text((law.height - self._radius) * up)}" zaxis="{_text(up)}"'
+            bits = f'contype="{1 << i}" conaffinity="0"'
+            found.append(f'<geom type="plane" size="1 1 1" {at} {bits}/>')
+        return "".join(found)
+
+    def _node(self, node: int, at: FloatArray) -> str:
+        """Return the site of a node, with a ball for each law that acts on it."""
+        balls = "".join(
+            f'<geom name="ball{node}_{i}" size="{self._radius:.17g}" pos="{_text(at)}" mass="0" '
+            f'contype="0" conaffinity="{1 << i}" priority="1" condim="3" '
+            f'friction="{law.friction:.17g} 0 0"/>'
+            for i, (law, nodes, _) in enumerate(self._laws)
+            if node in nodes
+        )
+        return _site(node, at) + balls
+
+    def set_contacts(self, model: Any) -> None:
+        """Give MuJoCo's contacts the stiffness of the ground and the damping nearest to its own.
+
+        MuJoCo's parameters are accelerations, by the inverse mass of the body.
+        """
+        weight = float(np.linalg.norm(self._case.load.sum(axis=1))) / 3
+        steepest = 1.0
+        for i, (law, nodes, _) in enumerate(self._laws):
+            for node in nodes:
+                ball = model.geom(f"ball{node}_{i}").id
+                inverse = float(model.body_invweight0[model.geom_bodyid[ball], 0])
+                depth = _IMPACT / np.sqrt(4 * law.stiffness * inverse)  # of a bar's end, about
+                damping = 4 / (3 * np.pi) * law.stiffness * law.damping * depth
+                model.geom_solref[ball] = -law.stiffness * inverse, -damping * inverse
+                model.geom_solimp[ball, :2] = _IMPEDANCE
+                if damping:
+                    rubs = law.friction * weight / (law.slip_speed * damping)
+                    steepest = max(steepest, rubs)
+        model.opt.impratio = steepest
 
     def _tendons(self) -> str:
         structure = self._case.structure
