@@ -124,7 +124,7 @@ class Method:
 
 
 _STEP, _TOLERANCE = ("step",), ("tolerance",)
-_SYMPLECTIC = "symplectic, fixed steps; no damping"
+_SYMPLECTIC = "symplectic without damping, fixed steps"
 _OWN = {"drifts": False, "follows": True}
 _ALL = (
     Method("rk4", _STEP, "order 4, fixed steps; bar lengths drift", RK4, follows=True),
