@@ -12,6 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, final
 
 import casadi as ca
@@ -133,6 +134,11 @@ class ContactLaw(ABC):
         """
         return ca.fmin(depth, 1 + self.damping * rate) if self.damping else depth
 
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Depths, m, ascending: where the force begins, then where else it is not smooth."""
+        return (0.0,)
+
     def stored_energy(self, depth: Any) -> Any:
         """Return the work that slow sinking takes, J, by quadrature of the force.
 
@@ -230,7 +236,7 @@ class ContactLaw(ABC):
     def mean_force(self, before: Any, after: Any, h: Any) -> Any:
         """Return the mean force, N, over a way: its work is what the depths store at its ends.
 
-        By quadrature over the part of the way in the ground, with the mean velocity: a discrete
+        By quadrature over the way, piece by piece of the law, with the mean velocity: a discrete
         gradient of the stored energy. Damping and friction only take from it.
 
         Parameters
@@ -250,19 +256,17 @@ class ContactLaw(ABC):
             beside = (ends - starts + kernel.dots(away, way)) / (kernel.dots(way, way) + _SHORT)
             away -= kernel.scale_columns(way, beside)
         force: Any = 0
-        if not self.switches:
+        for foot, end in pairwise((*self.kinks, np.inf)):
+            low, high = (ca.fmin(ca.fmax(part, foot), end) for part in (starts, ends))
+            inside = ca.logic_and(*(ca.logic_and(p > foot, p <= end) for p in (starts, ends)))
+            moved = ca.if_else(starts == ends, 1, ends - starts)
+            share = ca.if_else(inside, 1, (high - low) / moved)
+            first, last = ca.sqrt(low - foot + _ROOTED), ca.sqrt(high - foot + _ROOTED)
             for node, weight in zip(*_QUADRATURE, strict=True):
-                depth = starts + (1 + node) / 2 * (ends - starts)
-                force += weight / 2 * self.normal_force(depth, rate)
-            return self.resultant(force, away, velocities)
-        low, high = ca.fmax(starts, 0), ca.fmax(ends, 0)
-        enters = (starts > 0) != (ends > 0)
-        share = ca.if_else(enters, (high - low) / ca.if_else(enters, ends - starts, 1), starts > 0)
-        first, last = ca.sqrt(low + _ROOTED), ca.sqrt(high + _ROOTED)
-        for node, weight in zip(*_QUADRATURE, strict=True):
-            root = first + (1 + node) / 2 * (last - first)
-            force += weight * root * self._pressing(root**2, rate)
-        return self.resultant(share * force / (first + last), away, velocities)
+                root = first + (1 + node) / 2 * (last - first)
+                at = self._pressing(foot + root**2, rate)
+                force += weight * share * root / (first + last) * at
+        return self.resultant(force, away, velocities)
 
     def resultant(self, normal_force: Any, away: Any, velocities: Any) -> Any:
         """Return the normal force with its friction, N, shape (d, k).
@@ -407,6 +411,11 @@ class SmoothGround(ContactLaw):
 
     def gap(self, depth: Any, rate: Any) -> None:
         """Return None: the force is smooth everywhere; see :meth:`ContactLaw.gap`."""
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """The ends of the rounded foot, m; see :attr:`ContactLaw.kinks`."""
+        return (-self.width, self.width)
 
     def stored_energy(self, depth: Any) -> Any:
         """Return the work that slow sinking takes, J; see :meth:`ContactLaw.stored_energy`."""
