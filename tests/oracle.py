@@ -8,7 +8,8 @@ Two formulations, neither of them the package's:
   the node coordinates, dense, by least squares. Complex numbers are allowed, so that derivatives
   can be taken by complex steps.
 
-Both motions are integrated with each slack/taut switch located, so that no step crosses a kink.
+Both motions are integrated with each switch of a string or contact located, so that no step crosses
+a kink.
 
 Of the package only the :class:`Structure`, a bag of indices and masses, is used.
 """
@@ -73,12 +74,51 @@ class HeldRestLength:
         return np.minimum(stretch, stretch + self.damping / self.stiffness * rate)
 
 
+@dataclass(frozen=True)
+class Plane:
+    """Ground ``n·x <= h`` under all nodes: ``k p**e (1 + d dp/dt)``, and rounded friction."""
+
+    stiffness: float
+    damping: float
+    friction: float
+    slip_speed: float
+    normal: tuple[float, ...]
+    height: float = 0.0
+    exponent: float = 1.0
+
+    def sinking(self, N, V):
+        """Return depths and their rates of nodes, one a row."""
+        normal = np.array(self.normal)
+        return self.height - N @ normal, -(V @ normal)
+
+    def force(self, N, V, presses):
+        """Return the force on each node, N, one a row, where it presses."""
+        depth, rate = self.sinking(N, V)
+        size = np.where(presses, self.stiffness * np.abs(depth) ** self.exponent, 0.0)
+        size *= np.sign(depth) * (1 + self.damping * rate)
+        slip = V + rate[:, None] * np.array(self.normal)
+        speed = np.sqrt((slip * slip).sum(axis=1) + self.slip_speed**2)
+        return size[:, None] * self.normal - (self.friction * size / speed)[:, None] * slip
+
+    def border(self, N, V):
+        """Positive where a node presses."""
+        depth, rate = self.sinking(N, V)
+        return np.minimum(depth, 1 + self.damping * rate)
+
+
+def _pushes(planes, N, V, presses):
+    """Return the forces of several planes on the nodes, one a row."""
+    parts = np.split(presses, len(planes))
+    return sum(plane.force(N, V, part) for plane, part in zip(planes, parts, strict=True))
+
+
 class Motion:
-    """A motion with strings that go slack and taut, each switch located.
+    """A motion with strings that go slack and taut, and contacts, each switch located.
 
     A formulation gives ``structure``, ``state(nodes, velocities)`` and ``nodes(state)``, its
     inverse, ``slope(state, pulls)`` for fixed slack and taut strings, and ``border(states)``, how
-    far each string is from slack, m, positive where it pulls.
+    far each string is from slack, m, positive where it pulls. Contacts follow the strings, plane
+    by plane.
     """
 
     def pulls(self, state):
@@ -94,8 +134,8 @@ class Motion:
         state, now = self.state(nodes, velocities), 0.0
         states = [state]
         switches: list[float] = []
-        switched = np.zeros(len(self.structure.strings), bool)
         pulls = self.pulls(state)
+        switched = np.zeros_like(pulls)
         while len(states) < len(times):
             piece = self._piece(state, now, times, len(states), pulls, tolerance, method)
             found, state, now, crossed = piece
@@ -148,8 +188,8 @@ class RigidBars(Motion):
     nodes, and their rates, w the angular velocities.
     """
 
-    def __init__(self, structure, law, external_force=None):
-        self.structure, self.law = structure, law
+    def __init__(self, structure, law, external_force=None, ground=()):
+        self.structure, self.law, self.ground = structure, law, ground
         self.start, self.end = structure.bars.T
         self.points = structure.string_nodes
         self.mass, self.point_mass = (
@@ -171,7 +211,7 @@ class RigidBars(Motion):
         place[self.end, bars + every] = self.half[:, 0]
         place[self.points, 2 * bars + np.arange(points)] = 1.0
         self.stretch = _incidence(structure.strings, count) @ place
-        self.body_load = place.T @ self.load
+        self.body_load, self.place = place.T @ self.load, place
         self.resistance = np.concatenate([self.mass, self.inertia, self.point_mass])
         ends = np.cumsum([bars, bars, points, bars, bars, points]) * 3
         self._parts = [slice(*cut) for cut in zip([0, *ends[:-1]], ends, strict=True)]
@@ -222,9 +262,13 @@ class RigidBars(Motion):
         shaped = state.reshape(2, self.bodies, 3)
         positions, motion = shaped[0], self._rates(shaped)
         S = self.stretch @ positions
-        gamma = self.law(*_stretch(S, self.stretch @ motion), pulls)
+        alpha = len(self.stretch)
+        gamma = self.law(*_stretch(S, self.stretch @ motion), pulls[:alpha])
         # Forces on the bodies; at the directions half a bar times the difference of its ends.
         F = self.body_load - self.stretch.T @ (gamma[:, None] * S)
+        if self.ground:
+            N, V = self.place @ positions, self.place @ motion
+            F += self.place.T @ _pushes(self.ground, N, V, pulls[alpha:])
         F[self._turning] = _cross(positions[self._turning], F[self._turning])
         return np.concatenate([motion, F / self.resistance]).ravel()
 
@@ -242,7 +286,12 @@ class RigidBars(Motion):
 
     def border(self, states):
         """Return how far each string is from slack, m; positive where it pulls."""
-        return self.law.border(*self.lengths(states))
+        found = [self.law.border(*self.lengths(states))]
+        if self.ground:
+            shaped = states.reshape(*states.shape[:-1], 2, self.bodies, 3)
+            N, V = self.place @ shaped[..., 0, :, :], self.place @ self._rates(shaped)
+            found += [plane.border(N, V) for plane in self.ground]
+        return np.concatenate(found, axis=-1)
 
     # ---- conserved quantities ----
 
@@ -266,8 +315,9 @@ class RigidBars(Motion):
 class NodeMotion(Motion):
     """Any structure by its node coordinates; the state is ``[vec(N); vec(dN/dt)]``, all nodes."""
 
-    def __init__(self, structure, law, external_force=0.0):
+    def __init__(self, structure, law, external_force=0.0, ground=()):
         self.structure, self.law, self.load = structure, law, external_force
+        self.ground = ground
 
     def state(self, nodes, velocities):
         return np.concatenate([nodes.T.ravel(), velocities.T.ravel()])
@@ -279,14 +329,20 @@ class NodeMotion(Motion):
 
     def slope(self, state, pulls):
         N, V = self.nodes(state)
-        gamma = self.law(*string_motion(self.structure, N, V), pulls)
-        acceleration, _ = node_acceleration(self.structure, N, V, gamma, self.load)
+        alpha, load = len(self.structure.strings), self.load
+        gamma = self.law(*string_motion(self.structure, N, V), pulls[:alpha])
+        if self.ground:
+            load = load + _pushes(self.ground, N.T, V.T, pulls[alpha:]).T
+        acceleration, _ = node_acceleration(self.structure, N, V, gamma, load)
         return np.concatenate([V.T.ravel(), acceleration.T.ravel()])
 
     def border(self, states):
-        motions = [string_motion(self.structure, *self.nodes(x)) for x in np.atleast_2d(states)]
-        each = np.array([self.law.border(*motion) for motion in motions])
+        each = np.array([self._border(*self.nodes(x)) for x in np.atleast_2d(states)])
         return each if np.ndim(states) == 2 else each[0]
+
+    def _border(self, N, V):
+        of_strings = self.law.border(*string_motion(self.structure, N, V))
+        return np.concatenate([of_strings, *(plane.border(N.T, V.T) for plane in self.ground)])
 
 
 def _cross(a, b):

@@ -169,6 +169,17 @@ def test_coupled_bars(printed):
     assert row(text, "  rattle6", 2)[0] < 1e-9
 
 
+@needs_compiler
+def test_ground_motions(printed):
+    text = printed("ground_motions", "--duration 0.3")
+    for error in re.findall(r"farthest node, m +(.*)", text):
+        assert max(map(float, error.split())) < 1e-11
+    assert "0 not located" in text
+    orders = [float(order) for order in re.findall(r"order +(\S+)", text)]
+    for found, least in zip(orders, (3.8, 3.8, 5.5), strict=True):
+        assert found > least
+
+
 def test_mpc_step(printed):
     text = printed("mpc_step", "--duration 0.1 --lengths 5")
     ramp, push = map(int, re.findall(r"samples with a bound active: (\d+)", text))

@@ -12,6 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, final
 
 import casadi as ca
@@ -35,8 +36,12 @@ from tenscontrol.validation import (
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-# Nodes of quadrature: exact for forces that are polynomials, or a power n + 1/2, of the depth.
+# Nodes of quadrature over the root of the depth: exact for forces that are polynomials of it up to
+# degree 10, as powers 1, 3/2, 2, … of the depth.
 _QUADRATURE = np.polynomial.legendre.leggauss(6)
+
+# Added below roots and quotients, which have derivatives at zero then: m, or m², and m².
+_ROOTED, _SHORT = 1e-30, 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +124,8 @@ class ContactLaw(ABC):
     def gap(self, depth: Any, rate: Any) -> Any:
         """Return how far a node is from having no force, positive where it has; None for never.
 
-        A force that vanishes at the surface, or with 1 + d ṗ where a node is drawn out fast.
+        A force that vanishes at the surface, or with 1 + d ṗ where a node is drawn out fast. Above
+        the surface a gap must be negative.
 
         Parameters
         ----------
@@ -127,6 +133,11 @@ class ContactLaw(ABC):
             p, m, and ṗ, m/s.
         """
         return ca.fmin(depth, 1 + self.damping * rate) if self.damping else depth
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Depths, m, ascending: where the force begins, then where else it is not smooth."""
+        return (0.0,)
 
     def stored_energy(self, depth: Any) -> Any:
         """Return the work that slow sinking takes, J, by quadrature of the force.
@@ -140,7 +151,7 @@ class ContactLaw(ABC):
         energy: Any = 0
         for node, weight in zip(*_QUADRATURE, strict=True):
             part = (1 + node) / 2  # of the root of the depth
-            energy += weight * part * self.normal_force(inside * part**2, 0 * depth)
+            energy += weight * part * self._pressing(inside * part**2, 0 * depth)
         return energy * inside
 
     def __post_init__(self) -> None:
@@ -220,16 +231,20 @@ class ContactLaw(ABC):
             1 for nodes with a force, 0 for those without; by :meth:`gap` if not given.
         """
         depth, rate, away = self.sinking(positions, velocities)
-        normal_force = self.normal_force(depth, rate)
         if pressing is None:
-            gap = self.gap(depth, rate)
-            pressing = 1 if gap is None else gap > 0
-        return self.resultant(pressing * normal_force, away, velocities)
+            return self.resultant(self._pressing(depth, rate), away, velocities)
+        return self.resultant(pressing * self.normal_force(depth, rate), away, velocities)
+
+    def _pressing(self, depth: Any, rate: Any) -> Any:
+        """Return the normal force, none where the gap is not positive."""
+        normal_force, gap = self.normal_force(depth, rate), self.gap(depth, rate)
+        return normal_force if gap is None else (gap > 0) * normal_force
 
     def mean_force(self, before: Any, after: Any, h: Any) -> Any:
         """Return the mean force, N, over a way: its work is what the depths store at its ends.
 
-        By quadrature over the part of the way in the ground, with the mean velocity.
+        By quadrature over the way, piece by piece of the law, with the mean velocity: a discrete
+        gradient of the stored energy. Damping and friction only take from it.
 
         Parameters
         ----------
@@ -238,22 +253,27 @@ class ContactLaw(ABC):
         h : casadi.SX or MX
             The time that the way takes, s.
         """
-        velocities = (after - before) / h
+        way = after - before
+        velocities = way / h
         starts, ends = (self.sinking(part, velocities)[0] for part in (before, after))
         _, _, away = self.sinking((before + after) / 2, velocities)
         rate = (ends - starts) / h
-        low, high, share = starts, ends, 1
-        if self.switches:
-            low, high = ca.fmax(starts, 0), ca.fmax(ends, 0)
-            enters = (starts > 0) != (ends > 0)
-            share = ca.if_else(
-                enters, (high - low) / ca.if_else(enters, ends - starts, 1), starts > 0
-            )
+        if isinstance(self.height, ca.Function):
+            # Of a curved surface, the depth changes along the way as by no single direction.
+            beside = (ends - starts + kernel.dots(away, way)) / (kernel.dots(way, way) + _SHORT)
+            away -= kernel.scale_columns(way, beside)
         force: Any = 0
-        for node, weight in zip(*_QUADRATURE, strict=True):
-            at = self.normal_force(low + (1 + node) / 2 * (high - low), rate)
-            force += weight / 2 * (ca.fmax(at, 0) if self.switches else at)
-        return self.resultant(share * force, away, velocities)
+        for foot, end in pairwise((*self.kinks, np.inf)):
+            low, high = (ca.fmin(ca.fmax(part, foot), end) for part in (starts, ends))
+            inside = ca.logic_and(*(ca.logic_and(p > foot, p <= end) for p in (starts, ends)))
+            moved = ca.if_else(starts == ends, 1, ends - starts)
+            share = ca.if_else(inside, 1, (high - low) / moved)
+            first, last = ca.sqrt(low - foot + _ROOTED), ca.sqrt(high - foot + _ROOTED)
+            for node, weight in zip(*_QUADRATURE, strict=True):
+                root = first + (1 + node) / 2 * (last - first)
+                at = self._pressing(foot + root**2, rate)
+                force += weight * share * root / (first + last) * at
+        return self.resultant(force, away, velocities)
 
     def resultant(self, normal_force: Any, away: Any, velocities: Any) -> Any:
         """Return the normal force with its friction, N, shape (d, k).
@@ -349,10 +369,6 @@ class HertzGround(ContactLaw):
         return self.stiffness * depth * root * _factor(self, rate)
 
 
-# m²: below all depths that matter.
-_ROOTED = 1e-30
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class SmoothGround(ContactLaw):
@@ -414,6 +430,11 @@ class SmoothGround(ContactLaw):
 
     def gap(self, depth: Any, rate: Any) -> None:
         """Return None: the force is smooth everywhere; see :meth:`ContactLaw.gap`."""
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """The ends of the rounded foot, m; see :attr:`ContactLaw.kinks`."""
+        return (-self.width, self.width)
 
     def stored_energy(self, depth: Any) -> Any:
         """Return the work that slow sinking takes, J; see :meth:`ContactLaw.stored_energy`."""

@@ -11,6 +11,7 @@ from tenscontrol.integrate.integrator import (
     Report,
     Span,
     Work,
+    contact_frequency,
     largest_frequency,
     state_scale,
 )
@@ -37,6 +38,7 @@ __all__ = [
     "Span",
     "Work",
     "choose",
+    "contact_frequency",
     "is_expandable",
     "jacobian_weight",
     "largest_frequency",

@@ -253,7 +253,7 @@ def _tried_step(equation: Equation, size: float, adaptive: bool) -> ca.Function:
     h = left / count
     now = equation.ahead(u, -left)
     step = step_equations(equation)
-    solve = newton_solver(step.system, size)
+    solve = newton_solver(step.system, size, step.residual)
     if adaptive:
         first, good_1, iterations_1 = solve(step.guess(x), x, now, h / 2)
         middle = step.end(first, x, h / 2)
@@ -302,6 +302,7 @@ class StepEquations:
     system: ca.Function  # (y, x, u, h) -> (residual, jacobian), kg m/s and kg; jacobian sparse
     guess: ca.Function  # (x) -> y of a motion without forces
     end: ca.Function  # (y, x, h) -> x at the end of the step
+    residual: ca.Function | None = None  # that of the system alone, where there is ground
 
 
 def step_equations(equation: Equation) -> StepEquations:
@@ -380,6 +381,9 @@ def step_equations(equation: Equation) -> StepEquations:
         system=ca.Function("system", [y, x, u, h], [residual, ca.jacobian(residual, y)]),
         guess=ca.Function("guess", [x], [ca.densify(guess)]),
         end=ca.Function("end", [y, x, h], [ca.densify(ca.vertcat(q1, v1))]),
+        residual=None
+        if equation.contacts is None
+        else ca.Function("residual", [y, x, u, h], [residual]),
     )
 
 
@@ -518,19 +522,27 @@ _SMALL = 1e-11
 _LARGE = 1e3
 
 
-def newton_solver(system: ca.Function, size: float) -> ca.Function:
+# With ground, whose forces have corners: steps at most, and how often one of them is halved until
+# it leaves less than before.
+_MOST_ON_GROUND, _HALVINGS = 40, 8
+
+
+def newton_solver(
+    system: ca.Function, size: float, residual: ca.Function | None = None
+) -> ca.Function:
     """Return ``(y, x, u, h) -> (y, converged, iterations)``: the root from a first guess.
 
-    Convergence is quadratic: where the last change was small, what is left is far smaller.
+    Convergence is quadratic: where the last change was small, what is left is far smaller. With
+    ``residual``, that of the system alone, changes are halved until it falls.
     """
-    iterate = _iteration(system)
+    iterate = _iteration(system) if residual is None else _searching(system, residual, size)
     given = [ca.MX.sym(f"a{i}", system.size1_in(i)) for i in range(1, 4)]
     choose = where_needed(iterate)
     guess = ca.MX.sym("guess", system.size1_in(0))
     scale = size + ca.mmax(ca.fabs(given[0][: system.size1_in(1) // 2]))
     # Change made last, m, and number of iterations follow the unknowns.
     state = ca.vertcat(guess, scale, 0)
-    for _ in range(_MOST):
+    for _ in range(_MOST if residual is None else _MOST_ON_GROUND):
         change = state[-2]
         # A change that is not a number is neither: the iteration ends, not converged.
         going_on = ca.logic_and(change > _SMALL * scale, change < _LARGE * scale)
@@ -543,9 +555,39 @@ def _iteration(system: ca.Function) -> ca.Function:
     """Return ``(z, x, u, h) -> z``, one iteration on z = [y; change; iterations]."""
     z = ca.MX.sym("z", system.size1_in(0) + 2)
     x, u, h = (ca.MX.sym(f"a{i}", system.size1_in(i)) for i in range(1, 4))
-    residual, jacobian = system(z[:-2], x, u, h)
-    # No pivot is too small for light nodes: what is singular gives no finite change.
-    change = ca.solve(jacobian, residual, "qr", {"eps": 0})
+    change, _ = _change(system, z, x, u, h)
     # The norm, not the largest entry: CasADi's largest of numbers passes over what is none.
     new = ca.vertcat(z[:-2] - change, h * ca.norm_2(change), z[-1] + 1)
     return ca.Function("iteration", [z, x, u, h], [new])
+
+
+def _change(system: ca.Function, z: Any, *given: Any) -> tuple[Any, Any]:
+    """Return Newton's change of the unknowns, and the residual that it is from."""
+    residual, jacobian = system(z[:-2], *given)
+    # No pivot is too small for light nodes: what is singular gives no finite change.
+    return ca.solve(jacobian, residual, "qr", {"eps": 0}), residual
+
+
+def _searching(system: ca.Function, residual: ca.Function, around: float) -> ca.Function:
+    """Return :func:`_iteration` with changes halved until the residual falls.
+
+    Each counts as an iteration, with a half for each further residual.
+    """
+    size = system.size1_in(0)
+    z, change, part = ca.MX.sym("z", size + 2), ca.MX.sym("change", size), ca.MX.sym("part", 3)
+    given = [ca.MX.sym(f"a{i}", system.size1_in(i)) for i in range(1, 4)]
+    before = ca.MX.sym("before")
+    # The part of the change, whether it will do, and how many were tried.
+    left = ca.norm_2(residual(z[:-2] - part[0] * change, *given))
+    falls = left < before
+    tried = ca.vertcat(ca.if_else(falls, part[0], part[0] / 2), falls, part[2] + 1)
+    inputs = [part, z, change, before, *given]
+    attempt = where_needed(ca.Function("attempt", inputs, [tried]))
+    found, at_start = _change(system, z, *given)
+    far, norm = given[2] * ca.norm_2(found), ca.norm_2(at_start)
+    searched = far > 1e3 * _SMALL * around  # below, nothing is left to fall but round-off
+    part = ca.vertcat(1, 0, 0)
+    for _ in range(_HALVINGS):
+        part = attempt(ca.logic_and(searched, part[1] == 0), part, z, found, norm, *given)
+    new = ca.vertcat(z[:-2] - part[0] * found, far, z[-1] + 1 + part[2] / 2)
+    return ca.Function("iteration", [z, *given], [new])

@@ -10,7 +10,8 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator, compiled
+from tenscontrol.dynamics import ContactLaw, Equation, Evaluator, compiled
+from tenscontrol.structure import node_mass
 from tenscontrol.validation import (
     LARGEST,
     FloatArray,
@@ -269,13 +270,14 @@ def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -
 
     By power iteration on the derivative of the accelerations with respect to
     the positions: its largest eigenvalue is -ω². It is 0 for an equation that is no structure's.
+    The ground is left out: see :func:`contact_frequency`.
     """
     if equation.structure is None:
         return 0.0
     n = equation.states // 2
     q, v = np.split(state, 2)
     size = float(np.abs(q - q.mean()).max()) or 1.0
-    slope, taut = Evaluator(equation.slope), np.ones(equation.switches)
+    slope, taut = Evaluator(equation.slope), _strings_alone(equation)
 
     def moved(direction: FloatArray) -> FloatArray:
         x = np.concatenate([q + _DIFFERENCE * size * direction, v])
@@ -291,3 +293,64 @@ def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -
             if not np.isfinite(square) or square == 0.0:
                 break
         return float(np.sqrt(square))
+
+
+def contact_frequency(equation: Equation, state: FloatArray, held: FloatArray) -> float:
+    """Return the largest rate at which the ground acts on a motion from a state, rad/s.
+
+    Of three, for the lightest node that can touch: its vibration on the ground, √(F'/m), and
+    the rates at which damping and friction bring it to rest, ∂F/∂ṗ/m and μ F/(m v_s). The first is
+    taken at the depth at which one node has taken the energy of all: that of now, and of the fall
+    to the ground; the others where one node carries the whole load, since impacts are short. It is
+    0 without ground.
+    """
+    structure, force, contacts = equation.structure, equation.force, equation.contacts
+    if structure is None or force is None or contacts is None:
+        return 0.0
+    rows = structure.free_rows
+    nodes, velocities, forces = (structure.nodes.ravel(order="F") * part for part in (1.0, 0, 0))
+    nodes[rows], velocities[rows] = np.split(state, 2)
+    forces[rows] = np.array(force(*np.split(state, 2), held, _strings_alone(equation))).ravel()
+    d = structure.dimension
+    N, V, F = (part.reshape(-1, d).T for part in (nodes, velocities, forces))
+    load = float(np.linalg.norm(F.sum(axis=1)))
+    # The end of a bar in the middle of which nothing holds it has ¾ of its entry in the mass.
+    mass = 0.75 * node_mass(structure).diagonal()
+    total = float(mass.sum())
+    kinetic = 0.5 * total * float((V**2).sum(axis=0).max())
+    rates = [0.0]
+    for law, at, _ in contacts:
+        if len(at):
+            highest = -float(np.array(law.sinking(ca.DM(N[:, at]), ca.DM(V[:, at]))[0]).max())
+            energy = kinetic + load * max(highest, 0.0)
+            rates.append(_contact_rate(law, energy, load, float(mass[at].min()), float(np.ptp(N))))
+    return max(rates)
+
+
+def _contact_rate(law: ContactLaw, energy: float, load: float, mass: float, size: float) -> float:
+    """Return the largest rate of a node of a mass, rad/s."""
+    p, rate = ca.SX.sym("p"), ca.SX.sym("rate")
+    normal = law.normal_force(p, rate)
+    outputs = [law.stored_energy(p), normal, ca.jacobian(normal, p), ca.jacobian(normal, rate)]
+    of_depth = ca.Function("of_depth", [p, rate], outputs)
+
+    def depth(output: int, wanted: float) -> float:
+        """Return the depth at which an output reaches a value, to a few per cent."""
+        deep, shallow = 1e3 * size, 1e-15 * size
+        while deep > 1.05 * shallow:
+            middle = (deep * shallow) ** 0.5
+            reached = float(of_depth(middle, 0)[output]) >= wanted
+            deep, shallow = (middle, shallow) if reached else (deep, middle)
+        return deep
+
+    at_rest, at_impact = depth(1, load), depth(0, energy)
+    stiffness = float(of_depth(max(at_rest, at_impact), 0)[2])
+    damping = float(of_depth(at_rest, 0)[3]) if load else 0.0
+    friction = law.friction * load / law.slip_speed
+    return max((max(stiffness, 0.0) / mass) ** 0.5, damping / mass, friction / mass)
+
+
+def _strings_alone(equation: Equation) -> FloatArray:
+    """Return switches with all strings taut and nothing on the ground."""
+    contacts = 0 if equation.contacts is None else equation.contacts.switches
+    return np.concatenate([np.ones(equation.switches - contacts), np.zeros(contacts)])

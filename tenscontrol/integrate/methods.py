@@ -11,7 +11,7 @@ from tenscontrol.integrate.cvodes import CVODES
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
 from tenscontrol.integrate.fixed_step import RK4
-from tenscontrol.integrate.integrator import Integrator, largest_frequency
+from tenscontrol.integrate.integrator import Integrator, contact_frequency, largest_frequency
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6
 from tenscontrol.validation import FloatArray, choice, function, text, truth, wrong_kind
 
@@ -124,7 +124,7 @@ class Method:
 
 
 _STEP, _TOLERANCE = ("step",), ("tolerance",)
-_SYMPLECTIC = "symplectic, fixed steps; no damping"
+_SYMPLECTIC = "symplectic without damping, fixed steps"
 _OWN = {"drifts": False, "follows": True}
 _ALL = (
     Method("rk4", _STEP, "order 4, fixed steps; bar lengths drift", RK4, follows=True),
@@ -207,12 +207,17 @@ def choose(
     """Return the method for a scene.
 
     Where the user gives a step, the method is RK4. Else it is the one of order
-    8 with steps of its own, unless the fastest string would force it to far more
+    8 with steps of its own, unless the fastest string, or the ground, would force it to far more
     steps than the motion needs: then the implicit one.
     """
-    frequency = largest_frequency(equation, state, held)
+    strings, ground = (of(equation, state, held) for of in (largest_frequency, contact_frequency))
+    frequency, where = max(strings, ground), " (ground)" if ground > strings else ""
     slack = "strings can go slack, each switch ends a step" if equation.switches else "no switches"
-    scene = f"largest frequency {frequency:.3g} rad/s; {slack}"
+    if ground and equation.law is None:
+        slack = "contacts open and close, each switch ends a step"
+    elif ground:
+        slack = "strings can go slack and contacts open, each switch ends a step"
+    scene = f"largest frequency {frequency:.3g} rad/s{where}; {slack}"
     if step is not None:
         return Choice("rk4", "step", step, f"a step is given; {scene}")
     needed = frequency * duration / _STABLE

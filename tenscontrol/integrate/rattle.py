@@ -14,6 +14,7 @@ alternation of them does. Only blocks of bars that share nodes are factorized.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise, zip_longest
@@ -53,7 +54,7 @@ class Splitting:
         return list(zip_longest(self.flights, self.kicks, passed))
 
 
-def splitting(order: int, coupled: bool = False) -> Splitting:
+def splitting(order: int, coupled: bool = False, velocity_dependent: bool = False) -> Splitting:
     """Return the alternation of flights and kicks of order 2, 4 or 6.
 
     2: Störmer and Verlet, in the form with one kick. 4: Omelyan, Mryglod & Folk, "PEFRL", eq.
@@ -69,6 +70,9 @@ def splitting(order: int, coupled: bool = False) -> Splitting:
     Where bars share nodes (``coupled``), flights are not exact, and the composition is of whole
     symmetric steps kick, flight, kick of order 2. 4: Suzuki (eq. II.4.5 there). 6: Kahan & Li
     (eq. V.3.12).
+
+    Where forces are ``velocity_dependent``, kicks do not commute with each other, as the methods
+    above take them to. 4 and 6: Blanes & Moan, Table 2, S6 and S10.
     """
     if order not in (2, 4, 6):
         raise ValueError(f"order is {order!r}, expected 2, 4 or 6")
@@ -78,6 +82,11 @@ def splitting(order: int, coupled: bool = False) -> Splitting:
         return Splitting((0.0, *stages, 0.0), kicks)
     if order == 2:
         return Splitting((0.5, 0.5), (1.0,))
+    if velocity_dependent:
+        flights, kicks = _GENERAL[order]
+        return Splitting(
+            _palindrome(flights, 1 - 2 * sum(flights)), _palindrome((*kicks, 0.5 - sum(kicks)))
+        )
     if order == 4:
         first, second, inner = 0.1786178958448091, -0.06626458266981849, -0.2123418310626054
         return Splitting(
@@ -106,6 +115,54 @@ def splitting(order: int, coupled: bool = False) -> Splitting:
     )
 
 
+# First halves of the flights and kicks of S6 and S10, but for the last of each.
+_GENERAL = {
+    4: (
+        (0.0792036964311957, 0.353172906049774, -0.0420650803577195),
+        (0.209515106613362, -0.143851773179818),
+    ),
+    6: (
+        (
+            0.0502627644003922,
+            0.413514300428344,
+            0.0450798897943977,
+            -0.188054853819569,
+            0.541960678450780,
+        ),
+        (0.148816447901042, -0.132385865767784, 0.067307604692185, 0.432666402578175),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class _Tableau:
+    """An explicit Runge-Kutta method: how a kick is made of forces at velocities within it."""
+
+    stages: tuple[tuple[float, ...], ...]  # weights of the forces before, but for the first stage
+    weights: tuple[float, ...]
+
+
+# Of forces that depend on positions only, one is all. Else: the midpoint rule, the classical method
+# of Kutta, and Butcher's of order 6 (*On Runge-Kutta processes of high order*, J. Aust. Math. Soc.
+# 4 (1964), 179-194).
+_ONE = _Tableau((), (1.0,))
+_KICKS = {
+    2: _Tableau(((1 / 2,),), (0.0, 1.0)),
+    4: _Tableau(((1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
+    6: _Tableau(
+        (
+            (1 / 3,),
+            (0.0, 2 / 3),
+            (1 / 12, 1 / 3, -1 / 12),
+            (-1 / 16, 9 / 8, -3 / 16, -3 / 8),
+            (0.0, 9 / 8, -3 / 8, -3 / 4, 1 / 2),
+            (9 / 44, -9 / 11, 63 / 44, 18 / 11, 0.0, -16 / 11),
+        ),
+        (11 / 120, 0.0, 27 / 40, 27 / 40, -4 / 15, -4 / 15, 11 / 120),
+    ),
+}
+
+
 def _stages(order: int) -> tuple[float, ...]:
     """Return the lengths of the symmetric steps of order 2 that make one of a higher order."""
     if order == 2:
@@ -124,12 +181,17 @@ def _stages(order: int) -> tuple[float, ...]:
 
 def rattle_evaluations(equation: Equation, order: int) -> int:
     """Return how often a step of :func:`rattle_step` evaluates the forces."""
-    kicks = splitting(order, _is_coupled(equation)).kicks
-    return len(kicks) * (2 if equation.velocity_dependent else 1)
+    kicks = _splitting(equation, order).kicks
+    return len(kicks) * len(_tableau(equation, order).weights)
 
 
-def _is_coupled(equation: Equation) -> bool:
-    return equation.structure is not None and bool(equation.structure.blocks)
+def _splitting(equation: Equation, order: int) -> Splitting:
+    coupled = equation.structure is not None and bool(equation.structure.blocks)
+    return splitting(order, coupled, equation.velocity_dependent)
+
+
+def _tableau(equation: Equation, order: int) -> _Tableau:
+    return _KICKS[order] if equation.velocity_dependent else _ONE
 
 
 def rattle_step(
@@ -154,9 +216,10 @@ def rattle_step(
     compositions of RATTLE. The true l is in each quadratic, so that bar
     lengths have the error of one rounding, however many steps there were.
 
-    Orders above 2 take steps back in time, in which damping drives: with kicks
-    solved to order 4 they were no better than the classical Runge-Kutta method
-    where strings are hardly damped, and unstable in longer steps where they are.
+    Forces that depend on velocities, of damped strings or of ground that damps or rubs, change in a
+    kick, in which nodes stand still: the velocities follow an equation of their own there, solved
+    by a Runge-Kutta method of the same order. Orders above 2 take kicks back in time, in which
+    damping drives: steps must be short beside the time in which it acts.
     """
     force = equation.force
     if force is None or equation.structure is None:
@@ -164,16 +227,11 @@ def rattle_step(
             "the equation has no structure, whose bars RATTLE would hold; "
             "make it by Model(structure).equation(...), or use rk4 or dop853"
         )
-    if equation.velocity_dependent and order != 2:
-        raise ValueError(
-            f"RATTLE of order {order} ('rattle{order}') steps back in time, where damped strings "
-            "drive: use 'rattle', 'rk4' or 'dop853'"
-        )
-    steps = splitting(order, _is_coupled(equation))
+    steps, tableau = _splitting(equation, order), _tableau(equation, order)
     if equation.structure.blocks:
-        return _coupled(equation, steps)
+        return _coupled(equation, steps, tableau)
     x, u, taut, h = equation.symbols(symbols)
-    motion = _Motion(Bodies(equation.structure), force, taut, equation.velocity_dependent)
+    motion = _Motion(Bodies(equation.structure), force, taut, tableau)
     if called:
         return _called(equation, motion, steps, x, u, h)
     state = motion.start(x)
@@ -181,7 +239,13 @@ def rattle_step(
         state = motion.flight(state, flight * h)
         if kick is not None:
             state = motion.kick(state, kick * h, equation.ahead(u, passed * h))
-    return ca.Function("rattle_step", [x, u, taut, h], [motion.end(state)])
+    return ca.Function("rattle_step", [x, u, taut, h], [_once(motion.end(state), tableau)])
+
+
+def _once(result: Any, tableau: _Tableau) -> Any:
+    """Return an expression with what several stages of a kick have in common computed once."""
+    several = len(tableau.weights) > 2 and isinstance(result, ca.SX)
+    return ca.cse(result) if several else result
 
 
 def _called(
@@ -194,7 +258,8 @@ def _called(
     parts = [kind.sym(f"part{i}", part.shape) for i, part in enumerate(begun)]
     state = _State(*parts)
     flight = ca.Function("flight", [*parts, h], list(motion.flight(state, h)))
-    kick = ca.Function("kick", [*parts, u, taut, h], list(motion.kick(state, h, u)))
+    kicked = motion.kick(state, h, u)
+    kick = ca.Function("kick", [*parts, u, taut, h], list(kicked))
     end = ca.Function("end", parts, [motion.end(state)])
     x, u, taut, h = (ca.MX.sym("of_step", each.shape) for each in (x, u, taut, h))
     now = start(x)
@@ -205,12 +270,13 @@ def _called(
     return ca.Function("rattle_step", [x, u, taut, h], [end(*now)])
 
 
-def _coupled(equation: Equation, steps: Splitting) -> ca.Function:
+def _coupled(equation: Equation, steps: Splitting, tableau: _Tableau) -> ca.Function:
     """Return the step where bars share nodes: calls of its flights and kicks."""
     structure = equation.structure
     assert structure is not None  # as in rattle_step
     bodies, blocks = Bodies(structure), Coupled(structure)
-    flight, kick = _coupled_flight(bodies, blocks), _coupled_kick(equation, bodies, blocks)
+    flight = _coupled_flight(bodies, blocks)
+    kick = _coupled_kick(equation, bodies, blocks, tableau)
     x, u, taut, h = equation.symbols(ca.MX)
     q, v = ca.vertsplit(x, equation.states // 2)
     factors = blocks.factorized(q[bodies.coupled])
@@ -243,7 +309,9 @@ def _coupled_flight(bodies: Bodies, blocks: Coupled) -> ca.Function:
     return ca.Function("flight", [q, v, factors, time], outputs)
 
 
-def _coupled_kick(equation: Equation, bodies: Bodies, blocks: Coupled) -> ca.Function:
+def _coupled_kick(
+    equation: Equation, bodies: Bodies, blocks: Coupled, tableau: _Tableau
+) -> ca.Function:
     """Return ``(q, v, factors, u, taut, time) -> v``: forces alone, none along bars after it."""
     motion, force = _Motion(bodies), equation.force
     assert force is not None  # as in rattle_step
@@ -254,19 +322,40 @@ def _coupled_kick(equation: Equation, bodies: Bodies, blocks: Coupled) -> ca.Fun
     q, v = (ca.MX.sym(name, equation.states // 2) for name in "qv")
     factors = ca.MX.sym("factors", blocks.factorized.size1_out(0))
 
-    def kicked(at: Any, time: Any) -> Any:
-        """Return the rates after the forces at some rates have acted for a time."""
-        impulse = time * force(q, at, u, taut)
+    def pushed(forces: Any) -> Any:
+        """Return the rates after forces have acted for the time."""
+        impulse = time * forces
         parts = (each[bodies.alone] for each in (q, v, impulse))
         c, rates, pushes = (each[bodies.coupled] for each in (q, v, impulse))
         return bodies.merge(alone(*parts), blocks.pushed(c, rates, pushes, factors))
 
-    at = kicked(v, time / 2) if equation.velocity_dependent else v
-    return ca.Function("kick", [q, v, factors, u, taut, time], [kicked(at, time)])
+    # What a flight leaves along bars changes forces by O(h): beyond order 2 it is removed first.
+    start = pushed(0 * v) if len(tableau.weights) > 2 else v
+    v1 = _kicked(tableau, start, lambda at: force(q, at, u, taut), pushed)
+    return ca.Function("kick", [q, v, factors, u, taut, time], [v1])
+
+
+def _kicked(
+    tableau: _Tableau, start: Any, force: Callable[[Any], Any], pushed: Callable[[Any], Any]
+) -> Any:
+    """Return what a kick makes of a state, by a Runge-Kutta method in its velocities.
+
+    ``force`` takes a state to forces, and ``pushed`` constant forces to the state after the kick.
+    """
+    forces = [force(start)]
+    for weights in tableau.stages:
+        forces.append(force(pushed(_weighted(weights, forces))))
+    return pushed(_weighted(tableau.weights, forces))
+
+
+def _weighted(weights: tuple[float, ...], values: list[Any]) -> Any:
+    """Return a sum; what has no weight is left out, and 1 is no factor."""
+    parts = [w * each if w != 1 else each for w, each in zip(weights, values, strict=True) if w]
+    return sum(parts[1:], parts[0])
 
 
 class _Rattle(FixedStep):
-    """What the orders share; without a structure, or with damped strings above order 2, refused."""
+    """What the orders share; refused without a structure."""
 
     order: int
 
@@ -331,7 +420,7 @@ class _Motion:
     bodies: Bodies
     force: ca.Function | None = None
     taut: kernel.Symbolic = None
-    damped: bool = False
+    tableau: _Tableau = _ONE
 
     @cached_property
     def _square(self) -> ca.DM:
@@ -367,21 +456,17 @@ class _Motion:
         )
 
     def kick(self, state: _State, time: kernel.Symbolic, u: kernel.Symbolic) -> _State:
-        """Return the state after forces alone, with the input u, have acted for a time.
+        """Return the state after forces alone, with the input u, have acted for a time."""
+        function, taut = self.force, self.taut
+        assert function is not None  # given where kicks are asked for
 
-        Forces that depend on velocities change on the way: they are those of
-        the velocities half way, to first order.
-        """
-        if self.damped:
-            half_way = self._kick(state, state, time / 2, u)
-            return self._kick(state, half_way, time, u)
-        return self._kick(state, state, time, u)
+        def force(at: _State) -> kernel.Symbolic:
+            return function(*self.coordinates(at), u, taut)
 
-    def _kick(self, state: _State, at: _State, time: kernel.Symbolic, u: kernel.Symbolic) -> _State:
-        """Return the state after a kick with the forces at another state."""
-        assert self.force is not None  # given where kicks are asked for
-        forces = self.force(*self.coordinates(at), u, self.taut)
-        return self.pushed(state, forces, time)
+        def pushed(forces: kernel.Symbolic) -> _State:
+            return self.pushed(state, forces, time)
+
+        return _kicked(self.tableau, state, force, pushed)
 
     def pushed(self, state: _State, forces: kernel.Symbolic, time: kernel.Symbolic) -> _State:
         """Return the state after forces, N, have acted for a time."""

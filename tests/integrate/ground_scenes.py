@@ -1,0 +1,120 @@
+"""Structures dropped on the ground, as scenes of the package and as scenes of the oracle."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import tenscontrol as tc
+from tenscontrol.dynamics import pack_state
+from tests.integrate.coupled_scenes import possible_velocities
+from tests.oracle import HeldRestLength, NodeMotion, Plane, RigidBars
+
+GRAVITY = 9.81
+GROUND = {"stiffness": 5e3, "damping": 0.3, "friction": 0.5, "slip_speed": 0.01}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A structure over the ground, with the rest lengths of its strings and its start."""
+
+    structure: tc.Structure
+    rest_length: np.ndarray
+    ground: tuple[tc.dynamics.ContactLaw, ...]
+    velocities: np.ndarray
+    stiffness: float = 1e3
+
+    @property
+    def model(self):
+        law = tc.LinearStrings(self.stiffness)
+        return tc.Model(self.structure, strings=law, gravity=GRAVITY, ground=self.ground)
+
+    @property
+    def state(self):
+        return pack_state(self.structure, self.structure.nodes, self.velocities)
+
+    def oracle(self):
+        """Return the motion by the oracle: rigid bodies, or node coordinates with multipliers."""
+        structure = self.structure
+        d = structure.dimension
+        weights = np.zeros_like(structure.nodes)
+        weights[-1] = -GRAVITY * tc.structure.node_mass(structure).sum(axis=0)
+        planes = tuple(
+            Plane(law.stiffness, law.damping, law.friction, law.slip_speed, tuple(law.up(d)),
+                  law.height, 1.5 if isinstance(law, tc.dynamics.HertzGround) else 1.0)
+            for law in self.ground
+        )  # fmt: skip
+        strings = HeldRestLength(self.rest_length, self.stiffness)
+        alone = d == 3 and not structure.blocks and len(structure.fixed) == 0
+        kind = RigidBars if alone else NodeMotion
+        return kind(structure, strings, weights, planes)
+
+    def exact(self, times):
+        """Return nodes at times, shape (d, n, T), and the times of switches, by the oracle."""
+        return self.oracle().integrate(self.structure.nodes, self.velocities, times)
+
+    def run(self, integrator, times):
+        """Return nodes at equally spaced times from 0, shape (d, n, T), and the work."""
+        span = integrator.advance(self.state, self.rest_length, times[-1], len(times) - 1)
+        states = np.column_stack([self.state, span.states])
+        return tc.dynamics.unpack_states(self.structure, states)[0], span.work
+
+
+def dropped(structure, ground, height, velocity=(0.0, 0.0, 0.0), force_density=20.0, turn=None):
+    """Return the scene of a structure in prestress, turned, its lowest node at a height."""
+    rest = tc.prestress(structure, force_density=force_density)
+    strings = tc.LinearStrings(1e3)
+    model = tc.Model(rest.structure, strings=strings)
+    nodes = rest.structure.nodes.copy()
+    lengths = tc.to_rest_length(model, nodes, rest.force_density).rest_length
+    ground = tuple(ground)
+    if turn is not None:
+        nodes = turn @ nodes
+    up = ground[0].up(len(nodes))
+    nodes += np.outer(up, height - (up @ nodes).min())
+    placed = tc.Structure(
+        nodes, structure.bars, structure.strings, structure.bar_mass, structure.string_node_mass
+    )
+    velocities = np.repeat(np.array(velocity, float)[:, None], nodes.shape[1], axis=1)
+    return Scene(placed, lengths, ground, velocities)
+
+
+def rotation(axis, angle):
+    """Return the matrix of a turn about an axis, rad."""
+    axis = np.array(axis, float) / np.linalg.norm(axis)
+    cross = np.cross(np.eye(3), axis)
+    return np.eye(3) - np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+
+
+def ball():
+    """The six-bar ball, dropped from 0.3 m at 0.5 m/s sideways."""
+    ground = tc.Ground(**GROUND)
+    return dropped(tc.library.six_bar_ball(), [ground], 0.3, (0.5, 0.0, 0.0))
+
+
+def prism():
+    """The prism, dropped on one edge of its bottom with a spin."""
+    ground = tc.Ground(**GROUND)
+    scene = dropped(tc.prism(), [ground], 0.1, (0.2, 0.0, 0.0), 10.0, rotation([1, 0, 0], 0.6))
+    spin = np.cross([0.0, 0.0, 2.0], scene.structure.nodes.T).T
+    return replace(scene, velocities=scene.velocities + spin)
+
+
+def tower():
+    """The class-2 tower, set down on a slope of 20 degrees."""
+    slope = np.array([np.sin(np.deg2rad(20.0)), 0.0, np.cos(np.deg2rad(20.0))])
+    ground = tc.Ground(**GROUND, normal=slope)
+    return dropped(tc.library.class2_tower(), [ground], 0.02, force_density=10.0)
+
+
+SCENES = {"ball": ball, "prism": prism, "tower": tower}
+
+
+def nudged(scene, size, seed):
+    """Return a scene with other nodes at the start: bars keep their lengths to its square."""
+    structure = scene.structure
+    move = possible_velocities(structure, seed)
+    nodes = structure.nodes + size * move / np.abs(move).max()
+    placed = tc.Structure(
+        nodes, structure.bars, structure.strings, structure.bar_mass, structure.string_node_mass
+    )
+    return replace(scene, structure=placed)
