@@ -8,12 +8,13 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Model
+from tenscontrol.dynamics import Contacts, Model
 from tenscontrol.statics import Prestress, equilibrium_matrix
 from tenscontrol.structure import Structure, bar_rows, free_coordinates, rigid_motions
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
+    float_array,
     freeze_arrays,
     indices,
     instance,
@@ -202,7 +203,7 @@ class GroundPoints:
         """Return the points of a shape."""
         contacts = model.contacts
         assert contacts is not None  # asked for where there is ground
-        function = model.prepared.get("ground points", lambda: _ground_function(model))
+        function = model.prepared.get("ground points", lambda: _ground_function(model, contacts))
         found = np.array(function(nodes).full())
         normal, force = found[2:], found[1]
         size = np.linalg.norm(normal, axis=0)
@@ -252,11 +253,10 @@ class GroundPoints:
         return bool(off <= _LANDED and shares)
 
 
-def _ground_function(model: Model) -> ca.Function:
+def _ground_function(model: Model, contacts: Contacts) -> ca.Function:
     """Return ``N -> [depth; factor of the normal force; direction]``, one column a point."""
-    assert model.contacts is not None
     N, parts = ca.SX.sym("N", *model.structure.nodes.shape), []
-    for law, nodes, _ in model.contacts:
+    for law, nodes, _ in contacts:
         at = N[:, nodes.tolist()]
         depth, rate, away = law.sinking(at, 0 * at)
         gap = law.gap(depth, 0 * rate)
@@ -461,8 +461,9 @@ def set_down(model: Model, feet: object, nodes: object = None) -> FloatArray:
         raise ValueError("the model has supports, which hold its nodes where they are")
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     d, count = N.shape
-    feet = np.atleast_1d(np.asarray(feet, float))
-    below = indices("feet", shaped("feet", feet, (feet.size,), "nodes"), count, "nodes")
+    given = float_array("feet", feet)
+    given = shaped("feet", given, (given.size,), "nodes")
+    below = indices("feet", given, count, f"the structure has {count} nodes")
     centre = N[:, below].mean(axis=1, keepdims=True)
     axes, sizes, _ = np.linalg.svd(N[:, below] - centre)
     if len(below) < d or sizes[d - 2] <= _TOUCHING * sizes[0]:
