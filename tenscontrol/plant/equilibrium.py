@@ -323,7 +323,7 @@ def _stood(
         except ValueError as error:
             raise ValueError(f"{error}. {_NOTHING_HOLDS}") from None
         if not len(structure.fixed_rows):
-            _refuse_fall(first, nodes)
+            _refuse_fall(first, nodes, kind)
         before, points = points, GroundPoints.of(model, nodes).pressing
         pressing, here = points.gripping, {i: nodes[:, i] for i in points.gripping}
         if places.keys() == pressing and points.agrees(before, settling):
@@ -361,7 +361,7 @@ def _pulling(
     return np.where(gamma * length > (np.inf if is_slack else _EXACT * least), gamma, 0.0)
 
 
-def _refuse_fall(start: FloatArray, end: FloatArray) -> None:
+def _refuse_fall(start: FloatArray, end: FloatArray, kind: str) -> None:
     """Raise if a shape has turned over or gone far away."""
     before, after = (each - each.mean(axis=1, keepdims=True) for each in (start, end))
     away = float(np.linalg.norm((end - start).mean(axis=1)))
@@ -374,9 +374,9 @@ def _refuse_fall(start: FloatArray, end: FloatArray) -> None:
         if angle <= _FALLEN:
             what = f"moves {away:.3g} m away"
         raise ValueError(
-            f"no equilibrium: from the shape at the start the structure falls: it {what} before "
-            "it comes to rest. Start from nodes that stand, as plant.set_down(model, feet) gives "
-            "them"
+            f"no equilibrium with this {kind}: from the shape at the start the structure falls: it "
+            f"{what} before it comes to rest. Start from nodes that stand, as "
+            "plant.set_down(model, feet) gives them"
         )
 
 

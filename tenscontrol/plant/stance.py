@@ -464,7 +464,7 @@ def set_down(model: Model, feet: object, nodes: object = None) -> FloatArray:
     given = float_array("feet", feet)
     given = shaped("feet", given, (given.size,), "nodes")
     below = indices("feet", given, count, f"the structure has {count} nodes")
-    centre = N[:, below].mean(axis=1, keepdims=True)
+    centre = N[:, below].sum(axis=1, keepdims=True) / max(len(below), 1)
     axes, sizes, _ = np.linalg.svd(N[:, below] - centre)
     if len(below) < d or sizes[d - 2] <= _TOUCHING * sizes[0]:
         raise ValueError(
