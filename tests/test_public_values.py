@@ -46,6 +46,9 @@ def values(tmp_path_factory):
         output_step=0.01,
         estimator=estimator,
     )
+    ground = tc.Ground(5e3, friction=0.9)
+    standing = tc.Model(prism, strings=model.strings, gravity=9.81, ground=ground)
+    stance = tc.equilibrium(standing, rest_length=0.9 * start.rest_length)
     height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
     target = tc.shape_target(model, height, force_density=17.3205)
     found = [
@@ -59,6 +62,9 @@ def values(tmp_path_factory):
         tc.shape_path(model, rest, target, duration=1.0, step=0.2),
         prism,
         rest,
+        stance,
+        stance.contacts,
+        stance.tipping,
         rest.stability,
         rest.tangent_stiffness(100.0),
         plant,

@@ -22,6 +22,7 @@ from tenscontrol.plant import (
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
+    IntArray,
     choice,
     frozen,
     instance,
@@ -181,6 +182,11 @@ class BaseController(ABC):
     def commanded(self) -> Structure:
         """The structure whose strings it commands."""
         return self._commanded
+
+    @property
+    def feet(self) -> IntArray | tuple[()]:
+        """Fixed nodes that ground holds by friction, of a law for a stance; else none."""
+        return ()
 
     @property
     def sample_time(self) -> float | None:
@@ -521,6 +527,11 @@ class Controller(BaseController):
     def plant(self) -> LinearPlant:
         """The linear plant that the controller was designed on."""
         return self._plant
+
+    @property
+    def feet(self) -> IntArray:
+        """See :attr:`BaseController.feet`."""
+        return self._plant.feet
 
     def _measure(
         self, nodes: FloatArray, velocities: FloatArray

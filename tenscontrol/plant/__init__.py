@@ -55,6 +55,7 @@ from tenscontrol.plant.riccati import (
     regulator_riccati,
     riccati_residual,
 )
+from tenscontrol.plant.stance import Stance, StanceContacts, Tipping, set_down
 from tenscontrol.plant.string_outputs import (
     StringMap,
     model_input,
@@ -78,7 +79,10 @@ __all__ = [
     "ReferencePreview",
     "Sampled",
     "SmoothReference",
+    "Stance",
+    "StanceContacts",
     "StringMap",
+    "Tipping",
     "acceleration_response",
     "acceleration_slopes",
     "check_riccati",
@@ -113,6 +117,7 @@ __all__ = [
     "riccati_residual",
     "sampled",
     "sampled_dynamics",
+    "set_down",
     "settled",
     "state_units",
     "string_forces",

@@ -11,6 +11,16 @@ import numpy as np
 
 from tenscontrol.dynamics import Model, builds, kernel, solving
 from tenscontrol.plant.linear_plant import INPUTS
+from tenscontrol.plant.stance import (
+    GroundPoints,
+    Stance,
+    StanceContacts,
+    Sticking,
+    contact_forces,
+    ground_energy,
+    let_down,
+    refuse_slip,
+)
 from tenscontrol.statics import Prestress, balanced, listed, member_forces
 from tenscontrol.structure import (
     Structure,
@@ -22,7 +32,16 @@ from tenscontrol.structure import (
     refuse_strings_without_length,
     restore_bar_lengths,
 )
-from tenscontrol.validation import FloatArray, instance, non_negative, per_member, positive, shaped
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    instance,
+    non_negative,
+    per_member,
+    positive,
+    shaped,
+    truth,
+)
 
 # Newton steps that polish the answer of the optimizer, each of which doubles the digits, and how
 # many of them may bring nothing.
@@ -53,6 +72,14 @@ _FLAT = 1e-9
 
 _HINT = "Start from other nodes"
 
+# Times that the nodes which touch the ground are sought again, and the angle, rad, by which a
+# structure that does not fall may turn.
+_LANDINGS, _FALLEN = 20, 0.5
+
+_NOTHING_HOLDS = (
+    "On its ground it may slide or fall: friction, plant.set_down(model, feet) or supports hold it"
+)
+
 
 def equilibrium(
     model: Model,
@@ -61,6 +88,7 @@ def equilibrium(
     force_density: object = None,
     nodes: object = None,
     external_force: object = None,
+    settle: object = False,
 ) -> Prestress:
     """Return the shape at which a structure rests under its weights and loads.
 
@@ -81,19 +109,24 @@ def equilibrium(
         Shape to start from, m; the reference shape if not given.
     external_force : array_like, shape (d, n), optional
         Load W, N, for a model that takes one.
+    settle : bool
+        For a model with ground: whether feet move along it until all use the same part of their
+        friction; see the notes. If not, only where a foot would slip.
 
     Returns
     -------
     Prestress
         Its ``structure`` has the shape found, its ``external_force`` is all
-        that acts, weights included.
+        that acts, weights included. For a model with ground it is a :class:`Stance`, with the
+        ``contacts`` and the margin against ``tipping``.
 
     Raises
     ------
     TypeError, ValueError
         If an argument does not fit, or no equilibrium is found; the message
         says what the optimizer ended with, or which clustered string draws two of its nodes
-        together: there its force has no direction, and the energy no slope.
+        together: there its force has no direction, and the energy no slope. On the ground: if it
+        slips, falls over (turns by more than half a radian), slides or falls away.
 
     Warns
     -----
@@ -107,12 +140,34 @@ def equilibrium(
     Newton steps on the conditions of optimality. Where IPOPT does not end, strings stiffer than the
     softest get their stiffness step by step, and clustered ones the sharp bends at their nodes.
 
+    On **ground**, its stored energy joins that of the strings, and nodes that touch where there is
+    friction keep their places along it: those that touch at the start, and those that are met on
+    the way, from where they come to rest. A structure in the air is first let down along the
+    resultant of its loads until a node touches; :func:`~tenscontrol.plant.set_down` puts it on
+    given nodes. Which nodes touch is sought until it is consistent. The places determine the forces
+    along the ground, where statics alone does not: other starts give other forces. If they ask more
+    of a foot than friction holds, or with ``settle=True``, the feet move against each other, but
+    not as one body, until F_t/(μ F_n) is the same at all of them: zero on level ground, on a plane
+    slope its tangent by μ. There the rounded friction of the laws ends too, whose feet creep.
+
     Examples
     --------
+    A prism on ground, whose feet use some of their friction; it may be tilted by 27°:
+
+    >>> import numpy as np, tenscontrol as tc
+    >>> prism = tc.prism()
+    >>> strings, ground = tc.LinearStrings(stiffness=500.0), tc.Ground(5e3, friction=0.5)
+    >>> model = tc.Model(prism, strings=strings, gravity=9.81, ground=ground)
+    >>> gamma = tc.statics.prism_force_density(3, 60.0)[0]
+    >>> wound = tc.to_rest_length(model, prism.nodes, gamma).rest_length
+    >>> stance = tc.equilibrium(model, rest_length=wound, settle=True)
+    >>> stance.contacts.node, stance.contacts.normal_force.round(6)
+    (array([3, 4, 5]), array([9.81, 9.81, 9.81]))
+    >>> round(float(np.degrees(stance.tipping.angle)))
+    27
+
     A prism on three supports sinks a little under its own weight:
 
-    >>> import tenscontrol as tc
-    >>> prism = tc.prism()
     >>> standing = tc.Structure(prism.nodes, prism.bars, prism.strings, 1.0, fixed=[3, 4, 5])
     >>> model = tc.Model(standing, strings=tc.LinearStrings(stiffness=500.0), gravity=9.81)
     >>> gamma = tc.statics.prism_force_density(3, 60.0)[0]
@@ -122,7 +177,12 @@ def equilibrium(
     (array([-0.0041, -0.0041, -0.0041]), True)
     """
     instance("model", model, Model, "make one by Model(structure)")
+    settles = truth(
+        "settle", settle, "whether feet move along the ground until they share its friction"
+    )
     structure = model.structure
+    if settles and model.contacts is None:
+        raise ValueError("settle is for a model with ground: leave it out")
     if (rest_length is None) == (force_density is None):
         found = "neither" if rest_length is None else "both"
         raise ValueError(f"expected one of rest_length and force_density, found {found}")
@@ -131,7 +191,7 @@ def equilibrium(
         start, called = structure.checked_nodes("nodes", nodes), "nodes"
         refuse_moved_supports("nodes", structure, start)
         start = restore_bar_lengths(structure, start)
-    load = model.constant_force
+    load = model.constant_force.copy()
     if external_force is not None:
         if not model.has_external_force:
             raise ValueError(
@@ -139,7 +199,7 @@ def equilibrium(
                 "Model(structure, external_force=True)"
             )
         shape = structure.nodes.shape
-        load = load + shaped("external_force", external_force, shape, "one force per node")
+        load += shaped("external_force", external_force, shape, "one force per node")
     held, kind = held_value(model, rest_length, force_density), INPUTS[rest_length is not None]
     law = model.strings
     if kind == "rest_length":
@@ -149,20 +209,23 @@ def equilibrium(
                 "the model has no string law, so rest lengths mean nothing to it; "
                 "build it as Model(structure, strings=LinearStrings(stiffness=...))"
             )
-    refuse_load_without_support(structure, load)
     strained = _strained(model, kind, held)
-    settled = _settled(structure, _minimize(model, kind, held, load, start, strained))
-    least = float(strained.max(initial=0.0))
-    gamma = held
-    if law is not None and kind == "rest_length":
-        length = np.maximum(settled.string_length(), _EXACT * held)
-        gamma = law.force_density(length, held)
-        # Slack but for round-off: all of them, or those that carry less than it.
-        is_slack = not load.any() and (gamma * length).max(initial=0.0) < _SLACK * least
-        gamma = np.where(gamma * length > (np.inf if is_slack else _EXACT * least), gamma, 0.0)
+    least, contacts, softest = float(strained.max(initial=0.0)), None, 0.0
+    if model.contacts is None:
+        refuse_load_without_support(structure, load)
+        end, _ = _minimize(model, kind, held, load, start, strained)
+        settled = _settled(structure, end)
+        gamma = _pulling(model, kind, held, load, settled, least)
+    else:
+        settled, gamma, contacts, softest = _stood(
+            model, kind, held, load, start, strained, settles
+        )
+        np.add.at(load.T, contacts.node, contacts.force.T)
     what = f"no equilibrium found with this {kind}"
     forces = member_forces(settled, free_coordinates(settled, load))
     rest = balanced(settled, forces, gamma, load, what, _HINT, least)
+    if contacts is not None:
+        rest = Stance(**vars(rest), contacts=contacts, least_stiffness=softest)
     if kind == "rest_length":
         _warn_of_slack(rest, forces.live)
     _warn_of_crossing(structure, start, settled.nodes)
@@ -243,26 +306,114 @@ def held_value(model: Model, rest_length: object, force_density: object) -> Floa
     return non_negative("force_density", gamma, "a string can only pull")
 
 
+def _stood(
+    model: Model, kind: str, held: FloatArray, load: FloatArray, start: FloatArray,
+    strained: FloatArray, settle: bool,
+) -> tuple[Structure, FloatArray, StanceContacts, float]:  # fmt: skip
+    """Return a standing shape, γ of its strings, its contacts, and its least stiffness, N/m."""
+    structure, bars = model.structure, _kept_bars(model.structure)
+    least_force = float(strained.max(initial=0.0))
+    nodes = first = let_down(model, start, load)
+    points = GroundPoints.of(model, nodes).touching(float(np.ptp(nodes, axis=1).max()))
+    places, settling, has_settled = {i: nodes[:, i] for i in points.gripping}, settle, settle
+    for _ in range(_LANDINGS):
+        sticking = Sticking.at(structure, nodes, points, places, bars, settling)
+        try:
+            nodes, softest = _minimize(model, kind, held, load, nodes, strained, sticking)
+        except ValueError as error:
+            raise ValueError(f"{error}. {_NOTHING_HOLDS}") from None
+        if not len(structure.fixed_rows):
+            _refuse_fall(first, nodes, kind)
+        before, points = points, GroundPoints.of(model, nodes).pressing
+        pressing, here = points.gripping, {i: nodes[:, i] for i in points.gripping}
+        if places.keys() == pressing and points.agrees(before, settling):
+            if settling:
+                places, settling = here, False
+                continue
+            settled = _settled(structure, nodes)
+            gamma = _pulling(model, kind, held, load, settled, least_force)
+            points = GroundPoints.of(model, settled.nodes).pressing
+            contacts = contact_forces(settled, gamma, load, sticking, points)
+            if has_settled:
+                refuse_slip(contacts)
+            if contacts.cone_use.max(initial=0.0) <= 1:
+                return settled, gamma, contacts, softest
+            settling = has_settled = True
+        # Who lets go is free; who is met sticks where it came to rest.
+        keeps = places.keys() <= pressing
+        places = {i: places.get(i, here[i]) for i in here if keeps or i in places}
+    raise ValueError(
+        "no equilibrium found: nodes touch the ground and leave it again without end. Start from "
+        "nodes nearer to where it stands"
+    )
+
+
+def _pulling(
+    model: Model, kind: str, held: FloatArray, load: FloatArray, settled: Structure, least: float
+) -> FloatArray:
+    """Return γ of each string of a shape, N/m; ``least`` is what judges forces, N."""
+    if model.strings is None or kind == "force_density":
+        return held
+    length = np.maximum(settled.string_length(), _EXACT * held)
+    gamma = model.strings.force_density(length, held)
+    # Slack but for round-off: all of them, or those that carry less than it.
+    is_slack = not load.any() and (gamma * length).max(initial=0.0) < _SLACK * least
+    return np.where(gamma * length > (np.inf if is_slack else _EXACT * least), gamma, 0.0)
+
+
+def _refuse_fall(start: FloatArray, end: FloatArray, kind: str) -> None:
+    """Raise if a shape has turned over or gone far away."""
+    before, after = (each - each.mean(axis=1, keepdims=True) for each in (start, end))
+    away = float(np.linalg.norm((end - start).mean(axis=1)))
+    U, _, Vt = np.linalg.svd(after @ before.T)
+    U[:, -1] *= np.linalg.det(U @ Vt)
+    cosine = (np.trace(U @ Vt) - (len(start) - 2)) / 2
+    angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    if angle > _FALLEN or away > np.ptp(start, axis=1).max():
+        what = f"turns by {np.degrees(angle):.0f}°"
+        if angle <= _FALLEN:
+            what = f"moves {away:.3g} m away"
+        raise ValueError(
+            f"no equilibrium with this {kind}: from the shape at the start the structure falls: it "
+            f"{what} before it comes to rest. Start from nodes that stand, as "
+            "plant.set_down(model, feet) gives them"
+        )
+
+
+def _kept_bars(structure: Structure) -> IntArray:
+    """Return the bars that move and whose lengths are to be kept, without redundant ones."""
+    return np.concatenate(
+        [structure.free_bars, structure.swinging_bars, *(b.independent for b in structure.blocks)]
+    )
+
+
 @builds
 def _minimize(
     model: Model, kind: str, held: FloatArray, load: FloatArray, start: FloatArray,
-    strained: FloatArray,
-) -> FloatArray:  # fmt: skip
-    """Return the nodes of least energy with these bar lengths."""
+    strained: FloatArray, sticking: Sticking | None = None,
+) -> tuple[FloatArray, float]:  # fmt: skip
+    """Return the nodes of least energy with these bar lengths, and the least stiffness, N/m."""
     structure, rows = model.structure, model.structure.free_rows
+    count = len(rows) if sticking is None else sticking.motions.shape[1]
     q, weights, rounding = (
-        ca.SX.sym(name, count)
-        for name, count in (("q", len(rows)), ("weights", len(held)), ("rounding", 1))
+        ca.SX.sym(name, size)
+        for name, size in (("q", count), ("weights", len(held)), ("rounding", 1))
     )
     stage = ca.vertcat(weights, rounding)
     flat = ca.SX(ca.DM(structure.nodes.ravel(order="F")))
-    flat[rows.tolist()] = q
+    place = free_coordinates(structure, start)
+    if sticking is None:
+        flat[rows.tolist()] = at = q
+    else:
+        motions = ca.sparsify(ca.DM(sticking.motions))
+        flat[rows.tolist()] = at = ca.DM(sticking.origin) + ca.mtimes(motions, q)
+        place = sticking.motions.T @ (place - sticking.origin)
     nodes = ca.reshape(flat, *structure.nodes.shape)
     energies = _string_energies(model, kind, nodes, held, rounding)
-    energy = ca.dot(weights, energies) - ca.dot(free_coordinates(structure, load), q)
-    moving = np.concatenate(
-        [structure.free_bars, structure.swinging_bars, *(b.independent for b in structure.blocks)]
-    )
+    energy = ca.dot(weights, energies) - ca.dot(free_coordinates(structure, load), at)
+    if sticking is not None:
+        energy += ground_energy(model, nodes)
+    moving = _kept_bars(structure)
     B = kernel.differences(nodes, structure.bars[moving])
     stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[moving] ** 2)) / 2
     problem = {"x": q, "p": stage, "f": energy, "g": stretch}
@@ -276,35 +427,29 @@ def _minimize(
     conditions = ca.vertcat(ca.gradient(energy + ca.dot(lam, stretch), q), stretch)
     unknowns = ca.vertcat(q, lam)
     newton = ca.Function("newton", [unknowns], [conditions, ca.jacobian(conditions, unknowns)])
-    place = free_coordinates(structure, start)
+    whole = ca.Function("nodes", [q], [nodes])
     size = float(np.ptp(structure.nodes, axis=1).max())
     stiffness = float(strained.max(initial=0.0)) / (_STRAIN * size)
     flat_below = _EXACT * stiffness
     for _ in range(_ESCAPES):
         point, trouble = _optimized(solver, place, strained, size, structure.has_clusters)
         if structure.has_clusters:
-            ends = _with_rows(structure, point[: len(rows)])
+            ends = np.array(whole(point[:count]).full())
             pulling = held > 0 if kind == "force_density" else structure.string_length(ends) > held
             _refuse_collapsed(structure, ends, pulling, size * (_COLLAPSED if trouble else _FLAT))
-        point, off = _polished(newton, point, len(rows), size, stiffness)
+        point, off = _polished(newton, point, count, size, stiffness)
         if trouble and off > _EXACT * size:
             raise ValueError(trouble)
-        place, downhill = point[: len(rows)], _downhill(newton, point, len(rows), flat_below)
-        if downhill is None:
-            return _with_rows(structure, place)
+        place = point[:count]
+        least, downhill = _softest(newton, point, count, flat_below)
+        if least >= 0:
+            return np.array(whole(place).full()), least
         # An unstable equilibrium, such as a pendulum upside down: pushed off, it falls.
         place = place + 0.01 * size * downhill
     raise ValueError(
         "no stable equilibrium found: the shape comes to rest only where a small push makes it "
         f"fall. {_HINT}"
     )
-
-
-def _with_rows(structure: Structure, place: FloatArray) -> FloatArray:
-    """Return all nodes, shape (d, n), from the coordinates that supports leave free."""
-    found = structure.nodes.ravel(order="F").copy()
-    found[structure.free_rows] = place
-    return np.asarray(found.reshape(structure.nodes.shape, order="F"))
 
 
 def _refuse_collapsed(
@@ -413,16 +558,17 @@ def _polished(
     return best, least
 
 
-def _downhill(newton: ca.Function, point: FloatArray, count: int, flat: float) -> FloatArray | None:
-    """Return a direction in which the energy falls with bar lengths kept, or None."""
+def _softest(
+    newton: ca.Function, point: FloatArray, count: int, flat: float
+) -> tuple[float, FloatArray]:
+    """Return the least curvature of the energy with bar lengths kept, N/m, and its direction."""
     from scipy.linalg import null_space
 
     _, jacobian = (np.array(part.full()) for part in newton(point))
     hessian, constraints = jacobian[:count, :count], jacobian[count:, :count]
     free = null_space(constraints) if len(constraints) else np.eye(count)
     if free.shape[1] == 0:
-        return None
+        return np.inf, np.zeros(count)
     values, vectors = np.linalg.eigh(free.T @ hessian @ free)
-    if values[0] >= -max(flat, _FLAT * np.abs(hessian).max()):
-        return None
-    return np.asarray(free @ vectors[:, 0])
+    is_flat = abs(values[0]) <= max(flat, _FLAT * np.abs(hessian).max())
+    return 0.0 if is_flat else float(values[0]), np.asarray(free @ vectors[:, 0])

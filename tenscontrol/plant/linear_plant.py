@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from itertools import pairwise
 from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
@@ -86,6 +86,9 @@ class LinearPlant:
     invariance_residual : float
         How far the accelerations lead out of the space of the coordinates, or
         answer to motions that it leaves out, relative to their size.
+    feet : ndarray of int
+        Fixed nodes of the model that stand on ground by friction, of a plant about a stance: z is
+        measured relative to them. Empty for any other plant.
     """
 
     model: Model
@@ -99,6 +102,7 @@ class LinearPlant:
     rest_length: FloatArray | None
     external_force: FloatArray
     invariance_residual: float
+    feet: IntArray = field(default_factory=lambda: frozen(np.zeros(0, np.int64)))
 
     @property
     def nodes(self) -> FloatArray:

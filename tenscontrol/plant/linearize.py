@@ -11,8 +11,9 @@ import numpy as np
 from tenscontrol.dynamics import KINDS, Model, StringLaw, pack_state
 from tenscontrol.dynamics import coordinates as frame_of
 from tenscontrol.plant.linear_plant import INPUTS, LinearPlant, load_arguments
+from tenscontrol.plant.stance import Stance, standing_model
 from tenscontrol.plant.string_outputs import to_model_strings
-from tenscontrol.statics import Prestress
+from tenscontrol.statics import Prestress, null_space
 from tenscontrol.structure import (
     Structure,
     is_movable,
@@ -26,6 +27,7 @@ from tenscontrol.structure import (
 )
 from tenscontrol.validation import (
     FloatArray,
+    IntArray,
     choice,
     float_array,
     frozen,
@@ -135,8 +137,9 @@ def linearize(
     Parameters
     ----------
     model : Model
-    at : Prestress or OperatingPoint
-        The shape and its force densities.
+    at : Prestress, Stance or OperatingPoint
+        The shape and its force densities. Of a :class:`Stance`, contacts become supports; see the
+        notes.
     input : {"force_density", "rest_length"}
         What an actuator holds: a force-controlled cable holds γ, a winch holds
         the rest length. They are different plants.
@@ -160,13 +163,26 @@ def linearize(
         an equilibrium (the message says by how much), the model lacks a string
         law or a load input that is needed, or with ``input="rest_length"`` a
         string is at the border of slack, where no derivative exists. A string that is slack
-        beyond the border, by ``rest_length``, moves nothing: its column of B is zero.
+        beyond the border, by ``rest_length``, moves nothing: its column of B is zero. Or if a
+        contact of a stance slips (more than 0.99 of its friction is used) or just touches (less
+        than a thousandth of the largest normal force).
 
     Notes
     -----
     In coordinates with ``Tᵀ M T = I``: ``q̈ = Tᵀ M (∂N̈/∂N T q + ∂N̈/∂Ṅ T q̇ +
     ∂N̈/∂u v)``. The tangent space of the bar constraints is invariant under A,
     so that nothing is lost by the reduction; ``invariance_residual`` says so.
+
+    About a **stance**, which :func:`equilibrium` returns for a model with ground, the nodes that
+    touch are fixed where they stand: ``plant.model`` has them as fixed nodes, and no ground.
+    Controllers designed on it run on the model with ground, whose feet sink and creep a little:
+    z is measured relative to the feet, ``plant.feet``, laid over their places by the small motion
+    as one body that is nearest.
+    About an :class:`OperatingPoint`, or any other ``Prestress``, the ground of the model stays what
+    it is: springs at the nodes that are in it, with the damping and friction of their laws, which
+    is μ F_n/v_s per unit of speed at rest. Both agree in the limit of stiff ground and a small slip
+    speed. Forces along the ground that keep a stance in balance are not there at rest, so that
+    shapes which need them take ``require_equilibrium=False``.
 
     Examples
     --------
@@ -182,6 +198,12 @@ def linearize(
     choice("input", input, INPUTS)
     choice("coordinates", coordinates, KINDS)
     truth("require_equilibrium", require_equilibrium, "whether to refuse unbalanced forces")
+    if isinstance(at, Stance) and len(at.contacts.node):
+        _refuse_other_structure(model.structure, at.structure)
+        standing = standing_model(model, at)
+        point = OperatingPoint(at.structure.nodes, at.force_density, at.load)
+        plant = linearize(standing, point, input, coordinates, require_equilibrium, rest_length)
+        return _on_feet(plant, np.unique(at.contacts.node))
     nodes, gamma, load = _checked_point(model, at)
     _refuse_other_load(model, load)
     wound = None
@@ -247,6 +269,7 @@ def in_coordinates(plant: LinearPlant, kind: str) -> LinearPlant:
         other = linearize(
             plant.model, at, plant.input, kind, require_equilibrium=False, rest_length=rest_length
         )
+        other = _on_feet(other, plant.feet) if len(plant.feet) else other
         return other if plant.commanded is plant.model.structure else command_parents(other)
 
     choice("kind", kind, KINDS)
@@ -316,6 +339,25 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
         force_density=frozen(gamma),
         rest_length=None if rest_length is None else frozen(rest_length),
     )
+
+
+def _on_feet(plant: LinearPlant, feet: IntArray) -> LinearPlant:
+    """Return the plant with coordinates measured relative to feet.
+
+    What feet move as one body is taken from all nodes, and what is left of it, from the feet.
+    """
+    structure, frame = plant.model.structure, plant.coordinates
+    d, n = plant.nodes.shape
+    rows = (d * feet[:, None] + np.arange(d)).ravel()
+    supports = np.setdiff1d(structure.fixed_rows, rows)
+    fields = rigid_motions(plant.nodes)
+    if len(supports):
+        fields = fields @ null_space(fields[supports])
+    relative = np.eye(d * n)
+    relative[:, rows] -= fields @ np.linalg.pinv(fields[rows])
+    relative[rows] = 0.0
+    measured = replace(frame, _projection=frozen(frame.project(relative)))
+    return replace(plant, coordinates=measured, feet=frozen(feet))
 
 
 def _reduced(

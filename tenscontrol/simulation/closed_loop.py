@@ -537,10 +537,12 @@ def _commands_parent(loop: Loop, controller: BaseController) -> bool:
     """Return whether a controller commands the strings of the plant's parent, or refuse it."""
     structure, designed = loop.model.structure, controller.commanded
     seen, parent = controller.structure, structure.parent
-    by_segment = not same_members(designed, structure)
-    fits = same_members(seen, structure)
+    # Feet are fixed nodes to a controller for a stance; here the ground holds them.
+    feet = controller.feet if loop.model.ground else ()
+    by_segment = not same_members(designed, structure, feet)
+    fits = same_members(seen, structure, feet)
     if by_segment:
-        fits = parent is not None and same_members(designed, parent) and (fits or seen is designed)
+        fits = same_members(designed, parent, feet) and (fits or seen is designed)
     if not fits:
         raise ValueError(
             f"the controller was designed on {seen!r}, but the model has {structure!r} "

@@ -482,9 +482,17 @@ class Structure:
         return self.C_s[:, self.string_nodes]
 
 
-def same_members(one: Structure, other: Structure | None) -> bool:
-    """Return whether bars, strings and supports are the same; masses and lengths may differ."""
+def same_members(one: Structure, other: Structure | None, feet: IntArray | tuple[()] = ()) -> bool:
+    """Return whether bars, strings and supports are the same; masses and lengths may differ.
+
+    Supports at ``feet`` may differ too.
+    """
     if other is None or one.nodes.shape != other.nodes.shape:
         return False
-    names = ("bars", "segments", "segment_string", "fixed_rows")
-    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
+    ours, theirs = (
+        each.fixed_rows[~np.isin(each.fixed_rows // each.dimension, feet)] for each in (one, other)
+    )
+    names = ("bars", "segments", "segment_string")
+    return np.array_equal(ours, theirs) and all(
+        np.array_equal(getattr(one, name), getattr(other, name)) for name in names
+    )

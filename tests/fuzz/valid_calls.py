@@ -112,6 +112,9 @@ RESULTS = {
     "plant.Controllability",
     "plant.LinearPlant",
     "plant.Modes",
+    "plant.Stance",
+    "plant.StanceContacts",
+    "plant.Tipping",
     "plot.Curves",
     "plot.Drawing",
     "plot.ModeShape",
@@ -798,6 +801,21 @@ call(
     lambda: {"model": loaded(), "force_density": gamma(), "external_force": STILL},
     share=0.2,
 )
+
+
+@cache
+def standing():
+    ground = tc.Ground(5e3, friction=0.9)
+    strings = tc.LinearStrings(100.0)
+    return tc.Model(prism(), strings=strings, gravity=9.81, ground=ground)
+
+
+call(
+    "equilibrium, ground",
+    lambda: {"model": standing(), "rest_length": 0.9 * rest_length(), "settle": True},
+    share=0.2,
+)
+call("plant.set_down", lambda: {"model": standing(), "feet": np.array([3, 4, 5]), "nodes": nodes()})
 call("plant.command_parents", lambda: {"plant": parts_plant()}, share=0.3)
 call("plant.in_coordinates", lambda: {"plant": plant(), "kind": "minimal"})
 
