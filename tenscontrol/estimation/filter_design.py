@@ -42,6 +42,9 @@ PREDICTIONS = ("linear", "nonlinear")
 # Part of the size by which string lengths at the start may be off in the coordinates.
 _START_TOLERANCE = 1e-3
 
+# A plant at rest drifts by less than this part of the pull of a string.
+_FALLS = 0.01
+
 # Standard deviation of the load at the start, as a part of the pull of a string.
 _LOAD_START = 0.3
 
@@ -121,6 +124,8 @@ def filter_design(
     if load:
         refuse_unseen_loads(plant, sensors, C)
     pull = _pull(plant)
+    if prediction == "linear":
+        _refuse_fall(plant, pull)
     # No noise drives what is left alone: nothing would ever correct that.
     seen = apart.basis[:, : apart.count]
     by_load = acceleration_response(plant, sample_time)
@@ -168,6 +173,17 @@ def _substeps(plant: LinearPlant, winches: Winches | None) -> int:
             "input='rest_length'"
         )
     return winches.substeps
+
+
+def _refuse_fall(plant: LinearPlant, pull: float) -> None:
+    """Refuse to predict by a linear plant in the air that the ground ends its fall."""
+    drift = float(np.abs(plant.drift).max(initial=0.0))
+    if plant.model.contacts is not None and drift > _FALLS * pull:
+        raise ValueError(
+            f"plant is not at rest: it drifts by {drift:.3g} m √kg/s², and a linear prediction "
+            "does not know of the ground that it meets. Give prediction='nonlinear', or linearize about "
+            "a shape that stands"
+        )
 
 
 def _pull(plant: LinearPlant) -> float:

@@ -26,8 +26,8 @@ from tenscontrol.plant import (
     settled,
     state_units,
 )
-from tenscontrol.structure import left_by_supports, rigid_motions
-from tenscontrol.validation import FloatArray, frozen
+from tenscontrol.structure import Structure, left_by_supports, rigid_motions
+from tenscontrol.validation import FloatArray, IntArray, frozen
 
 # A motion as one body that moves the readings less than this fraction of another is not seen.
 _UNSEEN = 1e-9
@@ -81,9 +81,20 @@ def _output_function(plant: LinearPlant, sensors: Sensors, more: int) -> ca.Func
             assert law is not None  # linearize needs one for this input
             gamma = law.symbolic_force_density(length, gamma, rate)
         parts.append((gamma * length)[sensors.tension_strings.tolist()])
+    if sensors.rate_bars is not None:
+        parts.append(_bar_rates(structure, N, V, sensors.rate_bars))
     y = ca.vertcat(*parts)
     results = settled(plant, z, near, [ca.densify(y), ca.densify(ca.jacobian(y, z))])
     return ca.Function("readings", [z, u], ca.cse(results))
+
+
+def _bar_rates(structure: Structure, N: Any, V: Any, which: IntArray) -> Any:
+    """Return angular velocities of bars, rad/s, bar by bar."""
+    ends, scale = structure.bars[which], ca.DM(1 / structure.bar_length[which] ** 2).T
+    b, moved = kernel.differences(N, ends), kernel.differences(V, ends)
+    planes = [(1, 2), (2, 0), (0, 1)][-1 if len(structure.nodes) == 2 else 0 :]
+    turned = [b[i, :] * moved[j, :] - b[j, :] * moved[i, :] for i, j in planes]
+    return ca.vec(kernel.scale_columns(ca.vertcat(*turned), scale))
 
 
 def output_matrix(plant: LinearPlant, sensors: Sensors) -> FloatArray:
@@ -95,13 +106,13 @@ def output_matrix(plant: LinearPlant, sensors: Sensors) -> FloatArray:
 def observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
     """Return the plant with the motions as one body that the sensors see.
 
-    Internal coordinates have none. Node positions and bar directions see some: those are added,
+    Internal coordinates have none. Positions, directions and rates see some: those are added,
     so that a structure that drifts or turns is not mistaken for one that changes its shape.
     A plant in minimal coordinates, which has them all, is returned as it is.
     """
     if plant.coordinates.kind != "internal":
         return plant
-    if sensors.nodes is None and sensors.bars is None:
+    if all(each is None for each in (sensors.nodes, sensors.bars, sensors.rate_bars)):
         return plant
     key = "observed_plant", sensors.measured, sensors.noise.tobytes()
     return plant.prepared.get(key, lambda: _observed_plant(plant, sensors))
@@ -112,7 +123,10 @@ def _observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
     r = whole.degrees_of_freedom
     fields = left_by_supports(whole.model.structure, rigid_motions(whole.nodes))
     rigid = np.linalg.qr(whole.coordinates.project(fields))[0]
-    moved = output_matrix(whole, sensors)[:, :r] @ rigid / sensors.noise[:, None]
+    C = output_matrix(whole, sensors) / sensors.noise[:, None]
+    moved = C[:, :r] @ rigid
+    if sensors.rate_bars is not None:
+        moved = np.vstack([moved, whole.spectral_radius * C[:, r:] @ rigid])
     _, sizes, Vt = np.linalg.svd(moved)
     seen = Vt[: int(np.count_nonzero(sizes > _UNSEEN * sizes.max(initial=0.0)))]
     # Of the minimal coordinates, the internal ones and the motions that are seen.
@@ -213,7 +227,7 @@ def _remedy(plant: LinearPlant, sensors: Sensors, helps: Callable[[FloatArray], 
         if there and (chosen is None or len(chosen) < there):
             arguments: dict[str, Any] = {"structure": sensors.structure, kind: 1.0}
             if helps(output_matrix(plant, Sensors(**arguments))):
-                remedies.append(f"{kind} of all {chooser.removeprefix('tension_')}")
+                remedies.append(f"{kind} of all {chooser.rpartition('_')[2]}")
     if not remedies:
         return "No single kind of reading in addition would do"
     return f"Measure in addition {', or '.join(remedies)}"

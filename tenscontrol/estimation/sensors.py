@@ -31,12 +31,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-# Kind of reading: its unit, the argument that chooses which ones, and whether it is a vector.
+# Kind of reading: its unit, the argument that chooses which ones, and its numbers in the plane and
+# in space.
 KINDS = (
-    ("node_position", "m", "nodes", True),
-    ("string_length", "m", "strings", False),
-    ("bar_direction", "no unit", "bars", True),
-    ("string_tension", "N", "tension_strings", False),
+    ("node_position", "m", "nodes", (2, 3)),
+    ("string_length", "m", "strings", (1, 1)),
+    ("bar_direction", "no unit", "bars", (2, 3)),
+    ("string_tension", "N", "tension_strings", (1, 1)),
+    ("bar_rate", "rad/s", "rate_bars", (1, 3)),
 )
 
 # A corrupt reading is off by so many standard deviations.
@@ -50,9 +52,11 @@ class Sensors:
 
     A kind of reading is taken if its standard deviation is given. The readings of a
     sample stand in one vector y, shape (m,): positions ``x, y, z`` node by node, string
-    lengths, bar directions ``x, y, z`` bar by bar, tensions. A direction is the unit
-    vector from start to end of the bar. Nodes and directions are seen in the frame
-    in which the structure is given.
+    lengths, bar directions ``x, y, z`` bar by bar, tensions, bar rates ``x, y, z`` bar by bar.
+    A direction d is the unit vector from start to end of the bar, and its rate the angular
+    velocity ``d × ḋ``: what a gyro on the bar tells, without the spin about its axis, which
+    thin bars do not have. In the plane that is one number, counter-clockwise. All are seen in
+    the frame in which the structure is given.
 
     Parameters
     ----------
@@ -66,7 +70,9 @@ class Sensors:
         That of each entry of a direction, about that of an angle in rad.
     string_tension : float or array_like, shape (tension_strings,), optional
         That of a tension, N.
-    nodes, strings, bars, tension_strings : sequence of int, optional
+    bar_rate : float or array_like, shape (rate_bars,), optional
+        That of each entry of an angular velocity, rad/s.
+    nodes, strings, bars, tension_strings, rate_bars : sequence of int, optional
         Which nodes, strings and bars are measured; all if not given.
     delay : int
         Whole samples from the moment that is measured to the sample at which y is there.
@@ -99,10 +105,12 @@ class Sensors:
     string_length: FloatArray | None = None
     bar_direction: FloatArray | None = None
     string_tension: FloatArray | None = None
+    bar_rate: FloatArray | None = None
     nodes: IntArray | None = None
     strings: IntArray | None = None
     bars: IntArray | None = None
     tension_strings: IntArray | None = None
+    rate_bars: IntArray | None = None
     delay: int = 0
     drop_rate: float = 0.0
     outlier_rate: float = 0.0
@@ -117,10 +125,12 @@ class Sensors:
             string_length: ArrayLike | None = None,
             bar_direction: ArrayLike | None = None,
             string_tension: ArrayLike | None = None,
+            bar_rate: ArrayLike | None = None,
             nodes: Sequence[int] | IntArray | None = None,
             strings: Sequence[int] | IntArray | None = None,
             bars: Sequence[int] | IntArray | None = None,
             tension_strings: Sequence[int] | IntArray | None = None,
+            rate_bars: Sequence[int] | IntArray | None = None,
             delay: int = 0,
             drop_rate: float = 0.0,
             outlier_rate: float = 0.0,
@@ -154,7 +164,7 @@ class Sensors:
 
         Parameters
         ----------
-        chooser : {"nodes", "strings", "bars", "tension_strings"}
+        chooser : {"nodes", "strings", "bars", "tension_strings", "rate_bars"}
 
         Returns
         -------
@@ -162,7 +172,8 @@ class Sensors:
         """
         if choice("chooser", chooser, [name for _, _, name, _ in KINDS]) == "nodes":
             return int(self.structure.nodes.shape[1])
-        return len(self.structure.bars if chooser == "bars" else self.structure.strings)
+        of_bars = chooser in ("bars", "rate_bars")
+        return len(self.structure.bars if of_bars else self.structure.strings)
 
     @cached_property
     def _taken(self) -> tuple[tuple[FloatArray, IntArray, str, int], ...]:
@@ -172,9 +183,9 @@ class Sensors:
                 getattr(self, kind),
                 getattr(self, chooser),
                 kind,
-                self.structure.dimension if vector else 1,
+                sizes[self.structure.dimension - 2],
             )
-            for kind, _, chooser, vector in KINDS
+            for kind, _, chooser, sizes in KINDS
             if getattr(self, kind) is not None
         )
 
@@ -201,7 +212,9 @@ class Sensors:
         chosen = (getattr(self, chooser) for _, _, chooser, _ in KINDS)
         return tuple(None if which is None else which.tobytes() for which in chosen)
 
-    def measure(self, nodes: object, tension: object = None) -> FloatArray:
+    def measure(
+        self, nodes: object, tension: object = None, velocities: object = None
+    ) -> FloatArray:
         """Return y without noise.
 
         Parameters
@@ -211,6 +224,8 @@ class Sensors:
         tension : array_like, shape (α,), optional
             Tension of each string of the structure, N. Where it is not given, measured
             tensions are NaN, which is to say lost.
+        velocities : array_like, shape (d, n), optional
+            Node velocities, m/s. Where they are not given, measured rates are NaN.
 
         Returns
         -------
@@ -228,19 +243,36 @@ class Sensors:
         if self.string_length is not None:
             parts.append(self.structure.string_length(N)[self.strings])
         if self.bar_direction is not None:
-            vectors = self.structure.bar_vectors(N)[:, self.bars]
-            length = np.linalg.norm(vectors, axis=0)
-            if not length.all():
-                raise ValueError(
-                    f"nodes: bar {int(length.argmin())} of those measured has no length"
-                )
-            parts.append((vectors / length).ravel(order="F"))
+            vectors = self._bars(N, self.bars)
+            parts.append((vectors / np.linalg.norm(vectors, axis=0)).ravel(order="F"))
         if self.string_tension is not None:
             pulls = np.full(len(self.structure.strings), np.nan)
             if tension is not None:
                 pulls = shaped("tension", tension, pulls.shape, "one per string, N")
             parts.append(pulls[self.tension_strings])
+        if self.bar_rate is not None:
+            parts.append(self._rates(N, velocities))
         return np.concatenate(parts)
+
+    def _bars(self, nodes: FloatArray, which: IntArray | None) -> FloatArray:
+        """Return vectors of some bars, shape (d, k), none of them without length."""
+        vectors = self.structure.bar_vectors(nodes)[:, which]
+        length = np.linalg.norm(vectors, axis=0)
+        if not length.all():
+            raise ValueError(f"nodes: bar {int(length.argmin())} of those measured has no length")
+        return vectors
+
+    def _rates(self, nodes: FloatArray, velocities: object) -> FloatArray:
+        """Return angular velocities of the bars that have a gyro, bar by bar."""
+        vectors = self._bars(nodes, self.rate_bars)
+        V = np.full(nodes.shape, np.nan)
+        if velocities is not None:
+            V = self.structure.checked_nodes("velocities", velocities)
+        start, end = self.structure.bars[self.rate_bars].T
+        moved = (V[:, end] - V[:, start]) / (vectors**2).sum(axis=0)
+        if len(nodes) == 2:
+            return np.asarray(vectors[0] * moved[1] - vectors[1] * moved[0])
+        return np.cross(vectors, moved, axis=0).ravel(order="F")
 
     def disturb(self, exact: object, generator: np.random.Generator) -> FloatArray:
         """Return y with noise, corrupt readings and losses; what is lost is NaN.

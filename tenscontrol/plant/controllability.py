@@ -397,15 +397,18 @@ def refuse_empty(plant: LinearPlant) -> None:
         )
 
 
-def refuse_unreachable(plant: LinearPlant) -> None:
-    """Raise if a motion that grows or drifts is out of reach, saying which and what to do."""
+def refuse_unreachable(plant: LinearPlant, drifting: bool = True) -> None:
+    """Raise if a motion that grows or drifts is out of reach, saying which and what to do.
+
+    Without ``drifting`` only if one grows.
+    """
     found = reached_states(plant)
     if not found.count:
         raise ValueError(
             f"none of the {len(plant.A)} states of the plant is within reach of a string: at the "
             "operating point strings pull along bars only, or are slack"
         )
-    if not found.growing_states:
+    if not found.growing_states or not (drifting or (found.growing.real > 0).any()):
         return
     kind = plant.coordinates.kind
     counts = {

@@ -9,13 +9,20 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import kernel
+from tenscontrol.dynamics import ContactLaw, kernel
 from tenscontrol.plant.linear_plant import LinearPlant, kept
 from tenscontrol.plant.string_outputs import model_input, string_forces
 from tenscontrol.validation import FloatArray, float_array
 
 # Radians of the fastest vibration in a step of RK4: its error is then about 1e-4 of it.
 _RADIANS = 0.35
+
+# Size of a pole times a step up to which RK4 is well within its region of stability, for forces of
+# contact: they are larger at an impact than at rest.
+_STABLE = 2.0
+
+# Depths, m, between which a contact bears the weight.
+_SHALLOWEST, _DEEPEST = 1e-12, 1e6
 
 # More steps of RK4 in a sample than this are refused.
 _MOST_SUBSTEPS = 1000
@@ -121,8 +128,59 @@ def sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Functio
 
 
 def explicit_substeps(plant: LinearPlant, sample_time: float) -> int:
-    """Return the number of RK4 steps in a sample."""
-    return max(1, ceil(sample_time * plant.spectral_radius / _RADIANS))
+    """Return the number of RK4 steps in a sample.
+
+    Where there is ground, its nodes may touch at any moment: steps are then as short as vibrations
+    in contact need, and stable for friction, which damps far faster than anything vibrates.
+    """
+    if plant.model.contacts is None:
+        return max(1, ceil(sample_time * plant.spectral_radius / _RADIANS))
+    poles = np.concatenate([np.linalg.eigvals(plant.A), _poles_in_contact(plant)])
+    rate = np.maximum(np.abs(poles.imag) / _RADIANS, np.abs(poles) / _STABLE).max(initial=0.0)
+    return max(1, ceil(sample_time * float(rate)))
+
+
+@kept
+def _poles_in_contact(plant: LinearPlant) -> np.ndarray:
+    """Return the poles with every node that can touch pressed as one of those it stands on, 1/s.
+
+    That is by a third of the weight, in the plane a half; without weight, by the largest tension.
+    """
+    model, r, d = plant.model, plant.degrees_of_freedom, len(plant.nodes)
+    load = float(np.linalg.norm(model.constant_force, axis=0).sum()) / d
+    lengths = plant.commanded.string_length(plant.nodes[:, : plant.commanded.nodes.shape[1]])
+    load = load or float((plant.force_density * lengths).max(initial=0.0))
+    stiffness, damping = np.zeros((2, r, r))
+    assert model.contacts is not None  # explicit_substeps has seen to it
+    for law, nodes, _ in model.contacts:
+        slopes = _slopes_under(law, load)
+        away = np.array(law.sinking(ca.DM(plant.nodes), ca.DM(*plant.nodes.shape))[2])
+        for node in nodes.tolist():
+            moved, normal = plant.basis[d * node : d * node + d], away[:, node]
+            sinks = moved.T @ normal
+            slides = moved - np.outer(normal, sinks) / (normal @ normal)
+            stiffness += slopes[0] * np.outer(sinks, sinks)
+            damping += slopes[1] * np.outer(sinks, sinks)
+            damping += law.friction * load / law.slip_speed * slides.T @ slides
+    A = plant.A.copy()
+    A[r:, :r] -= stiffness
+    A[r:, r:] -= damping
+    return np.asarray(np.linalg.eigvals(A))
+
+
+def _slopes_under(law: ContactLaw, load: float) -> tuple[float, float]:
+    """Return the slopes of the normal force by depth, N/m, and by its rate, N s/m, at a force."""
+    depth, rate = ca.SX.sym("depth"), ca.SX.sym("rate")
+    force = law.normal_force(depth, rate)
+    parts = [force, ca.gradient(force, depth), ca.gradient(force, rate)]
+    function = ca.Function("pressed", [depth, rate], [ca.densify(part) for part in parts])
+    at = 1.0
+    while float(function(at, 0.0)[0]) > load and at > _SHALLOWEST:
+        at /= 2
+    while float(function(at, 0.0)[0]) < load and at < _DEEPEST:
+        at *= 2
+    _, by_depth, by_rate = function(at, 0.0)
+    return float(by_depth), float(by_rate)
 
 
 def _rk4(plant: LinearPlant, h: float) -> tuple[ca.Function, ca.Function]:

@@ -429,8 +429,8 @@ def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
 
 
 def _refuse_motion_as_one_body(plant: LinearPlant, reference: Reference, name: str) -> None:
-    """Raise if no shape is asked for, but another place of a structure that no support holds."""
-    if not plant.coordinates.is_loose:
+    """Raise if no shape is asked for, but another place of a structure that nothing holds."""
+    if not plant.coordinates.is_loose or plant.model.contacts is not None:
         return
     shapes = np.moveaxis(reference.nodes, 2, 0)
     laid = np.array([plant.coordinates.laid_over(N, np.zeros_like(N))[0] for N in shapes])

@@ -200,12 +200,17 @@ def _control_record(
 def _tracking_error(
     controller: BaseController, times: FloatArray, shapes: list[FloatArray]
 ) -> FloatArray | None:
-    """Return the distance of the node that is farthest off the reference at each time, m."""
+    """Return the distance of the node that is farthest off the reference at each time, m.
+
+    Where a plant with ground knows its place, that counts; else the shape does, wherever it is.
+    """
     wanted = controller.reference_nodes(times)
     if wanted is None or not isinstance(controller, Controller):
         return None
-    lay, still = controller.plant.coordinates.laid_over, np.zeros_like(shapes[0])
-    off = np.stack([lay(N, still)[0] for N in shapes], axis=-1) - wanted
+    plant, still = controller.plant, np.zeros_like(shapes[0])
+    if plant.model.contacts is None or plant.coordinates.kind == "internal":
+        shapes = [plant.coordinates.laid_over(N, still)[0] for N in shapes]
+    off = np.stack(shapes, axis=-1) - wanted
     return frozen(np.linalg.norm(off, axis=0).max(axis=0))
 
 

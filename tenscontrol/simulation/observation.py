@@ -110,7 +110,9 @@ class Observation:
         A measurement that is lost now is missing when it would have arrived.
         """
         seen = self._sensors.structure.nodes.shape[1]
-        exact = self._sensors.measure(nodes[:, :seen], self._tension(nodes, velocities))
+        exact = self._sensors.measure(
+            nodes[:, :seen], self._tension(nodes, velocities), velocities[:, :seen]
+        )
         noisy = self._sensors.disturb(exact, self._generator)
         self._taken.append(self._nothing if lost else noisy)
         reading = self._taken[len(self._rows)]

@@ -11,6 +11,7 @@ EVERY = {
     "string_length": 1e-3,
     "bar_direction": 1e-2,
     "string_tension": 0.1,
+    "bar_rate": 0.05,
 }
 
 

@@ -16,7 +16,7 @@ def still(estimator):
     gamma = plant.force_density
     if plant.input == "rest_length":
         gamma = law.force_density(length, plant.rest_length)
-    return estimator.sensors.measure(plant.nodes, gamma * length)
+    return estimator.sensors.measure(plant.nodes, gamma * length, 0 * plant.nodes)
 
 
 def recursion(estimator, pushes, count):

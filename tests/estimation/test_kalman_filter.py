@@ -23,7 +23,8 @@ def motion(model, rest):
 
 def readings(sensors, run, k):
     length = run.structure.string_length(run.nodes[:, :, k])
-    return sensors.measure(run.nodes[:, :, k], run.force_density[:, k] * length)
+    tension = run.force_density[:, k] * length
+    return sensors.measure(run.nodes[:, :, k], tension, run.velocities[:, :, k])
 
 
 def follow(estimator, run, count, disturb=lambda k, y: y):

@@ -18,7 +18,7 @@ def read(plant, sensors, z, u):
     gamma = u
     if plant.input == "rest_length":
         gamma = plant.model.strings.force_density(length, u, (S * Sd).sum(axis=0) / length)
-    return sensors.measure(N, gamma * length)
+    return sensors.measure(N, gamma * length, V)
 
 
 @pytest.mark.parametrize("kinds", [tuple(EVERY), *((kind,) for kind in EVERY)])
@@ -53,6 +53,8 @@ def test_a_plant_gets_the_motions_as_one_body_that_are_seen(held, sensors_of):
     assert count("string_length", "string_tension") == 9
     assert count("bar_direction") == 9 + 3  # turning
     assert count("bar_direction", bars=[1]) == 9 + 2  # not about the bar
+    assert count("bar_rate") == 9 + 3
+    assert count("bar_rate", rate_bars=[1]) == 9 + 2  # not about the bar
     assert count("node_position", nodes=[4]) == 9 + 3
     assert count("node_position", nodes=[0, 1]) == 9 + 5  # not about the line through both
     assert count("node_position") == 9 + 6
@@ -124,8 +126,10 @@ def test_what_is_not_seen_is_refused_with_what_would_do(by_force, model):
         tc.KalmanFilter(undamped(by_force), sensors, sample_time=STEP)
     text = str(raised.value)
     assert "string_length of all strings" in text
+    # Nothing holds the mechanism at its place, and rates do not tell it.
+    assert "bar_rate" not in text
     # What is said to do does.
-    for kind in EVERY:
+    for kind in set(EVERY) - {"bar_rate"}:
         assert f"{kind} of all" in text
         more = {"string_length": 1e-3, "strings": [0]} if kind != "string_length" else {}
         tc.KalmanFilter(
@@ -133,6 +137,13 @@ def test_what_is_not_seen_is_refused_with_what_would_do(by_force, model):
             tc.Sensors(structure=model.structure, **more, **{kind: 1e-3}),
             sample_time=STEP,
         )
+
+
+def test_rates_need_readings_of_where_the_structure_is_turned(held, sensors_of):
+    with pytest.raises(ValueError, match=r"3 of the 24 states.*bar_direction of all bars"):
+        tc.KalmanFilter(held, sensors_of("string_length", "bar_rate"), sample_time=STEP)
+    sensors = sensors_of("string_length", "bar_direction", "bar_rate", bars=[0, 1], rate_bars=[2])
+    assert np.abs(tc.KalmanFilter(held, sensors, sample_time=STEP).poles).max() < 1
 
 
 def test_minimal_coordinates_need_readings_of_the_motion_as_one_body(held, sensors_of):

@@ -1034,10 +1034,12 @@ call(
         "string_length": np.full(2, 0.01),
         "bar_direction": 0.01,
         "string_tension": [0.1],
+        "bar_rate": 0.05,
         "nodes": [1, 4],
         "strings": [0, 3],
         "bars": [2],
         "tension_strings": [3],
+        "rate_bars": [0, 1],
         "delay": 1,
         "drop_rate": 0.1,
         "outlier_rate": 0.1,
@@ -1049,6 +1051,11 @@ call(
     "Sensors.measure, tension",
     lambda: {"nodes": nodes(), "tension": np.ones(9)},
     lambda: tc.Sensors(structure=prism(), string_tension=0.1),
+)
+call(
+    "Sensors.measure, velocities",
+    lambda: {"nodes": nodes(), "velocities": 0.0 * nodes()},
+    lambda: tc.Sensors(structure=prism(), bar_rate=0.05),
 )
 call(
     "Sensors.disturb", lambda: {"exact": np.ones(9), "generator": np.random.default_rng(0)}, lengths

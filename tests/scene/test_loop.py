@@ -189,6 +189,8 @@ node_position = 0.01
 nodes = [1]
 string_tension = 0.5
 tension_strings = [2]
+bar_rate = 0.05
+rate_bars = [1]
 delay = 1
 drop_rate = 0.1
 outlier_rate = 0.01
@@ -218,7 +220,8 @@ time = 0.205
     sensors = tc.Sensors(
         structure=scene.structure, string_length=[0.001, 0.002, 0.001], strings=[0, 4, 8],
         bar_direction=0.01, node_position=0.01, nodes=[1], string_tension=0.5,
-        tension_strings=[2], delay=1, drop_rate=0.1, outlier_rate=0.01,
+        tension_strings=[2], bar_rate=0.05, rate_bars=[1], delay=1, drop_rate=0.1,
+        outlier_rate=0.01,
     )  # fmt: skip
     estimator = tc.KalmanFilter(
         plant,

@@ -185,6 +185,7 @@ class NMPC(PredictiveController):
     """
 
     _law: NMPCLaw
+    _nonlinear = True
 
     def __init__(
         self,
@@ -198,7 +199,7 @@ class NMPC(PredictiveController):
         truth("machine_code", machine_code, "whether to compile the derivatives")
         rounds = whole_number("iterations", iterations, least=1)
         given = MPCSettings(**settings)
-        made = design(plant, given)
+        made = design(plant, given, nonlinear=True)
         super().__init__(plant, given, made)
         path = ReferencePreview(plant, given.reference, made.sampled)
         for text in self._concerns(path):

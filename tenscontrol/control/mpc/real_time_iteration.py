@@ -70,8 +70,17 @@ class TrajectoryModel:
     ) -> None:
         sample_time, length, winches = settings.sample_time, settings.horizon, settings.winches
         ramp = winches is not None and winches.ramp
+        touching = plant.model.contacts is not None
+        if touching and winches is not None and ramp:
+            raise ValueError(
+                f"winches has substeps={winches.substeps}, and NMPC predicts contact with the "
+                "ground by explicit steps with inputs that are held: give Winches(substeps=1), "
+                "whose rate bounds the changes from sample to sample"
+            )
         stiff = (
-            plant.input == "rest_length" and explicit_substeps(plant, sample_time) > _MOST_EXPLICIT
+            plant.input == "rest_length"
+            and not touching
+            and explicit_substeps(plant, sample_time) > _MOST_EXPLICIT
         )
         self.implicit = stiff or ramp
         self.discretization: Discretization

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Required, Self, TypedDict
+from typing import ClassVar, Required, Self, TypedDict
 
 import numpy as np
 
@@ -265,8 +265,12 @@ class Design:
         )
 
 
-def design(plant: LinearPlant, settings: MPCSettings) -> Design:
-    """Return the data of a program, or raise naming the argument that does not fit the plant."""
+def design(plant: LinearPlant, settings: MPCSettings, nonlinear: bool = False) -> Design:
+    """Return the data of a program, or raise naming the argument that does not fit the plant.
+
+    What no string reaches and drifts at the operating point, as a structure in the air, a nonlinear
+    prediction may reach by the ground: it is left out of the terminal cost.
+    """
     states, count = plant.B.shape
     refuse_empty(plant)
     low, high = _command_range(plant, settings)
@@ -274,7 +278,10 @@ def design(plant: LinearPlant, settings: MPCSettings) -> Design:
     Q, R = settings.Q, settings.R
     state_weight = natural_Q if Q is None else weight_matrix("Q", Q, states, definite=False)
     input_weight = natural_R if R is None else weight_matrix("R", R, count, definite=True)
-    refuse_unreachable(plant)
+    if not nonlinear or plant.model.contacts is None:
+        refuse_unreachable(plant)
+    else:
+        refuse_unreachable(plant, drifting=False)
     level = float(plant.force_density.max()) or float(high.max())
     if plant.input == "rest_length":
         lengths = plant.model.structure.string_length(plant.nodes)
@@ -391,10 +398,12 @@ class PredictiveController(Controller):
     """What linear and nonlinear MPC have in common: bounds, horizon, reference and load."""
 
     _law: PredictiveLaw
+    _nonlinear: ClassVar[bool] = False
 
     def __init__(self, plant: LinearPlant, settings: MPCSettings, made: Design) -> None:
         super().__init__(plant, settings.sample_time, made.low, made.high, made.problem.change)
-        warn_of_unreached(self, stacklevel=4)
+        if not (self._nonlinear and plant.model.contacts is not None):
+            warn_of_unreached(self, stacklevel=4)
         self._longest_time = settings.longest_time
         self._limits = made.constraints.blocks
         self._observer: LoadObserver | None = None

@@ -16,6 +16,7 @@ from tenscontrol.plant import (
     LinearPlant,
     acceleration_response,
     acceleration_slopes,
+    explicit_substeps,
     model_input,
     reduced_acceleration,
     reduced_motion,
@@ -131,9 +132,18 @@ class RK4(Discretization):
         self, plant: LinearPlant, sample_time: float, length: int, machine_code: bool
     ) -> None:
         self._sampled, self.linearized = sampled_dynamics(plant, sample_time)
+        self._count = explicit_substeps(plant, sample_time)
+        self._step, self._r = sample_time / self._count, plant.degrees_of_freedom
+        # Products with derivatives are NumPy's in a sample of several steps: CasADi's take longer.
+        by_step = self._count > 1
         along, self.back_end = plant.prepared.get(
-            ("RK4", sample_time, length, machine_code),
-            lambda: executable(self.linearized.map(length), machine_code),
+            ("RK4", by_step or sample_time, length, machine_code),
+            lambda: executable(
+                (acceleration_slopes(plant, taut=False) if by_step else self.linearized).map(
+                    length
+                ),
+                machine_code,
+            ),
         )
         self._along, self._advance = Evaluator(along), Evaluator(self._sampled)
         self._response = acceleration_response(plant, sample_time)
@@ -158,7 +168,40 @@ class RK4(Discretization):
         self, states: FloatArray, inputs: FloatArray, stages: FloatArray
     ) -> StageJacobians:
         """See :meth:`Discretization.linearize`."""
-        return stage_jacobians(self._along, states, inputs[1:])
+        held = inputs[1:]
+        if self._count == 1:
+            return stage_jacobians(self._along, states, held)
+        (N, s), r, h = states.shape, self._r, self._step
+        q, v = states[:, :r], states[:, r:]
+        # Derivatives of places and speeds by z and u, by columns.
+        whole = np.broadcast_to(np.eye(s + held.shape[1], s), (N, s + held.shape[1], s))
+        places, speeds = whole[:, :, :r], whole[:, :, r:]
+        parts_of_step = list(zip((1.0, 2.0, 2.0, 1.0), (0.0, 0.5 * h, 0.5 * h, h), strict=True))
+        for _ in range(self._count):
+            end_q, end_v, end_places, end_speeds = (x.copy() for x in (q, v, places, speeds))
+            rate, slope, rates, slopes = v, np.zeros_like(v), speeds, np.zeros_like(speeds)
+            for weight, ahead in parts_of_step:
+                there = places + ahead * rates
+                at, rate, rates = q + ahead * rate, v + ahead * slope, speeds + ahead * slopes
+                slope, by_q, by_v, by_u = self._accelerations(np.hstack([at, rate]), held)
+                slopes = there @ by_q + rates @ by_v
+                slopes[:, s:] += by_u
+                end_q += h / 6 * weight * rate
+                end_v += h / 6 * weight * slope
+                end_places += h / 6 * weight * rates
+                end_speeds += h / 6 * weight * slopes
+            q, v, places, speeds = end_q, end_v, end_places, end_speeds
+        by_all = np.concatenate([places, speeds], axis=2)
+        parts = by_all[:, :s], by_all[:, s:]
+        offset = np.hstack([q, v]) - applied(parts[0], states) - applied(parts[1], held)
+        return StageJacobians(offset, parts)
+
+    def _accelerations(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, ...]:
+        """Return q̈ of N states, shape (N, r), and its slopes by columns."""
+        N = len(states)
+        found = self._along(*(x.T if N > 1 else x[0] for x in (states, inputs)))
+        value, *slopes = (part.ravel(order="K").reshape(N, -1, self._r) for part in found)
+        return value[:, 0], *slopes
 
     def load_response(self, load: FloatArray) -> FloatArray:
         """See :meth:`Discretization.load_response`."""
