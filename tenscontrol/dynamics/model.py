@@ -301,7 +301,8 @@ class Model:
             meaning = "one force per node, N"
             load = load + shaped("external_force", external_force, load.shape, meaning)
         if form == "auto":
-            form = _suitable_form(self._structure)
+            counted = self._prepared.get("members", lambda: members_alone(self._structure))
+            form = _suitable_form(self._structure, counted)
         degree = whole_number("degree", degree, 0, _MOST_DEGREE)
         truth("load_input", load_input, "whether the load is an input")
         truth("offset_input", offset_input, "whether supports move")
@@ -565,9 +566,9 @@ def unpack_states(structure: Structure, states: FloatArray) -> tuple[FloatArray,
     return nodes.reshape(shape).swapaxes(0, 1), velocities.reshape(shape).swapaxes(0, 1)
 
 
-def _suitable_form(structure: Structure) -> str:
+def _suitable_form(structure: Structure, members: float) -> str:
     """Return "flat", "mapped" or "loops", by what members cost and whether C compiles here."""
-    if len(structure.bars) + len(structure.strings) <= LARGEST_FLAT >= members_alone(structure):
+    if len(structure.bars) + len(structure.strings) <= LARGEST_FLAT >= members:
         return "flat"
     return "mapped" if compiler() is None else "loops"
 
