@@ -44,6 +44,13 @@ def values(tmp_path_factory):
         output_step=0.01,
         estimator=estimator,
     )
+    ground = tc.Ground(stiffness=5e3, friction=0.5, height=-1e-3)
+    dropped = tc.simulate(
+        tc.Model(prism, gravity=9.81, ground=ground),
+        0.02,
+        force_density=np.full(9, 20.0),
+        step=1e-3,
+    )
     height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
     target = tc.shape_target(model, height, force_density=17.3205)
     found = [
@@ -66,6 +73,7 @@ def values(tmp_path_factory):
         run,
         run.control,
         run.control.estimate,
+        dropped.contacts,
         sensors,
         estimator.update(None),
         estimator.statistics,

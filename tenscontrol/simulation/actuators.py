@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +18,7 @@ from tenscontrol.actuation import (
     winding_work,
 )
 from tenscontrol.control import BaseController, Command
-from tenscontrol.dynamics import Evaluator, Pieces, evaluate_columns, polynomial_at
+from tenscontrol.dynamics import Evaluator, Pieces
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import same_members, to_segments, to_strings
@@ -255,8 +254,14 @@ class Actuators:
         if self._motor is None:
             return None
         model, error, close = self._loop.model, 0.0, 1e-6 * self._sample_time / self.ticks
-        motion, first, count = _intervals(self._loop)
-        every = np.arange(count)
+        segments = self._loop.segments()
+        count = len(segments.of)
+        first, every = np.flatnonzero(np.diff(segments.of, prepend=-1)), np.arange(count)
+
+        def motion(s: FloatArray, k: IntArray) -> Instants:
+            time, nodes = segments.at(s, k)
+            return Instants(time, nodes, segments.string_inputs(time, k))
+
         ends = motion(np.zeros(count), every), motion(np.ones(count), every)
         before = ends[0]
         if self._drive is None:
@@ -348,44 +353,3 @@ def _commands_parent(loop: Loop, controller: BaseController) -> bool:
             "with other bars, strings or fixed nodes, and is no direct subdivision of it"
         )
     return by_segment
-
-
-def _intervals(loop: Loop) -> tuple[Callable[[FloatArray, IntArray], Instants], IntArray, int]:
-    """Return the motion between states kept, which intervals begin a span, and their count.
-
-    The motion takes shares of intervals from 0 to 1 and which intervals, shape (T,) each. The first
-    interval is the start alone.
-    """
-    spans = [span for span in loop.spans if len(span.time)]
-    counts = np.array([len(span.time) for span in spans])
-    first = np.cumsum(counts) - counts
-    which = np.repeat(np.arange(len(spans)), counts)
-    ends = np.concatenate([span.time for span in spans])
-    begins = np.concatenate([ends[:1], ends[:-1]])
-    states = np.hstack([span.states for span in spans])
-    before = np.hstack([np.column_stack([span.begin, span.states[:, :-1]]) for span in spans])
-    coefficients = np.stack([span.coefficients for span in spans])
-    origin = np.array([span.origin for span in spans])
-    flat = coefficients.transpose(0, 2, 1).reshape(len(spans), -1)[which].T
-    accelerations, half = [], len(states) // 2
-    for time, x in ((begins, before), (ends, states)):
-        u = np.vstack([flat, time - origin[which]]) if loop.equation.layout.degree else flat
-        accelerations.append(evaluate_columns(loop.equation.kinked_slope, x, u)[0][half:])
-
-    def at(s: FloatArray, k: IntArray) -> Instants:
-        # The quintic with positions, velocities and accelerations of both ends.
-        h, late = ends[k] - begins[k], s**3 * (10 - 15 * s + 6 * s**2)
-        x0, x1 = before[:, k], states[:, k]
-        x = (1 - s) * x0 + s * x1
-        x[:half] = (1 - late) * x0[:half] + late * x1[:half]
-        x[:half] += h * (s - s**3 * (6 - 8 * s + 3 * s**2)) * x0[half:]
-        x[:half] += h * s**3 * (7 * s - 4 - 3 * s**2) * x1[half:]
-        x[:half] += h**2 / 2 * s**2 * (1 - s) ** 3 * accelerations[0][:, k]
-        x[:half] += h**2 / 2 * s**3 * (1 - s) ** 2 * accelerations[1][:, k]
-        time, of = (1 - s) * begins[k] + s * ends[k], which[k]
-        given = coefficients[of].transpose(1, 2, 0)
-        strings = given[: len(loop.model.structure.strings)]
-        series = [polynomial_at(strings, time - origin[of], order) for order in range(3)]
-        return Instants(time, loop.all_nodes(x, given, time - origin[of]), np.stack(series))
-
-    return at, first, len(ends)
