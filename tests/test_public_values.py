@@ -49,6 +49,13 @@ def values(tmp_path_factory):
     ground = tc.Ground(5e3, friction=0.9)
     standing = tc.Model(prism, strings=model.strings, gravity=9.81, ground=ground)
     stance = tc.equilibrium(standing, rest_length=0.9 * start.rest_length)
+    below = tc.Ground(stiffness=5e3, friction=0.5, height=-1e-3)
+    dropped = tc.simulate(
+        tc.Model(prism, gravity=9.81, ground=below),
+        0.02,
+        force_density=np.full(9, 20.0),
+        step=1e-3,
+    )
     height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
     target = tc.shape_target(model, height, force_density=17.3205)
     found = [
@@ -74,6 +81,7 @@ def values(tmp_path_factory):
         run,
         run.control,
         run.control.estimate,
+        dropped.contacts,
         sensors,
         estimator.update(None),
         estimator.statistics,

@@ -1,5 +1,6 @@
 """Open- and closed-loop simulation."""
 
+from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
 from tenscontrol.simulation.loop import SimulationError
 from tenscontrol.simulation.observation import EstimateRecord
@@ -14,6 +15,7 @@ from tenscontrol.simulation.trajectory import (
 
 __all__ = [
     "AccuracyWarning",
+    "ContactRecord",
     "ControlRecord",
     "CutString",
     "EstimateRecord",

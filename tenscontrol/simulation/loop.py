@@ -31,6 +31,7 @@ from tenscontrol.integrate import (
     method_of,
 )
 from tenscontrol.interrupt import finishing
+from tenscontrol.simulation.contacts import Segments, record_contacts
 from tenscontrol.simulation.faults import Faults
 from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
 from tenscontrol.structure import Structure, carried_by_supports, node_mass
@@ -366,6 +367,18 @@ class Loop:
             state, time = stretch.begin, self.spans[i - 1].time[-1]
         return state, self._packed(stretch.coefficients, float(time) - stretch.origin)
 
+    def segments(self) -> Segments:
+        """Return the motion between states kept; the first is the start alone."""
+        spans, starts = self.spans, [span.begin for span in self.spans]
+        ends = np.concatenate([span.time for span in spans])
+        begins = np.concatenate([ends[:1], ends[:-1]])
+        states = np.hstack([span.states for span in spans])
+        of = np.repeat(np.arange(len(spans)), [len(span.time) for span in spans])
+        before = np.column_stack([states[:, :1], states[:, :-1]])
+        first = np.flatnonzero(np.diff(of, prepend=-1))
+        before[:, first] = np.column_stack([starts[i] for i in of[first]])
+        return Segments(self, of, begins, ends, before, states)
+
     def _packed(self, coefficients: FloatArray, time: float) -> FloatArray:
         return self._equation.layout.packed(coefficients, time)
 
@@ -408,6 +421,12 @@ class Loop:
             (force_density,) = self._evaluated("string_force_density", *at, inputs)
             rest_length = frozen(inputs)
             (potential,) = self._evaluated("elastic_energy", *at, inputs)
+        (kinetic,) = self._evaluated("kinetic_energy", *at)
+        contacts = None
+        if model.contacts is not None:
+            segments = self.segments()
+            contacts = record_contacts(segments, nodes, velocities, float(kinetic.max()))
+            potential = potential + contacts.stored_energy.sum(axis=0)
         if self._given is not None:
             loads = np.hstack([s.values(self._loads) for s in spans])
             if self.offset is not None:  # without the inertia that is a load beside the offset
@@ -416,8 +435,13 @@ class Loop:
             potential = potential - (loads * nodes.reshape(loads.shape, order="F")).sum(axis=0)
         elif loaded := not isinstance(self.load, Pieces) and bool(self.load.any()):
             potential = potential - np.einsum("in,int->t", self.load, nodes)
-        (kinetic,) = self._evaluated("kinetic_energy", *at)
         linear, angular = self._evaluated("momentum", *at)
+        free = not len(structure.fixed_rows)
+        if contacts is not None and free and not isinstance(self.load, Pieces):
+            given = contacts.impulse.sum(axis=1) + np.outer(self.load.sum(axis=1), time - time[0])
+            off = np.linalg.norm(linear - linear[:, :1] - given, axis=0).max()
+            contacts = replace(contacts, impulse_error=float(off))
+        weight = float(model.constant_force[-1].sum())
         bars = nodes[:, structure.bars[:, 1]] - nodes[:, structure.bars[:, 0]]
         stretch = np.linalg.norm(bars, axis=0) - structure.bar_length[:, None]
         undamped = model.strings is not None and not model.strings.is_damped
@@ -438,11 +462,14 @@ class Loop:
             conserves_energy=control is None
             and not self.moves
             and (self.input == "force_density" or undamped),
-            conserves_momentum=not loaded and not len(structure.fixed_rows),
+            conserves_momentum=not loaded and free and contacts is None,
             control=control,
             stopped=stopped,
             position_error=error,
             released_energy=frozen(released),
+            falls=free and contacts is None and weight < 0,
+            ground=model.ground,
+            contacts=contacts,
             faults=self.faults.listed,
             note=self.note,
         )

@@ -177,7 +177,7 @@ def simulate(
     Warns
     -----
     AccuracyWarning
-        If the motion passes a limit: the integration was too coarse.
+        If the motion passes a limit: the integration was too coarse, or nodes sink deep.
     ControlWarning
         Once, if the run ends away from the reference of its controller, or many programs were not
         solved; see :attr:`ControlRecord.problems`.
@@ -362,7 +362,9 @@ def _check(run: Trajectory, limits: HealthLimits) -> None:
     if not passed:
         return
     finer = "a smaller tolerance" if run.step is None else f"a step below {run.step:g} s"
-    text = f"{'; '.join(passed)}: the motion may not be accurate. Try {finer}"
+    text = "; ".join(passed)
+    if limits.of_accuracy.passed(run.health):
+        text += f": the motion may not be accurate. Try {finer}"
     if limits.action == "raise":
         raise SimulationError(text, run)
     warnings.warn(text, AccuracyWarning, stacklevel=3)

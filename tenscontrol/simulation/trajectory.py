@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from tenscontrol.actuation import MotorRecord
 from tenscontrol.control import UNSOLVED, Fallback, Status
+from tenscontrol.dynamics import ContactLaw
 from tenscontrol.integrate import Choice, Work
+from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import Fault
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.structure import Structure
@@ -201,8 +203,15 @@ class ControlRecord:
         return dict(Counter(fallback for fallback in self.fallback if fallback is not None))
 
 
+# Limits on what is no error of the integration, and what to do.
+_PHYSICAL = {
+    "penetration": ", as part of the size: give the ground more stiffness",
+    "fall": " sizes below z = 0: Model(..., ground=Ground(...)) would stop it",
+}
+
+
 class AccuracyWarning(RuntimeWarning):
-    """A motion that is not accurate."""
+    """A motion that is not accurate, or not what was meant."""
 
 
 @dataclass(frozen=True)
@@ -213,11 +222,11 @@ class Health:
     ----------
     energy_error : float or None
         Largest change of the energy since the start, as part of the largest
-        kinetic energy; what cut strings stored is allowed for. None where the
-        energy may change: strings are damped, or a controller acts.
+        kinetic energy; what cut strings stored and what was lost at the ground are allowed for.
+        None where the energy may change: strings are damped, or a controller acts.
     momentum_change, angular_momentum_change : float or None
         Largest change, as part of the largest momentum that the kinetic energy
-        could give; None where supports or loads may change it.
+        could give; None where supports, loads or the ground may change it.
     bar_length_error : float
         Largest change of the length of a bar, as part of its length.
     position_error : float or None
@@ -225,6 +234,19 @@ class Health:
         the structure: see :attr:`Trajectory.position_error`.
     work : Work
         Steps, rejections, evaluations and switches.
+    penetration : float or None
+        Largest depth of a node in the ground, as part of the size; None without ground, as all
+        that follows but the last.
+    damping_work, friction_work : float or None
+        Energy lost at the ground by damping and by friction, J.
+    impulse : float or None
+        Largest impulse of the ground on a node, N s.
+    impulse_error : float or None
+        By how much the impulses of the ground and of loads miss the change of momentum at most, as
+        part of the largest momentum; None where supports or loads that vary change it too.
+    fall : float or None
+        Sizes that the mean of the nodes is below z = 0, y = 0 in the plane, at the end; None for
+        less than one, or where ground or a support stops a fall.
     """
 
     energy_error: float | None
@@ -233,21 +255,27 @@ class Health:
     bar_length_error: float
     position_error: float | None
     work: Work
+    penetration: float | None = None
+    damping_work: float | None = None
+    friction_work: float | None = None
+    impulse: float | None = None
+    impulse_error: float | None = None
+    fall: float | None = None
 
 
 @dataclass(frozen=True)
 class HealthLimits:
-    """Limits on the figures of :class:`Health`; None for no limit.
+    """Limits on the figures of :class:`Health`, in their units; None for no limit.
 
     Parameters
     ----------
     energy_error : float, optional
         As part of the largest kinetic energy.
-    momentum_change, angular_momentum_change : float, optional
+    momentum_change, angular_momentum_change, impulse_error : float, optional
         As part of the largest momentum that the kinetic energy could give.
     bar_length_error : float, optional
         As part of the length.
-    position_error : float, optional
+    position_error, penetration, fall : float, optional
         As part of the size of the structure.
     steps, evaluations, switches : float, optional
         Counts.
@@ -279,6 +307,9 @@ class HealthLimits:
     evaluations: float | None = None
     switches: float | None = None
     action: str = "warn"
+    penetration: float | None = 0.25
+    fall: float | None = None
+    impulse_error: float | None = None
 
     def __post_init__(self) -> None:
         choice("action", self.action, ("warn", "raise"))
@@ -308,8 +339,14 @@ class HealthLimits:
             value = getattr(source, field.name)
             if value is not None and value > limit:
                 what = field.name.replace("_", " ")
-                found.append(f"{what} {value:.2g} is above its limit {limit:g}")
+                why = _PHYSICAL.get(field.name, "")
+                found.append(f"{what} {value:.2g} is above its limit {limit:g}{why}")
         return found
+
+    @property
+    def of_accuracy(self) -> HealthLimits:
+        """The same without limits on what is no error: how deep nodes sink, and a fall."""
+        return replace(self, penetration=None, fall=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,8 +379,8 @@ class Trajectory:
     work : Work
         Steps, rejections, evaluations of the right-hand side, switches.
     conserves_energy : bool
-        Whether nothing takes or gives energy but strings that are cut: no damping, no
-        controller, no input, load or support that changes in time.
+        Whether nothing takes or gives energy but strings that are cut and the ground: no damping,
+        no controller, no input, load or support that changes in time.
     conserves_momentum : bool
         Whether nothing holds or pushes the structure from outside.
     control : ControlRecord or None
@@ -361,6 +398,12 @@ class Trajectory:
         What was made to break.
     note : str or None
         What was put right at the start.
+    ground : tuple of ContactLaw
+        The ground of the model.
+    contacts : ContactRecord or None
+        What touched the ground; None without ground.
+    falls : bool
+        Whether nothing stops it: it has weight, but neither ground nor supports.
     """
 
     structure: Structure
@@ -384,6 +427,9 @@ class Trajectory:
     position_error: float | None = None
     faults: tuple[Fault, ...] = ()
     note: str | None = None
+    ground: tuple[ContactLaw, ...] = ()
+    contacts: ContactRecord | None = None
+    falls: bool = False
 
     @property
     def method(self) -> str:
@@ -392,10 +438,7 @@ class Trajectory:
 
     @property
     def step(self) -> float | None:
-        """The step asked for, s; None where the integrator chose its own.
-
-        What is taken is shortened so that steps fill a span.
-        """
+        """The step asked for, s, shortened to fill spans; None where the integrator chose its own."""
         return self.choice.value if self.choice.setting == "step" else None
 
     @property
@@ -411,8 +454,8 @@ class Trajectory:
     @property
     def health(self) -> Health:
         """Figures that tell whether to trust the motion."""
-        # What went with strings that were cut is no error.
-        balance = self.energy + self.released_energy
+        # What was lost is no error.
+        balance = self.energy + self.released_energy + self.lost_energy
         moved = float(np.abs(balance - balance[0]).max())
         # Near rest hardly any energy is kinetic: a millionth of all is then the measure.
         scale = max(float(self.kinetic_energy.max()), 1e-6 * float(np.abs(self.energy).max()))
@@ -425,6 +468,7 @@ class Trajectory:
                 )
             ]
         stretch = np.abs(self.bar_length_error) / self.structure.bar_length[:, None]
+        touched = self.contacts
         return Health(
             energy_error=_share(moved, scale) if self.conserves_energy else None,
             momentum_change=changes[0],
@@ -432,7 +476,14 @@ class Trajectory:
             bar_length_error=float(stretch.max(initial=0.0)),
             position_error=self.position_error,
             work=self.work,
+            fall=self._fall,
+            **({} if touched is None else touched.figures(self._largest_momenta()[0])),
         )
+
+    @property
+    def _fall(self) -> float | None:
+        fall = -float(self.nodes[-1, :, -1].mean() / np.ptp(self.structure.nodes, axis=1).max())
+        return fall if self.falls and fall > 1 else None
 
     def _largest_momenta(self) -> tuple[float, float]:
         """Return the largest linear and angular momentum that the mass could have, as scales."""
@@ -452,6 +503,11 @@ class Trajectory:
     def energy(self) -> FloatArray:
         """Kinetic and potential energy together, J, shape (T,)."""
         return self.kinetic_energy + self.potential_energy
+
+    @property
+    def lost_energy(self) -> FloatArray:
+        """What damping and friction of the ground took before each time, J, shape (T,)."""
+        return np.zeros(len(self.time)) if self.contacts is None else self.contacts.lost_energy
 
     def summary(self) -> str:
         """Return the figures that tell whether to trust the motion, as text.
@@ -522,6 +578,10 @@ class Trajectory:
             lines.append(f"rejected steps    {self.work.rejections}")
         if self.work.switches:
             lines.append(f"slack or taut     {self.work.switches} times")
+        if self.contacts is not None:
+            lines += self.contacts.summary().splitlines()
+        if (fall := self._fall) is not None:
+            lines.append(f"fell              {fall:.2g} sizes below z = 0: there is no ground")
         if self.work.unlocated:
             lines.append(f"not located       {self.work.unlocated} steps across a switch")
         return lines

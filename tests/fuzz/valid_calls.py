@@ -132,6 +132,7 @@ RESULTS = {
     "shape.ShapeTarget",
     "control.ControlWarning",
     "simulation.AccuracyWarning",
+    "simulation.ContactRecord",
     "simulation.ControlRecord",
     "simulation.EstimateRecord",
     "simulation.Health",
@@ -325,6 +326,12 @@ def closed_run():
         winches=tc.Winches(motor=tc.Motor(drum_radius=0.01)),
         step=1e-3,
     )
+
+
+@cache
+def dropped_run():
+    model = tc.Model(prism(), gravity=9.81, ground=tc.Ground(stiffness=5e3, height=-1e-3))
+    return tc.simulate(model, 0.02, force_density=np.full(9, 20.0), step=1e-3)
 
 
 @cache
@@ -1245,11 +1252,16 @@ call(
         "evaluations": 1e6,
         "switches": 100,
         "action": "warn",
+        "penetration": 0.25,
+        "fall": 1.0,
+        "impulse_error": 0.1,
     },
 )
 call("HealthLimits.passed", lambda: {"health": run().health}, tc.HealthLimits)
 call("simulation.Trajectory.summary", on=run)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
+call("simulation.ContactRecord.summary", on=lambda: dropped_run().contacts)
+call("simulation.ContactRecord.figures", {"momentum": 1.0}, on=lambda: dropped_run().contacts)
 call("scene.Scene.simulate", lambda: {"progress": False}, scene, 0.05)
 call(
     "scene.Scene.linearize",

@@ -71,7 +71,7 @@ class TrajectoryModel:
         sample_time, length, winches = settings.sample_time, settings.horizon, settings.winches
         ramp = winches is not None and winches.ramp
         touching = plant.model.contacts is not None
-        if touching and winches is not None and ramp:
+        if winches is not None and ramp and touching:
             raise ValueError(
                 f"winches has substeps={winches.substeps}, and NMPC predicts contact with the "
                 "ground by explicit steps with inputs that are held: give Winches(substeps=1), "

@@ -1,0 +1,355 @@
+"""The actuators of a closed loop: commands become force densities, or rest lengths by winches."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from tenscontrol.actuation import (
+    Drive,
+    Instants,
+    MotorRecord,
+    Winches,
+    WinchMove,
+    cable_work,
+    each_motor,
+    motor_record,
+    winding_work,
+)
+from tenscontrol.control import BaseController, Command
+from tenscontrol.dynamics import Evaluator, Pieces
+from tenscontrol.simulation.loop import Loop
+from tenscontrol.simulation.trajectory import Trajectory
+from tenscontrol.structure import same_members, to_segments, to_strings
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    frozen,
+    instance,
+    non_negative,
+    per_member,
+    positive,
+    shaped,
+)
+
+_NONE = frozen(np.zeros(0, dtype=np.int64))
+
+# Of motors that move rest lengths.
+_DYNAMIC = ("inertia", "lag", "backlash")
+
+
+class Actuators:
+    """Apply commands: γ as it is, or rest lengths through the winches.
+
+    A controller commands the strings of the plant, or those of its parent, whose segments then
+    move together. ``start`` are the rest lengths at the start, m, shape (α,), if they are known;
+    ``reached`` is what the last sample led to, and ``held`` that of the plant's strings.
+    """
+
+    reached: FloatArray
+    held: FloatArray
+
+    def __init__(
+        self,
+        loop: Loop,
+        controller: BaseController,
+        winches: Winches | None,
+        rest_length: object,
+        sample_time: float,
+        run: Trajectory | None,
+    ) -> None:
+        self._structure = loop.model.structure
+        self._by_segment = _commands_parent(loop, controller)
+        self._count = len(controller.commanded.strings)
+        if winches is not None:
+            instance("winches", winches, Winches, "make them by Winches(rate=...)")
+        self._held = loop.input
+        self._convert = loop.input == "rest_length" and controller.input == "force_density"
+        if controller.input == "rest_length" and loop.input == "force_density":
+            raise ValueError(
+                "the controller commands rest lengths; input='force_density' cannot follow it"
+            )
+        self._motor = None
+        if winches is not None and winches.motor is not None:
+            self._motor = each_motor(winches.motor, self._count)
+        if loop.input == "force_density":
+            self._refuse_lengths(winches, rest_length)
+        self._input = controller.input
+        self._loop = loop
+        self._law = loop.model.strings
+        self._winches = winches
+        self._sample_time = sample_time
+        self._drive: Drive | None = None
+        self._asked: list[FloatArray] = []
+        self._weak: list[int] = []
+        self._earlier: MotorRecord | None = None
+        self.start: FloatArray | None = None
+        self._current: FloatArray | None = None
+        if run is not None and rest_length is None:
+            kind = "force_density" if run.rest_length is None else "rest_length"
+            last = run.held if kind == loop.input else None
+            if last is not None and run.control is not None:
+                last, self._earlier = run.control.applied[:, -1], run.control.motors
+            elif last is not None:
+                last = self._to_strings(loop.input, last)
+            if loop.input == "rest_length":
+                rest_length = last
+            else:
+                self._current = last
+        if rest_length is not None:
+            lengths = per_member(
+                "rest_length", rest_length, self._count, "string of the controller"
+            )
+            self.start = positive("rest_length", lengths, "length in m")
+            if winches is not None:
+                winches.refuse_out_of_range("rest_length", self.start)
+        elif loop.input == "rest_length" and (
+            winches is not None and (winches.rate is not None or winches.ramp or winches.motor)
+        ):
+            raise ValueError(
+                "winches with a rate, substeps or a motor need rest_length: where they stand, "
+                "m; to_rest_length(model, nodes, force_density) finds it"
+            )
+        if self.start is not None:
+            self._current = self.start
+        if self._convert:
+            self._refuse_unreachable(controller.bounds[1])
+
+    @property
+    def known(self) -> bool:
+        """Whether it is known what they hold: from the start of the run, or from a command."""
+        return self._current is not None
+
+    def applied_input(self, nodes: FloatArray) -> FloatArray:
+        """Return what the actuators hold in a shape, in the unit of the commands."""
+        assert self._current is not None  # callers have commanded, or know the start
+        if not self._convert:
+            return self._current
+        assert self._law is not None  # a rest length is held
+        rest_length = self._to_plant("rest_length", self._current)
+        gamma = self._law.force_density(self._structure.string_length(nodes), rest_length)
+        return self._to_strings("force_density", gamma)
+
+    @property
+    def ticks(self) -> int:
+        """Parts of a sample, in each of which inputs are one polynomial in time."""
+        return 1 if self._winches is None else self._winches.ticks
+
+    def begin(self, command: Command, nodes: FloatArray, stuck: IntArray) -> WinchMove:
+        """Take the command of a sample, and return the move to expect, one entry a winch."""
+        desired = self._checked(command.value)
+        if self._held == "force_density":
+            desired, weak = self._unless_stuck(desired, stuck), _NONE
+            if self._motor is not None:
+                most = self._motor.most_tension
+                length = self._structure.string_length(nodes)
+                weak = np.flatnonzero(desired * length > most)
+                desired = desired.copy()
+                desired[weak] = most[weak] / length[weak]
+            self._weak.append(len(weak))
+            return self._set(desired, weak)
+        if self._convert:
+            assert self._law is not None  # a rest length is held
+            gamma = self._to_plant("force_density", desired)
+            desired = self._law.rest_length(self._structure.string_length(nodes), gamma)
+            desired = self._to_strings("rest_length", desired)
+        if self._motor is not None:
+            self._asked.append(desired)
+        desired = self._unless_stuck(desired, stuck)
+        if self._winches is None:
+            return self._set(desired, _NONE)
+        if self._drive is None:
+            motion = None if self._earlier is None else self._earlier.at_end
+            start = desired if self._current is None else self._current
+            self._drive = Drive(self._winches, start, self._sample_time, motion)
+        self._weak.append(0)
+        return self._drive.begin(desired, stuck)
+
+    def _set(self, value: FloatArray, weak: IntArray) -> WinchMove:
+        """Hold a value at once, and return the move."""
+        self._current = value
+        self._at_once = WinchMove(frozen(value), _NONE, _NONE, frozen(weak))
+        return self._at_once
+
+    def tick(self, number: int, state: FloatArray, now: float) -> FloatArray | Pieces:
+        """Return the input of the plant's strings in a tick, counted from 1, that begins now, s."""
+        if self._drive is None:
+            assert self._current is not None  # begun
+            self.reached = self._current
+            self.held = self._to_plant(self._held, self._current)
+            return self.held
+
+        motion: list[FloatArray] = []  # of all nodes, where it is asked for
+
+        def pull(
+            rest_length: FloatArray, later: float
+        ) -> tuple[FloatArray, FloatArray, FloatArray]:
+            if not motion:
+                motion.extend(part.ravel(order="F") for part in self._loop.motion(state))
+            N, V = motion
+            moved = np.concatenate([N + later * V, V])
+            lengths = self._to_plant("rest_length", rest_length)
+            _, force, _, slope, length = self._winding(moved, lengths, np.zeros_like(lengths))
+            share = self._to_plant("rest_length", np.ones(self._count))
+            return (
+                self._to_strings("tension", force),
+                self._to_strings("length", slope * share**2),
+                self._to_strings("length", length),
+            )
+
+        found = self._drive.tick(number, now, pull)
+        self._current = self.reached = self._drive.rest_length
+        self.held = self._to_plant("rest_length", self.reached)
+        lengths = self._to_plant("rest_length", found.rest_length.T).T
+        if lengths.shape[1] == 1:
+            return lengths[:, 0]
+        return Pieces(np.array([-np.inf]), np.array([now]), lengths[None])
+
+    def end(self) -> WinchMove:
+        """Return the move of the sample, with the limits that were met."""
+        if self._drive is None:
+            return self._at_once
+        move = self._drive.end()
+        self._weak[-1] = len(move.torque_limited)
+        return move
+
+    @cached_property
+    def _winding(self) -> Evaluator:
+        return Evaluator(self._loop.model.of_all_nodes("winding"))
+
+    def _checked(self, value: object) -> FloatArray:
+        """Return a command, or raise: a user's controller may break its promises."""
+        desired = shaped("command.value", value, (self._count,), "one per string")
+        if self._input == "force_density":
+            return non_negative("command.value", desired, "a string can only pull")
+        return positive("command.value", desired, "rest length in m")
+
+    def _to_plant(self, what: str, values: FloatArray) -> FloatArray:
+        """Return values of the plant's strings from those of the commanded ones."""
+        return to_segments(self._structure, what, values) if self._by_segment else values
+
+    def _to_strings(self, what: str, values: FloatArray) -> FloatArray:
+        """Return values of the commanded strings from those of the plant's."""
+        return to_strings(self._structure, what, values) if self._by_segment else values
+
+    def _unless_stuck(self, desired: FloatArray, stuck: IntArray) -> FloatArray:
+        """Return the desired input, but the current one of stuck actuators."""
+        if not len(stuck):
+            return desired
+        if self._current is None:
+            how = "give rest_length, or" if self._held == "rest_length" else "give"
+            raise ValueError(
+                f"faults has winch {stuck[0]} stuck from the start, but it is not known where it "
+                f"stands: {how} a time after the first sample"
+            )
+        moved = desired.copy()
+        moved[stuck] = self._current[stuck]
+        return moved
+
+    def motor_record(self) -> MotorRecord | None:
+        """Return what the motors did up to now; None where there are none."""
+        if self._motor is None:
+            return None
+        model, error, close = self._loop.model, 0.0, 1e-6 * self._sample_time / self.ticks
+        segments = self._loop.segments()
+        count = len(segments.of)
+        first, every = np.flatnonzero(np.diff(segments.of, prepend=-1)), np.arange(count)
+
+        def motion(s: FloatArray, k: IntArray) -> Instants:
+            time, nodes = segments.at(s, k)
+            return Instants(time, nodes, segments.string_inputs(time, k))
+
+        ends = motion(np.zeros(count), every), motion(np.ones(count), every)
+        before = ends[0]
+        if self._drive is None:
+            turning, work = cable_work(model, ends)
+            start, at_end = turning[0].position[:, 0], np.zeros((2, self._count))
+        else:
+            stored, forces, work, error = winding_work(model, ends, motion)
+            # A jump of rest lengths at the standing structure gives what strings store more.
+            previous = np.column_stack([stored[0][:, 0], stored[1][:, first[1:] - 1]])
+            if self.start is not None:
+                lengths = self._to_plant("rest_length", self.start)
+                lengths = self._loop.faults.without_cut(lengths, before.time[0] + close)
+                previous[:, 0] = self._winding(before.states[:, 0], lengths, 0 * lengths)[0]
+            jump = stored[0][:, first] - previous
+            for j, time in enumerate(before.time[first]):
+                cut = self._loop.faults.without_cut(np.zeros(len(jump)), time + close) != 0
+                jump[cut, j] = 0.0
+            work[:, first] += jump
+            work = self._to_strings("length", work.T).T
+            forces = [self._to_strings("tension", force.T).T for force in forces]
+            turning = [
+                self._drive.turning(before.time, at.time, force)
+                for at, force in zip(ends, forces, strict=True)
+            ]
+            start = turning[0].position[:, 0] if self.start is None else self.start
+            at_end = np.stack([self._drive.position, self._drive.speed])
+        if self._earlier is not None:
+            start = self._earlier.zero
+        return motor_record(
+            self._motor, start, ends, turning, work, error, self._asked, self._weak, at_end
+        )
+
+    def _refuse_lengths(self, winches: Winches | None, rest_length: object) -> None:
+        """Refuse what sets rest lengths where γ is held."""
+        motor = None if winches is None else winches.motor
+        if rest_length is not None or (winches is not None and motor is None):
+            raise ValueError(
+                "winches and rest_length have no meaning where γ is held; only motors have: "
+                "Winches(motor=...)"
+            )
+        if winches is None or motor is None:
+            return
+        given = [
+            name
+            for name, value in (
+                *((name, getattr(winches, name)) for name in ("rate", "shortest", "longest")),
+                ("ramp", winches.ramp or None),
+                *((f"motor.{name}", getattr(motor, name)) for name in ("speed", *_DYNAMIC)),
+            )
+            if value is not None and np.any(value)
+        ]
+        if given:
+            raise ValueError(
+                f"winches has {', '.join(given)}, which set how rest lengths move, but γ is held: "
+                "give drum_radius, gear_ratio, torque and zero alone"
+            )
+        if self._by_segment:
+            raise ValueError(
+                "winches has a motor, but a string of several segments has no one tension where γ "
+                "is held: leave the motor out, or hold rest lengths"
+            )
+
+    def _refuse_unreachable(self, most: FloatArray) -> None:
+        """Refuse a controller that may command a γ, at most ``most``, beyond any rest length."""
+        assert self._law is not None  # a rest length is held
+        largest, limit = self._to_plant("force_density", most), self._law.largest_force_density
+        segments = self._to_plant("force_density", np.ones(self._count))
+        over = np.flatnonzero(largest >= limit)
+        if len(over):
+            i = over[0]
+            raise ValueError(
+                f"the controller may command γ = {largest[i]:g} N/m on string {i}, but a string of "
+                f"stiffness {limit[i]:g} N/m stays below that whatever its rest length. Give the "
+                f"controller max_force_density below {limit[i] / segments[i]:g}"
+            )
+
+
+def _commands_parent(loop: Loop, controller: BaseController) -> bool:
+    """Return whether a controller commands the strings of the plant's parent, or refuse it."""
+    structure, designed = loop.model.structure, controller.commanded
+    seen, parent = controller.structure, structure.parent
+    # Feet are fixed nodes to a controller for a stance; here the ground holds them.
+    feet = controller.feet if loop.model.ground else ()
+    by_segment = not same_members(designed, structure, feet)
+    fits = same_members(seen, structure, feet)
+    if by_segment:
+        fits = same_members(designed, parent, feet) and (fits or seen is designed)
+    if not fits:
+        raise ValueError(
+            f"the controller was designed on {seen!r}, but the model has {structure!r} "
+            "with other bars, strings or fixed nodes, and is no direct subdivision of it"
+        )
+    return by_segment

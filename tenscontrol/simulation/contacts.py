@@ -1,0 +1,554 @@
+"""What touched the ground in a run: when, how deep, by which forces, and what that cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.dynamics import ContactLaw, evaluate_columns, polynomial_at
+from tenscontrol.integrate import IntegrationError
+from tenscontrol.validation import FloatArray, IntArray, frozen
+
+if TYPE_CHECKING:
+    from tenscontrol.simulation.loop import Loop
+
+# Nodes and weights of Lobatto's quadrature of order 8, over parts from 0 to 1.
+_INNER = np.sqrt(3 / 7) / 2
+_SHARES = np.array([0.0, 0.5 - _INNER, 0.5, 0.5 + _INNER, 1.0])
+_WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180
+
+# A part is cut up until the works and impulses in it change by less than this part of the largest
+# kinetic energy and momentum, or so many times the tolerance of the run; or of the work and impulse
+# of the loads in the whole run. Velocities must change by less than a part of the largest, or of
+# the size in the time of the part: else there may be more between its ends than they say.
+_EXACT, _TOLERANCES, _OF_LOADS = 1e-7, 10.0, 1e-3
+_EXACT_SPEED, _ROUND_OFF = 1e-4, 1e-14
+
+# Into so many pieces, by how far it is off, so many times.
+_FEWEST, _MOST, _LEVELS = 4, 8, 12
+
+# Nodes may be this much faster between the states kept than they are there.
+_FASTER = 2.0
+
+# And into no more than so many in all, beside so many for each state kept: the worst come first.
+_PIECES, _PIECES_A_STATE = 10_000, 2
+
+# Parts that are integrated again in one go: the motion leaves that of the run no further than these
+# let it.
+_TOGETHER = 32
+
+# Numbers of states that are looked at in one go.
+_NUMBERS = 2_000_000
+
+# Halvings of the time in which a contact switches.
+_HALVINGS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class ContactRecord:
+    """Contacts of a run with the ground. Made by :func:`simulate`, for models with a ground.
+
+    A contact is a node and a law of the ground; those that never touched are left out. Works and
+    impulses are from the start of the run to each time. They are integrals over the motion between
+    the states kept, which is integrated again where the states are too few to tell: about as much
+    work as the run took for the time in which something touched.
+
+    Attributes
+    ----------
+    node, law : ndarray of int, shape (c,)
+        Of each contact, the node, and the law's place in ``model.ground``.
+    depth : ndarray, shape (c, T)
+        m, positive in the ground.
+    normal_force : ndarray, shape (c, T)
+        N, at least 0.
+    tangential_force : ndarray, shape (d, c, T)
+        Friction on the node, N.
+    stored_energy : ndarray, shape (c, T)
+        What the ground stores, J.
+    damping_work, friction_work : ndarray, shape (c, T)
+        Energy lost by damping along the normal and by friction up to each time, J, at least 0.
+    impulse : ndarray, shape (d, c, T)
+        Of the force of the ground on the node up to each time, N s.
+    deepest : ndarray, shape (c,)
+        Largest depth at any time, also between those of the run, m.
+    touch : ndarray of int, shape (k,)
+        The contact of each time in which a node was pressed without a break.
+    begin, end : ndarray, shape (k,)
+        When each began and ended, s: where the force began and ended to act, within 1e-3 of the
+        shortest contact or better; or at the start and end of the run.
+    work_error : float
+        Bound on the error of all works together, J, far above it where the motion is smooth;
+        infinite where it could not be integrated again.
+    size : float
+        Of the structure, m.
+    impulse_error : float or None
+        Largest difference between the change of momentum and the impulses of the ground and of
+        constant loads, N s; None where supports or other loads change the momentum too.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> ground = tc.Ground(stiffness=5e3, damping=0.3, friction=0.5, height=-0.1)
+    >>> prism = tc.prism()
+    >>> model = tc.Model(prism, gravity=9.81, ground=ground)
+    >>> rest = tc.prestress(prism, force_density=500.0)
+    >>> run = tc.simulate(model, 0.2, force_density=rest.force_density, step=1e-3)
+    >>> run.contacts.node, run.contacts.begin.round(3)
+    (array([3, 4, 5]), array([0.143, 0.143, 0.143]))
+    """
+
+    node: IntArray
+    law: IntArray
+    depth: FloatArray
+    normal_force: FloatArray
+    tangential_force: FloatArray
+    stored_energy: FloatArray
+    damping_work: FloatArray
+    friction_work: FloatArray
+    impulse: FloatArray
+    deepest: FloatArray
+    touch: IntArray
+    begin: FloatArray
+    end: FloatArray
+    work_error: float
+    size: float
+    impulse_error: float | None = None
+
+    @property
+    def lost_energy(self) -> FloatArray:
+        """Energy lost at the ground up to each time, J, shape (T,)."""
+        return np.asarray((self.damping_work + self.friction_work).sum(axis=0))
+
+    @property
+    def penetration(self) -> float:
+        """Largest depth of all, m; 0 where nothing touched."""
+        return float(self.deepest.max(initial=0.0))
+
+    @property
+    def node_impulse(self) -> dict[int, FloatArray]:
+        """Impulse of the ground on each node that touched, over the run, N s, shape (d,)."""
+        nodes = sorted({int(node) for node in self.node})
+        return {node: self.impulse[:, self.node == node, -1].sum(axis=1) for node in nodes}
+
+    def figures(self, momentum: float) -> dict[str, float | None]:
+        """Return the figures of :class:`Health`, by name.
+
+        Parameters
+        ----------
+        momentum : float
+            The largest that there could be, kg m/s.
+        """
+        impulses = [float(np.linalg.norm(each)) for each in self.node_impulse.values()]
+        off = self.impulse_error
+        return {
+            "penetration": self.penetration / self.size,
+            "damping_work": float(self.damping_work[:, -1].sum()),
+            "friction_work": float(self.friction_work[:, -1].sum()),
+            "impulse": max(impulses, default=0.0),
+            "impulse_error": None if off is None else off / momentum if momentum > 0 else off,
+        }
+
+    def summary(self) -> str:
+        """Return what touched, how deep, and what was lost, as text.
+
+        Returns
+        -------
+        str
+        """
+        nodes = list(self.node_impulse)
+        if not nodes:
+            return "ground            nothing touched it"
+        some = ", ".join(map(str, nodes[:8])) + (", …" if len(nodes) > 8 else "")
+        damped, rubbed = (float(w[:, -1].sum()) for w in (self.damping_work, self.friction_work))
+        return (
+            f"ground            touched by node{'s' * (len(nodes) > 1)} {some}, "
+            f"{len(self.touch)} times, {self.penetration:.2g} m deep at most\n"
+            f"lost at ground    {damped:.4g} J by damping, {rubbed:.4g} J by friction"
+        )
+
+    def __repr__(self) -> str:
+        return f"ContactRecord({len(self.node)} contacts, {len(self.touch)} times)"
+
+
+@dataclass(eq=False)
+class Segments:
+    """Parts of a motion: each the quintic with the states and accelerations at its ends."""
+
+    loop: Loop
+    of: IntArray  # stretch that each is part of, shape (K,)
+    begins: FloatArray  # s
+    ends: FloatArray
+    before: FloatArray  # states at the ends, one a column
+    after: FloatArray
+
+    def take(self, k: IntArray) -> Segments:
+        """Return some of them."""
+        times, before, after = (self.begins[k], self.ends[k]), self.before[:, k], self.after[:, k]
+        some = Segments(self.loop, self.of[k], *times, before, after)
+        if "_accelerations" in self.__dict__:  # they are known
+            some._accelerations = [each[:, k] for each in self._accelerations]
+        return some
+
+    def again(self, first: int, last: int, parts: int) -> Segments:
+        """Return the time from one to another in equal parts, integrated again from its begin."""
+        loop, begin, end = self.loop, self.begins[first], self.ends[last]
+        stretch, integrator = loop.spans[self.of[first]], loop.integrator
+        assert integrator is not None  # made before there are segments
+        held = loop.equation.layout.packed(stretch.coefficients, float(begin) - stretch.origin)
+        after = integrator.advance(self.before[:, first], held, float(end - begin), parts).states
+        times = begin + (end - begin) * np.arange(parts + 1) / parts
+        before = np.column_stack([self.before[:, first], after[:, :-1]])
+        of = np.full(parts, self.of[first])
+        return Segments(loop, of, times[:-1], times[1:], before, after)
+
+    def groups(self, counts: IntArray, most: int) -> list[IntArray]:
+        """Return which follow on one another and are equally long, with equal counts."""
+        length = self.ends - self.begins
+        apart = np.abs(self.begins[1:] - self.ends[:-1]) + np.abs(np.diff(length))
+        new = (apart > 1e-6 * length[1:]) | (np.diff(self.of) != 0) | (np.diff(counts) != 0)
+        runs = np.split(np.arange(len(length)), np.flatnonzero(new) + 1)
+        return [run[i : i + most] for run in runs for i in range(0, len(run), most)]
+
+    @cached_property
+    def _accelerations(self) -> list[FloatArray]:
+        equation, half, found = self.loop.equation, len(self.before) // 2, []
+        for time, x in ((self.begins, self.before), (self.ends, self.after)):
+            coefficients = self._inputs(np.arange(len(time))).swapaxes(0, 1)
+            u = coefficients.reshape(-1, len(time))
+            if equation.layout.degree:
+                u = np.vstack([u, self._since(time, self.of)])
+            found.append(evaluate_columns(equation.kinked_slope, x, u)[0][half:])
+        return found
+
+    def _since(self, time: FloatArray, of: IntArray) -> FloatArray:
+        origin = np.array([span.origin for span in self.loop.spans])
+        return np.asarray(time - origin[of])
+
+    def _inputs(self, k: IntArray) -> FloatArray:
+        of, places = np.unique(self.of[k], return_inverse=True)
+        every: FloatArray = np.stack([self.loop.spans[i].coefficients for i in of], axis=2)
+        return np.asarray(every[:, :, places])
+
+    def at(self, s: FloatArray, k: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return times, s, and positions, then velocities, of all nodes at shares of segments."""
+        h, half = self.ends[k] - self.begins[k], len(self.before) // 2
+        x0, x1 = self.before[:, k], self.after[:, k]
+        moved, late = x1[:half] - x0[:half], s**3 * (10 - 15 * s + 6 * s**2)
+        mean = moved / np.where(h > 0, h, 1.0)
+        x = np.vstack([x0[:half] + late * moved, 30 * s**2 * (1 - s) ** 2 * mean])
+        bases = (
+            (x0[half:], s - s**3 * (6 - 8 * s + 3 * s**2), 1 - s**2 * (18 - 32 * s + 15 * s**2)),
+            (x1[half:], -(s**3) * (4 - 7 * s + 3 * s**2), -(s**2) * (12 - 28 * s + 15 * s**2)),
+            (
+                h / 2 * self._accelerations[0][:, k],
+                s**2 * (1 - s) ** 3,
+                s * (1 - s) ** 2 * (2 - 5 * s),
+            ),
+            (
+                h / 2 * self._accelerations[1][:, k],
+                s**3 * (1 - s) ** 2,
+                s**2 * (1 - s) * (3 - 5 * s),
+            ),
+        )
+        for value, position, rate in bases:
+            x[:half] += h * position * value
+            x[half:] += rate * value
+        time = (1 - s) * self.begins[k] + s * self.ends[k]
+        given = np.zeros((0, 1, 0)) if self.loop.offset is None else self._inputs(k)
+        return time, self.loop.all_nodes(x, given, self._since(time, self.of[k]))
+
+    def string_inputs(self, time: FloatArray, k: IntArray) -> FloatArray:
+        """Return what is held at times in segments, and its first two rates, (3, strings, T)."""
+        given = self._inputs(k)[: len(self.loop.model.structure.strings)]
+        since = self._since(time, self.of[k])
+        return np.stack([polynomial_at(given, since, order) for order in range(3)])
+
+
+def _joined(parts: list[Segments]) -> Segments:
+    """Return segments one after the other."""
+    return Segments(
+        parts[0].loop,
+        np.concatenate([part.of for part in parts]),
+        np.concatenate([part.begins for part in parts]),
+        np.concatenate([part.ends for part in parts]),
+        np.hstack([part.before for part in parts]),
+        np.hstack([part.after for part in parts]),
+    )
+
+
+def _at_a_node(law: ContactLaw, dimension: int) -> ca.Function:
+    """Return ``(x, v) -> (depth, normal, stored, damped, rubbed, tangential, force)`` of one node.
+
+    Depth, m; forces, N; stored energy, J; powers lost by damping and friction, W.
+    """
+    x, v, p = ca.SX.sym("x", dimension), ca.SX.sym("v", dimension), ca.SX.sym("p")
+    depth, rate, away = law.sinking(x, v)
+    gap, normal = law.gap(depth, rate), law.normal_force(depth, rate)
+    if gap is not None:
+        normal = ca.if_else(gap > 0, normal, 0)
+    force, stored = law.force(x, v), law.stored_energy(p)
+    tangential = force - normal * away
+    energy, slowly = ca.Function("stored", [p], [stored, ca.gradient(stored, p)])(depth)
+    damped, rubbed = (normal - slowly) * rate, -ca.dot(tangential, v)
+    parts = [depth, normal * ca.norm_2(away), energy, damped, rubbed, tangential, force]
+    return ca.Function("contact", [x, v], [ca.densify(ca.vertcat(*parts))])
+
+
+class _Integrals:
+    """What segments of a motion hold of each contact: works, impulse, and where it presses."""
+
+    def __init__(self, work: FloatArray, pressing: FloatArray, deepest: FloatArray) -> None:
+        self.work = work  # damping, friction and impulse, (c, 2 + d, K)
+        self.pressing = pressing  # at the nodes of the quadrature, (c, K, 5)
+        self.deepest = deepest  # m, (c, K)
+
+    def take(self, k: IntArray) -> _Integrals:
+        return _Integrals(self.work[:, :, k], self.pressing[:, k], self.deepest[:, k])
+
+
+class _Recorder:
+    """The contacts of a motion, segment by segment; those not exact are cut up."""
+
+    def __init__(
+        self, segments: Segments, nodes: FloatArray, velocities: FloatArray, kinetic: float
+    ) -> None:
+        model = segments.loop.model
+        self._kept, self._model = segments, model
+        self._dimension, self._count = nodes.shape[:2]
+        self._speed = float(np.linalg.norm(velocities, axis=0).max())
+        self._size = float(np.ptp(model.structure.nodes, axis=1).max())
+        momentum = float(np.sqrt(2 * model.mass_matrix().sum() * kinetic))
+        load = float(np.linalg.norm(model.constant_force.sum(axis=1)))
+        load *= float(segments.ends[-1] - segments.begins[0])
+        exact, chosen = _EXACT, segments.loop.choice
+        if chosen is not None and chosen.setting == "tolerance":
+            exact = max(exact, _TOLERANCES * chosen.value)
+        self._exact_work = exact * (kinetic + _OF_LOADS * load * self._speed)
+        self._exact_impulse = exact * (momentum + _OF_LOADS * load)
+        self._values = [
+            model.prepared.get(("contact", i), partial(_at_a_node, law, self._dimension))
+            for i, law in enumerate(model.ground)
+        ]
+        self._find(nodes, velocities)
+        self.error = 0.0
+        self._done: list[tuple[Segments, IntArray, _Integrals]] = []
+
+    def _find(self, nodes: FloatArray, velocities: FloatArray) -> None:
+        """Find the contacts that may have been, where, and their values at the times kept."""
+        segments, found, near = self._kept, [], []
+        assert self._model.contacts is not None  # else nothing is recorded
+        reach = _FASTER * self._speed * (segments.ends - segments.begins)
+        for i, (law, every, _) in enumerate(self._model.contacts):
+            for node in every:
+                (values,) = evaluate_columns(self._values[i], nodes[:, node], velocities[:, node])
+                after, before = values[0], np.append(values[0, :1], values[0, :-1])
+                close = (np.maximum(after, before) > 0) | (after + before + reach > 0)
+                close = (close | (not law.switches)) & (segments.ends > segments.begins)
+                if close.any():
+                    found.append((i, int(node), values))
+                    near.append(close)
+        shape = len(found), nodes.shape[2]
+        self.law, self.node = (np.array([f[k] for f in found], dtype=np.int64) for k in (0, 1))
+        rows = 5 + 2 * self._dimension
+        self.values = np.array([f[2] for f in found]).reshape(shape[0], rows, shape[1])
+        self.near = np.array(near, dtype=bool).reshape(shape)
+
+    def run(self) -> None:
+        """Integrate over all segments in which something may touch."""
+        kept = np.flatnonzero(self.near.any(axis=0))
+        if not len(kept):
+            return
+        parts = self._kept.take(kept)
+        found, off = self._integrated(parts, kept), np.full(len(kept), np.inf)
+        change = np.zeros(len(kept))
+        # Two at a time: where one polynomial through both says the same, so does each.
+        breaks = (np.diff(kept, prepend=-2) != 1) | (np.diff(parts.of, prepend=-1) != 0)
+        run = np.flatnonzero(breaks)[np.cumsum(breaks) - 1]
+        lead = np.flatnonzero((np.arange(len(kept)) - run) % 2 == 0)
+        lead = lead[lead + 1 < len(kept)]
+        lead = lead[~breaks[lead + 1]]
+        if len(lead):
+            pairs = np.column_stack([lead, lead + 1]).ravel()
+            fine = parts.take(pairs)
+            both = Segments(
+                parts.loop, parts.of[lead], parts.begins[lead], parts.ends[lead + 1],
+                parts.before[:, lead], parts.after[:, lead + 1],
+            )  # fmt: skip
+            coarse = self._integrated(both, kept[lead], kept[lead + 1])
+            owner = np.repeat(np.arange(len(lead)), 2)
+            far, changed = self._off(both, coarse, fine, found.take(pairs), owner, kept[pairs])
+            off[pairs], change[pairs] = far[owner], changed[owner] / 2
+        self._cut_up(parts, kept, found, off, change)
+
+    def _cut_up(
+        self, parts: Segments, kept: IntArray, found: _Integrals, off: FloatArray,
+        change: FloatArray,
+    ) -> None:  # fmt: skip
+        """Take parts that are exact, and integrate the others again, in pieces.
+
+        They are off by so much, as part of what is exact, and change in work, J.
+        """
+        left = _PIECES + _PIECES_A_STATE * len(kept)
+        for level in range(_LEVELS + 1):
+            # Errors fall by the sixth power of the length. A power of two, so that many are alike.
+            wanted = 2 ** np.ceil(np.log2(2 * np.clip(off, 1, _MOST**6) ** (1 / 6)))
+            counts = np.where(np.isinf(off), _FEWEST, np.clip(wanted, _FEWEST, _MOST)).astype(int)
+            worst = np.argsort(-off, kind="stable")
+            good = off <= 1
+            good[worst] |= (np.cumsum(counts[worst]) > left) | (level == _LEVELS)
+            self.error += float(change[good].sum())
+            taken, bad = np.flatnonzero(good), np.flatnonzero(~good)
+            self._done.append((parts.take(taken), kept[taken], found.take(taken)))
+            parts, kept, found, counts = parts.take(bad), kept[bad], found.take(bad), counts[bad]
+            if not len(kept):
+                return
+            pieces = []
+            try:
+                for group in parts.groups(counts, _TOGETHER):
+                    pieces.append(parts.again(group[0], group[-1], int(counts[group].sum())))
+            except (IntegrationError, KeyboardInterrupt):
+                self.error = np.inf
+                self._done.append((parts, kept, found))
+                return
+            left -= int(counts.sum())
+            finer, owner = _joined(pieces), np.repeat(np.arange(len(kept)), counts)
+            kept = kept[owner]
+            fine = self._integrated(finer, kept)
+            off, change = self._off(parts, found, finer, fine, owner, kept)
+            parts, found, off, change = finer, fine, off[owner], (change / counts)[owner]
+
+    def _off(
+        self, coarse: Segments, before: _Integrals, fine: Segments, after: _Integrals,
+        owner: IntArray, kept: IntArray,
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """Return how far segments are from their pieces, as part of what is exact, and in work, J.
+
+        Both of shape (K,).
+        """
+        starts = np.flatnonzero(np.diff(owner, prepend=-1))
+        change = np.abs(np.add.reduceat(after.work, starts, axis=2) - before.work)
+        length = (coarse.ends - coarse.begins)[owner]
+        _, said = coarse.at((fine.begins - coarse.begins[owner]) / length, owner)
+        _, true = fine.at(np.zeros(len(owner)), np.arange(len(owner)))
+        apart = (said - true).reshape(2, self._count, self._dimension, -1)[1, self.node]
+        apart = np.where(self.near[:, kept], np.linalg.norm(apart, axis=1), 0.0).max(axis=0)
+        speed = _EXACT_SPEED * self._speed + _ROUND_OFF * self._size / length
+        off = np.maximum.reduceat(apart / speed, starts)
+        for part, exact in (
+            (change[:, :2], self._exact_work),
+            (change[:, 2:], self._exact_impulse),
+        ):
+            off = np.maximum(off, part.max(axis=(0, 1)) / max(exact, 1e-300))
+        return off, change[:, :2].sum(axis=(0, 1))
+
+    def _integrated(self, parts: Segments, *kept: IntArray) -> _Integrals:
+        """Return the integrals over segments, which are in these that were kept."""
+        near = np.any([self.near[:, k] for k in kept], axis=0)
+        (contacts, count), shares = near.shape, len(_SHARES)
+        work = np.zeros((contacts, 2 + self._dimension, count))
+        pressing = np.zeros((contacts, count, shares), dtype=bool)
+        deepest = np.full((contacts, count), -np.inf)
+        size = max(1, _NUMBERS // (shares * 2 * self._dimension * self._count))
+        for begin in range(0, count, size):
+            some = np.arange(begin, min(begin + size, count))
+            k, s = np.repeat(some, shares), np.tile(_SHARES, len(some))
+            every = parts.at(s, k)[1].reshape(2, self._count, self._dimension, -1)
+            duration = parts.ends[some] - parts.begins[some]
+            for c in range(contacts):
+                there = np.flatnonzero(near[c, some])
+                if not len(there):
+                    continue
+                places = (there[:, None] * shares + np.arange(shares)).ravel()
+                x, v = every[:, self.node[c]][:, :, places]
+                (values,) = evaluate_columns(self._values[self.law[c]], x, v)
+                values = values.reshape(len(values), len(there), shares)
+                rows = np.r_[3, 4, 5 + self._dimension : 5 + 2 * self._dimension]
+                work[c][:, some[there]] = values[rows] @ _WEIGHTS * duration[there]
+                pressing[c, some[there]] = values[1] > 0
+                deepest[c, some[there]] = values[0].max(axis=1)
+        return _Integrals(work, pressing, deepest)
+
+    def record(self) -> ContactRecord:
+        """Return the contacts that were."""
+        d, (count, times) = self._dimension, self.near.shape
+        work, deepest = np.zeros((count, 2 + d, times)), self.values[:, 0].max(axis=1, initial=0.0)
+        touched = (self.values[:, 1] > 0).any(axis=1)
+        touch, begin, end = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
+        if self._done:
+            parts = _joined([each[0] for each in self._done])
+            order = np.argsort(parts.begins, kind="stable")
+            for _, k, found in self._done:
+                np.add.at(work.transpose(2, 0, 1), k, found.work.transpose(2, 0, 1))
+                deepest = np.maximum(deepest, found.deepest.max(axis=1, initial=0.0))
+            pressing = np.concatenate([each[2].pressing for each in self._done], axis=1)
+            touched |= pressing.any(axis=(1, 2))
+            touch, begin, end = self._touches(parts.take(order), pressing[:, order])
+        values, work = self.values[touched], work[touched].cumsum(axis=2)
+        return ContactRecord(
+            node=frozen(self.node[touched]),
+            law=frozen(self.law[touched]),
+            depth=frozen(values[:, 0]),
+            normal_force=frozen(values[:, 1]),
+            tangential_force=frozen(values[:, 5 : 5 + d].swapaxes(0, 1)),
+            stored_energy=frozen(values[:, 2]),
+            damping_work=frozen(work[:, 0]),
+            friction_work=frozen(work[:, 1]),
+            impulse=frozen(work[:, 2:].swapaxes(0, 1)),
+            deepest=frozen(deepest[touched]),
+            touch=frozen((np.cumsum(touched) - 1)[touch]),
+            begin=frozen(begin),
+            end=frozen(end),
+            work_error=self.error,
+            size=self._size,
+        )
+
+    def _touches(
+        self, parts: Segments, pressing: np.ndarray
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Return contact, begin and end of each time in which a node was pressed."""
+        flat, first, last = pressing.reshape(len(pressing), -1), parts.begins[0], parts.ends[-1]
+        contact, place = np.nonzero(flat[:, 1:] != flat[:, :-1])
+        before = flat[contact, place]
+        k, j = np.divmod(place, len(_SHARES))
+        parts, k = parts.take(k), np.arange(len(k))
+        low = _SHARES[j]
+        high = np.append(_SHARES, 1.0)[j + 1]  # between two segments, the end of the first
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            every = parts.at(middle, k)[1].reshape(2, self._count, self._dimension, -1)
+            x, v = every[:, self.node[contact], :, np.arange(len(k))].transpose(1, 2, 0)
+            same = np.zeros(len(k), dtype=bool)
+            for i, function in enumerate(self._values):
+                mine = self.law[contact] == i
+                if mine.any():
+                    normal = evaluate_columns(function, x[:, mine], v[:, mine])[0][1]
+                    same[mine] = (normal > 0) == before[mine]
+            low, high = np.where(same, middle, low), np.where(same, high, middle)
+        time = (1 - low) * parts.begins[k] + low * parts.ends[k]
+        ends = []
+        for pressed, edge, when in ((False, 0, first), (True, -1, last)):
+            pressed_there = np.flatnonzero(flat[:, edge])
+            of = np.concatenate([contact[before == pressed], pressed_there])
+            at = np.concatenate([time[before == pressed], np.full(len(pressed_there), when)])
+            order = np.lexsort((at, of))
+            ends.append((of[order], at[order]))
+        (of, begin), (_, end) = ends
+        order = np.argsort(begin, kind="stable")
+        return of[order], begin[order], end[order]
+
+
+def record_contacts(
+    segments: Segments, nodes: FloatArray, velocities: FloatArray, kinetic: float
+) -> ContactRecord:
+    """Return the contacts of a motion.
+
+    ``segments`` are those between the states kept, ``nodes`` and ``velocities``, shape (d, n, T),
+    what they end in; ``kinetic`` is the largest kinetic energy, J.
+    """
+    recorder = _Recorder(segments, nodes, velocities, kinetic)
+    recorder.run()
+    return recorder.record()
