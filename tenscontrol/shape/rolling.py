@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import casadi as ca
@@ -51,9 +51,11 @@ _VAIN = 1e-3
 # part of √(g · size) are at rest.
 _TOUCHES, _STILL = 0.02, 0.02
 
-# Beyond this margin, in sizes, a structure that has not tipped is waited for, and so long, in units
-# of √(size / g).
-_BEYOND, _PATIENCE = 0.08, 8.0
+# So long a structure is waited for that has not tipped, or not come to rest, in √(size / g).
+_PATIENCE = 8.0
+
+# What a gait does.
+_STANDS, _WINDS, _LANDS = "stands", "winds", "lands"
 
 
 class TippingError(ValueError):
@@ -530,7 +532,7 @@ class RollingStep:
     feet, edge : ndarray of int
         What it stood on, and what it tipped over.
     landed : ndarray of int
-        What it came to stand on.
+        What it came to rest on.
     """
 
     time: float
@@ -549,9 +551,9 @@ class RollingGait:
     An object with a method ``command``, as ``simulate(controller=...)`` takes it. At rest it sees
     which nodes it stands on, and tips over the edge of these feet that looks most towards a point
     of the line ahead of it, by its size: sample by sample the winches follow the gradient of
-    :func:`tipping_path`, the fastest of them at its limit, until other nodes touch the ground. Then
-    it winds back to the rest lengths of the start, and comes to rest. Where one edge cannot be
-    passed, it tries the next.
+    :func:`tipping_path`, the fastest of them at its limit, until the centre of mass is beyond the
+    edge by a fiftieth of the size. It waits until it has tipped and is at rest, and winds back to
+    the rest lengths of the start. Where one edge cannot be passed, it tries the next.
 
     Parameters
     ----------
@@ -624,13 +626,14 @@ class RollingGait:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the steps made."""
+        """Forget the steps made, and stand."""
         self.made: tuple[RollingStep, ...] = ()
-        self._reached = self._planner.home
-        self._winding = False
+        self._phase = _STANDS
         self._since = 0.0
+        self._reached = self._planner.home
         self._vain: set[tuple[int, ...]] = set()
         self._begun: FloatArray | None = None  # where the line begins
+        self._tipped: RollingStep | None = None  # a step that has not come to rest
 
     def applied(self, value: FloatArray) -> None:
         """Take note of the rest lengths that the winches reached.
@@ -654,26 +657,31 @@ class RollingGait:
         """
         above = self._normal @ nodes - self._height
         touching = np.flatnonzero(above < self._touches)
-        if self._winding:
-            self._wind(time, touching)
-        elif len(self.made) < self._steps and self._rests(velocities, touching):
-            self._begin(time, nodes, touching)
-        return self._planner.rest_length if self._winding else self._planner.home
+        is_still = bool(np.linalg.norm(velocities, axis=0).max() < self._still)
+        is_late = time > self._since + self._patience
+        if self._phase is _WINDS:
+            self._wind(time, touching, is_late)
+        elif self._phase is _LANDS and (is_still or is_late):
+            self._phase = _STANDS
+        elif self._phase is _STANDS and is_still and len(touching) >= len(nodes):
+            off = np.abs(self._reached - self._planner.home).max()
+            if off <= _CLOSE * self._planner.size:
+                self._stand(time, nodes, touching)
+        return self._planner.home if self._phase is _STANDS else self._planner.rest_length
 
-    def _rests(self, velocities: FloatArray, touching: IntArray) -> bool:
-        """Return whether it stands still with the winches back."""
-        off = np.abs(self._reached - self._planner.home).max()
-        speed = np.linalg.norm(velocities, axis=0).max()
-        back = off <= _CLOSE * self._planner.size
-        return bool(back and speed < self._still and len(touching) >= len(velocities))
-
-    def _begin(self, time: float, nodes: FloatArray, feet: IntArray) -> None:
-        """Begin to wind over the best edge that is not known to be in vain."""
-        edges = self._planner.edges(nodes, feet)
+    def _stand(self, time: float, nodes: FloatArray, feet: IntArray) -> None:
+        """Count the step that led here, and begin to wind over the best edge."""
+        if self._tipped is not None and not np.array_equal(feet, self._tipped.feet):
+            self.made += (replace(self._tipped, landed=feet),)
+            self._vain = set()
+        self._tipped = None
+        if len(self.made) >= self._steps:
+            return
         centre = nodes.mean(axis=1)
         self._begun = centre if self._begun is None else self._begun
         along = self._direction @ (centre - self._begun)
         towards = self._begun + (along + self._planner.size) * self._direction - centre
+        edges = self._planner.edges(nodes, feet)
         left = edges.keys() - self._vain or edges.keys()
         edge = max(left, key=lambda each: float(edges[each] @ towards))
         try:
@@ -681,24 +689,27 @@ class RollingGait:
         except StuckError:
             self._vain.add(edge)
         else:
-            self._winding, self._since = True, time
+            self._phase, self._since = _WINDS, time
 
-    def _wind(self, time: float, touching: IntArray) -> None:
+    def _wind(self, time: float, touching: IntArray, is_late: bool) -> None:
         """Wind on, or end it where it has tipped or cannot."""
         planner = self._planner
-        new = np.setdiff1d(touching, planner.feet)
         behind = np.setdiff1d(planner.feet, planner.edge)
-        if len(new) and not np.isin(behind, touching).any():
+        tipped = np.setdiff1d(touching, planner.feet).size and not np.isin(behind, touching).any()
+        if tipped:
             edge = np.array(planner.edge)
-            self.made += (RollingStep(time, planner.feet, edge, np.union1d(edge, new)),)
-            self._winding, self._vain = False, set()
-        elif planner.margin < _BEYOND * planner.size:
+            self._tipped = RollingStep(time, planner.feet, edge, touching)
+            self._phase, self._since = _LANDS, time
+        elif planner.margin < _MARGIN * planner.size:
             try:
                 planner.advance(self._most)
                 self._since = time
             except StuckError:
-                self._winding = False
-                self._vain.add(planner.edge)
-        elif time > self._since + self._patience:
-            self._winding = False
-            self._vain.add(planner.edge)
+                self._give_up()
+        elif is_late:
+            self._give_up()
+
+    def _give_up(self) -> None:
+        """Go back, to try another edge."""
+        self._vain.add(self._planner.edge)
+        self._phase = _STANDS
