@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING, final
 
 import casadi as ca
@@ -49,10 +50,13 @@ _VAIN = 1e-3
 
 # Nodes this near the ground touch it, and lifted ones are farther, in sizes; slower ones than this
 # part of √(g · size) are at rest.
-_TOUCHES, _STILL = 0.02, 0.02
+_TOUCHES, _STILL = 0.02, 0.05
 
 # So long a structure is waited for that has not tipped, or not come to rest, in √(size / g).
 _PATIENCE = 8.0
+
+# Steps that a gait foresees, as if the shape were rigid, and how far ahead it looks, in sizes.
+_FORESEEN, _AHEAD = 2, 2.0
 
 # What a gait does.
 _STANDS, _WINDS, _LANDS = "stands", "winds", "lands"
@@ -330,16 +334,13 @@ class TippingPlanner:
 
     def edges(self, nodes: FloatArray, feet: IntArray) -> dict[tuple[int, ...], FloatArray]:
         """Return the edges of the base, each with the horizontal direction over it."""
-        _, tangents = _plane(nodes[:, feet], self._down)
-        places = tangents @ nodes[:, feet]
-        if len(nodes) == 2:
-            pairs = [[places.argmin()], [places.argmax()]]
+        d = len(nodes)
+        if len(feet) == d:
+            found = list(combinations(feet.tolist(), d - 1))
         else:
-            from scipy.spatial import ConvexHull
-
-            pairs = ConvexHull(places.T).simplices.tolist()
-        found = [tuple(sorted(feet[pair].tolist())) for pair in pairs]
-        return {edge: self._across(nodes, feet, edge)[0] for edge in found}
+            places = _plane(nodes[:, feet], self._down)[1] @ nodes[:, feet]
+            found = [tuple(sorted(feet[pair].tolist())) for pair in _hull(places)]
+        return {edge: _across(nodes, feet, edge, self._down)[0] for edge in found}
 
     def start(self, nodes: FloatArray, feet: IntArray, edge: tuple[int, ...]) -> None:
         """Go to the equilibrium on these feet near a shape, at the rest lengths of the start.
@@ -435,25 +436,12 @@ class TippingPlanner:
             raise StuckError(f"bars would come as near as {apart:.3g} m")
         self._unknowns, self._factors, self._pushes = unknowns, factors, pushes
         self.nodes, self.rest_length = nodes, rest_length
-        across, _ = self._across(nodes, self.feet, self.edge)
+        across, _ = _across(nodes, self.feet, self.edge, self._down)
         self.margin = float(across @ (nodes @ self._shares - nodes[:, self.edge[0]]))
-
-    def _across(
-        self, nodes: FloatArray, feet: IntArray, edge: tuple[int, ...]
-    ) -> tuple[FloatArray, float]:
-        """Return the horizontal unit vector over an edge, and the length that it was scaled by."""
-        if len(nodes) == 2:
-            across = np.array([-self._down[1], self._down[0]])
-        else:
-            across = np.cross(nodes[:, edge[1]] - nodes[:, edge[0]], self._down)
-        scale = float(np.linalg.norm(across))
-        if across @ (nodes[:, feet].mean(axis=1) - nodes[:, edge[0]]) > 0:
-            scale = -scale
-        return across / scale, scale
 
     def _uphill(self) -> FloatArray:
         """Return by how much each rest length moves the centre of mass over the edge."""
-        across, scale = self._across(self.nodes, self.feet, self.edge)
+        across, scale = _across(self.nodes, self.feet, self.edge, self._down)
         slope = np.outer(across, self._shares)
         slope[:, self.edge[0]] -= across
         if len(across) == 3:
@@ -463,6 +451,35 @@ class TippingPlanner:
             slope[:, self.edge[0]] -= turned
         d, n = slope.shape
         return np.asarray(-self._pushes.T @ self._solve(slope.ravel(order="F"))[: d * n])
+
+
+def _across(
+    nodes: FloatArray, feet: IntArray, edge: tuple[int, ...], down: FloatArray
+) -> tuple[FloatArray, float]:
+    """Return the unit vector over an edge and across a direction, and the scale that it had."""
+    if len(nodes) == 2:
+        across = np.array([-down[1], down[0]])
+    else:
+        across = np.cross(nodes[:, edge[1]] - nodes[:, edge[0]], down)
+    scale = float(np.linalg.norm(across))
+    if across @ (nodes[:, feet].mean(axis=1) - nodes[:, edge[0]]) > 0:
+        scale = -scale
+    return across / scale, scale
+
+
+def _rolled(
+    nodes: FloatArray, feet: IntArray, edge: tuple[int, ...], up: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Return the nodes, and on which they stand, after a rigid shape has rolled over an edge."""
+    over, _ = _across(nodes, feet, edge, -up)
+    beside = nodes - nodes[:, edge[:1]]
+    out, above = over @ beside, up @ beside
+    angles = np.arctan2(above, out)
+    angles[list(edge)] = -np.inf
+    turn = angles[angles > -np.inf].min()
+    c, s = np.cos(turn) - 1, np.sin(turn)
+    moved = np.outer(over, c * out + s * above) + np.outer(up, c * above - s * out)
+    return nodes + moved, np.flatnonzero(angles < turn + _TOUCHES)
 
 
 def _moving_bars(structure: Structure) -> IntArray:
@@ -492,6 +509,16 @@ def _conditions(model: Model) -> SharedEvaluator:
     found = [slope, stretch, directions, hessian, ca.jacobian(slope, rest)]
     given = [q, rest, lam]
     return SharedEvaluator(ca.Function("tipping", given, [ca.densify(each) for each in found]))
+
+
+def _hull(places: FloatArray) -> list[list[int]]:
+    """Return the edges of the convex hull of points in the plane, or the ends of a line."""
+    if len(places) == 1:
+        return [[int(places.argmin())], [int(places.argmax())]]
+    from scipy.spatial import ConvexHull
+
+    edges: list[list[int]] = ConvexHull(places.T).simplices.tolist()
+    return edges
 
 
 def _plane(shape: FloatArray, down: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -549,11 +576,11 @@ class RollingGait:
     """Rolls a structure on the ground along a line, step by step, by its rest lengths.
 
     An object with a method ``command``, as ``simulate(controller=...)`` takes it. At rest it sees
-    which nodes it stands on, and tips over the edge of these feet that looks most towards a point
-    of the line ahead of it, by its size: sample by sample the winches follow the gradient of
-    :func:`tipping_path`, the fastest of them at its limit, until the centre of mass is beyond the
-    edge by a fiftieth of the size. It waits until it has tipped and is at rest, and winds back to
-    the rest lengths of the start. Where one edge cannot be passed, it tries the next.
+    which nodes it stands on, and tips over the edge of these feet from which two steps, of a shape
+    that is rigid, lead nearest to a point of the line ahead. Sample by sample the winches follow
+    the gradient of :func:`tipping_path`, the fastest of them at its limit, until the centre of mass
+    is beyond the edge by a fiftieth of the size. It waits until it has tipped and is at rest, and
+    winds back to the rest lengths of the start. Where one edge cannot be passed, it tries the next.
 
     Parameters
     ----------
@@ -680,16 +707,26 @@ class RollingGait:
         centre = nodes.mean(axis=1)
         self._begun = centre if self._begun is None else self._begun
         along = self._direction @ (centre - self._begun)
-        towards = self._begun + (along + self._planner.size) * self._direction - centre
-        edges = self._planner.edges(nodes, feet)
-        left = edges.keys() - self._vain or edges.keys()
-        edge = max(left, key=lambda each: float(edges[each] @ towards))
+        goal = self._begun + (along + _AHEAD * self._planner.size) * self._direction
+        edges = self._planner.edges(nodes, feet).keys()
+        left = edges - self._vain or edges
+        edge = min(left, key=lambda each: self._distance(nodes, feet, each, goal, _FORESEEN))
         try:
             self._planner.start(nodes, feet, edge)
         except StuckError:
             self._vain.add(edge)
         else:
             self._phase, self._since = _WINDS, time
+
+    def _distance(
+        self, nodes: FloatArray, feet: IntArray, edge: tuple[int, ...], goal: FloatArray, steps: int
+    ) -> float:
+        """Return how far from the goal the centre is after some steps of a rigid shape, m."""
+        nodes, feet = _rolled(nodes, feet, edge, self._normal)
+        if steps == 1 or len(feet) < len(nodes):
+            return float(np.linalg.norm(nodes.mean(axis=1) - goal))
+        edges = self._planner.edges(nodes, feet)
+        return min(self._distance(nodes, feet, each, goal, steps - 1) for each in edges)
 
     def _wind(self, time: float, touching: IntArray, is_late: bool) -> None:
         """Wind on, or end it where it has tipped or cannot."""

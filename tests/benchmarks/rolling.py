@@ -3,7 +3,7 @@
 Run: ``python -m tests.benchmarks.rolling``, about half an hour. On flat ground and 5° up a slope,
 by winches of 0.2 m/s between 0.35 m and 0.8 m, from any yaw. The gait plans with the nominal ball
 on the nominal ground; friction, the stiffness of the ground, of each string, and the mass of each
-bar are drawn. A success is five steps within 40 s that end within 30° of the direction. Prints the
+bar are drawn. A success is five steps within 40 s that end within 45° of the direction. Prints the
 rates of success with their intervals, and the time of a command over the sample time, of the
 planner as it is used in a run, and of a whole plan at once.
 """
@@ -62,7 +62,7 @@ class Rolling:
         along = float(direction @ moved)
         off = float(np.degrees(np.arctan2(abs(side), along)))
         return tc.robustness.Outcome(
-            success=len(gait.made) == self.steps and off < 30.0,
+            success=len(gait.made) == self.steps and off < 45.0,
             figures={
                 "steps": len(gait.made), "time": runs[-1].time[-1], "along": along, "angle": off,
             },
@@ -111,7 +111,7 @@ def turn(axis, angle):
 def report_time(steps):
     """Print the time of commands, and of a plan at once, over the sample time."""
     for name, slope in (("flat", 0.0), ("slope", SLOPE)):
-        gait, runs = rolled(slope, steps)
+        _, runs = rolled(slope, steps)
         times = np.concatenate([run.control.computing_time for run in runs]) / SAMPLE
         busy = times[times > np.median(times)]
         print(
