@@ -354,6 +354,7 @@ class TippingPlanner:
         self.feet, self.edge = feet, edge
         shape = nodes[:, feet]
         up, tangents = _plane(shape, self._down)
+        self._up = up
         held = [np.outer(up, each) for each in np.eye(len(feet))]
         held += [np.outer(each, np.ones(len(feet))) for each in tangents]
         if d == 3:
@@ -431,6 +432,9 @@ class TippingPlanner:
         # As many negative eigenvalues as constraints: the energy is least.
         if np.count_nonzero(np.linalg.eigvalsh(matrix) < 0) > len(matrix) - d * n:
             raise StuckError("there it is not stable")
+        above = np.delete(self._up @ nodes, self.feet)
+        if above.min(initial=np.inf) < self._up @ nodes[:, self.feet].mean(axis=1):
+            raise StuckError("another node would come to the ground before")
         apart = bar_distances(self._structure, nodes).least if self._clearance else np.inf
         if apart < self._clearance:
             raise StuckError(f"bars would come as near as {apart:.3g} m")
