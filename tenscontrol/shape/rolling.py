@@ -22,6 +22,7 @@ from tenscontrol.validation import (
     instance,
     number,
     positive_number,
+    shaped,
     whole_number,
 )
 from tenscontrol.validation import (
@@ -479,11 +480,11 @@ def _rolled(
     beside = nodes - nodes[:, edge[:1]]
     out, above = over @ beside, up @ beside
     angles = np.arctan2(above, out)
-    angles[list(edge)] = -np.inf
-    turn = angles[angles > -np.inf].min()
+    angles[feet] = np.inf
+    turn = angles.min()
     c, s = np.cos(turn) - 1, np.sin(turn)
     moved = np.outer(over, c * out + s * above) + np.outer(up, c * above - s * out)
-    return nodes + moved, np.flatnonzero(angles < turn + _TOUCHES)
+    return nodes + moved, np.union1d(edge, np.flatnonzero(angles < turn + _TOUCHES))
 
 
 def _moving_bars(structure: Structure) -> IntArray:
@@ -627,8 +628,9 @@ class RollingGait:
     ...                             winches=winches, steps=1)
     >>> nodes = tc.shape.stand_on(model, [0, 4, 8])
     >>> run = tc.simulate(model, 3.0, nodes, controller=gait, winches=winches, rest_length=0.55,
-    ...                   method="dop853", tolerance=1e-4)
+    ...                   method="cvodes", tolerance=1e-5)
     >>> [step.landed.tolist() for step in gait.made]
+    [[4, 8, 10]]
     """
 
     input = "rest_length"
@@ -645,6 +647,7 @@ class RollingGait:
         clearance: float = 0.0,
     ) -> None:
         self._planner = TippingPlanner(model, rest_length, winches, clearance)
+        self._structure = model.structure
         self._normal, self._height = _one_plane(model)
         self._direction = unit_vector("direction", direction, model.structure.dimension)
         self.sample_time = positive_number("sample_time", sample_time, "s")
@@ -666,26 +669,30 @@ class RollingGait:
         self._begun: FloatArray | None = None  # where the line begins
         self._tipped: RollingStep | None = None  # a step that has not come to rest
 
-    def applied(self, value: FloatArray) -> None:
+    def applied(self, value: ArrayLike) -> None:
         """Take note of the rest lengths that the winches reached.
 
         Parameters
         ----------
-        value : ndarray, shape (α,)
+        value : array_like, shape (α,)
             m.
         """
-        self._reached = value
+        home = self._planner.home
+        self._reached = shaped("value", value, home.shape, "one rest length per string")
 
-    def command(self, time: float, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
+    def command(self, time: float, nodes: ArrayLike, velocities: ArrayLike) -> FloatArray:
         """Return rest lengths, m, shape (α,).
 
         Parameters
         ----------
         time : float
             s.
-        nodes, velocities : ndarray, shape (d, n)
+        nodes, velocities : array_like, shape (d, n)
             m and m/s.
         """
+        time = number("time", time, "s")
+        nodes = self._structure.checked_nodes("nodes", nodes)
+        velocities = self._structure.checked_nodes("velocities", velocities)
         above = self._normal @ nodes - self._height
         touching = np.flatnonzero(above < self._touches)
         is_still = bool(np.linalg.norm(velocities, axis=0).max() < self._still)
