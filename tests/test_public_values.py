@@ -67,6 +67,13 @@ def values(tmp_path_factory):
         target,
         target.demands[0],
         tc.shape_path(model, rest, target, duration=1.0, step=0.2),
+        tc.shape.tipping_path(
+            tc.Model(prism, strings=model.strings, gravity=0.1),
+            start.rest_length,
+            [3, 4, 5],
+            [1.0, 0.0, 0.0],
+        ),
+        tc.shape.RollingStep(0.0, np.arange(3), np.arange(2), np.arange(3)),
         prism,
         rest,
         stance,

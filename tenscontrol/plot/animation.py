@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from tenscontrol.dynamics import ContactLaw, checked_grounds
 from tenscontrol.files import write_file
 from tenscontrol.plot.structure_drawing import (
     SIZE,
@@ -41,6 +42,9 @@ _SLOWEST, _FASTEST = 0.01, 50.0
 
 # Pixels of all frames, a byte each, and of an inch.
 _MOST_PIXELS, _MOST_DOTS = 4e9, 1000
+
+# Lines of the net that shows a plane.
+_NET = 9
 
 # Drawings of lines need few. One palette for all pictures makes the file a third
 # of what matplotlib's PillowWriter makes it, and keeps colours from flickering.
@@ -88,6 +92,7 @@ def animate(
     fps: float = 20.0,
     duration: float | None = None,
     target: object = None,
+    ground: ContactLaw | Sequence[ContactLaw] | None = None,
     view: tuple[float, float] = (20.0, -60.0),
     dpi: int = 100,
 ) -> Path:
@@ -109,6 +114,8 @@ def animate(
     target : array_like, shape (d, n), optional
         Node positions of a shape to draw faintly, m: where the motion should go. It is drawn where
         it is given; a free structure may reach the shape at another place.
+    ground : ContactLaw or sequence of ContactLaw, optional
+        Planes to draw faintly, where the structure is above them: ``model.ground``.
     view : tuple of two floats
         Elevation and azimuth of the eye, degrees; of no use in the plane.
     dpi : int
@@ -168,6 +175,7 @@ def animate(
     goal = None
     if target is not None:
         goal = run.structure.checked_nodes("target", target)
+    grounds = checked_grounds(ground, run.structure)
     times = np.linspace(run.time[0], run.time[-1], max(2, round(length * rate)))
     shapes, gammas = _sampled(run, motion, times)
     figure = Figure(figsize=SIZE, dpi=dots)
@@ -181,6 +189,7 @@ def animate(
         samples.append(sample("target", color=FAINT.bar_color, linewidth=FAINT.bar_width))
     drawing = draw(ax, run.structure, shapes[:, :, 0], NORMAL)
     everywhere = [shapes.reshape(d, -1)]
+    everywhere += [_draw_plane(ax, law, everywhere[0]) for law in grounds]
     frame(ax, everywhere if goal is None else [*everywhere, goal], grow=False)
     label_view(ax)
     if d == 3:
@@ -208,6 +217,27 @@ def animate(
 
     write_gif(place, canvas, pictures(), len(times), rate)
     return place
+
+
+def _draw_plane(ax: Any, law: ContactLaw, points: FloatArray) -> FloatArray:
+    """Draw the part of a plane that is below some points as a net, and return its nodes."""
+    if not isinstance(law.height, float):
+        raise ValueError("ground is curved, expected planes: leave it out")
+    normal = law.up(len(points))
+    tangents = [np.eye(len(points))[i] for i in np.argsort(np.abs(normal))[: len(points) - 1]]
+    tangents[0] = tangents[0] - (tangents[0] @ normal) * normal
+    tangents[0] /= np.linalg.norm(tangents[0])
+    if len(points) == 3:
+        tangents[1] = np.cross(normal, tangents[0])
+    ends = [np.linspace(min(along), max(along), _NET) for along in np.array(tangents) @ points]
+    across = np.array(np.meshgrid(*ends, indexing="ij"))
+    net = np.tensordot(np.transpose(tangents), across, 1)
+    net += law.height * normal.reshape(-1, *[1] * len(tangents))
+    style = {"color": FAINT.bar_color, "linewidth": FAINT.string_width, "zorder": 0}
+    for lines in (net, net.swapaxes(1, -1)) if len(points) == 3 else (net[:, None],):
+        for line in np.moveaxis(lines, 1, 0):
+            ax.plot(*line, **style)
+    return net.reshape(len(points), -1)
 
 
 def _sampled(

@@ -2,6 +2,14 @@
 
 from tenscontrol.shape.demands import Demand, Height, NodesAt, PointAt, Twist
 from tenscontrol.shape.path_timing import PathError
+from tenscontrol.shape.rolling import (
+    RollingGait,
+    RollingStep,
+    TippingError,
+    TippingPath,
+    stand_on,
+    tipping_path,
+)
 from tenscontrol.shape.shape_path import ShapePath, plants_along, shape_path
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.shape.target import DemandCheck, ShapeError, ShapeTarget, shape_target
@@ -13,12 +21,18 @@ __all__ = [
     "NodesAt",
     "PathError",
     "PointAt",
+    "RollingGait",
+    "RollingStep",
     "RotationalSymmetry",
     "ShapeError",
     "ShapePath",
     "ShapeTarget",
+    "TippingError",
+    "TippingPath",
     "Twist",
     "plants_along",
     "shape_path",
     "shape_target",
+    "stand_on",
+    "tipping_path",
 ]

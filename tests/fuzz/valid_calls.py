@@ -127,9 +127,12 @@ RESULTS = {
     "scene.SceneError",
     "shape.DemandCheck",
     "shape.PathError",
+    "shape.RollingStep",
     "shape.ShapeError",
     "shape.ShapePath",
     "shape.ShapeTarget",
+    "shape.TippingError",
+    "shape.TippingPath",
     "control.ControlWarning",
     "simulation.AccuracyWarning",
     "simulation.ContactRecord",
@@ -332,6 +335,17 @@ def closed_run():
 def dropped_run():
     model = tc.Model(prism(), gravity=9.81, ground=tc.Ground(stiffness=5e3, height=-1e-3))
     return tc.simulate(model, 0.02, force_density=np.full(9, 20.0), step=1e-3)
+
+
+@cache
+def standing():
+    """The prism on the ground, light enough to stand."""
+    ground = tc.Ground(stiffness=1e3, damping=0.5, friction=0.5)
+    return tc.Model(prism(), strings=elastic().strings, gravity=0.5, ground=ground)
+
+
+def gait():
+    return tc.shape.RollingGait(standing(), rest_length(), [1.0, 0.0, 0.0], 0.02)
 
 
 @cache
@@ -810,13 +824,6 @@ call(
 )
 
 
-@cache
-def standing():
-    ground = tc.Ground(5e3, friction=0.9)
-    strings = tc.LinearStrings(100.0)
-    return tc.Model(prism(), strings=strings, gravity=9.81, ground=ground)
-
-
 call(
     "equilibrium, ground",
     lambda: {"model": standing(), "rest_length": 0.9 * rest_length(), "settle": True},
@@ -1185,6 +1192,43 @@ call(
         "require_stable": True,
     },
     share=0.1,
+)
+call(
+    "shape.tipping_path",
+    lambda: {
+        "model": standing(),
+        "rest_length": rest_length(),
+        "feet": [3, 4, 5],
+        "direction": [1.0, 0.0, 0.0],
+        "nodes": nodes(),
+        "winches": tc.Winches(shortest=0.1, longest=2.0),
+        "margin": 0.01,
+        "step": 0.02,
+        "clearance": 0.01,
+    },
+    share=0.2,
+)
+call("shape.stand_on", lambda: {"model": standing(), "feet": [3, 4, 5]})
+call(
+    "shape.RollingGait",
+    lambda: {
+        "model": standing(),
+        "rest_length": rest_length(),
+        "direction": [1.0, 0.0, 0.0],
+        "sample_time": 0.02,
+        "winches": tc.Winches(rate=0.1),
+        "steps": 3,
+        "clearance": 0.01,
+    },
+    share=0.2,
+)
+call("shape.RollingGait.reset", on=gait)
+call("shape.RollingGait.applied", lambda: {"value": rest_length()}, gait)
+call(
+    "shape.RollingGait.command",
+    lambda: {"time": 0.02, "nodes": nodes(), "velocities": STILL},
+    gait,
+    0.2,
 )
 call("shape.ShapePath.reference", lambda: {"times": [0.0, 0.25, 0.5]}, short_path)
 call("shape.ShapePath.plants", lambda: {"count": 2, "input": "rest_length"}, short_path, 0.1)

@@ -1,0 +1,133 @@
+"""Five steps of the six-bar ball in a commanded direction: how often it makes them, on what ground.
+
+Run: ``python -m tests.benchmarks.rolling``, about half an hour. On flat ground and 5° up a slope,
+by winches of 0.2 m/s between 0.35 m and 0.8 m, from any yaw. The gait plans with the nominal ball
+on the nominal ground; friction, the stiffness of the ground, of each string, and the mass of each
+bar are drawn. A success is five steps within 40 s that end within 45° of the direction. Prints the
+rates of success with their intervals, and the time of a command over the sample time, of the
+planner as it is used in a run, and of a whole plan at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+import tenscontrol as tc
+from tests.benchmarks.command_line import options
+
+COUNT, SEED, STEPS, SLOPE = 100, 0, 5, 5.0  # degrees
+SAMPLE, REST_LENGTH, PART, LONGEST = 0.05, 0.55, 4.0, 40.0  # s, m, s, s
+WINCHES = tc.Winches(rate=0.2, shortest=0.35, longest=0.8, ramp=True)
+FACE = [0, 4, 8]
+PARAMETERS = {
+    "friction": tc.Uniform(0.3, 1.0),
+    "ground": tc.Uniform(2e3, 2e4),
+    "bar_mass": tc.Uniform(0.8, 1.2, size=6),
+    "stiffness": tc.Uniform(0.9, 1.1, size=24),
+    "yaw": tc.Uniform(-180.0, 180.0),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__doc__, arguments, count=COUNT, steps=STEPS, processes=1, file="")
+    for name, slope in (("flat", 0.0), ("slope", SLOPE)):
+        file = f"{given.file}.{name}" if given.file else None
+        case = Rolling(slope, given.steps)
+        report = tc.sweep(
+            case, PARAMETERS, given.count, seed=SEED, processes=given.processes, file=file
+        )
+        print(f"{name}: {report.summary()}\n")
+    report_time(given.steps)
+
+
+@dataclass(frozen=True)
+class Rolling:
+    """A ball that is not quite the one that the gait plans with.
+
+    Figures: steps made, the time they took, s, the way along the direction, m, and the angle
+    between the two, degrees.
+    """
+
+    slope: float
+    steps: int
+
+    def __call__(self, parameters: dict, rng: np.random.Generator) -> tc.robustness.Outcome:
+        gait, runs = rolled(self.slope, self.steps, **parameters)
+        moved = (runs[-1].nodes[:, :, -1] - runs[0].nodes[:, :, 0]).mean(axis=1)
+        direction, side = np.cross([0.0, 1.0, 0.0], normal(self.slope)), moved[1]
+        along = float(direction @ moved)
+        off = float(np.degrees(np.arctan2(abs(side), along)))
+        return tc.robustness.Outcome(
+            success=len(gait.made) == self.steps and off < 45.0,
+            figures={
+                "steps": len(gait.made), "time": runs[-1].time[-1], "along": along, "angle": off,
+            },
+        )  # fmt: skip
+
+
+def normal(slope: float) -> np.ndarray:
+    """Return that of ground that rises along x by so many degrees."""
+    angle = np.radians(slope)
+    return np.array([-np.sin(angle), 0.0, np.cos(angle)])
+
+
+def modelled(slope, friction=0.5, ground=5e3, bar_mass=1.0, stiffness=1.0):
+    """Return the ball on its ground, with masses and stiffnesses as parts of the nominal ones."""
+    ball = tc.library.six_bar_ball(bar_length=1.0, bar_mass=0.5 * np.broadcast_to(bar_mass, 6))
+    law = tc.LinearStrings(stiffness=1000.0 * stiffness, damping=10.0)
+    plane = tc.Ground(ground, 0.5, friction, slip_speed=0.02, normal=normal(slope))
+    return tc.Model(ball, strings=law, gravity=9.81, ground=plane)
+
+
+def rolled(slope, steps, yaw=0.0, **parameters):
+    """Return the gait and its runs, one after the other, until the steps are made."""
+    nominal, up = modelled(slope), normal(slope)
+    gait = tc.shape.RollingGait(
+        nominal, REST_LENGTH, np.cross([0.0, 1.0, 0.0], up), SAMPLE, winches=WINCHES, steps=steps
+    )
+    begin = turn(up, np.radians(yaw)) @ tc.shape.stand_on(nominal, FACE)
+    model, runs = modelled(slope, **parameters), []
+    while not runs or (len(gait.made) < steps and runs[-1].time[-1] < LONGEST):
+        start = {"start": runs[-1]} if runs else {"nodes": begin, "rest_length": REST_LENGTH}
+        runs.append(
+            tc.simulate(
+                model, PART, controller=gait, winches=WINCHES, method="cvodes", tolerance=1e-5,
+                output_step=SAMPLE, **start,
+            )
+        )  # fmt: skip
+    return gait, runs
+
+
+def turn(axis, angle):
+    """Return the matrix of a turn about a unit vector."""
+    across = np.cross(np.eye(3), axis).T
+    return np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across
+
+
+def report_time(steps):
+    """Print the time of commands, and of a plan at once, over the sample time."""
+    for name, slope in (("flat", 0.0), ("slope", SLOPE)):
+        _, runs = rolled(slope, steps)
+        times = np.concatenate([run.control.computing_time for run in runs]) / SAMPLE
+        busy = times[times > np.median(times)]
+        print(
+            f"{name}: a command takes {times.max():.3f} sample times at most, "
+            f"{np.median(busy):.3f} in the median of those that plan"
+        )
+    model = modelled(SLOPE)
+    nodes, took = tc.shape.stand_on(model, FACE), []
+    for _ in range(10):
+        began = perf_counter()
+        path = tc.shape.tipping_path(
+            model, REST_LENGTH, FACE, [1.0, 0.0, 0.0], nodes=nodes, winches=WINCHES
+        )
+        took.append((perf_counter() - began) / SAMPLE)
+    print(f"a plan of {path.margin.size} equilibria at once takes {np.median(took):.3f}")
+
+
+if __name__ == "__main__":
+    main()
