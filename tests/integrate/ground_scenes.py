@@ -99,11 +99,16 @@ def prism():
     return replace(scene, velocities=scene.velocities + spin)
 
 
+def free_tower():
+    """A class-2 tower of two stages that nothing holds."""
+    return tc.library.class2_tower(floating=True)
+
+
 def tower():
     """The class-2 tower, set down on a slope of 20 degrees."""
     slope = np.array([np.sin(np.deg2rad(20.0)), 0.0, np.cos(np.deg2rad(20.0))])
     ground = tc.Ground(**GROUND, normal=slope)
-    return dropped(tc.library.class2_tower(), [ground], 0.02, force_density=10.0)
+    return dropped(free_tower(), [ground], 0.02, force_density=10.0)
 
 
 SCENES = {"ball": ball, "prism": prism, "tower": tower}
