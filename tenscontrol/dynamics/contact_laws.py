@@ -152,12 +152,14 @@ class ContactLaw(ABC):
         depth : casadi.SX or MX, shape (1, k)
             p, m.
         """
-        inside = ca.fmax(depth, 0)
         energy: Any = 0
-        for node, weight in zip(*_QUADRATURE, strict=True):
-            part = (1 + node) / 2  # of the root of the depth
-            energy += weight * part * self._pressing(inside * part**2, 0 * depth)
-        return energy * inside
+        for foot, end in pairwise((*self.kinks, np.inf)):
+            inside = ca.fmin(ca.fmax(depth, foot), end) - foot
+            for node, weight in zip(*_QUADRATURE, strict=True):
+                part = (1 + node) / 2  # of the root of the way from the foot
+                at = self._pressing(foot + inside * part**2, 0 * depth)
+                energy += weight * part * at * inside
+        return energy
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -421,14 +423,6 @@ class SmoothGround(ContactLaw):
     def kinks(self) -> tuple[float, ...]:
         """The ends of the rounded foot, m; see :attr:`ContactLaw.kinks`."""
         return (-self.width, self.width)
-
-    def stored_energy(self, depth: Any) -> Any:
-        """Return the work that slow sinking takes, J; see :meth:`ContactLaw.stored_energy`."""
-        near = ca.fmin(ca.fmax(depth + self.width, 0), 2 * self.width)
-        beyond = ca.fmax(depth - self.width, 0)
-        energy = near**3 / (12 * self.width) + beyond * (self.width + beyond / 2)
-        factor = (1 + np.sqrt(1 + _ROUNDED**2)) / 2 if self.damping else 1.0
-        return self.stiffness * factor * energy
 
 
 # The least factor by which a gap above the surface is less than the height.
