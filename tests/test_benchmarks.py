@@ -171,7 +171,7 @@ def test_coupled_bars(printed):
 
 @needs_compiler
 def test_ground_motions(printed):
-    text = printed("ground_motions", "--duration 0.3")
+    text = printed("ground_motions", "--duration 0.3 --rest 1")
     for error in re.findall(r"farthest node, m +(.*)", text):
         assert max(map(float, error.split())) < 1e-11
     assert "0 not located" in text

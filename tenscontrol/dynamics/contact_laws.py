@@ -122,17 +122,22 @@ class ContactLaw(ABC):
         """
 
     def gap(self, depth: Any, rate: Any) -> Any:
-        """Return how far a node is from having no force, positive where it has; None for never.
+        """Return how far a node is from having no force, m, positive where it has; None for never.
 
         A force that vanishes at the surface, or with 1 + d ṗ where a node is drawn out fast. Above
-        the surface a gap must be negative.
+        the surface a gap must be negative. Switches are sought by secants: it should be smooth
+        where it crosses zero, and of the size of the depth.
 
         Parameters
         ----------
         depth, rate : casadi.SX or MX, shape (1, k)
             p, m, and ṗ, m/s.
         """
-        return ca.fmin(depth, 1 + self.damping * rate) if self.damping else depth
+        if not self.damping:
+            return depth
+        # Smooth across both borders, and where a node sinks the depth, whose rate is known.
+        factor = ca.fmin(_factor(self, rate), 1)
+        return depth * ca.if_else(depth < 0, ca.fmax(factor, _LEAST_FACTOR), factor)
 
     @property
     def kinks(self) -> tuple[float, ...]:
@@ -147,12 +152,14 @@ class ContactLaw(ABC):
         depth : casadi.SX or MX, shape (1, k)
             p, m.
         """
-        inside = ca.fmax(depth, 0)
         energy: Any = 0
-        for node, weight in zip(*_QUADRATURE, strict=True):
-            part = (1 + node) / 2  # of the root of the depth
-            energy += weight * part * self._pressing(inside * part**2, 0 * depth)
-        return energy * inside
+        for foot, end in pairwise((*self.kinks, np.inf)):
+            inside = ca.fmin(ca.fmax(depth, foot), end) - foot
+            for node, weight in zip(*_QUADRATURE, strict=True):
+                part = (1 + node) / 2  # of the root of the way from the foot
+                at = self._pressing(foot + inside * part**2, 0 * depth)
+                energy += weight * part * at * inside
+        return energy
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -436,14 +443,9 @@ class SmoothGround(ContactLaw):
         """The ends of the rounded foot, m; see :attr:`ContactLaw.kinks`."""
         return (-self.width, self.width)
 
-    def stored_energy(self, depth: Any) -> Any:
-        """Return the work that slow sinking takes, J; see :meth:`ContactLaw.stored_energy`."""
-        near = ca.fmin(ca.fmax(depth + self.width, 0), 2 * self.width)
-        beyond = ca.fmax(depth - self.width, 0)
-        energy = near**3 / (12 * self.width) + beyond * (self.width + beyond / 2)
-        factor = (1 + np.sqrt(1 + _ROUNDED**2)) / 2 if self.damping else 1.0
-        return self.stiffness * factor * energy
 
+# The least factor by which a gap above the surface is less than the height.
+_LEAST_FACTOR = 0.1
 
 # Part of the factor 1 + d ṗ by which it is rounded where it would vanish.
 _ROUNDED = 0.1
@@ -559,7 +561,7 @@ class Contacts:
     @property
     def is_velocity_dependent(self) -> bool:
         """Whether a force depends on velocities."""
-        return any(law.is_velocity_dependent for law in self.laws)
+        return any(law.is_velocity_dependent and len(nodes) for law, nodes, _ in self)
 
     def forces(self, N: Any, Nd: Any, pressing: Any = None) -> Any:
         """Return the forces of the ground on all nodes, N, shape (d, n).

@@ -38,6 +38,10 @@ _SAMPLES = 6
 _ZOOMS = 2
 _POLISHES = 4
 
+# With ground: a node that dips in by δ at the acceleration a stays √(8δ/a), a small part of a long
+# step. Each zoom finds dips of a ninth of the depth.
+_ZOOMS_ON_GROUND = 7
+
 # Substeps that one step may be cut into; the rest is then taken whole, and counted.
 _SUBSTEPS = 8
 
@@ -125,7 +129,7 @@ def landing(step: ca.Function, equation: Equation) -> ca.Function:
     ends = [x, equation.slope(x, u, taut), x1, equation.slope(x1, equation.ahead(u, h), taut), h]
     within = [inside_step(*ends), u, taut, h]
     low, high, found = ca.MX(0), ca.MX(1), ca.MX(0)
-    for _ in range(_ZOOMS):
+    for _ in range(_ZOOMS if equation.contacts is None else _ZOOMS_ON_GROUND):
         low, high, found = zoom(*within, low, high)
     inside, outside = room(*within, low), room(*within, high)
     # The string that is out first, by the secants; several, where they go out together.

@@ -338,7 +338,7 @@ def _contact_rate(law: ContactLaw, energy: float, load: float, mass: float, size
         """Return the depth at which an output reaches a value, to a few per cent."""
         deep, shallow = 1e3 * size, 1e-15 * size
         while deep > 1.05 * shallow:
-            middle = (deep * shallow) ** 0.5
+            middle = float(np.sqrt(deep * shallow))
             reached = float(of_depth(middle, 0)[output]) >= wanted
             deep, shallow = (middle, shallow) if reached else (deep, middle)
         return deep
@@ -347,7 +347,7 @@ def _contact_rate(law: ContactLaw, energy: float, load: float, mass: float, size
     stiffness = float(of_depth(max(at_rest, at_impact), 0)[2])
     damping = float(of_depth(at_rest, 0)[3]) if load else 0.0
     friction = law.friction * load / law.slip_speed
-    return max((max(stiffness, 0.0) / mass) ** 0.5, damping / mass, friction / mass)
+    return max(float(np.sqrt(max(stiffness, 0.0) / mass)), damping / mass, friction / mass)
 
 
 def _strings_alone(equation: Equation) -> FloatArray:

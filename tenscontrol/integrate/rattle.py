@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise, zip_longest
 from math import factorial
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, TypeVar, final
 
 import casadi as ca
 import numpy as np
@@ -28,6 +28,9 @@ from tenscontrol.dynamics import Equation, kernel
 from tenscontrol.integrate.fixed_step import FixedStep
 from tenscontrol.integrate.multipliers import Coupled
 from tenscontrol.integrate.projection import Bodies
+
+# What a kick changes: velocities, or a state with them.
+_At = TypeVar("_At")
 
 # Largest turn of a bar in one flight, rad². From a right angle on, the quadratic that places the
 # bar has no real root or the wrong one; one radian leaves room for velocities along the bar.
@@ -258,8 +261,7 @@ def _called(
     parts = [kind.sym(f"part{i}", part.shape) for i, part in enumerate(begun)]
     state = _State(*parts)
     flight = ca.Function("flight", [*parts, h], list(motion.flight(state, h)))
-    kicked = motion.kick(state, h, u)
-    kick = ca.Function("kick", [*parts, u, taut, h], list(kicked))
+    kick = ca.Function("kick", [*parts, u, taut, h], list(motion.kick(state, h, u)))
     end = ca.Function("end", parts, [motion.end(state)])
     x, u, taut, h = (ca.MX.sym("of_step", each.shape) for each in (x, u, taut, h))
     now = start(x)
@@ -336,8 +338,8 @@ def _coupled_kick(
 
 
 def _kicked(
-    tableau: _Tableau, start: Any, force: Callable[[Any], Any], pushed: Callable[[Any], Any]
-) -> Any:
+    tableau: _Tableau, start: _At, force: Callable[[_At], Any], pushed: Callable[[Any], _At]
+) -> _At:
     """Return what a kick makes of a state, by a Runge-Kutta method in its velocities.
 
     ``force`` takes a state to forces, and ``pushed`` constant forces to the state after the kick.

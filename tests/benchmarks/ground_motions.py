@@ -1,10 +1,11 @@
 """Structures dropped on the ground: against an independent oracle, with orders and growth.
 
-``python -m tests.benchmarks.ground_motions [--duration 2]``: a six-bar ball dropped from 0.3 m with
-0.5 m/s sideways, a prism dropped on an edge with a spin, and a class-2 tower set down on a slope.
-Each motion against rigid bodies, or multipliers, in NumPy, integrated by SciPy with every switch
-located; how a change of the start by 1e-12 m grows; and the orders of the methods with fixed steps
-through all impacts. About two minutes.
+``python -m tests.benchmarks.ground_motions [--duration 2] [--rest 60]``: a six-bar ball dropped
+from 0.3 m with 0.5 m/s sideways, a prism dropped on an edge with a spin, and a class-2 tower set
+down on a slope. Each motion against rigid bodies, or multipliers, in NumPy, integrated by SciPy
+with every switch located; how a change of the start by 1e-12 m grows; and the orders of the methods
+with fixed steps through all impacts. Then what so many seconds of rest take on the ground, of six
+prisms side by side, and on supports. Some minutes.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from tenscontrol.integrate import METHODS
 from tests.benchmarks.command_line import options
-from tests.integrate.ground_scenes import SCENES, Scene, nudged
+from tests.integrate.ground_scenes import SCENES, Scene, nudged, resting
 from tests.integrate.stepping import fitted_order
 
 STEPS = {
@@ -54,12 +55,28 @@ def orders(name: str, scene: Scene, duration: float) -> None:
         print(f"  {method:10s} order {fitted_order(steps, errors):4.1f}   {text}")
 
 
+def rest(duration: float) -> None:
+    """Print the steps and evaluations of rest on the ground and on supports."""
+    print(f"18 nodes that settle and rest, {duration:g} s: steps and evaluations")
+    for method, value, setting in (
+        ("energy_momentum", 2e-2, "step"), ("energy_momentum", 1e-6, "tolerance"),
+        ("dop853", 1e-6, "tolerance"), ("rk4", 5e-4, "step"),
+    ):  # fmt: skip
+        print(f"  {method:16s} {setting} {value:.0e}")
+        for name, on_ground in (("ground", True), ("supports", False)):
+            equation, state, lengths = resting(on_ground, 6)
+            integrator = METHODS[method].integrator(equation, value, setting)
+            work = integrator.advance(state, lengths, duration, 1).work
+            print(f"    {name:8s} {work.steps:7d} {work.evaluations:8d}")
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print all tables."""
-    given = options(__doc__, arguments, duration=2.0)
+    given = options(__doc__, arguments, duration=2.0, rest=60.0)
     for name, make in SCENES.items():
         against_the_oracle(name, make(), given.duration)
     orders("ball", SCENES["ball"](), given.duration)
+    rest(given.rest)
 
 
 if __name__ == "__main__":

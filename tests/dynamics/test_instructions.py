@@ -187,3 +187,61 @@ def test_an_input_that_is_held_has_no_time_and_no_instruction_for_it(held):
     assert cheaper(plain.slope, moving.slope)
     assert cheaper(plain.slope, loaded.slope)
     assert cheaper(loaded.slope, shaken.slope)
+
+
+# ---- ground ----
+
+
+def grounded(structure, ground, form="flat"):
+    """Slope, gap and force of a structure with rest lengths held."""
+    model = tc.Model(structure, strings=tc.LinearStrings(100.0, 0.5), gravity=9.81, ground=ground)
+    equation = model.equation("rest_length", form=form)
+    return equation.slope, equation.gap, equation.force
+
+
+@pytest.mark.parametrize("form", ["flat", "mapped"])
+def test_ground_that_no_node_can_touch_costs_nothing(form):
+    """Nodes that are fixed touch nothing."""
+    structure = standing()
+    without = grounded(structure, None, form)
+    untouched = grounded(structure, tc.Ground(1e4, 0.3, 0.5, nodes=[3, 4, 5]), form)
+    assert list(map(cost, without)) == list(map(cost, untouched))
+
+
+def test_ground_costs_only_the_nodes_that_can_touch():
+    """Each the same, on slopes too; with friction and damping more than without."""
+    tower = tc.prism_tower(3)
+    plain = grounded(tower, None)[0].n_instructions()
+
+    def each(nodes, **law):
+        ground = tc.Ground(1e4, nodes=nodes, **law)
+        return (grounded(tower, ground)[0].n_instructions() - plain) / len(nodes)
+
+    every = range(tower.nodes.shape[1])
+    for law in ({}, {"damping": 0.3}, {"damping": 0.3, "friction": 0.5}, {"normal": [0, 0.6, 0.8]}):
+        assert each([0, 1, 2], **law) == pytest.approx(each(every, **law), abs=1.5)
+    bare, rubbing = each(every), each(every, damping=0.3, friction=0.5)
+    assert 0 < bare < 15
+    assert bare < rubbing < 50
+
+
+def test_ground_costs_as_many_instructions_as_nodes(prism):
+    ground = tc.Ground(1e4, 0.3, 0.5)
+    counts = np.array(
+        [
+            [each.n_instructions() for each in grounded(side_by_side(prism, copies), ground)]
+            for copies in (1, 2, 4, 8)
+        ]
+    )
+    one = (counts[-1] - counts[0]) / 7
+    expected = counts[0] + one * (np.array([[1], [2], [4], [8]]) - 1)
+    np.testing.assert_allclose(counts, expected, rtol=0.01)
+
+
+def test_ground_in_operations_on_all_nodes_has_so_many_whatever_their_number(prism):
+    ground = tc.Ground(1e4, 0.3, 0.5)
+    counts = {
+        grounded(side_by_side(prism, copies), ground, "mapped")[0].n_instructions()
+        for copies in (2, 8)
+    }
+    assert len(counts) == 1

@@ -6,6 +6,7 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.dynamics import pack_state
+from tests.dynamics.scenes import side_by_side
 from tests.integrate.coupled_scenes import possible_velocities
 from tests.oracle import HeldRestLength, NodeMotion, Plane, RigidBars
 
@@ -99,11 +100,16 @@ def prism():
     return replace(scene, velocities=scene.velocities + spin)
 
 
+def free_tower():
+    """A class-2 tower of two stages that nothing holds."""
+    return tc.library.class2_tower(floating=True)
+
+
 def tower():
     """The class-2 tower, set down on a slope of 20 degrees."""
     slope = np.array([np.sin(np.deg2rad(20.0)), 0.0, np.cos(np.deg2rad(20.0))])
     ground = tc.Ground(**GROUND, normal=slope)
-    return dropped(tc.library.class2_tower(), [ground], 0.02, force_density=10.0)
+    return dropped(free_tower(), [ground], 0.02, force_density=10.0)
 
 
 SCENES = {"ball": ball, "prism": prism, "tower": tower}
@@ -118,3 +124,22 @@ def nudged(scene, size, seed):
         nodes, structure.bars, structure.strings, structure.bar_mass, structure.string_node_mass
     )
     return replace(scene, structure=placed)
+
+
+def resting(on_ground, copies=2):
+    """Prisms side by side that stand on the ground, or hang on supports, for a while."""
+    one = tc.prestress(tc.prism(), force_density=10.0).structure
+    both = side_by_side(one, copies)
+    nodes = both.nodes - [[0], [0], [both.nodes[2].min()]]
+    low = np.flatnonzero(nodes[2] < 1e-9)
+    structure = tc.Structure(
+        nodes, both.bars, both.strings, both.bar_mass, fixed=[] if on_ground else low
+    )
+    model = tc.Model(
+        structure,
+        strings=tc.LinearStrings(1e3, 20.0),
+        gravity=GRAVITY,
+        ground=tc.Ground(**GROUND) if on_ground else None,
+    )
+    start = pack_state(structure, nodes, np.zeros_like(nodes))
+    return model.equation("rest_length"), start, 0.9 * structure.string_length()

@@ -15,7 +15,15 @@ import tenscontrol as tc
 from tenscontrol.dynamics import ContactLaw, HertzGround, SmoothGround, evaluate_columns, pack_state
 from tenscontrol.integrate import METHODS, choose, contact_frequency, largest_frequency
 from tests.integrate.coupled_scenes import errors_of_bars
-from tests.integrate.ground_scenes import GRAVITY, GROUND, SCENES, Scene, dropped, rotation
+from tests.integrate.ground_scenes import (
+    GRAVITY,
+    GROUND,
+    SCENES,
+    Scene,
+    dropped,
+    free_tower,
+    rotation,
+)
 from tests.integrate.stepping import fitted_order
 
 # ---- the oracle, and orders ----
@@ -54,7 +62,7 @@ def test_other_grounds_against_the_oracle(case):
     np.testing.assert_allclose(nodes, exact, rtol=0, atol=1e-8 if case == "hertz" else 1e-10)
 
 
-COARSE, MIDDLE, FINE = [4e-3, 3e-3, 2e-3], [4e-4, 2.8e-4, 2e-4], [2e-4, 1.4e-4, 1e-4]
+MIDDLE, FINE = [2.8e-4, 2e-4, 1.4e-4], [2e-4, 1.4e-4, 1e-4]
 
 
 @pytest.mark.parametrize(
@@ -65,7 +73,7 @@ COARSE, MIDDLE, FINE = [4e-3, 3e-3, 2e-3], [4e-4, 2.8e-4, 2e-4], [2e-4, 1.4e-4, 
         ("prism", "rattle6", FINE, 5.5),
         ("tower", "rk4", MIDDLE, 3.8),
         ("tower", "rattle4", MIDDLE, 3.8),
-        ("tower", "rattle6", COARSE, 5.5),
+        ("tower", "rattle6", MIDDLE, 5.5),
     ],
 )
 def test_the_order_holds_through_all_impacts(name, method, steps, least):
@@ -194,6 +202,8 @@ def test_a_ball_at_rest_presses_with_its_weight():
 
 # ---- stiff ground ----
 
+STRUCTURES = {"prism": tc.prism, "ball": tc.library.six_bar_ball, "tower": free_tower}
+
 
 @dataclass(frozen=True, eq=False)
 class Cubic(ContactLaw):
@@ -241,9 +251,9 @@ ELASTIC = {
 
 
 @pytest.mark.parametrize("law", ELASTIC)
-@pytest.mark.parametrize("structure", ["prism", "class2_tower"])
+@pytest.mark.parametrize("structure", ["prism", "tower"])
 def test_ground_that_only_stores_energy_keeps_it(structure, law):
-    scene = dropped(getattr(tc.library, structure)(), [ELASTIC[law]()], 0.25, (0.5, 0.0, -1.0))
+    scene = dropped(STRUCTURES[structure](), [ELASTIC[law]()], 0.25, (0.5, 0.0, -1.0))
     states, _ = implicit(scene, 2e-3)
     energy = energies(scene, states)
     assert np.abs(energy - energy[0]).max() < 1e-10 * energy[0]
@@ -266,15 +276,15 @@ DAMPED = {
 
 
 @pytest.mark.parametrize("law", DAMPED)
-@pytest.mark.parametrize("structure", ["six_bar_ball", "class2_tower"])
+@pytest.mark.parametrize("structure", ["ball", "tower"])
 def test_stiff_ground_in_long_steps_never_gives_energy(structure, law):
     """Steps of 10 ms, 30 times the period of a node on ground of 1e8 N/m, and more."""
-    scene = dropped(getattr(tc.library, structure)(), [DAMPED[law]()], 0.3, (0.5, 0.0, 0.0))
+    scene = dropped(STRUCTURES[structure](), [DAMPED[law]()], 0.3, (0.5, 0.0, 0.0))
     states, work = implicit(scene, 1e-2)
     energy = energies(scene, states)
     assert np.diff(energy).max() < 1e-12 * energy[0]
     assert energy[-1] < 0.95 * energy[0]
-    assert work.steps < (200 if law == "friction 5" else 105)
+    assert work.steps < (500 if law == "friction 5" else 105)
     assert max(errors_of_bars(scene.structure, states)) < 1e-12
 
 
