@@ -228,8 +228,12 @@ class GroundPoints:
         return self.at(self.force > 0)
 
     def touching(self, size: float) -> GroundPoints:
-        """Return those with a force, or almost at the ground, of a structure of this size, m."""
-        return self.at((self.force > 0) | (self.depth >= -_TOUCHING * size))
+        """Return those that touch before their forces are known, as if all had the same.
+
+        They have some force already, or are almost at the ground, of a structure of this size, m.
+        """
+        found = self.at((self.force > 0) | (self.depth >= -_TOUCHING * size))
+        return replace(found, force=np.ones(len(found.node)))
 
     @property
     def grip(self) -> FloatArray:
@@ -348,7 +352,6 @@ class Sticking:
             fields = rigid_motions(nodes)
             if d == 3:  # of the turns, that about the mean normal
                 fields = np.c_[fields[:, :3], fields[:, 3:] @ points.normal.mean(axis=1)]
-            weight = np.maximum(weight, _TOUCHING * weight.max()) if weight.any() else ~kept
             fields = held.T @ (weight[:, None] * fields[rows])
             U, sizes, _ = np.linalg.svd(fields)
             loose = held @ U[:, (sizes > _TOUCHING * sizes.max(initial=0.0)).sum() :]
