@@ -349,9 +349,9 @@ class Sticking:
         motions, held = np.hstack([np.eye(len(rows))[:, kept], *along]), np.hstack(across)
         loose = np.zeros((len(rows), 0))
         if settling:
-            fields = rigid_motions(nodes)
-            if d == 3:  # of the turns, that about the mean normal
-                fields = np.c_[fields[:, :3], fields[:, 3:] @ points.normal.mean(axis=1)]
+            fields, turns = np.hsplit(rigid_motions(nodes), [d])
+            if d == 3:  # about the mean normal; other turns tilt
+                fields = np.c_[fields, turns @ points.normal.mean(axis=1)]
             fields = held.T @ (weight[:, None] * fields[rows])
             U, sizes, _ = np.linalg.svd(fields)
             loose = held @ U[:, (sizes > _TOUCHING * sizes.max(initial=0.0)).sum() :]
@@ -520,6 +520,8 @@ def standing_model(model: Model, stance: Stance) -> Model:
             f"{_PRESSES:g} of that. Change the rest lengths so that it presses, or lift it"
         )
     feet = np.unique(contacts.node)
+    if len(feet) == len(model.structure.free):
+        raise ValueError("every node of the stance is on the ground: nothing is left to move")
     key = "standing", stance.structure.nodes.tobytes(), feet.tobytes()
     return model.prepared.get(key, lambda: _standing(model, stance.structure.nodes, feet))
 
