@@ -194,6 +194,16 @@ def test_a_planar_frame_stands_on_a_line():
     assert len(stance.tipping.edge) == 1
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_a_hinged_bar_comes_down_on_the_ground(friction):
+    bar = tc.Structure([[0.0, 1.0], [0.5, 0.6]], [[0, 1]], np.zeros((0, 2), int), 2.0, fixed=[0])
+    model = tc.Model(bar, gravity=GRAVITY, ground=tc.Ground(1e6, friction=friction))
+    stance = tc.equilibrium(model, force_density=[])
+    np.testing.assert_allclose(stance.contacts.force, [[0], [GRAVITY]], atol=1e-9)
+    assert stance.contacts.depth[0] == pytest.approx(GRAVITY / 1e6)
+    assert stance.tipping is None
+
+
 def test_without_friction_it_slides_freely():
     model, lengths, start = ball_on_face()
     stance = tc.equilibrium(model, rest_length=lengths, nodes=start)
@@ -236,6 +246,13 @@ def test_linearized_about_a_stance_its_feet_are_supports():
     )  # fmt: skip
     np.testing.assert_allclose(plant.A, other.A)
     np.testing.assert_allclose(plant.B, other.B)
+    loaded = tc.Model(
+        ball, strings=model.strings, gravity=GRAVITY, ground=model.ground, external_force=True
+    )
+    asked = {"rest_length": lengths, "nodes": start, "external_force": np.zeros(start.shape)}
+    same = tc.linearize(loaded, tc.equilibrium(loaded, **asked), input="rest_length")
+    np.testing.assert_allclose(same.A, plant.A, atol=1e-9 * np.abs(plant.A).max())
+    assert same.model.has_external_force
     rough = tc.plant.in_coordinates(plant, "nodes")
     assert rough.feet.tolist() == [0, 4, 8]
 
