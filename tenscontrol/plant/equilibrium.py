@@ -221,6 +221,7 @@ def equilibrium(
             model, kind, held, load, start, strained, settles
         )
         np.add.at(load.T, contacts.node, contacts.force.T)
+        least = max(least, float(contacts.normal_force.max(initial=0.0)))
     what = f"no equilibrium found with this {kind}"
     forces = member_forces(settled, free_coordinates(settled, load))
     rest = balanced(settled, forces, gamma, load, what, _HINT, least)

@@ -98,6 +98,9 @@ class Stance(Prestress):
 
     Attributes
     ----------
+    structure, force_density, bar_force_density : see :class:`~tenscontrol.statics.Prestress`
+    external_force, residual, self_stress_states, mechanisms : see there
+        Self-stress and mechanisms are those of the structure without its contacts.
     contacts : StanceContacts
     least_stiffness : float
         Least eigenvalue of the tangent stiffness in the free coordinates with bar lengths and
@@ -228,8 +231,12 @@ class GroundPoints:
         return self.at(self.force > 0)
 
     def touching(self, size: float) -> GroundPoints:
-        """Return those with a force, or almost at the ground, of a structure of this size, m."""
-        return self.at((self.force > 0) | (self.depth >= -_TOUCHING * size))
+        """Return those that touch before their forces are known, as if all had the same.
+
+        They have some force already, or are almost at the ground, of a structure of this size, m.
+        """
+        found = self.at((self.force > 0) | (self.depth >= -_TOUCHING * size))
+        return replace(found, force=np.ones(len(found.node)))
 
     @property
     def grip(self) -> FloatArray:
@@ -345,10 +352,9 @@ class Sticking:
         motions, held = np.hstack([np.eye(len(rows))[:, kept], *along]), np.hstack(across)
         loose = np.zeros((len(rows), 0))
         if settling:
-            fields = rigid_motions(nodes)
-            if d == 3:  # of the turns, that about the mean normal
-                fields = np.c_[fields[:, :3], fields[:, 3:] @ points.normal.mean(axis=1)]
-            weight = np.maximum(weight, _TOUCHING * weight.max()) if weight.any() else ~kept
+            fields, turns = np.hsplit(rigid_motions(nodes), [d])
+            if d == 3:  # about the mean normal; other turns tilt
+                fields = np.c_[fields, turns @ points.normal.mean(axis=1)]
             fields = held.T @ (weight[:, None] * fields[rows])
             U, sizes, _ = np.linalg.svd(fields)
             loose = held @ U[:, (sizes > _TOUCHING * sizes.max(initial=0.0)).sum() :]
@@ -517,6 +523,8 @@ def standing_model(model: Model, stance: Stance) -> Model:
             f"{_PRESSES:g} of that. Change the rest lengths so that it presses, or lift it"
         )
     feet = np.unique(contacts.node)
+    if len(feet) == len(model.structure.free):
+        raise ValueError("every node of the stance is on the ground: nothing is left to move")
     key = "standing", stance.structure.nodes.tobytes(), feet.tobytes()
     return model.prepared.get(key, lambda: _standing(model, stance.structure.nodes, feet))
 

@@ -95,6 +95,16 @@ class ForceLimits:
         return rows
 
 
+def refuse_ground(model: Model) -> None:
+    """Raise if a model has ground, whose forces searches for shapes do not know."""
+    if model.ground:
+        raise ValueError(
+            "model has ground, whose forces a search for shapes does not know: give the model of a "
+            "plant about a stance, linearize(model, equilibrium(model, ...)).model, whose feet are "
+            "fixed nodes, or a model without ground"
+        )
+
+
 def checked_limits(
     model: Model,
     force_density: object,

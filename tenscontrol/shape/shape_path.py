@@ -16,7 +16,7 @@ from tenscontrol.plant import (
     linearize,
 )
 from tenscontrol.shape.continuation import Continuation, Waypoint
-from tenscontrol.shape.force_bounds import checked_bounds
+from tenscontrol.shape.force_bounds import checked_bounds, refuse_ground
 from tenscontrol.shape.nonlinear_program import ShapeProblem
 from tenscontrol.shape.path_timing import PathError, TimedPath, rest_at
 from tenscontrol.shape.shape_search import STIFF
@@ -265,6 +265,7 @@ def shape_path(
     True
     """
     instance("model", model, Model, "make one by Model(structure)")
+    refuse_ground(model)
     truth("require_stable", require_stable, "whether a path through shapes that buckle is refused")
     choice("place", place, PLACES)
     begin, end = _path_end(model, "start", start), _path_end(model, "goal", goal)

@@ -12,7 +12,7 @@ from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model, coordinates
 from tenscontrol.plant import STRINGS_MOVE_NO_CENTRE
 from tenscontrol.shape.demands import Demand, centre_kept
-from tenscontrol.shape.force_bounds import ForceLimits, checked_limits
+from tenscontrol.shape.force_bounds import ForceLimits, checked_limits, refuse_ground
 from tenscontrol.shape.shape_search import MET, STIFF, Solved, solve_shape
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.statics import Prestress
@@ -230,6 +230,7 @@ def shape_target(
     if isinstance(model, Structure):
         model = Model(model)
     instance("model", model, Model, "make one by Model(structure)")
+    refuse_ground(model)
     choice("prestress", prestress, CHOICES)
     choice("place", place, PLACES)
     truth("require_stable", require_stable, "whether a shape that buckles is refused")

@@ -194,6 +194,16 @@ def test_a_planar_frame_stands_on_a_line():
     assert len(stance.tipping.edge) == 1
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_a_hinged_bar_comes_down_on_the_ground(friction):
+    bar = tc.Structure([[0.0, 1.0], [0.5, 0.6]], [[0, 1]], np.zeros((0, 2), int), 2.0, fixed=[0])
+    model = tc.Model(bar, gravity=GRAVITY, ground=tc.Ground(1e6, friction=friction))
+    stance = tc.equilibrium(model, force_density=[])
+    np.testing.assert_allclose(stance.contacts.force, [[0], [GRAVITY]], atol=1e-9)
+    assert stance.contacts.depth[0] == pytest.approx(GRAVITY / 1e6)
+    assert stance.tipping is None
+
+
 def test_without_friction_it_slides_freely():
     model, lengths, start = ball_on_face()
     stance = tc.equilibrium(model, rest_length=lengths, nodes=start)
@@ -236,6 +246,13 @@ def test_linearized_about_a_stance_its_feet_are_supports():
     )  # fmt: skip
     np.testing.assert_allclose(plant.A, other.A)
     np.testing.assert_allclose(plant.B, other.B)
+    loaded = tc.Model(
+        ball, strings=model.strings, gravity=GRAVITY, ground=model.ground, external_force=True
+    )
+    asked = {"rest_length": lengths, "nodes": start, "external_force": np.zeros(start.shape)}
+    same = tc.linearize(loaded, tc.equilibrium(loaded, **asked), input="rest_length")
+    np.testing.assert_allclose(same.A, plant.A, atol=1e-9 * np.abs(plant.A).max())
+    assert same.model.has_external_force
     rough = tc.plant.in_coordinates(plant, "nodes")
     assert rough.feet.tolist() == [0, 4, 8]
 
@@ -297,3 +314,35 @@ def test_a_contact_that_slips_or_just_touches_is_no_support():
     np.testing.assert_allclose(stance.contacts.normal_force, [GRAVITY / 2, GRAVITY / 2e4])
     with pytest.raises(ValueError, match=r"node 1 .* just touches"):
         tc.linearize(model, stance)
+
+
+def test_feet_that_would_slip_settle_where_all_use_the_same_part():
+    """A T-bar on its side, in the plane, and a ball on an open face: their feet spread."""
+    bar = tc.library.t_bar()
+    bar = tc.Structure(bar.nodes, bar.bars, bar.strings, 1.0)
+    for structure, feet in ((bar, [1, 2]), (tc.library.six_bar_ball(1.0), [0, 8, 2])):
+        model, lengths = wound(structure, tc.Ground(2e4, friction=0.4))
+        start = tc.plant.set_down(model, feet)
+        stance = tc.equilibrium(model, rest_length=lengths, nodes=start)
+        assert np.abs(stance.contacts.tangential_force).max() < 1e-9
+        sticky, _ = wound(structure, tc.Ground(2e4, friction=5.0))
+        stays = tc.equilibrium(sticky, rest_length=lengths, nodes=start)
+        assert np.abs(stays.contacts.tangential_force).max() > 5
+        moved = stays.structure.nodes[:-1, feet] - start[:-1, feet]
+        np.testing.assert_allclose(moved, 0, atol=1e-12)
+
+
+def test_a_stance_of_strings_with_mass_is_commanded_by_whole_strings():
+    x = tc.library.snelson_x(dimension=2)
+    ground = tc.Ground(2e4, friction=0.8, nodes=[0, 1, 2, 3])  # the bottom string sags
+    whole, lengths = wound(x, ground, stiffness=2e3)
+    massive = tc.subdivide(x, 2, string_mass=0.02)
+    strings = tc.LinearStrings(4e3, damping=0.5)
+    model = tc.Model(massive, strings=strings, gravity=GRAVITY, ground=whole.ground)
+    parts = lengths[massive.string_parent] / 2
+    stance = tc.equilibrium(model, rest_length=parts, settle=True)
+    plant = tc.plant.command_parents(tc.linearize(model, stance, input="rest_length"))
+    assert plant.commanded.fixed.tolist() == plant.feet.tolist() == [0, 1]
+    lqr = tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.01)
+    run = tc.simulate(model, 0.05, stance.structure.nodes, controller=lqr, step=2e-4)
+    np.testing.assert_allclose(run.nodes[:, :, -1], stance.structure.nodes, atol=1e-6)
