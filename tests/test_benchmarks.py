@@ -194,6 +194,15 @@ def test_qp_solvers(printed):
         assert piqp == [] if find_spec("piqp") is None else piqp[-2] < 1e-4
 
 
+def test_nmpc_contact(printed, nothing_compiled):
+    text = printed("nmpc_contact", "--scenes 1 --duration 1.1")
+    sample, horizon, steps, clear, median, largest, *_ = row(text, "x")
+    assert (sample, horizon, steps) == (0.02, 15, 7)
+    assert clear > 0.1
+    assert 0 < median < largest < 5
+    assert "virtual machine; commands: 55 ok" in text
+
+
 @needs("do_mpc", "bench")
 @pytest.mark.filterwarnings("ignore:rterm was not set:UserWarning")
 @pytest.mark.filterwarnings(r"ignore:\s*casadi. a numpy function was called:FutureWarning")

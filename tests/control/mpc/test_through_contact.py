@@ -5,42 +5,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import SmoothGround
 from tenscontrol.plant import explicit_substeps, sampled_dynamics
-from tests import coupled
-
-SAMPLE = 0.02
-GROUND = {"stiffness": 5e3, "damping": 0.3, "friction": 0.5, "slip_speed": 0.1}
-STRINGS = tc.LinearStrings(stiffness=800.0, damping=2.0)
-
-
-def models(structure, width=0.005):
-    """The model that is simulated, and the one that is predicted with."""
-    grounds = tc.Ground(**GROUND), SmoothGround(**GROUND, width=width)
-    return [tc.Model(structure, STRINGS, gravity=9.81, ground=ground) for ground in grounds]
-
-
-def hanging(structure, height, gamma=40.0, width=0.005, **options):
-    """A plant in the air, its lowest node at a height above the ground."""
-    model = models(structure, width)[1]
-    rest = tc.prestress(structure, force_density=gamma)
-    nodes = structure.nodes.copy()
-    nodes[-1] += height - nodes[-1].min()
-    at = tc.OperatingPoint(nodes, rest.force_density, model.constant_force)
-    return tc.linearize(
-        model, at, coordinates="minimal", require_equilibrium=False,
-        **{"input": "rest_length"} | options,
-    )  # fmt: skip
-
-
-STRUCTURES = {
-    "x": lambda **options: hanging(tc.library.snelson_x(), **options),
-    "d_bar": lambda **options: hanging(coupled.d_bar(), **options),
-    "tower": lambda **options: hanging(
-        coupled.tower(), gamma=coupled.tower_force_density(15.0), **options
-    ),
-    "ball": lambda **options: hanging(tc.library.six_bar_ball(bar_length=1.0), **options),
-}
+from tests.control.mpc.contact_scenes import SAMPLE, STRINGS, STRUCTURES, hop, models
 
 
 def touching(plant, seed):
@@ -148,31 +114,6 @@ def test_the_smooth_law_comes_to_the_sharp_one_as_it_gets_narrow(name):
     assert errors[2] < 1.5e-3
 
 
-def weights(plant):
-    """Of the places of the centre above all, and a little of the rest."""
-    T, r, d = plant.basis, plant.degrees_of_freedom, len(plant.nodes)
-    Q = np.diag(np.r_[np.ones(r), np.full(r, 0.1)])
-    for axis in range(d):
-        row = T[axis::d].mean(axis=0)
-        Q[:r, :r] += 3000 * np.outer(row, row)
-    return Q, np.eye(plant.B.shape[1])
-
-
-def hop(plant, height, horizon, **options):
-    """An NMPC that lands, stands, jumps up by a height, and lands."""
-    stand = plant.nodes.copy()
-    stand[-1] -= stand[-1].min() + 0.002
-    high = stand.copy()
-    high[-1] += height
-    shapes = np.stack([stand, stand, high, high, stand], axis=-1)
-    reference = tc.Reference([0.0, 0.7, 0.9, 1.0, 1.1], shapes)
-    Q, R = weights(plant)
-    return tc.NMPC(
-        plant, horizon=horizon, sample_time=SAMPLE, Q=Q, R=R, reference=reference,
-        winches=tc.Winches(rate=3.0, shortest=0.4, longest=1.6), **options,
-    )  # fmt: skip
-
-
 def test_an_x_lands_stands_jumps_and_lands():
     """Designed in the air, where it falls, and run on the sharp law."""
     plant = STRUCTURES["x"](height=0.1)
@@ -199,6 +140,15 @@ def test_what_drifts_is_still_refused_by_linear_controllers():
         tc.MPC(plant, horizon=5, sample_time=SAMPLE)
     with pytest.raises(ValueError, match="out of reach of the strings, and grow or drift"):
         tc.LQR(plant, sample_time=SAMPLE)
+
+
+def test_places_that_the_coordinates_leave_out_are_refused():
+    plant = STRUCTURES["x"](height=0.1, coordinates="internal")
+    with pytest.raises(ValueError, match=r"plant has internal coordinates.*model has ground"):
+        tc.NMPC(plant, horizon=5, sample_time=SAMPLE)
+    sensors = tc.Sensors(structure=plant.model.structure, node_position=1e-3, nodes=[0])
+    with pytest.raises(ValueError, match=r"plant has internal coordinates.*model has ground"):
+        tc.KalmanFilter(plant, sensors, sample_time=SAMPLE, prediction="nonlinear")
 
 
 def test_ramps_are_refused():
