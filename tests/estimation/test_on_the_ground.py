@@ -7,6 +7,7 @@ import tenscontrol as tc
 from tenscontrol.dynamics import SmoothGround
 from tenscontrol.plant import acceleration_response
 from tests import coupled
+from tests.control.mpc import contact_scenes
 
 SAMPLE = 0.01
 GROUND = {"stiffness": 5e3, "damping": 0.3, "friction": 0.5, "slip_speed": 0.1}
@@ -151,3 +152,28 @@ def test_a_linear_prediction_of_a_fall_is_refused():
         tc.KalmanFilter(plant, sensors_of("x"), sample_time=SAMPLE)
     falling = plant_of("x", None)  # without ground a fall is linear
     assert tc.KalmanFilter(falling, sensors_of("x"), sample_time=SAMPLE).sample_time == SAMPLE
+
+
+@pytest.mark.filterwarnings("ignore:under NMPC the run:tenscontrol.control.ControlWarning")
+def test_an_x_jumps_by_estimates_through_an_outage():
+    """A marker of 5 mm, lengths and inertial sensors; nothing arrives while it lands."""
+    plant = contact_scenes.STRUCTURES["x"](height=0.1)
+    sharp = contact_scenes.models(plant.model.structure)[0]
+    at = tc.OperatingPoint(plant.nodes, plant.force_density, sharp.constant_force)
+    known = tc.linearize(
+        sharp, at, input="rest_length", coordinates="minimal", require_equilibrium=False
+    )
+    estimator = tc.KalmanFilter(
+        known, sensors_of("x"), sample_time=0.02, prediction="nonlinear", start_spread=0.01
+    )
+    nmpc = contact_scenes.hop(plant, 0.15, 12)
+    run = tc.simulate(
+        sharp, 1.2, plant.nodes, rest_length=plant.rest_length, controller=nmpc,
+        estimator=estimator, seed=1, faults=[tc.LostMeasurement(0.12, 0.2)],
+    )  # fmt: skip
+    assert set(nmpc.status_count) == {tc.control.Status.OK}
+    assert estimator.statistics.status_count["lost"] == 4
+    assert run.nodes[1].min(axis=0)[run.time > 0.5].max() > 0.08
+    found = run.control.estimate
+    rows = np.abs(run.time[:, None] - found.time).argmin(axis=0)
+    assert np.abs(found.nodes - run.nodes[..., rows]).max() < 0.02
