@@ -1,5 +1,6 @@
 """Structures that fall, touch and rock, estimated with the force of the contact known or not."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -100,6 +101,59 @@ def test_without_ground_the_ball_is_lost():
     lost, _ = errors("ball", "none", run, 5)
     known, _ = errors("ball", "sharp", run, 5)
     assert lost[0, -10:].mean() > 20 * known[0, -10:].mean()
+
+
+def ground_forces(plant, run, parts):
+    """Return the mean force of the ground on the nodes over each sample, N, shape (K, d, n)."""
+    N, V = (ca.SX.sym(name, *plant.nodes.shape) for name in "NV")
+    force = ca.Function("force", [N, V], [plant.model.contacts.forces(N, V)])
+    each = [
+        force(run.nodes[..., k], run.velocities[..., k]).full() for k in range(len(run.time) - 1)
+    ]
+    return np.array(each).reshape(-1, parts, *plant.nodes.shape).mean(axis=1)
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_measured_contact_forces_stand_in_for_the_ground(delay):
+    """Feet that feel: the filter has no ground in its model, and is told what they feel."""
+    touched, parts = plant_of("x", GROUNDS["sharp"]), 20
+    run = tc.simulate(
+        touched.model, 0.6, touched.nodes, rest_length=touched.rest_length, tolerance=1e-8,
+        output_step=SAMPLE / parts,
+    )  # fmt: skip
+    forces = ground_forces(touched, run, parts)
+    assert forces.max() > 20.0
+    plant, sensors = plant_of("x", None), sensors_of("x", delay=delay)
+    generator, off = np.random.default_rng(3), {}
+    readings = [
+        sensors.disturb(
+            sensors.measure(run.nodes[..., k], velocities=run.velocities[..., k]), generator
+        )
+        for k in range(0, len(run.time), parts)
+    ]
+    for told in (True, False):
+        estimator = tc.KalmanFilter(
+            plant, sensors, sample_time=SAMPLE, prediction="nonlinear", start_spread=0.01
+        )
+        off[told] = []
+        for k, force in enumerate(forces):
+            estimate = estimator.update(readings[k - delay] if k >= delay else None)
+            estimator.predict(plant.rest_length, force if told else None)
+            off[told].append(np.abs(estimate.velocities - run.velocities[..., parts * k]).mean())
+    assert np.mean(off[True][20:]) < 0.05 < 10 * np.mean(off[True][20:]) < np.mean(off[False][20:])
+
+
+@pytest.mark.parametrize("prediction", ["linear", "nonlinear"])
+def test_a_known_force_that_carries_the_weight_ends_the_fall(prediction):
+    plant = plant_of("x", None)
+    estimator = tc.KalmanFilter(
+        plant, sensors_of("x"), sample_time=SAMPLE, prediction=prediction, load=True
+    )
+    for _ in range(5):
+        estimator.predict(plant.rest_length, -plant.model.constant_force)
+    np.testing.assert_allclose(estimator.update(None).nodes, plant.nodes, rtol=0, atol=1e-9)
+    with pytest.raises(ValueError, match=r"force has shape \(2,\), expected \(2, 4\)"):
+        estimator.predict(plant.rest_length, [0.0, 1.0])
 
 
 def normalized_errors(name, seed, count):
