@@ -6,6 +6,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
 
+import numpy as np
 import pytest
 
 from tenscontrol.dynamics.machine_code import VARIABLE, compiler
@@ -192,6 +193,14 @@ def test_qp_solvers(printed):
             assert objective < 2e-3
         piqp = row(text, "PIQP, sparse", k)
         assert piqp == [] if find_spec("piqp") is None else piqp[-2] < 1e-4
+
+
+def test_contact_estimation(printed):
+    text = printed("contact_estimation", "--seeds 1 --structures 1")
+    places, rates, places_by_load, rates_by_load, *shares = row(text, "ball")
+    assert 2 * places < places_by_load
+    assert 4 * rates < rates_by_load
+    assert np.abs(np.array(shares) - 1).max() < 0.2
 
 
 def test_nmpc_contact(printed, nothing_compiled):

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
+from tenscontrol.dynamics import SmoothGround
 from tenscontrol.plant import explicit_substeps, sampled_dynamics
-from tests.control.mpc.contact_scenes import SAMPLE, STRINGS, STRUCTURES, hop, models
+from tests.control.mpc.contact_scenes import GROUND, SAMPLE, STRINGS, STRUCTURES, hop, models
 
 
 def touching(plant, seed):
@@ -85,6 +86,43 @@ def test_steps_are_short_enough_for_contact_also_where_the_plant_hangs(name):
         z = motion(z, plant.rest_length).full().ravel()
         off = plant.to_nodes(z[:r]) - run.nodes[..., k]
         assert np.abs(off).max() < 1.5e-4 * np.ptp(nodes)
+
+
+HILL = ca.SX.sym("x")
+LAWS = {
+    "sharp": tc.Ground(**GROUND),
+    "stiff": tc.Ground(**GROUND | {"stiffness": 1e6}),
+    "slippery": tc.Ground(stiffness=5e3),
+    "hertz": tc.dynamics.HertzGround(**GROUND | {"stiffness": 1e5}),
+    "hill": SmoothGround(**GROUND, height=ca.Function("h", [HILL], [0.05 * ca.sin(3 * HILL)])),
+    "corner": [
+        SmoothGround(**GROUND),
+        SmoothGround(**GROUND, normal=[1.0, 0.0], height=-0.05, nodes=[0, 3]),
+    ],
+}
+
+
+@pytest.mark.parametrize("law", list(LAWS))
+def test_steps_are_short_enough_for_any_law(law):
+    """A sliding, turning impact of an X, predicted over five samples, against DOP853."""
+    structure = tc.library.snelson_x()
+    model = tc.Model(structure, STRINGS, gravity=9.81, ground=LAWS[law])
+    nodes = structure.nodes + np.array([[0.0], [0.04]])
+    rest = tc.prestress(structure, force_density=40.0)
+    at = tc.OperatingPoint(nodes, rest.force_density, model.constant_force)
+    plant = tc.linearize(
+        model, at, input="rest_length", coordinates="minimal", require_equilibrium=False
+    )
+    velocities = np.array([[-0.3], [-0.8]]) + 0.5 * np.array([-nodes[1], nodes[0]])
+    run = tc.simulate(
+        model, 5 * SAMPLE, nodes, velocities, rest_length=plant.rest_length, tolerance=1e-9,
+        output_step=SAMPLE,
+    )  # fmt: skip
+    assert run.nodes[1].min() < 1e-3  # at the ends of samples
+    motion, z = sampled_dynamics(plant, SAMPLE)[0], plant.measure(nodes, velocities)
+    for k in range(1, 6):
+        z = motion(z, plant.rest_length).full().ravel()
+        assert np.abs(plant.to_nodes(z[:6]) - run.nodes[..., k]).max() < 1e-4
 
 
 def errors_against_sharp(width, name="x"):
