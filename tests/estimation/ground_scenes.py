@@ -1,5 +1,7 @@
 """Structures dropped on the ground, and filters that know its force or do not."""
 
+from functools import cache
+
 import numpy as np
 
 import tenscontrol as tc
@@ -13,8 +15,8 @@ STRINGS = tc.LinearStrings(stiffness=800.0, damping=2.0)
 
 # Structure, its force densities, nodes that are seen, and bars with inertial sensors.
 SCENES = {
-    "ball": (lambda: tc.library.six_bar_ball(bar_length=1.0), 60.0, [0, 4, 8], [0, 3]),
     "x": (tc.library.snelson_x, 40.0, [0], [0, 1]),
+    "ball": (lambda: tc.library.six_bar_ball(bar_length=1.0), 60.0, [0, 4, 8], [0, 3]),
     "tower": (coupled.tower, coupled.tower_force_density(15.0), [0, 4, 8], [0, 3]),
 }
 
@@ -47,6 +49,7 @@ def sensors_of(name, **more):
     )  # fmt: skip
 
 
+@cache
 def dropped(name, seed, duration):
     """A drop on the sharp law, turning and moving sideways, so that it rocks and slides."""
     plant, rng = plant_of(name, GROUNDS["sharp"]), np.random.default_rng(seed)
