@@ -6,6 +6,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
 
+import numpy as np
 import pytest
 
 from tenscontrol.dynamics.machine_code import VARIABLE, compiler
@@ -217,6 +218,23 @@ def test_qp_solvers(printed):
             assert objective < 2e-3
         piqp = row(text, "PIQP, sparse", k)
         assert piqp == [] if find_spec("piqp") is None else piqp[-2] < 1e-4
+
+
+def test_contact_estimation(printed):
+    text = printed("contact_estimation", "--seeds 1 --structures 1")
+    places, rates, places_by_load, rates_by_load, *shares = row(text, "x")
+    assert 2 * places < places_by_load
+    assert 4 * rates < rates_by_load
+    assert np.abs(np.array(shares) - 1).max() < 0.5
+
+
+def test_nmpc_contact(printed, nothing_compiled):
+    text = printed("nmpc_contact", "--scenes 1 --duration 1.1")
+    sample, horizon, steps, clear, median, largest, *_ = row(text, "x")
+    assert (sample, horizon, steps) == (0.02, 15, 7)
+    assert clear > 0.1
+    assert 0 < median < largest < 5
+    assert "virtual machine; commands: 55 ok" in text
 
 
 @needs("do_mpc", "bench")

@@ -23,6 +23,7 @@ from tenscontrol.plant import (
     acceleration_response,
     filter_riccati,
     reduced_shape,
+    refuse_lost_place,
     sampled,
     sampled_dynamics,
 )
@@ -116,6 +117,8 @@ def filter_design(
             f"sensors are those of {sensors.structure!r}, but plant is that of "
             f"{plant.model.structure!r} with other nodes, bars or strings"
         )
+    if prediction == "nonlinear":
+        refuse_lost_place(plant)
     plant = observed_plant(plant, sensors)
     if not len(plant.A):
         raise ValueError("plant has no states, so there is nothing to estimate")
@@ -181,8 +184,8 @@ def _refuse_fall(plant: LinearPlant, pull: float) -> None:
     if plant.model.contacts is not None and drift > _FALLS * pull:
         raise ValueError(
             f"plant is not at rest: it drifts by {drift:.3g} m √kg/s², and a linear prediction "
-            "does not know of the ground that it meets. Give prediction='nonlinear', or linearize about "
-            "a shape that stands"
+            "does not know of the ground that it meets. Give prediction='nonlinear', or linearize "
+            "about a shape that stands"
         )
 
 

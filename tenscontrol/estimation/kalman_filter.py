@@ -13,7 +13,7 @@ from tenscontrol.dynamics import Evaluator, Exclusive, exclusive
 from tenscontrol.estimation.correction import Correction
 from tenscontrol.estimation.filter_design import FilterDesign, filter_design
 from tenscontrol.estimation.sensors import Sensors
-from tenscontrol.plant import LinearPlant, Modes, warn_of_left_alone
+from tenscontrol.plant import LinearPlant, Modes, acceleration_response, warn_of_left_alone
 from tenscontrol.validation import FloatArray, IntArray, frozen, measured, shaped
 
 OK, PARTLY, LOST, REFUSED = "ok", "partly used", "lost", "refused"
@@ -386,8 +386,9 @@ class KalmanFilter:
         if covariance is not None:
             P = _checked_covariance(covariance, self._size)
         self._z, self._P = z, P
-        # Inputs since the moment of the state; the previous one acts on the tensions then.
-        self._inputs: deque[FloatArray] = deque()
+        # Inputs since the moment of the state, each with what known forces add to the state in its
+        # sample; the previous one acts on the tensions then.
+        self._inputs: deque[tuple[FloatArray, FloatArray | None]] = deque()
         self._previous_input = None if held is None else self._checked_input(held)
         self._mostly_refused = 0
         self._tally = Tally(len(self.sensors.readings))
@@ -423,8 +424,8 @@ class KalmanFilter:
             self._correct(y)
         z, P = self._z, self._P
         previous = self._previous_input
-        for held in self._inputs:
-            z, P = self._advanced(z, P, previous, held)
+        for held, push in self._inputs:
+            z, P = self._advanced(z, P, previous, held, push)
             previous = held
         if not self._correction.reaches(z):
             self._start_over(after=True)
@@ -432,7 +433,7 @@ class KalmanFilter:
         return self._estimate(z, P)
 
     @exclusive
-    def predict(self, held: object) -> None:
+    def predict(self, held: object, force: object = None) -> None:
         """Predict the state at the next sample.
 
         Parameters
@@ -440,23 +441,37 @@ class KalmanFilter:
         held : array_like, shape (α,)
             γ, N/m, or rest lengths, m, that the actuators hold until the next sample, or reach
             by then: the applied input, not the command.
+        force : array_like, shape (d, n), optional
+            Known forces on the nodes until then, N, on average: of contacts that are measured, for
+            a plant whose model does not have them. To first order.
 
         Raises
         ------
         TypeError, ValueError
             If it does not fit or is not finite.
         """
-        self._inputs.append(self._checked_input(held))
+        self._inputs.append((self._checked_input(held), self._pushed(force)))
         if len(self._inputs) <= self.sensors.delay:
             return
-        previous, self._previous_input = self._previous_input, self._inputs.popleft()
-        self._z, self._P = self._advanced(self._z, self._P, previous, self._previous_input)
+        previous = self._previous_input
+        self._previous_input, push = self._inputs.popleft()
+        self._z, self._P = self._advanced(self._z, self._P, previous, self._previous_input, push)
         spread = np.diag(self._P) / np.diag(self._design.start_covariance)
         if not self._correction.reaches(self._z) or spread.max() > _NOTHING_KNOWN:
             self._start_over()
 
     def _checked_input(self, held: object) -> FloatArray:
         return shaped("held", held, (self.plant.B.shape[1],), "one per string")
+
+    def _pushed(self, force: object) -> FloatArray | None:
+        """Return what known forces add to the state in a sample, shape (2r,)."""
+        if force is None:
+            return None
+        shape = self.plant.nodes.shape
+        forces = shaped("force", force, shape, "one force per node, N")
+        # Tᵀ M T = I: forces on the nodes give the accelerations Tᵀ f.
+        given = self.plant.basis.T @ forces.ravel(order="F")
+        return np.asarray(acceleration_response(self.plant, self.sample_time) @ given)
 
     def _correct(self, y: FloatArray) -> None:
         """Correct the state of the moment that was measured."""
@@ -481,8 +496,9 @@ class KalmanFilter:
         self._tally.add(gate.lost(y), usable, found.passed, found.nis, entries)
 
     def _advanced(
-        self, z: FloatArray, P: FloatArray, previous: FloatArray | None, held: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+        self, z: FloatArray, P: FloatArray, previous: FloatArray | None, held: FloatArray,
+        push: FloatArray | None,
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         """Return state and covariance a sample later; a ramp goes from the previous input."""
         design, start = self._design, held if previous is None else previous
         if self._motion is None:
@@ -499,6 +515,8 @@ class KalmanFilter:
                 share = (left + 0.5) / count if count > 1 else 0.0
                 end, along, _ = self._motion(z, held + share * (start - held))
                 z, transition = end.copy(), along @ transition
+        if push is not None:
+            z = z + np.pad(push, (0, len(z) - len(push)))
         P = transition @ P @ transition.T + design.process_covariance
         return z, 0.5 * (P + P.T)
 

@@ -87,6 +87,7 @@ def _motion(
 ) -> tuple[Any, Any, Any]:
     """Return all nodes and velocities, and the accelerations of what is free, node by node."""
     model, structure = plant.model, plant.model.structure
+    refuse_lost_place(plant)
     N, V = reduced_motion(plant, z, near)
     free = structure.free.tolist()
     x = ca.vertcat(*(kernel.free_entries(structure, part[:, free]) for part in (N, V)))
@@ -95,6 +96,19 @@ def _motion(
         held, equation = string_forces(plant, plant.input, N, V, held)[0], model.dynamics
     slope = equation(x, held, *map(ca.DM, plant.load_input))
     return N, V, slope[slope.shape[0] // 2 :]
+
+
+def refuse_lost_place(plant: LinearPlant) -> None:
+    """Raise if forces of the ground depend on where the structure is, and coordinates do not say.
+
+    Where supports leave no motion as one body, internal coordinates say it.
+    """
+    frame = plant.coordinates
+    if plant.model.contacts is not None and frame.kind == "internal" and frame.is_loose:
+        raise ValueError(
+            "plant has internal coordinates, which leave out where the structure is, and its model "
+            "has ground, whose forces depend on that: linearize with coordinates='minimal'"
+        )
 
 
 @kept

@@ -1111,7 +1111,7 @@ call(
 )
 call(
     "KalmanFilter.predict",
-    lambda: {"held": rest_length()},
+    lambda: {"held": rest_length(), "force": 0.1 * nodes()},
     fresh(estimator),
     0.5,
     lambda: estimate_after(estimator()),

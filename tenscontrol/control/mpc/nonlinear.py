@@ -137,7 +137,8 @@ class NMPC(PredictiveController):
     ----------
     plant : LinearPlant
         In internal coordinates, at an equilibrium. It says which input, and
-        gives the terminal cost, that of its discrete LQR.
+        gives the terminal cost, that of its discrete LQR. Of a model with ground in minimal
+        coordinates, where it stands or in the air: contact is predicted.
     iterations : int
         Programs solved in a sample at most; fewer if the plan has converged.
     machine_code : bool
@@ -153,8 +154,8 @@ class NMPC(PredictiveController):
     Raises
     ------
     TypeError, ValueError
-        If an argument does not fit, no string reaches a motion that grows or drifts, or the
-        operating point or the reference breaks a hard limit.
+        If an argument does not fit, no string reaches a motion that grows, or drifts without
+        ground, or the operating point or the reference breaks a hard limit.
 
     Warns
     -----

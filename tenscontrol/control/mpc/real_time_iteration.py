@@ -7,6 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from tenscontrol.actuation import Winches
 from tenscontrol.control.disturbance import LoadObserver
 from tenscontrol.control.mpc.problem import (
     Constraints,
@@ -70,21 +71,15 @@ class TrajectoryModel:
     ) -> None:
         sample_time, length, winches = settings.sample_time, settings.horizon, settings.winches
         ramp = winches is not None and winches.ramp
-        touching = plant.model.contacts is not None
-        if winches is not None and ramp and touching:
-            raise ValueError(
-                f"winches has substeps={winches.substeps}, and NMPC predicts contact with the "
-                "ground by explicit steps with inputs that are held: give Winches(substeps=1), "
-                "whose rate bounds the changes from sample to sample"
-            )
         stiff = (
-            plant.input == "rest_length"
-            and not touching
-            and explicit_substeps(plant, sample_time) > _MOST_EXPLICIT
+            plant.input == "rest_length" and explicit_substeps(plant, sample_time) > _MOST_EXPLICIT
         )
         self.implicit = stiff or ramp
         self.discretization: Discretization
         prepared = plant.prepared
+        if plant.model.contacts is not None:
+            _refuse_ramps(winches)
+            self.implicit = False  # one step a sample would pass over an impact
         if self.implicit:
             self.discretization = RadauIIA(plant, sample_time, length, ramp, machine_code)
         else:
@@ -166,6 +161,16 @@ class TrajectoryModel:
         if self.limited is None:
             return motion, None
         return motion, stage_jacobians(self._rows, here, inputs[1:], later)
+
+
+def _refuse_ramps(winches: Winches | None) -> None:
+    """Raise if winches wind through samples: explicit steps have inputs that are held."""
+    if winches is not None and winches.substeps > 1:
+        raise ValueError(
+            f"winches has substeps={winches.substeps}, and NMPC predicts contact with the ground "
+            "with inputs that are held over a sample: give Winches(substeps=1), whose rate bounds "
+            "the changes from sample to sample"
+        )
 
 
 def limited_rows(plant: LinearPlant, constraints: Constraints, at_end: bool = False) -> ca.Function:

@@ -7,40 +7,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.dynamics import SmoothGround
 from tenscontrol.plant import explicit_substeps, sampled_dynamics
-from tests import coupled
-
-SAMPLE = 0.02
-GROUND = {"stiffness": 5e3, "damping": 0.3, "friction": 0.5, "slip_speed": 0.1}
-STRINGS = tc.LinearStrings(stiffness=800.0, damping=2.0)
-
-
-def models(structure, width=0.005):
-    """The model that is simulated, and the one that is predicted with."""
-    grounds = tc.Ground(**GROUND), SmoothGround(**GROUND, width=width)
-    return [tc.Model(structure, STRINGS, gravity=9.81, ground=ground) for ground in grounds]
-
-
-def hanging(structure, height, gamma=40.0, width=0.005, **options):
-    """A plant in the air, its lowest node at a height above the ground."""
-    model = models(structure, width)[1]
-    rest = tc.prestress(structure, force_density=gamma)
-    nodes = structure.nodes.copy()
-    nodes[-1] += height - nodes[-1].min()
-    at = tc.OperatingPoint(nodes, rest.force_density, model.constant_force)
-    return tc.linearize(
-        model, at, coordinates="minimal", require_equilibrium=False,
-        **{"input": "rest_length"} | options,
-    )  # fmt: skip
-
-
-STRUCTURES = {
-    "x": lambda **options: hanging(tc.library.snelson_x(), **options),
-    "d_bar": lambda **options: hanging(coupled.d_bar(), **options),
-    "tower": lambda **options: hanging(
-        coupled.tower(), gamma=coupled.tower_force_density(15.0), **options
-    ),
-    "ball": lambda **options: hanging(tc.library.six_bar_ball(bar_length=1.0), **options),
-}
+from tests.control.mpc.contact_scenes import GROUND, SAMPLE, STRINGS, STRUCTURES, hop, models
 
 
 def touching(plant, seed):
@@ -121,6 +88,43 @@ def test_steps_are_short_enough_for_contact_also_where_the_plant_hangs(name):
         assert np.abs(off).max() < 1.5e-4 * np.ptp(nodes)
 
 
+HILL = ca.SX.sym("x")
+LAWS = {
+    "sharp": tc.Ground(**GROUND),
+    "stiff": tc.Ground(**GROUND | {"stiffness": 1e6}),
+    "slippery": tc.Ground(stiffness=5e3),
+    "hertz": tc.dynamics.HertzGround(**GROUND | {"stiffness": 1e5}),
+    "hill": SmoothGround(**GROUND, height=ca.Function("h", [HILL], [0.05 * ca.sin(3 * HILL)])),
+    "corner": [
+        SmoothGround(**GROUND),
+        SmoothGround(**GROUND, normal=[1.0, 0.0], height=-0.05, nodes=[0, 3]),
+    ],
+}
+
+
+@pytest.mark.parametrize("law", list(LAWS))
+def test_steps_are_short_enough_for_any_law(law):
+    """A sliding, turning impact of an X, predicted over five samples, against DOP853."""
+    structure = tc.library.snelson_x()
+    model = tc.Model(structure, STRINGS, gravity=9.81, ground=LAWS[law])
+    nodes = structure.nodes + np.array([[0.0], [0.04]])
+    rest = tc.prestress(structure, force_density=40.0)
+    at = tc.OperatingPoint(nodes, rest.force_density, model.constant_force)
+    plant = tc.linearize(
+        model, at, input="rest_length", coordinates="minimal", require_equilibrium=False
+    )
+    velocities = np.array([[-0.3], [-0.8]]) + 0.5 * np.array([-nodes[1], nodes[0]])
+    run = tc.simulate(
+        model, 5 * SAMPLE, nodes, velocities, rest_length=plant.rest_length, tolerance=1e-9,
+        output_step=SAMPLE,
+    )  # fmt: skip
+    assert run.nodes[1].min() < 1e-3  # at the ends of samples
+    motion, z = sampled_dynamics(plant, SAMPLE)[0], plant.measure(nodes, velocities)
+    for k in range(1, 6):
+        z = motion(z, plant.rest_length).full().ravel()
+        assert np.abs(plant.to_nodes(z[:6]) - run.nodes[..., k]).max() < 1e-4
+
+
 def errors_against_sharp(width, name="x"):
     """Largest distance of a node from the sharp plant's after three samples of touching, m."""
     plant = STRUCTURES[name](height=0.05, width=width)
@@ -146,31 +150,6 @@ def test_the_smooth_law_comes_to_the_sharp_one_as_it_gets_narrow(name):
     errors = [errors_against_sharp(width, name) for width in (0.02, 0.01, 0.005)]
     assert errors[0] > 1.5 * errors[1] > 2.2 * errors[2]
     assert errors[2] < 1.5e-3
-
-
-def weights(plant):
-    """Of the places of the centre above all, and a little of the rest."""
-    T, r, d = plant.basis, plant.degrees_of_freedom, len(plant.nodes)
-    Q = np.diag(np.r_[np.ones(r), np.full(r, 0.1)])
-    for axis in range(d):
-        row = T[axis::d].mean(axis=0)
-        Q[:r, :r] += 3000 * np.outer(row, row)
-    return Q, np.eye(plant.B.shape[1])
-
-
-def hop(plant, height, horizon, **options):
-    """An NMPC that lands, stands, jumps up by a height, and lands."""
-    stand = plant.nodes.copy()
-    stand[-1] -= stand[-1].min() + 0.002
-    high = stand.copy()
-    high[-1] += height
-    shapes = np.stack([stand, stand, high, high, stand], axis=-1)
-    reference = tc.Reference([0.0, 0.7, 0.9, 1.0, 1.1], shapes)
-    Q, R = weights(plant)
-    return tc.NMPC(
-        plant, horizon=horizon, sample_time=SAMPLE, Q=Q, R=R, reference=reference,
-        winches=tc.Winches(rate=3.0, shortest=0.4, longest=1.6), **options,
-    )  # fmt: skip
 
 
 def test_an_x_lands_stands_jumps_and_lands():
@@ -199,6 +178,15 @@ def test_what_drifts_is_still_refused_by_linear_controllers():
         tc.MPC(plant, horizon=5, sample_time=SAMPLE)
     with pytest.raises(ValueError, match="out of reach of the strings, and grow or drift"):
         tc.LQR(plant, sample_time=SAMPLE)
+
+
+def test_places_that_the_coordinates_leave_out_are_refused():
+    plant = STRUCTURES["x"](height=0.1, coordinates="internal")
+    with pytest.raises(ValueError, match=r"plant has internal coordinates.*model has ground"):
+        tc.NMPC(plant, horizon=5, sample_time=SAMPLE)
+    sensors = tc.Sensors(structure=plant.model.structure, node_position=1e-3, nodes=[0])
+    with pytest.raises(ValueError, match=r"plant has internal coordinates.*model has ground"):
+        tc.KalmanFilter(plant, sensors, sample_time=SAMPLE, prediction="nonlinear")
 
 
 def test_ramps_are_refused():
