@@ -305,7 +305,7 @@ def closed_run():
 
 @cache
 def dropped_run():
-    model = tc.Model(prism(), gravity=9.81, ground=tc.Ground(stiffness=5e3, height=-1e-3))
+    model = tc.Model(tc.prism(), gravity=9.81, ground=tc.Ground(stiffness=5e3, height=-1e-3))
     return tc.simulate(model, 0.02, force_density=np.full(9, 20.0), step=1e-3)
 
 
