@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, evaluate_columns, polynomial_at
-from tenscontrol.integrate import IntegrationError
+from tenscontrol.dynamics import ContactLaw, Equation, Model, evaluate_columns, polynomial_at
+from tenscontrol.integrate import Choice, IntegrationError, Integrator
 from tenscontrol.validation import FloatArray, IntArray, frozen
-
-if TYPE_CHECKING:
-    from tenscontrol.simulation.loop import Loop
 
 # Nodes and weights of Lobatto's quadrature of order 8, over parts from 0 to 1.
 _INNER = np.sqrt(3 / 7) / 2
@@ -174,11 +172,32 @@ class ContactRecord:
         return f"ContactRecord({len(self.node)} contacts, {len(self.touch)} times)"
 
 
+class _Motion(Protocol):
+    """What segments need of the plant side of a simulation; see :class:`Loop`."""
+
+    model: Model
+    integrator: Integrator | None
+    choice: Choice | None
+
+    @property
+    def equation(self) -> Equation: ...
+
+    @property
+    def spans(self) -> Sequence[Any]: ...
+
+    @property
+    def offset(self) -> object: ...
+
+    def all_nodes(
+        self, states: FloatArray, coefficients: FloatArray, time: FloatArray
+    ) -> FloatArray: ...
+
+
 @dataclass(eq=False)
 class Segments:
     """Parts of a motion: each the quintic with the states and accelerations at its ends."""
 
-    loop: Loop
+    loop: _Motion
     of: IntArray  # stretch that each is part of, shape (K,)
     begins: FloatArray  # s
     ends: FloatArray

@@ -1436,7 +1436,11 @@ call(
     },
 )
 call("plot.structure, run", lambda: {"structure": run(), "time": 0.0, "ax": space()}, share=0.2)
-call("plot.Drawing.update", lambda: {"nodes": nodes(), "force_density": None}, drawing)
+call(
+    "plot.Drawing.update",
+    lambda: {"nodes": nodes(), "force_density": None, "touching": None},
+    drawing,
+)
 call(
     "plot.animate",
     lambda: {
@@ -1454,6 +1458,7 @@ call("plot.convergence_order", lambda: {"result": order(), "ax": flat()}, share=
 call("plot.estimate", lambda: {"run": closed_run(), "strings": [0, 1], "axes": None}, share=0.1)
 call("plot.tracking", lambda: {"run": closed_run(), "axes": None}, share=0.1)
 call("plot.health", lambda: {"run": run(), "axes": None}, share=0.1)
+call("plot.contacts", lambda: {"run": dropped_run(), "axes": None}, share=0.1)
 call("plot.motors", lambda: {"run": closed_run(), "axes": None}, share=0.1)
 call(
     "plot.history",
