@@ -60,6 +60,16 @@ def _patch(ax: Any, law: ContactLaw, box: FloatArray) -> list[Any]:
         z = _heights(law.height, x, y)
         z[(z < box[2, 0]) | (z > box[2, 1])] = np.nan
         return [ax.plot_surface(x, y, z, rstride=1, cstride=1, shade=True, linewidth=0.0, **look)]
+    border = plane_border(law, box)
+    if not len(border):
+        return []
+    patch = Poly3DCollection([border], edgecolor="0.45", linewidth=0.8, **look)
+    ax.add_collection3d(patch, autolim=False)
+    return [patch]
+
+
+def plane_border(law: ContactLaw, box: FloatArray) -> FloatArray:
+    """Return the corners, shape (k, 3), of the part of a plane in a box, shape (3, 2)."""
     normal = law.up(3)
     steep = int(np.abs(normal).argmax())
     along = [axis for axis in range(3) if axis != steep]
@@ -69,11 +79,7 @@ def _patch(ax: Any, law: ContactLaw, box: FloatArray) -> list[Any]:
     corners[:, steep] = (law.height - corners @ normal) / normal[steep]
     for bound, sign in ((box[steep, 0], 1.0), (box[steep, 1], -1.0)):
         corners = _clipped(corners, sign * (corners[:, steep] - bound))
-    if not len(corners):
-        return []
-    patch = Poly3DCollection([corners], edgecolor="0.45", linewidth=0.8, **look)
-    ax.add_collection3d(patch, autolim=False)
-    return [patch]
+    return corners
 
 
 def _clipped(corners: FloatArray, inside: FloatArray) -> FloatArray:

@@ -366,3 +366,10 @@ def test_deep_is_worth_a_warning_but_no_error_of_the_integration():
         flat_drop(tc.Ground(stiffness=20.0), 1.0, **EXACT)
     assert "accurate" not in str(caught[0].message)
     flat_drop(tc.Ground(stiffness=20.0), 1.0, limits=tc.HealthLimits(penetration=None), **EXACT)
+
+
+def test_contacts_are_saved_with_the_run(ball, tmp_path):
+    file = tc.scene.save_trajectory(ball.usual, tmp_path / "run.npz")
+    with np.load(file) as saved:
+        np.testing.assert_array_equal(saved["contacts_begin"], ball.usual.contacts.begin)
+        assert saved["ground"][0].startswith("Ground(stiffness=5000.0")
