@@ -12,6 +12,7 @@ from tenscontrol.plot.accuracy_figures import (
 )
 from tenscontrol.plot.animation import animate
 from tenscontrol.plot.estimation_error import estimate
+from tenscontrol.plot.ground_drawing import contacts
 from tenscontrol.plot.histories import Curves, history
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
 from tenscontrol.plot.motion_histories import health, motors, tracking, trajectory
@@ -28,6 +29,7 @@ __all__ = [
     "PoleMap",
     "SweepDrawing",
     "animate",
+    "contacts",
     "convergence_order",
     "estimate",
     "health",

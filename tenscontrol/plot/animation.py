@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
@@ -13,8 +14,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from tenscontrol.dynamics import ContactLaw, checked_grounds
 from tenscontrol.files import write_file
+from tenscontrol.plot.ground_drawing import add_ground, ground_samples, near_ground, touching
 from tenscontrol.plot.structure_drawing import (
     SIZE,
     draw,
@@ -30,6 +31,7 @@ from tenscontrol.plot.style import FAINT, NORMAL
 from tenscontrol.simulation import Trajectory
 from tenscontrol.validation import (
     FloatArray,
+    IntArray,
     file_path,
     float_array,
     instance,
@@ -42,9 +44,6 @@ _SLOWEST, _FASTEST = 0.01, 50.0
 
 # Pixels of all frames, a byte each, and of an inch.
 _MOST_PIXELS, _MOST_DOTS = 4e9, 1000
-
-# Lines of the net that shows a plane.
-_NET = 9
 
 # Drawings of lines need few. One palette for all pictures makes the file a third
 # of what matplotlib's PillowWriter makes it, and keeps colours from flickering.
@@ -92,14 +91,14 @@ def animate(
     fps: float = 20.0,
     duration: float | None = None,
     target: object = None,
-    ground: ContactLaw | Sequence[ContactLaw] | None = None,
     view: tuple[float, float] = (20.0, -60.0),
     dpi: int = 100,
 ) -> Path:
     """Write a motion as an animated GIF, which repeats without end.
 
     The frames are equally spaced in time, the first and the last state among
-    them, and nothing but the structure moves. Slack strings are dotted.
+    them, and nothing but the structure moves. Slack strings are dotted, and nodes that press on the
+    ground are marked.
 
     Parameters
     ----------
@@ -114,8 +113,6 @@ def animate(
     target : array_like, shape (d, n), optional
         Node positions of a shape to draw faintly, m: where the motion should go. It is drawn where
         it is given; a free structure may reach the shape at another place.
-    ground : ContactLaw or sequence of ContactLaw, optional
-        Planes to draw faintly, where the structure is above them: ``model.ground``.
     view : tuple of two floats
         Elevation and azimuth of the eye, degrees; of no use in the plane.
     dpi : int
@@ -175,42 +172,47 @@ def animate(
     goal = None
     if target is not None:
         goal = run.structure.checked_nodes("target", target)
-    grounds = checked_grounds(ground, run.structure)
     times = np.linspace(run.time[0], run.time[-1], max(2, round(length * rate)))
-    shapes, gammas = _sampled(run, motion, times)
+    shapes, gammas, states = _sampled(run, motion, times)
     figure = Figure(figsize=SIZE, dpi=dots)
     canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
     d = run.structure.dimension
     fill_figure(figure, d)
     ax = new_view(figure, d)
     samples = legend_samples(run.structure, any(is_slack(gamma).any() for gamma in gammas.T))
+    samples += ground_samples(run.ground)
     if goal is not None:
         draw(ax, run.structure, goal, FAINT)
         samples.append(sample("target", color=FAINT.bar_color, linewidth=FAINT.bar_width))
     drawing = draw(ax, run.structure, shapes[:, :, 0], NORMAL)
     everywhere = [shapes.reshape(d, -1)]
-    everywhere += [_draw_plane(ax, law, everywhere[0]) for law in grounds]
+    everywhere += [near_ground(run.ground, everywhere[0])]
     frame(ax, everywhere if goal is None else [*everywhere, goal], grow=False)
     label_view(ax)
     if d == 3:
         ax.view_init(elev=float(eye[0]), azim=float(eye[1]))
+    if run.ground:
+        ground, marks = add_ground(ax, run.ground, np.zeros((d, 0)), len(run.structure.bars))
+        drawing = replace(drawing, ground=ground, touching=marks)
     figure.legend(handles=samples, loc="upper left", frameon=False, fontsize="small", ncols=5 - d)
     clock = figure.text(0.97, 0.96, "", ha="right", va="top")
     # Axes and legend stand still: they are drawn once, and what moves upon a copy of them.
-    moving = [*sorted((*ax.collections, *ax.lines), key=lambda each: each.get_zorder()), clock]
+    members = [each for each in (*ax.collections, *ax.lines) if each not in drawing.ground]
+    moving = [*sorted(members, key=lambda each: each.get_zorder()), clock]
     for artist in moving:
         artist.set_animated(True)
     canvas.draw()
     still = canvas.copy_from_bbox(figure.bbox)
 
     def pictures() -> Iterator[None]:
-        for time, shape, gamma in zip(times, np.moveaxis(shapes, 2, 0), gammas.T, strict=True):
-            drawing.update(shape, gamma)
+        frames = zip(times, np.moveaxis(shapes, 2, 0), gammas.T, states, strict=True)
+        for time, shape, gamma, state in frames:
+            drawing.update(shape, gamma, touching(run.contacts, state))
             clock.set_text(f"t = {time:.2f} s")
             canvas.restore_region(still)
             if d == 3:
-                for members in ax.collections:
-                    members.do_3d_projection()
+                for lines in ax.collections:
+                    lines.do_3d_projection()
             for artist in moving:
                 artist.draw(canvas.get_renderer())
             yield
@@ -219,34 +221,13 @@ def animate(
     return place
 
 
-def _draw_plane(ax: Any, law: ContactLaw, points: FloatArray) -> FloatArray:
-    """Draw the part of a plane that is below some points as a net, and return its nodes."""
-    if not isinstance(law.height, float):
-        raise ValueError("ground is curved, expected planes: leave it out")
-    normal = law.up(len(points))
-    tangents = [np.eye(len(points))[i] for i in np.argsort(np.abs(normal))[: len(points) - 1]]
-    tangents[0] = tangents[0] - (tangents[0] @ normal) * normal
-    tangents[0] /= np.linalg.norm(tangents[0])
-    if len(points) == 3:
-        tangents[1] = np.cross(normal, tangents[0])
-    ends = [np.linspace(min(along), max(along), _NET) for along in np.array(tangents) @ points]
-    across = np.array(np.meshgrid(*ends, indexing="ij"))
-    net = np.tensordot(np.transpose(tangents), across, 1)
-    net += law.height * normal.reshape(-1, *[1] * len(tangents))
-    style = {"color": FAINT.bar_color, "linewidth": FAINT.string_width, "zorder": 0}
-    for lines in (net, net.swapaxes(1, -1)) if len(points) == 3 else (net[:, None],):
-        for line in np.moveaxis(lines, 1, 0):
-            ax.plot(*line, **style)
-    return net.reshape(len(points), -1)
-
-
 def _sampled(
     run: Trajectory, motion: FloatArray, times: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return node positions between the states, (d, n, frames), and γ there, (α, frames)."""
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return nodes between the states, (d, n, frames), γ there, (α, frames), and the states."""
     after = np.clip(np.searchsorted(run.time, times), 0, len(run.time) - 1)
     before = np.maximum(after - 1, 0)
     gap = run.time[after] - run.time[before]
     share = np.where(gap > 0, (times - run.time[before]) / np.where(gap > 0, gap, 1.0), 1.0)
     shapes = motion[:, :, before] * (1 - share) + motion[:, :, after] * share
-    return shapes, run.force_density[:, after]
+    return shapes, run.force_density[:, after], after

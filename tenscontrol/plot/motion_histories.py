@@ -382,6 +382,8 @@ def _energies(run: Trajectory) -> dict[str, FloatArray]:
     }
     if run.released_energy.any():
         rows["lost with cut strings"] = run.released_energy[None]
+    if run.contacts is not None:
+        rows["lost at the ground"] = run.lost_energy[None]
     return rows
 
 

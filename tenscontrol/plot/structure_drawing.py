@@ -17,6 +17,7 @@ from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
+from tenscontrol.plot.ground_drawing import add_ground, ground_samples, near_ground, touching
 from tenscontrol.plot.style import (
     DOTTED,
     FAINT,
@@ -35,6 +36,8 @@ from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
+    float_array,
+    indices,
     instance,
     non_negative,
     number,
@@ -190,6 +193,10 @@ class Drawing:
         masses on bars, rollers. Each has its name and its nodes.
     supports : Line3D, Line2D or None
         The marks of the fixed nodes, which a simulation may move; None without any.
+    ground : tuple of artists
+        What was drawn of the ground of a run.
+    touching : Line3D, Line2D or None
+        The marks of nodes that press on the ground; None where there is none.
     """
 
     structure: Structure
@@ -203,8 +210,10 @@ class Drawing:
     colorbar: Any
     marks: tuple[tuple[str, Any, IntArray], ...] = ()
     supports: Any = None
+    ground: tuple[Any, ...] = ()
+    touching: Any = None
 
-    def update(self, nodes: object, force_density: object = None) -> None:
+    def update(self, nodes: object, force_density: object = None, touching: object = None) -> None:
         """Move the drawing to other node positions. The limits of the axes stay.
 
         Parameters
@@ -214,6 +223,8 @@ class Drawing:
         force_density : float or array_like, shape (α,), optional
             γ, N/m: slack strings become dotted, and the colours follow where
             the drawing has a colour scale. Strings look as before if not given.
+        touching : array_like of int, optional
+            The nodes that press on the ground, if there is one; none if not given.
 
         Raises
         ------
@@ -232,6 +243,10 @@ class Drawing:
         moved += [(points, positions[:, which]) for _, points, which in self.marks]
         if self.supports is not None:
             moved.append((self.supports, positions[:, self.structure.fixed]))
+        if self.touching is not None:
+            which = float_array("touching", () if touching is None else touching)
+            nodes_there = indices("touching", which, positions.shape[1], "nodes")
+            moved.append((self.touching, positions[:, nodes_there]))
         for points, where in moved:
             set_places = points.set_data_3d if self.structure.dimension == 3 else points.set_data
             set_places(*where)
@@ -428,7 +443,8 @@ def structure(
     ----------
     structure : Structure, Prestress, ShapeTarget or Trajectory
         A prestress, an equilibrium or a shape that was found are drawn with the colours of their
-        force densities unless they are faint, and so is a run, in its last shape.
+        force densities unless they are faint, and so is a run, in its last shape; with its ground,
+        if there is one, and marks of the nodes that press on it.
     nodes : array_like, shape (d, n), optional
         Node positions, m; if not given, the reference shape, or that of the result.
     time : float, optional
@@ -473,7 +489,9 @@ def structure(
 
     >>> plt.close(tc.plot.structure(rest).ax.figure)
     """
-    structure, nodes, colours = _in_a_shape(structure, nodes, force_density, time)
+    run = structure if isinstance(structure, Trajectory) and not faint else None
+    laws = () if run is None else run.ground
+    structure, nodes, colours, state = _in_a_shape(structure, nodes, force_density, time)
     for name, flag in {"labels": labels, "member_labels": member_labels, "faint": faint}.items():
         truth(name, flag, "whether to draw so")
     truth("legend", legend, "whether to show one")
@@ -489,8 +507,12 @@ def structure(
     checked_axes("ax", ax, "three-dimensional" if structure.dimension == 3 else "flat")
     grow = ax.has_data()
     drawing = draw(ax, structure, shape, FAINT if faint else NORMAL)
-    frame(ax, [shape], grow=grow)
+    frame(ax, [shape, near_ground(laws, shape)], grow=grow)
     label_view(ax)
+    if run is not None and laws:
+        pressed = touching(run.contacts, state)
+        ground, marks = add_ground(ax, laws, shape[:, pressed], len(structure.bars))
+        drawing = replace(drawing, ground=ground, touching=marks)
     drawing = _numbered(drawing, shape, labels, member_labels)
     if gamma is not None:
         color_by_force(drawing.strings, gamma)
@@ -502,18 +524,19 @@ def structure(
     if legend and not faint:
         slack = gamma is not None and bool(is_slack(gamma).any())
         samples = legend_samples(structure, slack, colored=gamma is not None)
+        samples += ground_samples(laws)
         ax.legend(handles=samples, **legend_place(structure))
     return drawing
 
 
 def _in_a_shape(
     drawn: object, nodes: object, force_density: object, time: object
-) -> tuple[Structure, object, object]:
-    """Return a structure, and nodes and force densities: those given, or those of a result."""
+) -> tuple[Structure, object, object, int]:
+    """Return a structure, nodes and force densities, those given or of a result, and its state."""
     if time is not None:
         made = "time goes with a run, which simulate(model, ...) returns"
         instance("structure", drawn, Trajectory, made)
-    shape = gamma = None
+    shape, gamma, k = None, None, -1
     found = drawn.prestress if isinstance(drawn, ShapeTarget) else drawn
     if isinstance(found, Prestress):
         gamma, found = found.force_density, found.structure
@@ -528,9 +551,8 @@ def _in_a_shape(
     how = "or a Prestress, a ShapeTarget, a Trajectory; make one by Structure(...) or prism(...)"
     instance("structure", found, Structure, how)
     assert isinstance(found, Structure)  # just checked
-    return (
-        found, shape if nodes is None else nodes, gamma if force_density is None else force_density
-    )  # fmt: skip
+    chosen = shape if nodes is None else nodes, gamma if force_density is None else force_density
+    return found, *chosen, k
 
 
 def _numbered(drawing: Drawing, shape: FloatArray, nodes: bool, members: bool) -> Drawing:

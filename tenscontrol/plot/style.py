@@ -39,6 +39,7 @@ DASHES: tuple[Any, ...] = (
 DOTTED: Any = (0, (1.0, 2.2))
 
 CURVE_WIDTH = 1.3
+GROUND = "0.75"
 REFERENCE_COLOR = "0.35"
 REFERENCE_WIDTH = 1.0
 GRID = MappingProxyType({"color": "0.9", "linewidth": 0.6})

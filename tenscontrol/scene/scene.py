@@ -470,8 +470,9 @@ def save_trajectory(run: Trajectory, file: str | Path) -> Path:
     Notes
     -----
     Read it by ``numpy.load(file)``. The arrays have the names of the attributes of
-    :class:`Trajectory`, those of its structure and of its control record after ``structure_`` and
-    ``control_``. Faults are texts. Attributes that are None and counts of statuses are left out.
+    :class:`Trajectory`, those of its structure, its contacts and its control record after
+    ``structure_``, ``contacts_`` and ``control_``. Faults and the ground are texts. Attributes that
+    are None and counts of statuses are left out.
 
     Examples
     --------
@@ -498,8 +499,8 @@ def _arrays(prefix: str, value: Any) -> dict[str, Any]:
             found |= _arrays(f"{prefix}{field.name}_", part)
         elif field.name == "fallback":
             found[f"{prefix}{field.name}"] = np.array([str(each or "") for each in part], dtype=str)
-        elif field.name == "faults":
-            found[field.name] = np.array([repr(fault) for fault in part], dtype=str)
+        elif field.name in ("faults", "ground"):
+            found[field.name] = np.array([repr(each) for each in part], dtype=str)
         elif part is not None and not isinstance(part, dict):
             found[f"{prefix}{field.name}"] = np.asarray(part)
     return found

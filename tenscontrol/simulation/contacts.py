@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, evaluate_columns, polynomial_at
-from tenscontrol.integrate import IntegrationError
+from tenscontrol.dynamics import ContactLaw, Equation, Model, evaluate_columns, polynomial_at
+from tenscontrol.integrate import Choice, IntegrationError, Integrator, Work
 from tenscontrol.validation import FloatArray, IntArray, frozen
-
-if TYPE_CHECKING:
-    from tenscontrol.simulation.loop import Loop
 
 # Nodes and weights of Lobatto's quadrature of order 8, over parts from 0 to 1.
 _INNER = np.sqrt(3 / 7) / 2
@@ -34,8 +32,9 @@ _FEWEST, _MOST, _LEVELS = 4, 8, 12
 # Nodes may be this much faster between the states kept than they are there.
 _FASTER = 2.0
 
-# And into no more than so many in all, beside so many for each state kept: the worst come first.
-_PIECES, _PIECES_A_STATE = 10_000, 2
+# And into no more than so many in all, beside so many for each step of the run: the worst come
+# first.
+_PIECES, _PIECES_A_STEP = 20_000, 3
 
 # Parts that are integrated again in one go: the motion leaves that of the run no further than these
 # let it.
@@ -54,8 +53,8 @@ class ContactRecord:
 
     A contact is a node and a law of the ground; those that never touched are left out. Works and
     impulses are from the start of the run to each time. They are integrals over the motion between
-    the states kept, which is integrated again where the states are too few to tell: about as much
-    work as the run took for the time in which something touched.
+    the states kept, which is integrated again where these are too few to tell: once to some times
+    the work of the run, for the time in which something touched.
 
     Attributes
     ----------
@@ -174,11 +173,33 @@ class ContactRecord:
         return f"ContactRecord({len(self.node)} contacts, {len(self.touch)} times)"
 
 
+class _Motion(Protocol):
+    """What segments need of the plant side of a simulation; see :class:`Loop`."""
+
+    model: Model
+    integrator: Integrator | None
+    choice: Choice | None
+    work: Work
+
+    @property
+    def equation(self) -> Equation: ...
+
+    @property
+    def spans(self) -> Sequence[Any]: ...
+
+    @property
+    def offset(self) -> object: ...
+
+    def all_nodes(
+        self, states: FloatArray, coefficients: FloatArray, time: FloatArray
+    ) -> FloatArray: ...
+
+
 @dataclass(eq=False)
 class Segments:
     """Parts of a motion: each the quintic with the states and accelerations at its ends."""
 
-    loop: Loop
+    loop: _Motion
     of: IntArray  # stretch that each is part of, shape (K,)
     begins: FloatArray  # s
     ends: FloatArray
@@ -324,9 +345,10 @@ class _Recorder:
         momentum = float(np.sqrt(2 * model.mass_matrix().sum() * kinetic))
         load = float(np.linalg.norm(model.constant_force.sum(axis=1)))
         load *= float(segments.ends[-1] - segments.begins[0])
-        exact, chosen = _EXACT, segments.loop.choice
+        exact, tolerance, chosen = _EXACT, 0.0, segments.loop.choice
         if chosen is not None and chosen.setting == "tolerance":
-            exact = max(exact, _TOLERANCES * chosen.value)
+            tolerance = chosen.value
+            exact = max(exact, _TOLERANCES * tolerance)
         self._exact_work = exact * (kinetic + _OF_LOADS * load * self._speed)
         self._exact_impulse = exact * (momentum + _OF_LOADS * load)
         self._values = [
@@ -334,6 +356,10 @@ class _Recorder:
             for i, law in enumerate(model.ground)
         ]
         self._find(nodes, velocities)
+        # Places are known to the tolerance, and forces to what the ground makes of that, N.
+        pressed = self.values[:, 1] > 0
+        stiffness = np.abs(self.values[:, 1][pressed] / self.values[:, 0][pressed])
+        self._noise = tolerance * self._size * float(stiffness.max(initial=0.0))
         self.error = 0.0
         self._done: list[tuple[Segments, IntArray, _Integrals]] = []
 
@@ -392,7 +418,7 @@ class _Recorder:
 
         They are off by so much, as part of what is exact, and change in work, J.
         """
-        left = _PIECES + _PIECES_A_STATE * len(kept)
+        left = _PIECES + _PIECES_A_STEP * parts.loop.work.steps
         for level in range(_LEVELS + 1):
             # Errors fall by the sixth power of the length. A power of two, so that many are alike.
             wanted = 2 ** np.ceil(np.log2(2 * np.clip(off, 1, _MOST**6) ** (1 / 6)))

@@ -438,7 +438,7 @@ class Trajectory:
 
     @property
     def step(self) -> float | None:
-        """The step asked for, s, shortened to fill spans; None where the integrator chose its own."""
+        """The step asked for, s, shortened to fill spans; None where the integrator chose."""
         return self.choice.value if self.choice.setting == "step" else None
 
     @property

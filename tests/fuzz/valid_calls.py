@@ -333,7 +333,7 @@ def closed_run():
 
 @cache
 def dropped_run():
-    model = tc.Model(prism(), gravity=9.81, ground=tc.Ground(stiffness=5e3, height=-1e-3))
+    model = tc.Model(tc.prism(), gravity=9.81, ground=tc.Ground(stiffness=5e3, height=-1e-3))
     return tc.simulate(model, 0.02, force_density=np.full(9, 20.0), step=1e-3)
 
 
@@ -1550,7 +1550,11 @@ call(
     },
 )
 call("plot.structure, run", lambda: {"structure": run(), "time": 0.0, "ax": space()}, share=0.2)
-call("plot.Drawing.update", lambda: {"nodes": nodes(), "force_density": None}, drawing)
+call(
+    "plot.Drawing.update",
+    lambda: {"nodes": nodes(), "force_density": None, "touching": None},
+    drawing,
+)
 call(
     "plot.animate",
     lambda: {
@@ -1568,6 +1572,7 @@ call("plot.convergence_order", lambda: {"result": order(), "ax": flat()}, share=
 call("plot.estimate", lambda: {"run": closed_run(), "strings": [0, 1], "axes": None}, share=0.1)
 call("plot.tracking", lambda: {"run": closed_run(), "axes": None}, share=0.1)
 call("plot.health", lambda: {"run": run(), "axes": None}, share=0.1)
+call("plot.contacts", lambda: {"run": dropped_run(), "axes": None}, share=0.1)
 call("plot.motors", lambda: {"run": closed_run(), "axes": None}, share=0.1)
 call(
     "plot.history",

@@ -61,7 +61,7 @@ def test_paper_is_white_and_the_frame_stands_still(slack_run, tmp_path):
 
 def test_frames_are_equally_spaced_states_with_the_last_among_them(slack_run):
     times = np.linspace(0, slack_run.time[-1], 7)
-    shapes, gammas = _sampled(slack_run, slack_run.nodes, times)
+    shapes, gammas, _ = _sampled(slack_run, slack_run.nodes, times)
     assert np.array_equal(shapes[:, :, 0], slack_run.nodes[:, :, 0])
     assert np.array_equal(shapes[:, :, -1], slack_run.nodes[:, :, -1])
     assert np.array_equal(gammas[:, -1], slack_run.force_density[:, -1])

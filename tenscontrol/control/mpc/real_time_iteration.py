@@ -165,11 +165,11 @@ class TrajectoryModel:
 
 def _refuse_ramps(winches: Winches | None) -> None:
     """Raise if winches wind through samples: explicit steps have inputs that are held."""
-    if winches is not None and winches.substeps > 1:
+    if winches is not None and winches.ramp:
         raise ValueError(
-            f"winches has substeps={winches.substeps}, and NMPC predicts contact with the ground "
-            "with inputs that are held over a sample: give Winches(substeps=1), whose rate bounds "
-            "the changes from sample to sample"
+            "winches ramp through a sample, and NMPC predicts contact with the ground with inputs "
+            "that are held over it: leave out ramp and substeps; the rate bounds the changes from "
+            "sample to sample"
         )
 
 
