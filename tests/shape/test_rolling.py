@@ -9,7 +9,8 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.shape import RollingGait, TippingError, stand_on, tipping_path
-from tenscontrol.shape.rolling import TippingPlanner, _rolled
+from tenscontrol.shape.rolling import _rolled
+from tenscontrol.shape.tipping import TippingPlanner
 
 FACE, REST = [0, 4, 8], 0.55
 WINCHES = tc.Winches(rate=0.2, shortest=0.35, longest=0.8, ramp=True)
