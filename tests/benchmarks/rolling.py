@@ -4,15 +4,15 @@ Run: ``python -m tests.benchmarks.rolling``, about half an hour. On flat ground 
 by winches of 0.2 m/s between 0.35 m and 0.8 m, from any yaw. The gait plans with the nominal ball
 on the nominal ground; friction, the stiffness of the ground, of each string, and the mass of each
 bar are drawn. A success is five steps within 40 s that end within 45° of the direction. Prints the
-rates of success with their intervals, and the time of a command over the sample time, of the
-planner as it is used in a run, and of a whole plan at once.
+rates of success with their intervals, and the time of a command over the sample time: by the
+clock, as the gait is used in a run, and the processor's for the plan of a whole step at once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 
@@ -20,7 +20,7 @@ import tenscontrol as tc
 from tests.benchmarks.command_line import options
 
 COUNT, SEED, STEPS, SLOPE = 100, 0, 5, 5.0  # degrees
-SAMPLE, REST_LENGTH, PART, LONGEST = 0.05, 0.55, 4.0, 40.0  # s, m, s, s
+SAMPLE, REST_LENGTH, PART, LONGEST = 0.05, 0.55, 2.0, 40.0  # s, m, s, s
 WINCHES = tc.Winches(rate=0.2, shortest=0.35, longest=0.8, ramp=True)
 FACE = [0, 4, 8]
 PARAMETERS = {
@@ -121,12 +121,12 @@ def report_time(steps):
     model = modelled(SLOPE)
     nodes, took = tc.shape.stand_on(model, FACE), []
     for _ in range(10):
-        began = perf_counter()
+        began = process_time()
         path = tc.shape.tipping_path(
             model, REST_LENGTH, FACE, [1.0, 0.0, 0.0], nodes=nodes, winches=WINCHES
         )
-        took.append((perf_counter() - began) / SAMPLE)
-    print(f"a plan of {path.margin.size} equilibria at once takes {np.median(took):.3f}")
+        took.append((process_time() - began) / SAMPLE)
+    print(f"a plan of {path.margin.size} equilibria at once: {np.median(took):.3f} sample times")
 
 
 if __name__ == "__main__":

@@ -69,6 +69,26 @@ def test_frames_are_equally_spaced_states_with_the_last_among_them(slack_run):
     assert np.allclose(shapes[1], exact, rtol=0, atol=1e-14)
 
 
+def test_the_ground_is_drawn_below(slack_run, tmp_path):
+    ground = tc.Ground(stiffness=1e3, normal=[0.1, 0.0, 1.0], height=-0.2)
+    nets = []
+    for law in (None, ground, [ground, ground]):
+        path = tmp_path / "run.gif"
+        pictures, _ = frames(tc.plot.animate(slack_run, path, fps=5, dpi=50, ground=law))
+        light = (pictures[0] > 190).all(axis=2) & (pictures[0] < 240).all(axis=2)
+        nets.append(light[60:].sum())
+    assert nets[1] > nets[0] + 300
+    assert nets[2] >= nets[1]
+
+
+def test_a_line_of_ground_in_the_plane(tmp_path):
+    structure = tc.library.snelson_x()
+    run = tc.simulate(tc.Model(structure), 0.1, force_density=1.0, step=1e-2)
+    ground = tc.Ground(stiffness=1e3, height=-0.1)
+    path = tc.plot.animate(run, tmp_path / "run.gif", fps=10, dpi=50, ground=ground)
+    assert path.stat().st_size > 0
+
+
 def test_target_is_drawn_faintly(slack_run, tmp_path):
     plain, _ = frames(tc.plot.animate(slack_run, tmp_path / "a.gif", fps=5, dpi=50))
     target, _ = frames(
