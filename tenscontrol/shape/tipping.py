@@ -159,9 +159,12 @@ def tipping_path(
     The centre of mass c is beyond an edge with one end at a and the direction e by ``o·(c − a)``,
     with the unit vector o along ``± e × g``: the moment of gravity about the edge over the weight's
     part across it. Where that is zero, the other feet are without force.
-    The gradient ``dm/dl0`` is by the adjoint of the conditions of equilibrium. Tipping by few
-    strings is that of K. Kim, A. K. Agogino et al., *Rolling locomotion of cable-driven soft
-    spherical tensegrity robots*, Soft Robotics 7 (2020), 346-361, doi:10.1089/soro.2019.0056.
+    Its gradient by the rest lengths is that of the adjoint of the conditions of equilibrium.
+
+    K. Kim, A. K. Agogino, A. M. Agogino, *Rolling locomotion of cable-driven soft spherical
+    tensegrity robots*, Soft Robotics 7 (2020), 346-361, doi:10.1089/soro.2019.0056, search such
+    rest lengths for single strings; L.-H. Chen et al., *Inclined surface locomotion strategies for
+    spherical tensegrity robots*, IROS (2017), climb by several at once.
 
     Examples
     --------
@@ -187,7 +190,10 @@ def tipping_path(
     try:
         planner.start(shape, found, edge)
     except StuckError as error:
-        raise ValueError(f"nothing stands on the feet {found.tolist()}: {error}") from None
+        raise ValueError(
+            f"feet are {found.tolist()}, but nothing stands on them with these nodes and this "
+            f"rest_length: {error}"
+        ) from None
     points, trouble = [planner.point], None
     while planner.margin < enough and trouble is None:
         try:
@@ -201,9 +207,9 @@ def tipping_path(
     path = TippingPath(found, np.array(edge), edges[edge], lengths, shapes, margins, min(apart))
     if trouble is not None:
         raise TippingError(
-            f"the centre of mass comes to {path.margin.max():.3g} m beyond the edge "
-            f"{path.edge.tolist()}, expected {enough:.3g} m: {trouble}. Allow the winches a longer "
-            "way, change the prestress, or go in another direction",
+            f"margin is {enough:.3g} m, but the centre of mass comes to {path.margin.max():.3g} m "
+            f"beyond the edge {path.edge.tolist()}: {trouble}. Allow the winches a longer way, "
+            "change the prestress, take a smaller step, or go in another direction",
             path,
         )
     return path
@@ -369,7 +375,7 @@ class TippingPlanner:
             raise StuckError("another node would come to the ground before")
         apart = bar_distances(self._structure, nodes).least if self._clearance else np.inf
         if apart < self._clearance:
-            raise StuckError(f"bars would come as near as {apart:.3g} m")
+            raise StuckError(f"bars would come as near as {apart:.3g} m, less than clearance")
         self._unknowns, self._factors, self._pushes = unknowns, factors, pushes
         self.nodes, self.rest_length = nodes, rest_length
         across, _ = across_edge(nodes, self.feet, self.edge, self._down)
