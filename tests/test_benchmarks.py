@@ -233,7 +233,7 @@ def test_robustness(printed):
 def test_rolling(printed):
     text = printed("rolling", "--count 1 --steps 1")
     assert row(text, "steps") == row(text, "steps", 1) == [1, 1, 1, 1, 1]
-    assert row(text, "slope: a command takes")[0] > 0
+    assert row(text, "slope of 5°: a command takes")[0] > 0
 
 
 def test_shape_control(printed):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -42,8 +42,12 @@ _HALVINGS = 4
 # margin that is enough, in sizes.
 _MOVE, STEP, MARGIN = 0.1, 0.01, 0.02
 
-# Winding that moves the centre of mass by less than this part of itself is in vain.
-_VAIN = 1e-3
+# Winding that moves the centre of mass by less than this part of itself is in vain, and so is a
+# step that gains less than this part of what its slope promised.
+_VAIN, _GAIN = 1e-2, 0.1
+
+# Steps are no shorter than this, in sizes.
+_SHORTEST_STEP = 1e-5
 
 
 class TippingError(ValueError):
@@ -185,6 +189,10 @@ def tipping_path(
     heading = unit_vector("direction", direction, len(shape))
     enough = MARGIN * planner.size if margin is None else positive_number("margin", margin, "m")
     most = STEP * planner.size if step is None else positive_number("step", step, "m")
+    if most < _SHORTEST_STEP * planner.size:
+        raise ValueError(
+            f"step is {most:g} m, expected at least {_SHORTEST_STEP * planner.size:.3g} m"
+        )
     edges = planner.edges(shape, found)
     edge = max(edges, key=lambda each: float(edges[each] @ heading))
     try:
@@ -301,7 +309,7 @@ class TippingPlanner:
         place = nodes.ravel(order="F")
         self._values = self._rows @ place
         count = len(_moving_bars(self._structure)) + len(held)
-        self._balance(np.concatenate([place, np.zeros(count)]), self.home, _FIRST)
+        self._balance(np.concatenate([place, np.zeros(count)]), self.home, _FIRST, -np.inf)
 
     def advance(self, most: FloatArray | float) -> None:
         """Go on to the next equilibrium, with rest lengths changed by this much at most, m.
@@ -320,8 +328,9 @@ class TippingPlanner:
         for _ in range(_HALVINGS):
             wanted = np.clip(self.rest_length + change, self._low, self._high)
             slope = self._solve(self._pushes @ (self.rest_length - wanted))
+            least = self.margin + _GAIN * float(uphill @ (wanted - self.rest_length))
             try:
-                return self._balance(self._unknowns + slope, wanted, _NEXT)
+                return self._balance(self._unknowns + slope, wanted, _NEXT, least)
             except StuckError as error:
                 trouble, change = error, change / 2
         raise trouble
@@ -334,8 +343,10 @@ class TippingPlanner:
         right[: len(forces)] = forces
         return np.asarray(dgetrs(*self._factors, right)[0])
 
-    def _balance(self, unknowns: FloatArray, rest_length: FloatArray, steps: int) -> None:
-        """Go to the equilibrium near these unknowns."""
+    def _balance(
+        self, unknowns: FloatArray, rest_length: FloatArray, steps: int, least: float
+    ) -> None:
+        """Go to the equilibrium near these unknowns, if its margin is no less than that, m."""
         from scipy.linalg.lapack import dgetrf, dgetrs
 
         d, n = self._structure.nodes.shape
@@ -357,18 +368,16 @@ class TippingPlanner:
             largest = float(np.abs(move[:entries]).max())
             unknowns = unknowns + min(1.0, _MOVE * self.size / largest) * move
             if largest < CLOSE * self.size:
-                return self._take(unknowns, rest_length, matrix, factors, pushes)
+                self._check(unknowns[:entries].reshape((d, n), order="F"), matrix, least)
+                self._unknowns, self._factors, self._pushes = unknowns, factors, pushes
+                self.rest_length = rest_length
+                return
         raise StuckError("no equilibrium is found close by")
 
-    def _take(
-        self, unknowns: FloatArray, rest_length: FloatArray, matrix: FloatArray, factors: list[Any],
-        pushes: FloatArray,
-    ) -> None:  # fmt: skip
-        """Keep an equilibrium, if it is one that can be kept."""
-        d, n = self._structure.nodes.shape
-        nodes = unknowns[: d * n].reshape((d, n), order="F")
+    def _check(self, nodes: FloatArray, matrix: FloatArray, least: float) -> None:
+        """Keep the nodes of an equilibrium, if it is one that can be kept."""
         # As many negative eigenvalues as constraints: the energy is least.
-        if np.count_nonzero(np.linalg.eigvalsh(matrix) < 0) > len(matrix) - d * n:
+        if np.count_nonzero(np.linalg.eigvalsh(matrix) < 0) > len(matrix) - nodes.size:
             raise StuckError("there it is not stable")
         above = np.delete(self._up @ nodes, self.feet)
         if above.min(initial=np.inf) < self._up @ nodes[:, self.feet].mean(axis=1):
@@ -376,10 +385,11 @@ class TippingPlanner:
         apart = bar_distances(self._structure, nodes).least if self._clearance else np.inf
         if apart < self._clearance:
             raise StuckError(f"bars would come as near as {apart:.3g} m, less than clearance")
-        self._unknowns, self._factors, self._pushes = unknowns, factors, pushes
-        self.nodes, self.rest_length = nodes, rest_length
         across, _ = across_edge(nodes, self.feet, self.edge, self._down)
-        self.margin = float(across @ (nodes @ self._shares - nodes[:, self.edge[0]]))
+        margin = float(across @ (nodes @ self._shares - nodes[:, self.edge[0]]))
+        if margin < least:
+            raise StuckError("winding on brings it no farther")
+        self.nodes, self.margin = nodes, margin
 
     def _uphill(self) -> FloatArray:
         """Return by how much each rest length moves the centre of mass over the edge."""

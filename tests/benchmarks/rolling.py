@@ -19,7 +19,7 @@ import numpy as np
 import tenscontrol as tc
 from tests.benchmarks.command_line import options
 
-COUNT, SEED, STEPS, SLOPE = 100, 0, 5, 5.0  # degrees
+COUNT, SEED, STEPS, SLOPES = 100, 0, 5, (0.0, 5.0)  # degrees
 SAMPLE, REST_LENGTH, PART, LONGEST = 0.05, 0.55, 2.0, 40.0  # s, m, s, s
 WINCHES = tc.Winches(rate=0.2, shortest=0.35, longest=0.8, ramp=True)
 FACE = [0, 4, 8]
@@ -33,15 +33,17 @@ PARAMETERS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__doc__, arguments, count=COUNT, steps=STEPS, processes=1, file="")
-    for name, slope in (("flat", 0.0), ("slope", SLOPE)):
-        file = f"{given.file}.{name}" if given.file else None
+    given = options(
+        __doc__, arguments, count=COUNT, steps=STEPS, slopes=SLOPES, processes=1, file=""
+    )
+    for slope in given.slopes:
+        file = f"{given.file}.{slope:g}" if given.file else None
         case = Rolling(slope, given.steps)
         report = tc.sweep(
             case, PARAMETERS, given.count, seed=SEED, processes=given.processes, file=file
         )
-        print(f"{name}: {report.summary()}\n")
-    report_time(given.steps)
+        print(f"slope of {slope:g}°: {report.summary()}\n")
+    report_time(given.slopes, given.steps)
 
 
 @dataclass(frozen=True)
@@ -108,17 +110,17 @@ def turn(axis, angle):
     return np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across
 
 
-def report_time(steps):
+def report_time(slopes, steps):
     """Print the time of commands, and of a plan at once, over the sample time."""
-    for name, slope in (("flat", 0.0), ("slope", SLOPE)):
+    for slope in slopes:
         _, runs = rolled(slope, steps)
         times = np.concatenate([run.control.computing_time for run in runs]) / SAMPLE
         busy = times[times > np.median(times)]
         print(
-            f"{name}: a command takes {times.max():.3f} sample times at most, "
+            f"slope of {slope:g}°: a command takes {times.max():.3f} sample times at most, "
             f"{np.median(busy):.3f} in the median of those that plan"
         )
-    model = modelled(SLOPE)
+    model = modelled(slopes[-1])
     nodes, took = tc.shape.stand_on(model, FACE), []
     for _ in range(10):
         began = process_time()
