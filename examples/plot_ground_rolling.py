@@ -97,11 +97,10 @@ tc.plot.history(
 class Animation:
     """A GIF as this page shows it."""
 
-    def __init__(self, run, ground):
+    def __init__(self, run):
         with tempfile.TemporaryDirectory() as folder:
-            path = tc.plot.animate(
-                run, Path(folder) / "ball.gif", fps=8, dpi=60, ground=ground, view=(6.0, -80.0)
-            )
+            path = Path(folder) / "ball.gif"
+            tc.plot.animate(run, path, fps=8, dpi=60, view=(6.0, -80.0))
             self.picture = path.read_bytes()
 
     def _repr_html_(self):
@@ -109,4 +108,4 @@ class Animation:
         return f'<img alt="The ball rolls up the slope." src="data:image/gif;base64,{code}">'
 
 
-Animation(run, model.ground)
+Animation(run)

@@ -273,6 +273,12 @@ def test_robustness(printed):
     assert text.count("equal to 1 process to the last bit: yes") == 2
 
 
+def test_rolling(printed):
+    text = printed("rolling", "--count 1 --steps 1")
+    assert row(text, "steps") == row(text, "steps", 1) == [1, 1, 1, 1, 1]
+    assert row(text, "slope of 5°: a command takes")[0] > 0
+
+
 def test_shape_control(printed):
     text = printed("shape_control", "--duration 0.1 --shares 0.15")
     for table in range(4):

@@ -39,6 +39,7 @@ def test_every_example_is_tested():
         "plot_control_string_mass.py",
         "plot_control_t_bar.py",
         "plot_ground_lander.py",
+        "plot_ground_rolling.py",
         "plot_library.py",
         "plot_paper_skin.py",
         "plot_paper_string_mass.py",
@@ -68,6 +69,18 @@ def test_ground_lander():
         assert values[least] > 0.9 * height / found["LENGTH"]
     assert list(found["best"].values()) == sorted(found["best"].values())
     assert found["error"] < 1e-4
+
+
+def test_ground_rolling():
+    found = run("plot_ground_rolling.py")
+    assert found["path"].margin[-1] > 0
+    for name, gait in found["gaits"].items():
+        after = found["runs"][name]
+        assert len(gait.made) == 5, name
+        assert (after.nodes[:, :, -1] - after.nodes[:, :, 0]).mean(axis=1)[0] > 0.8, name
+        assert np.abs(after.control.winch_rate).max() <= 0.2 * (1 + 1e-9)
+        assert after.control.applied.min() >= 0.35
+        assert after.control.applied.max() <= 0.8
 
 
 def test_prism_modes():

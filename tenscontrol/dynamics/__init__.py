@@ -6,7 +6,6 @@ from tenscontrol.dynamics.contact_laws import (
     Ground,
     HertzGround,
     SmoothGround,
-    checked_grounds,
 )
 from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates, normal_basis
 from tenscontrol.dynamics.equation import Equation, InputLayout, smooth_equation
@@ -63,7 +62,6 @@ __all__ = [
     "as_pieces",
     "builds",
     "built",
-    "checked_grounds",
     "compiled",
     "compiled_library",
     "compiler",

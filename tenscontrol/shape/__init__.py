@@ -1,18 +1,12 @@
 """Shapes as a control engineer needs them: targets in equilibrium and paths between them."""
 
 from tenscontrol.shape.demands import Demand, Height, NodesAt, PointAt, Twist
-from tenscontrol.shape.path_timing import PathError
-from tenscontrol.shape.rolling import (
-    RollingGait,
-    RollingStep,
-    TippingError,
-    TippingPath,
-    stand_on,
-    tipping_path,
-)
+from tenscontrol.shape.equilibrium_path import PathError
+from tenscontrol.shape.rolling import RollingGait, RollingStep, stand_on
 from tenscontrol.shape.shape_path import ShapePath, plants_along, shape_path
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.shape.target import DemandCheck, ShapeError, ShapeTarget, shape_target
+from tenscontrol.shape.tipping import TippingError, TippingPath, tipping_path
 
 __all__ = [
     "Demand",

@@ -15,10 +15,15 @@ from tenscontrol.plant import (
     Reference,
     linearize,
 )
-from tenscontrol.shape.continuation import Continuation, Waypoint
+from tenscontrol.shape.equilibrium_path import (
+    Continuation,
+    PathError,
+    TimedPath,
+    Waypoint,
+    rest_at,
+)
 from tenscontrol.shape.force_bounds import checked_bounds, refuse_ground
 from tenscontrol.shape.nonlinear_program import ShapeProblem
-from tenscontrol.shape.path_timing import PathError, TimedPath, rest_at
 from tenscontrol.shape.shape_search import STIFF
 from tenscontrol.shape.target import PLACES, ShapeTarget, moved_as_one_body
 from tenscontrol.statics import Prestress

@@ -9,7 +9,8 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.shape import RollingGait, TippingError, stand_on, tipping_path
-from tenscontrol.shape.rolling import TippingPlanner, _rolled
+from tenscontrol.shape.rolling import _rolled
+from tenscontrol.shape.tipping import TippingPlanner
 
 FACE, REST = [0, 4, 8], 0.55
 WINCHES = tc.Winches(rate=0.2, shortest=0.35, longest=0.8, ramp=True)
@@ -245,7 +246,7 @@ DUNE = tc.Ground(stiffness=1e3, height=ca.Function("h", [X, Y], [0.1 * X * Y]))
     [
         (lambda: tipped(feet=[0, 4]), r"feet are \[0, 4\], expected at least 3"),
         (lambda: tipped(feet=[0, 4, 12]), r"feet\[2\] is 12"),
-        (lambda: tipped(feet=[0, 3, 8]), r"nothing stands on the feet \[0, 3, 8\]"),
+        (lambda: tipped(feet=[0, 3, 8]), r"feet are \[0, 3, 8\], but nothing stands on them"),
         (lambda: tipped(rest=0.3, winches=WINCHES), r"rest_length\[0\] is 0.3 m"),
         (lambda: tipped(tc.Model(BALL, gravity=9.81)), "no string law"),
         (lambda: tipped(tc.Model(BALL, strings=STRINGS)), "no weight"),
@@ -272,8 +273,8 @@ def test_a_structure_with_supports_is_refused():
     ("changes", "message"),
     [
         ({"winches": tc.Winches(shortest=0.54, longest=0.56)}, "at the end of their way"),
-        ({"clearance": 0.2}, "bars would come as near as 0.19"),
-        ({"margin": 2.0}, "expected 2 m"),
+        ({"clearance": 0.2}, "bars would come as near as 0.19.* clearance"),
+        ({"margin": 2.0}, "margin is 2 m"),
     ],
 )
 def test_where_it_does_not_tip_the_way_there_is_told(changes, message):

@@ -8,7 +8,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.control import Controller
 from tenscontrol.shape import Height, PathError, PointAt, Twist, shape_path, shape_target
-from tenscontrol.shape.path_timing import TimeScaling
+from tenscontrol.shape.equilibrium_path import TimeScaling
 from tenscontrol.structure import bar_distances
 
 TOP, BOTTOM = [0, 1, 2], [3, 4, 5]

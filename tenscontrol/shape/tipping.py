@@ -1,0 +1,472 @@
+"""Rolling by deformation: rest lengths that tip a structure over an edge of its base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.actuation import Winches
+from tenscontrol.dynamics import Model, SharedEvaluator, builds, kernel
+from tenscontrol.plant import held_value
+from tenscontrol.structure import Structure, bar_distances, restore_bar_lengths
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    float_array,
+    freeze_arrays,
+    indices,
+    instance,
+    number,
+    positive_number,
+)
+from tenscontrol.validation import direction as unit_vector
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+# Least rest length, in those of the start, unless the winches say.
+_SHORTEST = 0.01
+
+# Newton steps to an equilibrium: at the start, and from one to the next, which is close by. Within
+# this part of the size it is one.
+_FIRST, _NEXT, CLOSE = 40, 8, 1e-8
+
+# Times that the way to the next equilibrium is halved.
+_HALVINGS = 4
+
+# Largest move of a node in a Newton step, largest change of a rest length between equilibria, and
+# margin that is enough, in sizes.
+_MOVE, STEP, MARGIN = 0.1, 0.01, 0.02
+
+# Winding that moves the centre of mass by less than this part of itself is in vain, and so is a
+# step that gains less than this part of what its slope promised.
+_VAIN, _GAIN = 1e-2, 0.1
+
+# Steps are no shorter than this, in sizes.
+_SHORTEST_STEP = 1e-5
+
+
+class TippingError(ValueError):
+    """No winding was found that brings the centre of mass over the edge.
+
+    Attributes
+    ----------
+    reached : TippingPath
+        How far it got.
+    """
+
+    def __init__(self, message: str, reached: TippingPath) -> None:
+        super().__init__(message)
+        self.reached = reached
+
+
+@dataclass(frozen=True, eq=False)
+class TippingPath:
+    """Equilibria on the way over an edge. Made by :func:`tipping_path`.
+
+    Attributes
+    ----------
+    feet : ndarray of int
+        Nodes that it stands on.
+    edge : ndarray of int, shape (d − 1,)
+        The feet that it tips over: two in space, one in the plane.
+    outward : ndarray, shape (d,)
+        Horizontal direction over the edge at the start.
+    rest_length : ndarray, shape (α, K)
+        m.
+    nodes : ndarray, shape (d, n, K)
+        m.
+    margin : ndarray, shape (K,)
+        How far the centre of mass is beyond the edge, m; negative while it stands.
+    clearance : float
+        Smallest distance between the axes of two bars on the way, m.
+    """
+
+    feet: IntArray
+    edge: IntArray
+    outward: FloatArray
+    rest_length: FloatArray
+    nodes: FloatArray
+    margin: FloatArray
+    clearance: float
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def __repr__(self) -> str:
+        wound = np.abs(self.rest_length - self.rest_length[:, :1]).max()
+        return (
+            f"TippingPath(over {self.edge.tolist()} of {self.feet.tolist()}, margin "
+            f"{self.margin[0]:.3g} to {self.margin[-1]:.3g} m, winding at most {wound:.3g} m)"
+        )
+
+
+def tipping_path(
+    model: Model,
+    rest_length: ArrayLike,
+    feet: ArrayLike,
+    direction: ArrayLike,
+    *,
+    nodes: ArrayLike | None = None,
+    winches: Winches | None = None,
+    margin: float | None = None,
+    step: float | None = None,
+    clearance: float = 0.0,
+) -> TippingPath:
+    """Return rest lengths that bring the centre of mass over an edge of the base.
+
+    The structure stands on its feet, which slide without friction on the plane that they span. Of
+    the edges of their convex hull, the one is taken that looks most in the direction. From
+    equilibrium to equilibrium, rest lengths change by the gradient of the distance by which the
+    centre of mass is beyond it, so with the least winding. Strings may go slack.
+
+    Parameters
+    ----------
+    model : Model
+        With a string law and gravity, without supports. Its ground is not looked at.
+    rest_length : float or array_like, shape (α,)
+        m, at the start.
+    feet : array_like of int
+        Nodes that it stands on, at least d.
+    direction : array_like, shape (d,)
+        Where to go.
+    nodes : array_like, shape (d, n), optional
+        A shape near equilibrium, m; that of the structure if not given. In space it may be turned.
+    winches : Winches, optional
+        Whose range of rest lengths is kept.
+    margin : float, optional
+        How far to go beyond the edge, m; a fiftieth of the size if not given.
+    step : float, optional
+        Largest change of a rest length between two equilibria, m; a hundredth of the size if not
+        given.
+    clearance : float
+        Least distance between the axes of bars that share no node, m.
+
+    Returns
+    -------
+    TippingPath
+
+    Raises
+    ------
+    TippingError
+        If the centre of mass cannot be brought so far: the winches end, bars would come too near,
+        or there is no stable equilibrium. ``.reached`` has the way up to there.
+    TypeError, ValueError
+        If an argument does not fit, or there is no equilibrium on these feet at the start.
+
+    Notes
+    -----
+    The centre of mass c is beyond an edge with one end at a and the direction e by ``o·(c − a)``,
+    with the unit vector o along ``± e × g``: the moment of gravity about the edge over the weight's
+    part across it. Where that is zero, the other feet are without force.
+    Its gradient by the rest lengths is that of the adjoint of the conditions of equilibrium.
+
+    K. Kim, A. K. Agogino, A. M. Agogino, *Rolling locomotion of cable-driven soft spherical
+    tensegrity robots*, Soft Robotics 7 (2020), 346-361, doi:10.1089/soro.2019.0056, search such
+    rest lengths for single strings; L.-H. Chen et al., *Inclined surface locomotion strategies for
+    spherical tensegrity robots*, IROS (2017), climb by several at once.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> ball = tc.library.six_bar_ball(bar_length=1.0, bar_mass=0.5)
+    >>> model = tc.Model(ball, strings=tc.LinearStrings(stiffness=1000.0),
+    ...                  gravity=9.81 * np.array([-1.0, -1.0, -1.0]) / np.sqrt(3))
+    >>> low = np.argsort(ball.nodes.sum(axis=0))[:3]
+    >>> path = tc.shape.tipping_path(model, 0.55, feet=low, direction=[1.0, -1.0, 0.0])
+    >>> bool(path.margin[0] < 0 < path.margin[-1])
+    True
+    """
+    planner = TippingPlanner(model, rest_length, winches, clearance)
+    shape = model.structure.nodes
+    if nodes is not None:
+        shape = restore_bar_lengths(model.structure, model.structure.checked_nodes("nodes", nodes))
+    found = checked_feet(feet, *shape.shape)
+    heading = unit_vector("direction", direction, len(shape))
+    enough = MARGIN * planner.size if margin is None else positive_number("margin", margin, "m")
+    most = STEP * planner.size if step is None else positive_number("step", step, "m")
+    if most < _SHORTEST_STEP * planner.size:
+        raise ValueError(
+            f"step is {most:g} m, expected at least {_SHORTEST_STEP * planner.size:.3g} m"
+        )
+    edges = planner.edges(shape, found)
+    edge = max(edges, key=lambda each: float(edges[each] @ heading))
+    try:
+        planner.start(shape, found, edge)
+    except StuckError as error:
+        raise ValueError(
+            f"feet are {found.tolist()}, but nothing stands on them with these nodes and this "
+            f"rest_length: {error}"
+        ) from None
+    points, trouble = [planner.point], None
+    while planner.margin < enough and trouble is None:
+        try:
+            planner.advance(most)
+        except StuckError as error:
+            trouble = error
+        else:
+            points.append(planner.point)
+    lengths, shapes, margins = (np.stack(rows, axis=-1) for rows in zip(*points, strict=True))
+    apart = [bar_distances(model.structure, each).least for each in np.moveaxis(shapes, 2, 0)]
+    path = TippingPath(found, np.array(edge), edges[edge], lengths, shapes, margins, min(apart))
+    if trouble is not None:
+        raise TippingError(
+            f"margin is {enough:.3g} m, but the centre of mass comes to {path.margin.max():.3g} m "
+            f"beyond the edge {path.edge.tolist()}: {trouble}. Allow the winches a longer way, "
+            "change the prestress, take a smaller step, or go in another direction",
+            path,
+        )
+    return path
+
+
+class StuckError(ValueError):
+    """Winding cannot go on; the message says why."""
+
+
+class TippingPlanner:
+    """Equilibria on feet that slide without friction, wound towards an edge of their base.
+
+    Unknowns are the positions of the nodes, and multipliers for the lengths of bars and for what
+    holds the feet: each at its height, and all together in place and in their direction, by forces
+    that act on all of them alike.
+    """
+
+    def __init__(
+        self, model: Model, rest_length: object, winches: Winches | None, clearance: float
+    ) -> None:
+        import scipy.linalg.lapack
+        import scipy.spatial  # both now, not within the first sample  # noqa: F401
+
+        instance("model", model, Model, "make one by Model(structure, strings=..., gravity=...)")
+        structure, force = model.structure, model.constant_force.sum(axis=1)
+        if len(structure.fixed_rows):
+            raise ValueError("the structure has supports, but what rolls has none: leave them out")
+        if model.strings is None:
+            raise ValueError(
+                "the model has no string law, so rest lengths mean nothing to it; build it as "
+                "Model(structure, strings=LinearStrings(stiffness=...))"
+            )
+        weight = float(np.linalg.norm(force))
+        if weight == 0:
+            raise ValueError(
+                "the model has no weight, so nothing tips it; build it as Model(..., gravity=9.81)"
+            )
+        self._structure, self._down = structure, force / weight
+        self._shares = self._down @ model.constant_force / weight
+        self.home = held_value(model, rest_length, None)
+        self.size = float(np.ptp(structure.nodes, axis=1).max())
+        self.gravity = weight / float(structure.bar_mass.sum() + structure.point_mass.sum())
+        self._low, self._high = _SHORTEST * self.home, np.full(len(self.home), np.inf)
+        if winches is not None:
+            instance("winches", winches, Winches, "make them by Winches(rate=...)")
+            winches.refuse_out_of_range("rest_length", self.home)
+            if winches.shortest is not None:
+                self._low = np.broadcast_to(winches.shortest, self.home.shape)
+            if winches.longest is not None:
+                self._high = np.broadcast_to(winches.longest, self.home.shape)
+        self._clearance = number("clearance", clearance, "m")
+        self._conditions = model.prepared.get("tipping", lambda: _conditions(model))
+
+    @property
+    def point(self) -> tuple[FloatArray, FloatArray, float]:
+        """Rest lengths, nodes and margin, m."""
+        return self.rest_length, self.nodes, self.margin
+
+    def edges(self, nodes: FloatArray, feet: IntArray) -> dict[tuple[int, ...], FloatArray]:
+        """Return the edges of the base, each with the horizontal direction over it."""
+        d = len(nodes)
+        if len(feet) == d:
+            found = list(combinations(feet.tolist(), d - 1))
+        else:
+            places = nearest_plane(nodes[:, feet], self._down)[1] @ nodes[:, feet]
+            found = [tuple(sorted(feet[pair].tolist())) for pair in _hull(places)]
+        return {edge: across_edge(nodes, feet, edge, self._down)[0] for edge in found}
+
+    def start(self, nodes: FloatArray, feet: IntArray, edge: tuple[int, ...]) -> None:
+        """Go to the equilibrium on these feet near a shape, at the rest lengths of the start.
+
+        Raises
+        ------
+        StuckError
+            If there is none.
+        """
+        d, n = nodes.shape
+        self.feet, self.edge = feet, edge
+        shape = nodes[:, feet]
+        up, tangents = nearest_plane(shape, self._down)
+        self._up = up
+        held = [np.outer(up, each) for each in np.eye(len(feet))]
+        held += [np.outer(each, np.ones(len(feet))) for each in tangents]
+        if d == 3:
+            held.append(np.cross(up, (shape - shape.mean(axis=1, keepdims=True)).T).T)
+        rows = np.zeros((len(held), n, d))
+        rows[:, feet] = np.transpose(held, (0, 2, 1))
+        self._rows = rows.reshape(len(held), n * d)
+        place = nodes.ravel(order="F")
+        self._values = self._rows @ place
+        count = len(_moving_bars(self._structure)) + len(held)
+        self._balance(np.concatenate([place, np.zeros(count)]), self.home, _FIRST, -np.inf)
+
+    def advance(self, most: FloatArray | float) -> None:
+        """Go on to the next equilibrium, with rest lengths changed by this much at most, m.
+
+        Raises
+        ------
+        StuckError
+            If that brings nothing, or there is none.
+        """
+        uphill = self._uphill()
+        low, high = self.rest_length <= self._low, self.rest_length >= self._high
+        uphill[(low & (uphill < 0)) | (high & (uphill > 0))] = 0.0
+        if np.linalg.norm(uphill) < _VAIN:
+            raise StuckError("the winches that would move it are at the end of their way")
+        change = uphill * np.min(most / np.maximum(np.abs(uphill), _VAIN**2))
+        for _ in range(_HALVINGS):
+            wanted = np.clip(self.rest_length + change, self._low, self._high)
+            slope = self._solve(self._pushes @ (self.rest_length - wanted))
+            least = self.margin + _GAIN * float(uphill @ (wanted - self.rest_length))
+            try:
+                return self._balance(self._unknowns + slope, wanted, _NEXT, least)
+            except StuckError as error:
+                trouble, change = error, change / 2
+        raise trouble
+
+    def _solve(self, forces: FloatArray) -> FloatArray:
+        """Return what forces on the nodes change in the unknowns."""
+        from scipy.linalg.lapack import dgetrs
+
+        right = np.zeros(len(self._unknowns))
+        right[: len(forces)] = forces
+        return np.asarray(dgetrs(*self._factors, right)[0])
+
+    def _balance(
+        self, unknowns: FloatArray, rest_length: FloatArray, steps: int, least: float
+    ) -> None:
+        """Go to the equilibrium near these unknowns, if its margin is no less than that, m."""
+        from scipy.linalg.lapack import dgetrf, dgetrs
+
+        d, n = self._structure.nodes.shape
+        entries, bars = n * d, len(unknowns) - n * d - len(self._rows)
+        for _ in range(steps):
+            place = unknowns[:entries]
+            parts = self._conditions(place, rest_length, unknowns[entries : entries + bars])
+            force, stretch, directions, hessian, pushes = parts
+            held = np.vstack([directions, self._rows])
+            matrix = np.block([[hessian, held.T], [held, np.zeros((len(held), len(held)))]])
+            left = force + held.T @ unknowns[entries:]
+            residual = np.concatenate([left, stretch, self._rows @ place - self._values])
+            if not (np.isfinite(residual).all() and np.isfinite(matrix).all()):
+                break
+            *factors, is_singular = dgetrf(matrix)
+            if is_singular:
+                break
+            move = -dgetrs(*factors, residual)[0]
+            largest = float(np.abs(move[:entries]).max())
+            unknowns = unknowns + min(1.0, _MOVE * self.size / largest) * move
+            if largest < CLOSE * self.size:
+                self._check(unknowns[:entries].reshape((d, n), order="F"), matrix, least)
+                self._unknowns, self._factors, self._pushes = unknowns, factors, pushes
+                self.rest_length = rest_length
+                return
+        raise StuckError("no equilibrium is found close by")
+
+    def _check(self, nodes: FloatArray, matrix: FloatArray, least: float) -> None:
+        """Keep the nodes of an equilibrium, if it is one that can be kept."""
+        # As many negative eigenvalues as constraints: the energy is least.
+        if np.count_nonzero(np.linalg.eigvalsh(matrix) < 0) > len(matrix) - nodes.size:
+            raise StuckError("there it is not stable")
+        above = np.delete(self._up @ nodes, self.feet)
+        if above.min(initial=np.inf) < self._up @ nodes[:, self.feet].mean(axis=1):
+            raise StuckError("another node would come to the ground before")
+        apart = bar_distances(self._structure, nodes).least if self._clearance else np.inf
+        if apart < self._clearance:
+            raise StuckError(f"bars would come as near as {apart:.3g} m, less than clearance")
+        across, _ = across_edge(nodes, self.feet, self.edge, self._down)
+        margin = float(across @ (nodes @ self._shares - nodes[:, self.edge[0]]))
+        if margin < least:
+            raise StuckError("winding on brings it no farther")
+        self.nodes, self.margin = nodes, margin
+
+    def _uphill(self) -> FloatArray:
+        """Return by how much each rest length moves the centre of mass over the edge."""
+        across, scale = across_edge(self.nodes, self.feet, self.edge, self._down)
+        slope = np.outer(across, self._shares)
+        slope[:, self.edge[0]] -= across
+        if len(across) == 3:
+            beyond = self.nodes @ self._shares - self.nodes[:, self.edge[0]]
+            turned = np.cross(self._down, beyond - (across @ beyond) * across) / scale
+            slope[:, self.edge[1]] += turned
+            slope[:, self.edge[0]] -= turned
+        d, n = slope.shape
+        return np.asarray(-self._pushes.T @ self._solve(slope.ravel(order="F"))[: d * n])
+
+
+def across_edge(
+    nodes: FloatArray, feet: IntArray, edge: tuple[int, ...], down: FloatArray
+) -> tuple[FloatArray, float]:
+    """Return the unit vector over an edge and across a direction, and the scale that it had."""
+    if len(nodes) == 2:
+        across = np.array([-down[1], down[0]])
+    else:
+        across = np.cross(nodes[:, edge[1]] - nodes[:, edge[0]], down)
+    scale = float(np.linalg.norm(across))
+    if across @ (nodes[:, feet].mean(axis=1) - nodes[:, edge[0]]) > 0:
+        scale = -scale
+    return across / scale, scale
+
+
+def _moving_bars(structure: Structure) -> IntArray:
+    """Return the bars whose lengths are independent."""
+    return np.concatenate([structure.free_bars, *(b.independent for b in structure.blocks)])
+
+
+@builds
+def _conditions(model: Model) -> SharedEvaluator:
+    """Return the slope of the energy with bars, their stretch, and the derivatives of both.
+
+    ``(positions, rest lengths, multipliers) -> (slope, stretch, directions, Hessian, pushes)``,
+    where the first is that of strings and weights alone, and the last by the rest lengths.
+    """
+    structure = model.structure
+    q, rest = ca.SX.sym("q", structure.nodes.size), ca.SX.sym("rest", len(structure.strings))
+    N = ca.reshape(q, *structure.nodes.shape)
+    assert model.strings is not None  # refused before
+    length = kernel.string_lengths(structure, N).T
+    energy = ca.sum1(model.strings.as_expressions().stored_energy(length, rest))
+    energy -= ca.dot(ca.DM(model.constant_force), N)
+    B = kernel.differences(N, structure.bars[_moving_bars(structure)])
+    stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[_moving_bars(structure)] ** 2)) / 2
+    lam = ca.SX.sym("lambda", stretch.numel())
+    slope, directions = ca.gradient(energy, q), ca.jacobian(stretch, q)
+    hessian = ca.jacobian(slope + ca.mtimes(directions.T, lam), q)
+    found = [slope, stretch, directions, hessian, ca.jacobian(slope, rest)]
+    given = [q, rest, lam]
+    return SharedEvaluator(ca.Function("tipping", given, [ca.densify(each) for each in found]))
+
+
+def _hull(places: FloatArray) -> list[list[int]]:
+    """Return the edges of the convex hull of points in the plane, or the ends of a line."""
+    if len(places) == 1:
+        return [[int(places.argmin())], [int(places.argmax())]]
+    from scipy.spatial import ConvexHull
+
+    edges: list[list[int]] = ConvexHull(places.T).simplices.tolist()
+    return edges
+
+
+def nearest_plane(shape: FloatArray, down: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the upward normal of the plane that is nearest to some nodes, and a basis of it."""
+    axes = np.linalg.svd((shape - shape.mean(axis=1, keepdims=True)).T)[2]
+    return -np.sign(axes[-1] @ down) * axes[-1], axes[:-1]
+
+
+def checked_feet(feet: object, d: int, n: int) -> IntArray:
+    """Return the nodes that a structure is to stand on, ascending."""
+    found = np.unique(indices("feet", np.atleast_1d(float_array("feet", feet)), n, "nodes"))
+    if len(found) < d:
+        raise ValueError(f"feet are {found.tolist()}, expected at least {d} nodes")
+    return found
