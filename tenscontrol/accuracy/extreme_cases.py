@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case
+from tenscontrol.accuracy.case import Case, fastest_rate
 from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import (
     ContactLaw,
@@ -86,10 +86,12 @@ class Extreme:
 
     @cached_property
     def frequency(self) -> float:
-        """Largest of the frequencies of the strings and the speeds of turning, rad/s."""
+        """Largest of the frequencies of strings and contacts and the speeds of turning, rad/s."""
         case = self.case
         strings = 0.0
-        if len(case.structure.strings):
+        if case.model.contacts is not None:
+            strings = fastest_rate(case)
+        elif len(case.structure.strings):
             strings = largest_frequency(case.equation(), case.state, case.value)
         return float(max(strings, self.turning, 1.0 / case.duration))
 
