@@ -468,7 +468,9 @@ def _friction(values: tuple[float, ...] = (0.0, 0.1, 1.0, 5.0)) -> Iterator[Extr
 def _resting() -> Iterator[Extreme]:
     """Nodes that rest on the ground, stick to it, and press for a minute."""
     for power in (3, 5):
-        case = _dropped(stiffness=10.0**power, height=1e-3, duration=60.0, damping=1.0)
+        case = _dropped(
+            stiffness=10.0**power, height=1e-3, duration=60.0, damping=1.0, string_damping=5.0
+        )
         yield Extreme("rest for 60 s", f"1e{power} N/m", case, budget=3e6)
 
 
@@ -481,14 +483,16 @@ def _spinning_drop(speeds: tuple[float, ...] = (10.0, 100.0)) -> Iterator[Extrem
 def _ground_laws() -> Iterator[Extreme]:
     yield Extreme("ground law", "Hertz", _dropped(stiffness=1e5, ground=HertzGround))
     yield Extreme("ground law", "smooth", _dropped(ground=SmoothGround))
-    case = _dropped(damping=30.0)
-    yield Extreme("ground law", "damping 30 s/m", case)
-    wall = Ground(1e4, damping=0.3, friction=0.5, normal=np.array([-1.0, 0.0, 0.3]), height=-0.7)
-    floor = case.model.ground[0]
-    corner = Model(
-        case.structure, strings=case.model.strings, gravity=_GRAVITY, ground=[floor, wall]
+    yield Extreme("ground law", "damping 30 s/m", _dropped(damping=30.0))
+    case = _dropped()
+    wall = Ground(1e4, damping=0.3, friction=0.5, normal=np.array([-1.0, 0.0, 0.3]), height=-0.6)
+    model = Model(
+        case.structure,
+        strings=case.model.strings,
+        gravity=_GRAVITY,
+        ground=[*case.model.ground, wall],
     )
-    yield Extreme("ground law", "a corner", replace(case, model=corner))
+    yield Extreme("ground law", "a corner", replace(case, model=model))
 
 
 def _grazing() -> Iterator[Extreme]:
@@ -545,3 +549,5 @@ def _few() -> Iterator[Extreme]:
     yield next(_long_steps((30.0,)))
     yield next(_zero_length())
     yield next(_d_bar())
+    yield from _ground_stiffness(range(6, 7))
+    yield from _grazing()
