@@ -14,7 +14,15 @@ from tenscontrol.plant import held_value
 from tenscontrol.scene import Scene
 from tenscontrol.simulation import checked_load, initial_state
 from tenscontrol.structure import Structure, free_coordinates, restore_bar_lengths
-from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number, text
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    frozen,
+    instance,
+    positive_number,
+    text,
+    truth,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +121,20 @@ class Case:
         """The start as integrators take it: x of the free nodes."""
         return initial_state(self.model, self.nodes, self.velocities, self.input, self.value)[0]
 
-    def equation(self) -> Equation:
-        """Return the state equation under the loads of the case."""
-        return self.model.equation(self.input, self.load - self.model.constant_force)
+    def equation(self, derivatives: bool = False) -> Equation:
+        """Return the state equation under the loads of the case.
+
+        Parameters
+        ----------
+        derivatives : bool
+            Whether a form with derivatives is needed, which compiled loops are not.
+        """
+        truth("derivatives", derivatives, "whether derivatives are needed")
+        load = self.load - self.model.constant_force
+        found = self.model.equation(self.input, load)
+        if derivatives and found.form == "loops":
+            return self.model.equation(self.input, load, form="mapped")
+        return found
 
     def __repr__(self) -> str:
         title = f"{self.name}, " if self.name else ""
@@ -185,7 +204,7 @@ def fastest_rate(case: Case) -> float:
     All strings pull. Of an undamped structure that is its highest angular frequency ω; with ground
     that with all nodes on it, too; 1/duration at least.
     """
-    equation = case.equation()
+    equation = case.equation(derivatives=True)
     x, u, taut, _ = equation.symbols(ca.SX if is_expandable(equation) else ca.MX)
     jacobian = ca.Function("jacobian", [x, u, taut], [ca.jacobian(equation.slope(x, u, taut), x)])
     pulls, rates = np.ones(equation.switches), [1 / case.duration]

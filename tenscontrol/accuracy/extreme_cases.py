@@ -20,7 +20,8 @@ from tenscontrol.dynamics import (
     SmoothGround,
 )
 from tenscontrol.integrate import METHODS, largest_frequency
-from tenscontrol.statics import prism_force_density
+from tenscontrol.library import class2_tower, d_bar, six_bar_ball, spine
+from tenscontrol.statics import prestress, prism_force_density
 from tenscontrol.structure import Structure, prism, segment_counts, spread_force_density, subdivide
 from tenscontrol.validation import FloatArray
 
@@ -495,6 +496,29 @@ def _ground_laws() -> Iterator[Extreme]:
     yield Extreme("ground law", "a corner", replace(case, model=model))
 
 
+def _dropped_others() -> Iterator[Extreme]:
+    """Return drops of structures of the library, with bars that share nodes, and in the plane."""
+    for make in (six_bar_ball, class2_tower, d_bar, spine):
+        structure = make()
+        if len(structure.fixed_rows):
+            structure = replace(structure, fixed=np.zeros(0, int))
+        gamma = prestress(structure, 30.0).force_density
+        strings = LinearStrings(stiffness=1e3, damping=0.5)
+        lengths = to_rest_length(Model(structure, strings=strings), structure.nodes, gamma)
+        below = float(structure.nodes[-1].min()) - 0.1
+        floor = Ground(5e3, damping=0.3, friction=0.5, height=below)
+        moving = np.zeros_like(structure.nodes)
+        moving[0] = 0.5
+        case = Case(
+            Model(structure, strings=strings, gravity=_GRAVITY, ground=floor),
+            0.4,
+            velocities=moving,
+            input="rest_length",
+            value=lengths.rest_length,
+        )
+        yield Extreme("drop of another structure", make.__name__, case)
+
+
 def _grazing() -> Iterator[Extreme]:
     """Return a bar that turns, and whose end just reaches the ground, again and again."""
     for turned in (next(_free_bar((10.0,))),):
@@ -538,7 +562,8 @@ _ALL = (
     _stiffness, _node_mass, _bar_mass, _segments, _free_bar, _spun_prism, _prestress, _slack,
     _zero_length, _aspect, _long_steps, _damped, _many_steps, _scale, _class_2_tower, _spine,
     _chain, _short_segment, _d_bar, _ground_stiffness, _ground_without_loss, _ground_mass,
-    _drop_height, _friction, _resting, _spinning_drop, _ground_laws, _grazing, _ground_scale,
+    _drop_height, _friction, _resting, _spinning_drop, _ground_laws, _dropped_others, _grazing,
+    _ground_scale,
 )  # fmt: skip
 
 
