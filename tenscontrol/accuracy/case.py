@@ -9,12 +9,20 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Equation, Model, builds, pack_state
-from tenscontrol.integrate import is_expandable, largest_frequency
+from tenscontrol.integrate import is_expandable
 from tenscontrol.plant import held_value
 from tenscontrol.scene import Scene
 from tenscontrol.simulation import checked_load, initial_state
 from tenscontrol.structure import Structure, free_coordinates, restore_bar_lengths
-from tenscontrol.validation import FloatArray, choice, frozen, instance, positive_number, text
+from tenscontrol.validation import (
+    FloatArray,
+    choice,
+    frozen,
+    instance,
+    positive_number,
+    text,
+    truth,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +121,20 @@ class Case:
         """The start as integrators take it: x of the free nodes."""
         return initial_state(self.model, self.nodes, self.velocities, self.input, self.value)[0]
 
-    def equation(self) -> Equation:
-        """Return the state equation under the loads of the case."""
-        return self.model.equation(self.input, self.load - self.model.constant_force)
+    def equation(self, derivatives: bool = False) -> Equation:
+        """Return the state equation under the loads of the case.
+
+        Parameters
+        ----------
+        derivatives : bool
+            Whether a form with derivatives is needed, which compiled loops are not.
+        """
+        truth("derivatives", derivatives, "whether derivatives are needed")
+        load = self.load - self.model.constant_force
+        found = self.model.equation(self.input, load)
+        if derivatives and found.form == "loops":
+            return self.model.equation(self.input, load, form="mapped")
+        return found
 
     def __repr__(self) -> str:
         title = f"{self.name}, " if self.name else ""
@@ -185,22 +204,28 @@ def fastest_rate(case: Case) -> float:
     All strings pull. Of an undamped structure that is its highest angular frequency ω; with ground
     that with all nodes on it, too; 1/duration at least.
     """
-    equation = case.equation()
+    equation = case.equation(derivatives=True)
     x, u, taut, _ = equation.symbols(ca.SX if is_expandable(equation) else ca.MX)
     jacobian = ca.Function("jacobian", [x, u, taut], [ca.jacobian(equation.slope(x, u, taut), x)])
-    pulls = np.ones(equation.switches)
-    touching = 0.0
-    if equation.contacts is not None and equation.contacts.switches:
-        touching = largest_frequency(equation, case.state, case.value)
-        # What a contact says far above the ground is no rate of any motion.
+    pulls, rates = np.ones(equation.switches), [1 / case.duration]
+    if equation.contacts is not None:
+        # Of nodes that stand still, however far above the ground: damping would say more there.
+        n = equation.states // 2
+        still = np.concatenate([case.state[:n], np.zeros(n)])
+        stiffness = jacobian(still, case.value, pulls)[n:, :n]
+        rates.append(float(np.sqrt(_largest_eigenvalue(stiffness))))
         contacts = slice(equation.switches - equation.contacts.switches, None)
         depth = equation.gap(case.state, case.value)[0].full()[contacts, 0]
         pulls[contacts] = depth > 0
-    matrix = jacobian(case.state, case.value, pulls)
-    if equation.states <= _DENSE:
+    return max(_largest_eigenvalue(jacobian(case.state, case.value, pulls)), *rates)
+
+
+def _largest_eigenvalue(matrix: ca.DM) -> float:
+    """Return the largest magnitude of the eigenvalues of a square matrix."""
+    if matrix.shape[0] <= _DENSE:
         found = np.linalg.eigvals(matrix.full())
     else:
         from scipy.sparse.linalg import eigs
 
         found = eigs(matrix.sparse().tocsc(), k=6, which="LM", return_eigenvectors=False)
-    return max(float(np.abs(found).max(initial=0.0)), touching, 1 / case.duration)
+    return float(np.abs(found).max(initial=0.0))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tenscontrol.accuracy.case import Case
+from tenscontrol.accuracy.case import Case, fastest_rate
 from tenscontrol.actuation import to_rest_length
 from tenscontrol.dynamics import (
     ContactLaw,
@@ -20,7 +20,8 @@ from tenscontrol.dynamics import (
     SmoothGround,
 )
 from tenscontrol.integrate import METHODS, largest_frequency
-from tenscontrol.statics import prism_force_density
+from tenscontrol.library import class2_tower, d_bar, six_bar_ball, spine
+from tenscontrol.statics import prestress, prism_force_density
 from tenscontrol.structure import Structure, prism, segment_counts, spread_force_density, subdivide
 from tenscontrol.validation import FloatArray
 
@@ -86,10 +87,12 @@ class Extreme:
 
     @cached_property
     def frequency(self) -> float:
-        """Largest of the frequencies of the strings and the speeds of turning, rad/s."""
+        """Largest of the frequencies of strings and contacts and the speeds of turning, rad/s."""
         case = self.case
         strings = 0.0
-        if len(case.structure.strings):
+        if case.model.contacts is not None:
+            strings = fastest_rate(case)
+        elif len(case.structure.strings):
             strings = largest_frequency(case.equation(), case.state, case.value)
         return float(max(strings, self.turning, 1.0 / case.duration))
 
@@ -466,7 +469,9 @@ def _friction(values: tuple[float, ...] = (0.0, 0.1, 1.0, 5.0)) -> Iterator[Extr
 def _resting() -> Iterator[Extreme]:
     """Nodes that rest on the ground, stick to it, and press for a minute."""
     for power in (3, 5):
-        case = _dropped(stiffness=10.0**power, height=1e-3, duration=60.0, damping=1.0)
+        case = _dropped(
+            stiffness=10.0**power, height=1e-3, duration=60.0, damping=1.0, string_damping=5.0
+        )
         yield Extreme("rest for 60 s", f"1e{power} N/m", case, budget=3e6)
 
 
@@ -479,14 +484,39 @@ def _spinning_drop(speeds: tuple[float, ...] = (10.0, 100.0)) -> Iterator[Extrem
 def _ground_laws() -> Iterator[Extreme]:
     yield Extreme("ground law", "Hertz", _dropped(stiffness=1e5, ground=HertzGround))
     yield Extreme("ground law", "smooth", _dropped(ground=SmoothGround))
-    case = _dropped(damping=30.0)
-    yield Extreme("ground law", "damping 30 s/m", case)
-    wall = Ground(1e4, damping=0.3, friction=0.5, normal=np.array([-1.0, 0.0, 0.3]), height=-0.7)
-    floor = case.model.ground[0]
-    corner = Model(
-        case.structure, strings=case.model.strings, gravity=_GRAVITY, ground=[floor, wall]
+    yield Extreme("ground law", "damping 30 s/m", _dropped(damping=30.0))
+    case = _dropped()
+    wall = Ground(1e4, damping=0.3, friction=0.5, normal=np.array([-1.0, 0.0, 0.3]), height=-0.6)
+    model = Model(
+        case.structure,
+        strings=case.model.strings,
+        gravity=_GRAVITY,
+        ground=[*case.model.ground, wall],
     )
-    yield Extreme("ground law", "a corner", replace(case, model=corner))
+    yield Extreme("ground law", "a corner", replace(case, model=model))
+
+
+def _dropped_others() -> Iterator[Extreme]:
+    """Return drops of structures of the library, with bars that share nodes, and in the plane."""
+    for make in (six_bar_ball, class2_tower, d_bar, spine):
+        structure = make()
+        if len(structure.fixed_rows):
+            structure = replace(structure, fixed=np.zeros(0, int))
+        gamma = prestress(structure, 30.0).force_density
+        strings = LinearStrings(stiffness=1e3, damping=0.5)
+        lengths = to_rest_length(Model(structure, strings=strings), structure.nodes, gamma)
+        below = float(structure.nodes[-1].min()) - 0.1
+        floor = Ground(5e3, damping=0.3, friction=0.5, height=below)
+        moving = np.zeros_like(structure.nodes)
+        moving[0] = 0.5
+        case = Case(
+            Model(structure, strings=strings, gravity=_GRAVITY, ground=floor),
+            0.4,
+            velocities=moving,
+            input="rest_length",
+            value=lengths.rest_length,
+        )
+        yield Extreme("drop of another structure", make.__name__, case)
 
 
 def _grazing() -> Iterator[Extreme]:
@@ -532,7 +562,8 @@ _ALL = (
     _stiffness, _node_mass, _bar_mass, _segments, _free_bar, _spun_prism, _prestress, _slack,
     _zero_length, _aspect, _long_steps, _damped, _many_steps, _scale, _class_2_tower, _spine,
     _chain, _short_segment, _d_bar, _ground_stiffness, _ground_without_loss, _ground_mass,
-    _drop_height, _friction, _resting, _spinning_drop, _ground_laws, _grazing, _ground_scale,
+    _drop_height, _friction, _resting, _spinning_drop, _ground_laws, _dropped_others, _grazing,
+    _ground_scale,
 )  # fmt: skip
 
 
@@ -543,3 +574,5 @@ def _few() -> Iterator[Extreme]:
     yield next(_long_steps((30.0,)))
     yield next(_zero_length())
     yield next(_d_bar())
+    yield from _ground_stiffness(range(6, 7))
+    yield from _grazing()

@@ -214,7 +214,8 @@ def long_run(
     state, spacing, failure, work = case.state, duration / outputs, "", Work()
     kept = keeping("states are judged", lambda: recorder.count * (recorder.count >= _BLOCKS))
     with kept, progress_bar(duration, progress, f"running {chosen.name}") as report:
-        integrator = chosen.integrator(case.equation(), setting, machine_code=machine_code)
+        equation = case.equation(chosen.differentiates)
+        integrator = chosen.integrator(equation, setting, machine_code=machine_code)
         for first in range(0, outputs, _PART):
             count = min(_PART, outputs - first)
             try:

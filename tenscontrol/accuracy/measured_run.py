@@ -247,7 +247,9 @@ class Bench:
         began = perf_counter()
         try:
             integrator = method.integrator(
-                case.equation(), setting, machine_code=self._machine_code
+                case.equation(method.differentiates),
+                setting,
+                machine_code=self._machine_code,
             )
             built = perf_counter() - began
             span, timing = self._timed(

@@ -180,7 +180,7 @@ class _Probe:
         self._case, self._rate, self._count = case, rate, count
         # Steps are shortened to fit between outputs: with an output a step, one integrator,
         # which is costly to build, takes steps of any length.
-        self._integrator = method.integrator(case.equation(), _LONGEST)
+        self._integrator = method.integrator(case.equation(method.differentiates), _LONGEST)
         self._allowed = np.inf
         self._allowed = _GROWN * self._energy(_FINE)
 

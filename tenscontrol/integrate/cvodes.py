@@ -241,8 +241,10 @@ class _Motion:
             # As many states as steps, about: the last step tells, the first ones are tiny.
             fitting = 1.5 * grid * stats["hlast"] * span
             self._window = float(np.clip(fitting, span / 16, 4 * span))
-            if stats["nsteps"] <= _COARSE * grid:
+            if stats["nsteps"] <= _COARSE * grid or span <= _SHORTEST * self._times[-1]:
                 break
+            # Its last step may be long where the first ones are many.
+            self._window = min(self._window, span / 2)
         nodes = np.column_stack([self.state, states])
         return _Window(np.linspace(self.now, end, grid + 1), nodes, self._slopes_at)
 

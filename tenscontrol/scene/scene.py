@@ -318,9 +318,7 @@ def load_scene(file: str | Path) -> Scene:
     load: Any = False if forces is None else forces
     ground = build_ground(document, structure)
     with document.table("loads").checked():
-        model = Model(
-            structure, strings=law, external_force=load, gravity=gravity, ground=ground or None
-        )
+        model = Model(structure, strings=law, external_force=load, gravity=gravity, ground=ground)
     shape_gives = bool(document.table("prestress").get("shape_gives"))
     acting = model.constant_force
     if shape_gives or (ground and not _is_held(structure, acting)):
@@ -341,9 +339,7 @@ def load_scene(file: str | Path) -> Scene:
         with document.table("prestress").checked("shape_gives"):
             rest = equilibrium(model, **{input: given})
         structure, force_density = rest.structure, rest.force_density
-        model = Model(
-            structure, strings=law, external_force=load, gravity=gravity, ground=ground or None
-        )
+        model = Model(structure, strings=law, external_force=load, gravity=gravity, ground=ground)
     winches = build_winches(document, structure)
     _refuse_alone(document)
     controller = estimator = None

@@ -257,7 +257,7 @@ def build_design(
     load: Any = False if forces is None else forces[:, :count]
     there = [_on_first(each, count) for each in ground]
     laws = [each for each in there if each is not None]
-    model = Model(design, strings=law, external_force=load, gravity=gravity, ground=laws or None)
+    model = Model(design, strings=law, external_force=load, gravity=gravity, ground=laws)
     with document.table("prestress").checked("force_density", "for a controller "):
         if design is not structure:
             together = to_strings(structure, "force_density", gamma)

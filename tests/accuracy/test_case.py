@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.accuracy import as_case
+from tenscontrol.accuracy import Case, as_case
+from tenscontrol.accuracy.case import fastest_rate
+from tenscontrol.accuracy.peers import CasADiCVODES, SciPy
+from tenscontrol.dynamics import compiler
 from tests.accuracy.scenes import paper_case
 
 SCENES = Path(__file__).parent.parent.parent / "examples" / "scenes"
@@ -78,3 +81,21 @@ def test_what_does_not_fit_is_refused(prism, change, error, message):
 def test_neither_case_nor_scene():
     with pytest.raises(TypeError, match="scene is a str, expected Scene"):
         tc.work_precision("prism.toml")
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+def test_structures_of_many_members_are_measured_by_methods_that_need_derivatives():
+    """Their equation is loops in C by default, which have none."""
+    spine = tc.library.spine()
+    model = tc.Model(spine, strings=tc.LinearStrings(1e3, damping=1.0))
+    case = Case(model, 0.02, input="rest_length", value=0.99 * spine.string_length())
+    assert case.equation().form == "loops"
+    assert case.equation(derivatives=True).form == "mapped"
+    assert fastest_rate(case) > 1 / case.duration
+    reference = tc.accuracy.converged_motion(case, outputs=4)
+    found = tc.work_precision(
+        case, ["cvodes", "energy_momentum"], {"cvodes": [1e-6], "energy_momentum": [1e-3]},
+        peers=[CasADiCVODES([1e-8]), SciPy("Radau", [1e-6])], reference=reference, repeats=1,
+    )  # fmt: skip
+    assert not found.failures
+    assert max(row.error for row in found.rows) < 1e-3

@@ -59,6 +59,25 @@ def test_the_full_suite_has_a_case_of_each_kind():
     assert len({case.name for case in extremes()}) == len(extremes())
 
 
+def test_the_full_suite_has_ground_of_every_kind():
+    grounded = [case for case in extremes() if case.case.model.contacts is not None]
+    assert len({case.group for case in grounded}) >= 10
+    laws = [law for case in grounded for law in case.case.model.ground]
+    stiffness = [law.stiffness for law in laws if isinstance(law, tc.Ground)]
+    assert min(stiffness) <= 1e2
+    assert max(stiffness) == 1e9
+    assert max(law.friction for law in laws) == 5.0
+    assert {type(law).__name__ for law in laws} == {"Ground", "HertzGround", "SmoothGround"}
+    assert max(case.case.duration for case in grounded) >= 60.0
+
+
+def test_a_drop_does_not_change_with_units():
+    cases = {case.label: case for case in extremes() if case.group == "drop of another scale"}
+    assert len(cases) == 2
+    shapes = [truth(case).nodes / case.case.size for case in cases.values()]
+    np.testing.assert_allclose(shapes[0], shapes[1], atol=1e-7)
+
+
 # ---- that it would find what is wrong ----
 
 

@@ -1332,7 +1332,7 @@ call(
         "value": gamma(),
     },
 )
-call("Case.equation", on=case)
+call("Case.equation", lambda: {"derivatives": True}, case)
 call(
     "accuracy.converged_motion",
     lambda: {"scene": case(), "outputs": 5, "report": lambda part: None},

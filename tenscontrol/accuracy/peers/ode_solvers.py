@@ -52,12 +52,13 @@ class SciPy(Peer):
         setting, times = checked_run(case, setting, times)
         from scipy.integrate import solve_ivp
 
-        kinked, held, state = case.equation().kinked_slope, case.value, case.state
+        equation = case.equation(derivatives=self.method in _IMPLICIT)
+        kinked, held, state = equation.kinked_slope, case.value, case.state
         evaluate = Evaluator(kinked)
         options: dict[str, Any] = {}
         weight = 0
         if self.method in _IMPLICIT:
-            expand = is_expandable(case.equation())
+            expand = is_expandable(equation)
             jacobian = state_jacobian(kinked, expand)
             weight = jacobian_weight(kinked, jacobian)
             inputs = jacobian.sx_in() if expand else jacobian.mx_in()
@@ -110,7 +111,7 @@ class CasADiCVODES(Peer):
     def prepare(self, case: Case, setting: float, times: FloatArray) -> Callable[[], Solution]:
         """See :meth:`Peer.prepare`."""
         setting, times = checked_run(case, setting, times)
-        equation = case.equation()
+        equation = case.equation(derivatives=True)
         kinked = equation.kinked_slope
         weight = jacobian_weight(kinked, state_jacobian(kinked, is_expandable(equation)))
         tolerances = {"reltol": setting, "abstol": setting}

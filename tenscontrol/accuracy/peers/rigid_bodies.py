@@ -33,6 +33,9 @@ _IMPACT = 1.0
 # Radius of the balls at nodes that touch, as part of the size.
 _BALL = 1e-4
 
+# Bits by which it tells which balls touch which plane.
+_MOST_PLANES = 31
+
 # Slack by less than this part of the rest length is round-off of a string at its border.
 _SLACK = 1e-9
 
@@ -87,6 +90,8 @@ class MuJoCo(Peer):
             if structure.blocks:
                 found = f"bar {structure.coupled_bars[0]} joined to a bar, a point mass or a roller"
             return f"bars must be apart, with both ends free or one fixed; there is {found}"
+        if len(case.model.ground) > _MOST_PLANES:
+            return f"MuJoCo tells at most {_MOST_PLANES} planes with nodes of their own apart"
         for ground in case.model.ground:
             if not isinstance(ground, Ground) or isinstance(ground.height, ca.Function):
                 return f"MuJoCo's contacts are springs on planes, not {ground!r:.60}"
