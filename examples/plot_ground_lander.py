@@ -24,8 +24,8 @@ RATIO = 0.5  # force density of the strings of the payload over that of the shel
 # The lander
 # ----------
 #
-# The strings of the payload draw the ball together. The bars of a pair are nearer to each other than
-# in the ball alone, so that the forces balance. It falls on a triangle of strings.
+# The strings of the payload draw the ball together. The bars of a pair are nearer to each other
+# than in the ball alone, so that the forces balance. It falls on a triangle of strings.
 
 ball = tc.library.six_bar_ball(bar_length=LENGTH, bar_mass=BAR)
 nodes = np.where(np.isclose(np.abs(ball.nodes), LENGTH / 4), 4 / (4 + RATIO), 1.0) * ball.nodes

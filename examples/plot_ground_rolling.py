@@ -43,7 +43,7 @@ def on_slope(degrees):
 
 model, uphill = on_slope(5.0)
 path = tc.shape.tipping_path(
-    model, REST_LENGTH, FACE, uphill, nodes=tc.shape.stand_on(model, FACE), winches=winches
+    model, REST_LENGTH, FACE, uphill, nodes=tc.plant.set_down(model, FACE), winches=winches
 )
 print(path)
 
@@ -60,7 +60,7 @@ for name, slope in SLOPES.items():
     runs[name] = run = tc.simulate(
         model,
         15.0,
-        nodes=tc.shape.stand_on(model, FACE),
+        nodes=tc.plant.set_down(model, FACE),
         controller=gait,
         winches=winches,
         rest_length=REST_LENGTH,

@@ -446,8 +446,8 @@ def set_down(model: Model, feet: object, nodes: object = None) -> FloatArray:
     Raises
     ------
     TypeError, ValueError
-        If an argument does not fit, the feet determine no plane, or the model has no ground or
-        supports.
+        If an argument does not fit, the feet determine no plane, other nodes would be lower, or
+        the model has no ground or supports.
 
     Examples
     --------
@@ -483,7 +483,15 @@ def set_down(model: Model, feet: object, nodes: object = None) -> FloatArray:
     depth, _, away = law.sinking(ca.DM(centre), ca.DM.zeros(d, 1))
     depth, up = float(depth), np.array(away).ravel()
     up /= np.linalg.norm(up)
-    return np.asarray(_least_turn(axis, up) @ (N - centre) + centre + depth * up[:, None])
+    turned = np.asarray(_least_turn(axis, up) @ (N - centre) + centre + depth * up[:, None])
+    height = up @ turned
+    lower = float(height[below].min() - height.min())
+    if lower > _TOUCHING * float(np.ptp(N, axis=1).max()):
+        raise ValueError(
+            f"feet are {below.tolist()}, but node {height.argmin()} would be lower by "
+            f"{lower:.3g} m: give the nodes of a face"
+        )
+    return turned
 
 
 def _least_turn(start: FloatArray, end: FloatArray) -> FloatArray:

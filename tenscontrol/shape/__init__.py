@@ -2,7 +2,7 @@
 
 from tenscontrol.shape.demands import Demand, Height, NodesAt, PointAt, Twist
 from tenscontrol.shape.equilibrium_path import PathError
-from tenscontrol.shape.rolling import RollingGait, RollingStep, stand_on
+from tenscontrol.shape.rolling import RollingGait, RollingStep
 from tenscontrol.shape.shape_path import ShapePath, plants_along, shape_path
 from tenscontrol.shape.symmetry import RotationalSymmetry
 from tenscontrol.shape.target import DemandCheck, ShapeError, ShapeTarget, shape_target
@@ -27,6 +27,5 @@ __all__ = [
     "plants_along",
     "shape_path",
     "shape_target",
-    "stand_on",
     "tipping_path",
 ]

@@ -17,14 +17,11 @@ from tenscontrol.shape.tipping import (
     StuckError,
     TippingPlanner,
     across_edge,
-    checked_feet,
-    nearest_plane,
 )
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
     freeze_arrays,
-    instance,
     number,
     positive_number,
     shaped,
@@ -52,60 +49,6 @@ class _Phase(Enum):
     STANDS = 1
     WINDS = 2
     LANDS = 3
-
-
-def stand_on(model: Model, feet: ArrayLike) -> FloatArray:
-    """Return the shape of the structure turned so that it stands on the ground on these feet.
-
-    Parameters
-    ----------
-    model : Model
-        With one ground that is a plane.
-    feet : array_like of int
-        At least d nodes, in one plane.
-
-    Returns
-    -------
-    ndarray, shape (d, n)
-        m. The feet are on the ground, and the middle of all nodes above its origin, the point
-        nearest to that of the axes.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument does not fit, or other nodes are lower than the feet.
-
-    Examples
-    --------
-    >>> import tenscontrol as tc
-    >>> ball = tc.library.six_bar_ball(bar_length=1.0)
-    >>> model = tc.Model(ball, ground=tc.Ground(stiffness=5e3))
-    >>> tc.shape.stand_on(model, [0, 4, 8])[2, :5].round(3)
-    array([0.   , 0.577, 0.289, 0.866, 0.   ])
-    """
-    instance("model", model, Model, "make one by Model(structure, ground=...)")
-    normal, height = _one_plane(model)
-    nodes = model.structure.nodes - model.structure.nodes.mean(axis=1, keepdims=True)
-    d, n = nodes.shape
-    found = checked_feet(feet, d, n)
-    outward = -nearest_plane(nodes[:, found], nodes[:, found].mean(axis=1))[0]
-    # The least turn that takes one to the other; half a turn where they are opposite.
-    aligned = float(outward @ -normal)
-    if aligned > CLOSE - 1:
-        both = outward - normal
-        turn = np.eye(d) - np.outer(both, both) / (1 + aligned) - 2 * np.outer(normal, outward)
-    else:
-        side = np.linalg.svd(normal[None])[2][-1]
-        turn = np.eye(d) - 2 * (np.outer(normal, normal) + np.outer(side, side))
-    turned = turn @ nodes
-    above = normal @ turned
-    size = float(np.ptp(nodes, axis=1).max())
-    if above.min() < above[found].min() - CLOSE * size:
-        raise ValueError(
-            f"feet are {found.tolist()}, but node {above.argmin()} would be lower by "
-            f"{above[found].min() - above.min():.3g} m: give the nodes of a face"
-        )
-    return np.asarray(turned + ((height - above.min()) * normal)[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +124,7 @@ class RollingGait:
     >>> winches = tc.Winches(rate=0.2, ramp=True)
     >>> gait = tc.shape.RollingGait(model, 0.55, direction=[1.0, 0.0, 0.0], sample_time=0.05,
     ...                             winches=winches, steps=1)
-    >>> nodes = tc.shape.stand_on(model, [0, 4, 8])
+    >>> nodes = tc.plant.set_down(model, [0, 4, 8])
     >>> run = tc.simulate(model, 3.0, nodes, controller=gait, winches=winches, rest_length=0.55,
     ...                   method="cvodes", tolerance=1e-5)
     >>> [step.landed.tolist() for step in gait.made]

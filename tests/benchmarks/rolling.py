@@ -91,7 +91,7 @@ def rolled(slope, steps, yaw=0.0, **parameters):
     gait = tc.shape.RollingGait(
         nominal, REST_LENGTH, np.cross([0.0, 1.0, 0.0], up), SAMPLE, winches=WINCHES, steps=steps
     )
-    begin = turn(up, np.radians(yaw)) @ tc.shape.stand_on(nominal, FACE)
+    begin = turn(up, np.radians(yaw)) @ tc.plant.set_down(nominal, FACE)
     model, runs = modelled(slope, **parameters), []
     while not runs or (len(gait.made) < steps and runs[-1].time[-1] < LONGEST):
         start = {"start": runs[-1]} if runs else {"nodes": begin, "rest_length": REST_LENGTH}
@@ -121,7 +121,7 @@ def report_time(slopes, steps):
             f"{np.median(busy):.3f} in the median of those that plan"
         )
     model = modelled(slopes[-1])
-    nodes, took = tc.shape.stand_on(model, FACE), []
+    nodes, took = tc.plant.set_down(model, FACE), []
     for _ in range(10):
         began = process_time()
         path = tc.shape.tipping_path(

@@ -1208,7 +1208,6 @@ call(
     },
     share=0.2,
 )
-call("shape.stand_on", lambda: {"model": standing(), "feet": [3, 4, 5]})
 call(
     "shape.RollingGait",
     lambda: {

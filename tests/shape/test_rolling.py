@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.shape import RollingGait, TippingError, stand_on, tipping_path
+from tenscontrol.plant import set_down
+from tenscontrol.shape import RollingGait, TippingError, tipping_path
 from tenscontrol.shape.rolling import _rolled
 from tenscontrol.shape.tipping import TippingPlanner
 
@@ -49,14 +50,14 @@ def scene(name):
     if name not in OTHERS:
         degrees = 5.0 if name == "ball on a slope" else 0.0
         model = ball(degrees)
-        return model, REST, FACE, stand_on(model, FACE), uphill(degrees)
+        return model, REST, FACE, set_down(model, FACE), uphill(degrees)
     make, feet, level = OTHERS[name]
     structure = make()
     strings, ground = tc.LinearStrings(stiffness=1000.0), tc.Ground(stiffness=5e3)
     model = tc.Model(structure, strings=strings, gravity=9.81, ground=ground)
     rest = tc.prestress(structure, min_force_density=level).force_density
     wound = tc.to_rest_length(model, structure.nodes, rest).rest_length
-    return model, wound, feet, stand_on(model, feet), np.eye(structure.dimension)[0]
+    return model, wound, feet, set_down(model, feet), np.eye(structure.dimension)[0]
 
 
 @cache
@@ -164,7 +165,7 @@ class TestStanding:
         }  # fmt: skip
         assert len(faces) == 8
         for face in faces:
-            nodes = stand_on(model, list(face))
+            nodes = set_down(model, list(face))
             above = model.ground[0].up(3) @ nodes
             assert np.flatnonzero(above < 1e-9).tolist() == sorted(face)
             assert above.min() == pytest.approx(0, abs=1e-12)
@@ -173,7 +174,7 @@ class TestStanding:
     def test_half_a_turn(self):
         model = tc.Model(tc.prism(), ground=tc.Ground(stiffness=1e3, height=0.5))
         for feet, turned in (([3, 4, 5], False), ([0, 1, 2], True)):
-            nodes = stand_on(model, feet)
+            nodes = set_down(model, feet)
             assert nodes[2, feet] == pytest.approx(0.5)
             mirror = np.linalg.det(nodes[:, :3] - nodes[:, 3:]) * np.linalg.det(
                 model.structure.nodes[:, :3] - model.structure.nodes[:, 3:]
@@ -185,7 +186,7 @@ class TestStanding:
 class TestGait:
     def simulated(self, gait, duration=3.5):
         return tc.simulate(
-            ball(), duration, stand_on(ball(), FACE), controller=gait, winches=WINCHES,
+            ball(), duration, set_down(ball(), FACE), controller=gait, winches=WINCHES,
             rest_length=REST, method="cvodes", tolerance=1e-5, output_step=0.05,
         )  # fmt: skip
 
@@ -206,7 +207,7 @@ class TestGait:
     def test_where_no_edge_can_be_passed_it_stays(self):
         winches = tc.Winches(rate=0.2, shortest=0.53, longest=0.57, ramp=True)
         gait = RollingGait(ball(), REST, uphill(0.0), 0.05, winches=winches)
-        nodes, tried = stand_on(ball(), FACE), set()
+        nodes, tried = set_down(ball(), FACE), set()
         for k in range(80):
             value = gait.command(0.05 * k, nodes, np.zeros((3, 12)))
             assert np.all((value >= 0.53) & (value <= 0.57))
@@ -217,7 +218,7 @@ class TestGait:
 
     def test_it_asks_again_after_a_reset(self):
         gait = RollingGait(ball(), REST, uphill(0.0), 0.05, winches=WINCHES, steps=1)
-        nodes, still = stand_on(ball(), FACE), np.zeros((3, 12))
+        nodes, still = set_down(ball(), FACE), np.zeros((3, 12))
         first = [gait.command(0.05 * k, nodes, still) for k in range(5)]
         gait.reset()
         again = [gait.command(0.05 * k, nodes, still) for k in range(5)]
@@ -227,7 +228,7 @@ class TestGait:
 
 def tipped(model=None, rest=REST, feet=FACE, direction=(1.0, 0.0, 0.0), **changes):
     model = model or ball()
-    return tipping_path(model, rest, feet, direction, nodes=stand_on(ball(), FACE), **changes)
+    return tipping_path(model, rest, feet, direction, nodes=set_down(ball(), FACE), **changes)
 
 
 def gait(model, **changes):
@@ -252,7 +253,7 @@ DUNE = tc.Ground(stiffness=1e3, height=ca.Function("h", [X, Y], [0.1 * X * Y]))
         (lambda: tipped(tc.Model(BALL, strings=STRINGS)), "no weight"),
         (lambda: gait(tc.Model(BALL, strings=STRINGS, gravity=9.81)), "0 contact laws"),
         (lambda: gait(tc.Model(BALL, STRINGS, gravity=9.81, ground=DUNE)), "is curved"),
-        (lambda: stand_on(ball(), [0, 3, 8]), r"feet are \[0, 3, 8\], but node \d+ would be lower"),
+        (lambda: set_down(ball(), [0, 3, 8]), r"feet are \[0, 3, 8\], but node \d+ would be lower"),
         (lambda: gait(ball(), direction=[0.0, 0.0, 0.0]), "direction"),
         (lambda: gait(ball(), steps=0), "steps is 0"),
     ],
