@@ -74,7 +74,7 @@ _HINT = "Start from other nodes"
 
 # Times that the nodes which touch the ground are sought again, and the angle, rad, by which a
 # structure that does not fall may turn.
-_LANDINGS, _FALLEN = 20, 0.5
+_LANDINGS, _FALLEN = 40, 0.5
 
 _NOTHING_HOLDS = (
     "On its ground it may slide or fall: friction, plant.set_down(model, feet) or supports hold it"
@@ -317,17 +317,24 @@ def _stood(
     nodes = first = let_down(model, start, load)
     points = GroundPoints.of(model, nodes).touching(float(np.ptp(nodes, axis=1).max()))
     places, settling, has_settled = {i: nodes[:, i] for i in points.gripping}, settle, settle
+    let_go = set[int]()
     for _ in range(_LANDINGS):
         sticking = Sticking.at(structure, nodes, points, places, bars, settling)
         try:
             nodes, softest = _minimize(model, kind, held, load, nodes, strained, sticking)
         except ValueError as error:
-            raise ValueError(f"{error}. {_NOTHING_HOLDS}") from None
+            if has_settled:
+                raise ValueError(f"{error}. {_NOTHING_HOLDS}") from None
+            settling = has_settled = True
+            continue
         if not len(structure.fixed_rows):
             _refuse_fall(first, nodes, kind)
         before, points = points, GroundPoints.of(model, nodes).pressing
-        pressing, here = points.gripping, {i: nodes[:, i] for i in points.gripping}
-        if places.keys() == pressing and points.agrees(before, settling):
+        here = {i: nodes[:, i] for i in points.gripping}
+        let_go |= places.keys() - here.keys()
+        # Who has let go does not join again while feet settle, lest it goes on without end.
+        sticks = here.keys() - let_go if settling else here.keys()
+        if places.keys() == sticks and points.agrees(before, settling):
             if settling:
                 places, settling = here, False
                 continue
@@ -341,8 +348,8 @@ def _stood(
                 return settled, gamma, contacts, softest
             settling = has_settled = True
         # Who lets go is free; who is met sticks where it came to rest.
-        keeps = places.keys() <= pressing
-        places = {i: places.get(i, here[i]) for i in here if keeps or i in places}
+        keeps = places.keys() <= sticks
+        places = {i: places.get(i, here[i]) for i in sorted(sticks) if keeps or i in places}
     raise ValueError(
         "no equilibrium found: nodes touch the ground and leave it again without end. Start from "
         "nodes nearer to where it stands"
