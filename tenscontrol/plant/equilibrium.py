@@ -73,7 +73,7 @@ _FLAT = 1e-9
 _HINT = "Start from other nodes"
 
 # Times that the nodes which touch the ground are sought again, and the angle, rad, by which a
-# structure that does not fall may turn.
+# structure that does not fall may tilt.
 _LANDINGS, _FALLEN = 40, 0.5
 
 _NOTHING_HOLDS = (
@@ -126,7 +126,7 @@ def equilibrium(
         If an argument does not fit, or no equilibrium is found; the message
         says what the optimizer ended with, or which clustered string draws two of its nodes
         together: there its force has no direction, and the energy no slope. On the ground: if it
-        slips, falls over (turns by more than half a radian), slides or falls away.
+        slips, falls over (tilts by more than half a radian), slides or falls away.
 
     Warns
     -----
@@ -328,7 +328,7 @@ def _stood(
             settling = has_settled = True
             continue
         if not len(structure.fixed_rows):
-            _refuse_fall(first, nodes, kind)
+            _refuse_fall(first, nodes, load.sum(axis=1), kind)
         before, points = points, GroundPoints.of(model, nodes).pressing
         here = {i: nodes[:, i] for i in points.gripping}
         let_go |= places.keys() - here.keys()
@@ -369,16 +369,16 @@ def _pulling(
     return np.where(gamma * length > (np.inf if is_slack else _EXACT * least), gamma, 0.0)
 
 
-def _refuse_fall(start: FloatArray, end: FloatArray, kind: str) -> None:
-    """Raise if a shape has turned over or gone far away."""
+def _refuse_fall(start: FloatArray, end: FloatArray, resultant: FloatArray, kind: str) -> None:
+    """Raise if a shape has tilted from the resultant of its loads, or gone far away."""
     before, after = (each - each.mean(axis=1, keepdims=True) for each in (start, end))
     away = float(np.linalg.norm((end - start).mean(axis=1)))
     U, _, Vt = np.linalg.svd(after @ before.T)
     U[:, -1] *= np.linalg.det(U @ Vt)
-    cosine = (np.trace(U @ Vt) - (len(start) - 2)) / 2
-    angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    fall = resultant / (np.linalg.norm(resultant) or 1.0)
+    angle = float(np.arccos(np.clip(fall @ U @ Vt @ fall, -1.0, 1.0))) if fall.any() else 0.0
     if angle > _FALLEN or away > np.ptp(start, axis=1).max():
-        what = f"turns by {np.degrees(angle):.0f}°"
+        what = f"tilts by {np.degrees(angle):.0f}°"
         if angle <= _FALLEN:
             what = f"moves {away:.3g} m away"
         raise ValueError(
