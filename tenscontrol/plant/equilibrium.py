@@ -73,8 +73,8 @@ _FLAT = 1e-9
 _HINT = "Start from other nodes"
 
 # Times that the nodes which touch the ground are sought again, and the angle, rad, by which a
-# structure that does not fall may turn.
-_LANDINGS, _FALLEN = 20, 0.5
+# structure that does not fall may tilt.
+_LANDINGS, _FALLEN = 40, 0.5
 
 _NOTHING_HOLDS = (
     "On its ground it may slide or fall: friction, plant.set_down(model, feet) or supports hold it"
@@ -126,7 +126,7 @@ def equilibrium(
         If an argument does not fit, or no equilibrium is found; the message
         says what the optimizer ended with, or which clustered string draws two of its nodes
         together: there its force has no direction, and the energy no slope. On the ground: if it
-        slips, falls over (turns by more than half a radian), slides or falls away.
+        slips, falls over (tilts by more than half a radian), slides or falls away.
 
     Warns
     -----
@@ -317,17 +317,24 @@ def _stood(
     nodes = first = let_down(model, start, load)
     points = GroundPoints.of(model, nodes).touching(float(np.ptp(nodes, axis=1).max()))
     places, settling, has_settled = {i: nodes[:, i] for i in points.gripping}, settle, settle
+    let_go = set[int]()
     for _ in range(_LANDINGS):
         sticking = Sticking.at(structure, nodes, points, places, bars, settling)
         try:
             nodes, softest = _minimize(model, kind, held, load, nodes, strained, sticking)
         except ValueError as error:
-            raise ValueError(f"{error}. {_NOTHING_HOLDS}") from None
+            if has_settled:
+                raise ValueError(f"{error}. {_NOTHING_HOLDS}") from None
+            settling = has_settled = True
+            continue
         if not len(structure.fixed_rows):
-            _refuse_fall(first, nodes, kind)
+            _refuse_fall(first, nodes, load.sum(axis=1), kind)
         before, points = points, GroundPoints.of(model, nodes).pressing
-        pressing, here = points.gripping, {i: nodes[:, i] for i in points.gripping}
-        if places.keys() == pressing and points.agrees(before, settling):
+        here = {i: nodes[:, i] for i in points.gripping}
+        let_go |= places.keys() - here.keys()
+        # Who has let go does not join again while feet settle, lest it goes on without end.
+        sticks = here.keys() - let_go if settling else here.keys()
+        if places.keys() == sticks and points.agrees(before, settling):
             if settling:
                 places, settling = here, False
                 continue
@@ -341,8 +348,8 @@ def _stood(
                 return settled, gamma, contacts, softest
             settling = has_settled = True
         # Who lets go is free; who is met sticks where it came to rest.
-        keeps = places.keys() <= pressing
-        places = {i: places.get(i, here[i]) for i in here if keeps or i in places}
+        keeps = places.keys() <= sticks
+        places = {i: places.get(i, here[i]) for i in sorted(sticks) if keeps or i in places}
     raise ValueError(
         "no equilibrium found: nodes touch the ground and leave it again without end. Start from "
         "nodes nearer to where it stands"
@@ -362,16 +369,16 @@ def _pulling(
     return np.where(gamma * length > (np.inf if is_slack else _EXACT * least), gamma, 0.0)
 
 
-def _refuse_fall(start: FloatArray, end: FloatArray, kind: str) -> None:
-    """Raise if a shape has turned over or gone far away."""
+def _refuse_fall(start: FloatArray, end: FloatArray, resultant: FloatArray, kind: str) -> None:
+    """Raise if a shape has tilted from the resultant of its loads, or gone far away."""
     before, after = (each - each.mean(axis=1, keepdims=True) for each in (start, end))
     away = float(np.linalg.norm((end - start).mean(axis=1)))
     U, _, Vt = np.linalg.svd(after @ before.T)
     U[:, -1] *= np.linalg.det(U @ Vt)
-    cosine = (np.trace(U @ Vt) - (len(start) - 2)) / 2
-    angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    fall = resultant / (np.linalg.norm(resultant) or 1.0)
+    angle = float(np.arccos(np.clip(fall @ U @ Vt @ fall, -1.0, 1.0))) if fall.any() else 0.0
     if angle > _FALLEN or away > np.ptp(start, axis=1).max():
-        what = f"turns by {np.degrees(angle):.0f}°"
+        what = f"tilts by {np.degrees(angle):.0f}°"
         if angle <= _FALLEN:
             what = f"moves {away:.3g} m away"
         raise ValueError(

@@ -414,10 +414,10 @@ def refuse_slip(contacts: StanceContacts) -> None:
     asked = float(np.linalg.norm(contacts.tangential_force[:, i]))
     held = asked / contacts.cone_use[i]
     raise ValueError(
-        f"no equilibrium: node {contacts.node[i]} slips. To keep its place it takes {asked:.4g} N "
-        f"along the ground, and friction holds up to {held:.4g} N. Start from nodes at which less "
-        "is needed (the equilibrium with friction=0 has feet that push nothing sideways), set it "
-        "down on more nodes by plant.set_down(...), or give the ground more friction"
+        f"no equilibrium: node {contacts.node[i]} slips, even where the feet share what they have "
+        f"to hold. To stay it takes {asked:.4g} N along the ground, and friction holds up to "
+        f"{held:.4g} N. Give the ground more friction or less slope, or set the structure down on "
+        "other nodes by plant.set_down(model, feet)"
     )
 
 

@@ -346,3 +346,22 @@ def test_a_stance_of_strings_with_mass_is_commanded_by_whole_strings():
     lqr = tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.01)
     run = tc.simulate(model, 0.05, stance.structure.nodes, controller=lqr, step=2e-4)
     np.testing.assert_allclose(run.nodes[:, :, -1], stance.structure.nodes, atol=1e-6)
+
+
+def test_a_tall_tower_stands_as_on_supports():
+    """It twists under its weight, by more than a structure that falls may tilt."""
+    held = tc.library.class2_tower(stages=15)
+    level, strings = 200.0, tc.LinearStrings(1e5)
+    gamma = tc.prestress(held, min_force_density=level).force_density
+    model = tc.Model(held, strings=strings, gravity=GRAVITY)
+    lengths = tc.to_rest_length(model, held.nodes, gamma).rest_length
+    on_supports = tc.equilibrium(model, rest_length=lengths)
+    free = tc.library.class2_tower(stages=15, floating=True)
+    ground = tc.Ground(1e8, friction=0.8)
+    model, lengths = wound(free, ground, level, 1e5)
+    stance = tc.equilibrium(model, rest_length=lengths)
+    moved = on_supports.structure.nodes - held.nodes
+    assert np.linalg.norm(moved, axis=0).max() > 0.5
+    np.testing.assert_allclose(stance.structure.nodes, on_supports.structure.nodes, atol=1e-2)
+    softest = on_supports.tangent_stiffness(1e5).eigenvalues[0]
+    assert stance.least_stiffness == pytest.approx(softest, rel=0.01)
