@@ -40,10 +40,11 @@ def ran(page, count):
 def test_the_way_from_a_shape_to_winch_commands_runs(capsys, monkeypatch):
     monkeypatch.syspath_prepend(DOCS.parent / "examples")  # the study is a file to copy
     with pytest.warns(RuntimeWarning, match=r"no string reaches 1 mode of .*at 2\.013 Hz"):
-        names = ran("control", 9)
+        names = ran("control", 10)
     limits = [names["report"].limit("MPC", held) for held in ("force_density", "rest_length")]
     assert limits == [1e2, 1e4]
     assert "winch 6 stuck from 0.3 s to 0.5 s" in capsys.readouterr().out
+    assert names["jump"].nodes[1].min(axis=0)[300:].max() > 0.1
     run = names["run"]
     assert np.abs(run.control.winch_rate).max() < 0.15 + 1e-9
     assert set(run.control.status) == {"ok"}
@@ -67,7 +68,9 @@ def test_the_page_on_own_controllers_runs():
 
 
 def test_the_page_on_estimation_runs():
-    names = ran("estimation", 2)
+    names = ran("estimation", 4)
+    assert names["y"].shape == (12,)
+    assert names["rocking"].sensors.readings[-1] == "bar_rate 3"
     off = names["run"].nodes[:, :, -1] - names["prism"].nodes
     assert np.abs(off).max() < 5e-3  # from 15 mm
 

@@ -135,16 +135,14 @@ class RK4(Discretization):
         self._count = explicit_substeps(plant, sample_time)
         self._step, self._r = sample_time / self._count, plant.degrees_of_freedom
         # Products with derivatives are NumPy's in a sample of several steps: CasADi's take longer.
-        by_step = self._count > 1
-        along, self.back_end = plant.prepared.get(
-            ("RK4", by_step or sample_time, length, machine_code),
-            lambda: executable(
-                (acceleration_slopes(plant, taut=False) if by_step else self.linearized).map(
-                    length
-                ),
-                machine_code,
-            ),
-        )
+        once = self._count == 1
+
+        def build() -> tuple[ca.Function, str]:
+            each = self.linearized if once else acceleration_slopes(plant, taut=False)
+            return executable(each.map(length), machine_code)
+
+        key = "RK4", sample_time if once else "stages", length, machine_code
+        along, self.back_end = plant.prepared.get(key, build)
         self._along, self._advance = Evaluator(along), Evaluator(self._sampled)
         self._response = acceleration_response(plant, sample_time)
         self._no_stages = np.zeros((0, plant.degrees_of_freedom))
@@ -176,11 +174,11 @@ class RK4(Discretization):
         # Derivatives of places and speeds by z and u, by columns.
         whole = np.broadcast_to(np.eye(s + held.shape[1], s), (N, s + held.shape[1], s))
         places, speeds = whole[:, :, :r], whole[:, :, r:]
-        parts_of_step = list(zip((1.0, 2.0, 2.0, 1.0), (0.0, 0.5 * h, 0.5 * h, h), strict=True))
+        weights = list(zip((1.0, 2.0, 2.0, 1.0), (0.0, 0.5 * h, 0.5 * h, h), strict=True))
         for _ in range(self._count):
             end_q, end_v, end_places, end_speeds = (x.copy() for x in (q, v, places, speeds))
             rate, slope, rates, slopes = v, np.zeros_like(v), speeds, np.zeros_like(speeds)
-            for weight, ahead in parts_of_step:
+            for weight, ahead in weights:
                 there = places + ahead * rates
                 at, rate, rates = q + ahead * rate, v + ahead * slope, speeds + ahead * slopes
                 slope, by_q, by_v, by_u = self._accelerations(np.hstack([at, rate]), held)

@@ -15,9 +15,10 @@ STRINGS = tc.LinearStrings(stiffness=800.0, damping=2.0)
 
 
 def models(structure, width=0.005):
-    """The model that is simulated, and the one that is predicted with."""
-    grounds = tc.Ground(**GROUND), SmoothGround(**GROUND, width=width)
-    return [tc.Model(structure, STRINGS, gravity=9.81, ground=ground) for ground in grounds]
+    """The model that is simulated, and the one that is predicted with: sharp for no width."""
+    sharp = tc.Ground(**GROUND)
+    smooth = SmoothGround(**GROUND, width=width) if width else sharp
+    return [tc.Model(structure, STRINGS, gravity=9.81, ground=ground) for ground in (sharp, smooth)]
 
 
 def hanging(structure, height, gamma=40.0, width=0.005, **options):

@@ -152,9 +152,10 @@ def test_the_smooth_law_comes_to_the_sharp_one_as_it_gets_narrow(name):
     assert errors[2] < 1.5e-3
 
 
-def test_an_x_lands_stands_jumps_and_lands():
-    """Designed in the air, where it falls, and run on the sharp law."""
-    plant = STRUCTURES["x"](height=0.1)
+@pytest.mark.parametrize(("name", "width"), [("x", 0.005), ("x", None), ("d_bar", 0.005)])
+def test_a_structure_lands_stands_jumps_and_lands(name, width):
+    """Designed in the air, where it falls, and run on the sharp law, which may also predict."""
+    plant = STRUCTURES[name](height=0.1, width=width)
     sharp = models(plant.model.structure)[0]
     nmpc = hop(plant, 0.15, 15)
     run = tc.simulate(sharp, 1.5, plant.nodes, rest_length=plant.rest_length, controller=nmpc)
@@ -162,12 +163,12 @@ def test_an_x_lands_stands_jumps_and_lands():
     low, time = run.nodes[1].min(axis=0), run.time
     standing = (time > 0.35) & (time < 0.4)
     assert np.abs(run.velocities[..., standing]).max() < 0.1
-    assert -0.005 < low[standing].min() < low[standing].max() < 0.001
+    assert -0.01 < low[standing].min() < low[standing].max() < 0.001
     flying = (time > 0.8) & (time < 1.1)
-    assert low[flying].max() > 0.1
-    assert -0.005 < low[time > 1.4].min() < low[time > 1.4].max() < 0.001
+    assert low[flying].max() > 0.09
+    assert -0.01 < low[time > 1.4].min() < low[time > 1.4].max() < 0.001
     error = run.control.prediction_error[1:]
-    assert np.median(error) < 1e-3
+    assert np.median(error) < (1e-3 if width else 1e-5)
     assert error.max() < 5e-3
     assert run.control.tracking_error[-1] < 0.01
 
