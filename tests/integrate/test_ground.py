@@ -316,6 +316,25 @@ def test_ground_without_friction_leaves_momentum_along_it():
     assert linear[2].max() > 1.0
 
 
+def test_momentum_changes_by_the_mean_forces_of_the_ground():
+    """Step by step, with the weight: the impulses on the nodes are those of the mean forces."""
+    law, step = tc.Ground(1e8, **STIFF), 1e-2
+    scene = dropped(free_tower(), [law], 0.05, (0.5, 0.0, 0.0))
+    states, work = implicit(scene, step, 0.3, 30)
+    assert work.steps == 30
+    linear, _ = evaluate_columns(scene.model.momentum, states)
+    shape = scene.structure.nodes.shape
+    before, after = (ca.SX.sym(name, *shape) for name in ("before", "after"))
+    forces = scene.model.contacts.mean_forces(before, after, step)
+    mean = ca.Function("mean", [ca.vec(before), ca.vec(after)], [ca.sum2(forces)])
+    nodes = states[: len(states) // 2]
+    pushed = evaluate_columns(mean, nodes[:, :-1], nodes[:, 1:])[0]
+    weight = scene.model.constant_force.sum(axis=1)[:, None]
+    assert pushed[2].max() > 100.0
+    # The mean force is 1e8 N/m times depths that are rounded to 1e-16 m and more.
+    np.testing.assert_allclose(np.diff(linear) / step, pushed + weight, rtol=0, atol=1e-4)
+
+
 def test_the_implicit_method_has_its_order_on_the_ground():
     """About two: it does not end steps where nodes touch."""
     scene, times = SCENES["tower"](), np.array([0.0, 0.15])
