@@ -86,8 +86,8 @@ class Equation:
         ``(x, u, taut) -> xdot``, dense columns.
     gap : casadi.Function
         ``(x, u) -> (gap, gap_rate)``: how far each string is from slack, m,
-        positive where it pulls, and how fast the stretch grows, m/s; and how deep each contact is,
-        m, positive where it presses, and how fast it sinks, m/s.
+        positive where it pulls, and how fast the stretch grows, m/s; and the gap of each contact,
+        m, positive where it presses, and how fast the node sinks, m/s.
     force : casadi.Function or None
         ``(q, v, u, taut) -> F``: forces along the free coordinates from positions and
         velocities, N, node by node. None for an equation that is no structure's.

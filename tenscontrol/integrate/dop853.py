@@ -396,9 +396,10 @@ class _DormandPrince:
         fifth, third = (
             ca.sumsqr(_combined(slopes, e) / scale) for e in (self._method.E5, self._method.E3)
         )
-        # Nothing moves: no error.
+        # Nothing moves: no error. Slopes whose squares overflow: a step far too long, no quotient.
         below = ca.sqrt((fifth + 0.01 * third) * x.shape[0])
-        error = ca.if_else(below > 0, h * fifth / below, below)
+        usual = ca.logic_and(below > 0, below < ca.inf)
+        error = ca.if_else(usual, h * fifth / below, below)
         outputs = [x1, f1, error, ca.horzcat(*slopes)]
         return ca.Function("tried", [*self._inputs, scale], outputs)
 

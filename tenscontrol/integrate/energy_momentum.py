@@ -1,4 +1,4 @@
-"""An implicit method for stiff strings: conserves energy and momenta, and keeps bar lengths."""
+"""An implicit method for stiff strings and ground: keeps energy, momenta and bar lengths."""
 
 from __future__ import annotations
 
@@ -51,8 +51,9 @@ class EnergyMomentum(Integrator):
     Each step solves for the motion with which the forces, averaged over the lengths that the
     strings pass, do exactly the work that the strings store. Whatever the step, then,
 
-    - the energy, kinetic, stored in the strings, and that of constant loads,
-      stays what it is, through slack and taut; damping only takes from it;
+    - the energy, kinetic, stored in the strings and the ground, and that of constant loads,
+      stays what it is, through slack and taut, and through impacts; damping and friction only take
+      from it;
     - linear and angular momentum stay what they are where nothing is held and
       no load acts;
     - bars keep their lengths, and their ends do not move apart.
@@ -89,7 +90,8 @@ class EnergyMomentum(Integrator):
     Sideways vibrations of light strings that are faster than the steps are not damped. With long
     steps (in a prism of 3 kg with beads of 10 mg: 2 ms) they can grow, at the cost of the energy
     of the rest: use shorter steps, or the tolerance. Energy is exact for laws in which the tension
-    of a taut string is linear in its length, as those of the package are.
+    of a taut string is linear in its length, as those of the package are, and for contact laws
+    whose force is a polynomial of the root of the depth between their kinks.
 
     References
     ----------
@@ -571,7 +573,7 @@ def _change(system: ca.Function, z: Any, *given: Any) -> tuple[Any, Any]:
 def _searching(system: ca.Function, residual: ca.Function, around: float) -> ca.Function:
     """Return :func:`_iteration` with changes halved until the residual falls.
 
-    Each counts as an iteration, with a half for each further residual.
+    A residual counts as half an iteration.
     """
     size = system.size1_in(0)
     z, change, part = ca.MX.sym("z", size + 2), ca.MX.sym("change", size), ca.MX.sym("part", 3)

@@ -366,5 +366,6 @@ def refuse_chatter(landings: deque[float], now: float, duration: float) -> None:
     landings.append(now)
     if len(landings) == CHATTER and now - landings[0] < _CHATTER_TIME * duration:
         raise FloatingPointError(
-            f"strings go slack and taut {CHATTER} times within {now - landings[0]:.1e} s"
+            f"strings go slack and taut, or contacts open and close, {CHATTER} times within "
+            f"{now - landings[0]:.1e} s"
         )

@@ -38,7 +38,7 @@ Report = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Work:
-    """What an integration cost, and how often strings went slack or taut.
+    """What an integration cost, and how often strings or contacts switched.
 
     Attributes
     ----------
@@ -49,7 +49,8 @@ class Work:
     evaluations : int
         Evaluations of the right-hand side, or of the forces.
     switches : int
-        Strings that went slack or taut with the step made to end there, counted singly.
+        Strings that went slack or taut, and contacts that opened or closed, with the step made to
+        end there, counted singly.
     unlocated : int
         Steps across a switch that was not located.
     """

@@ -219,6 +219,8 @@ def choose(
         slack = "strings can go slack and contacts open, each switch ends a step"
     scene = f"largest frequency {frequency:.3g} rad/s{where}; {slack}"
     if step is not None:
+        if where and step * ground > _STABLE:
+            scene += f", and steps follow the ground up to {_STABLE / ground:.1g} s only"
         return Choice("rk4", "step", step, f"a step is given; {scene}")
     needed = frequency * duration / _STABLE
     if needed > _MOST_STEPS:

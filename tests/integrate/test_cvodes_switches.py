@@ -77,7 +77,9 @@ def test_a_string_that_rests_on_the_border_does_not_switch(method):
 def test_a_string_that_neither_pulls_nor_hangs_is_reported(method):
     """Slack it is drawn taut, taut it is let slack: no motion goes on from there."""
     sliding = switched(lambda x, taut: 1 - 2 * taut, lambda x: x, states=1)
-    with pytest.raises(IntegrationError, match="go slack and taut 200 times within") as info:
+    with pytest.raises(
+        IntegrationError, match=r"go slack and taut, or .* 200 times within"
+    ) as info:
         method(sliding, 1e-8).advance(np.array([0.25]), np.zeros(0), 1.0, 10)
     assert info.value.time == pytest.approx(0.25, abs=1e-6)
     np.testing.assert_allclose(info.value.span.states[0], [0.15, 0.05], atol=1e-12)

@@ -1,11 +1,13 @@
 """The adaptive method: its error follows the tolerance."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import tenscontrol as tc
-from tenscontrol.dynamics import smooth_equation
+from tenscontrol.dynamics import Evaluator, smooth_equation
 from tenscontrol.integrate import CVODES, DOP853, EnergyMomentum, IntegrationError, Rattle
+from tenscontrol.integrate.dop853 import _DormandPrince
 from tests.dynamics.scenes import paper_force_density, rest_lengths
 from tests.integrate.test_rk4 import explosion, oscillator
 from tests.oracle import HeldRestLength, RigidBars
@@ -95,3 +97,16 @@ def test_a_state_that_has_run_away_is_told_without_a_warning(prism, method, entr
     state[6] = entry
     with pytest.raises(IntegrationError, match="the state has run away"):
         method(equation, 1e-2).advance(state, np.full(9, 20.0), 1.0, 2)
+
+
+def test_a_step_that_explodes_is_never_taken_for_exact():
+    """Where the mean square of the error overflows, and the sum of a part of it does not yet."""
+    count = 100
+    x, u = ca.SX.sym("x", count), ca.SX.sym("u", 0)
+    equation = smooth_equation(ca.Function("slope", [x, u], [-1e20 * x]))
+    tried = Evaluator(_DormandPrince(equation).tried())
+    ones, none = np.ones(count), np.zeros(0)
+    for h in np.geomspace(1e-12, 1e-2, 500):
+        end, _, error, _ = tried(ones, -1e20 * ones, none, none, h, ones)
+        assert not np.abs(end).max() < 10
+        assert not error < 1

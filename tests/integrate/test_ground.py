@@ -3,7 +3,7 @@
 ``python -m tests.benchmarks.ground_motions`` takes the motions of the oracle over two seconds.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -63,6 +63,24 @@ def test_other_grounds_against_the_oracle(case):
 
 
 MIDDLE, FINE = [2.8e-4, 2e-4, 1.4e-4], [2e-4, 1.4e-4, 1e-4]
+
+
+def test_a_height_that_is_a_plane_is_that_plane():
+    """With friction, under all three kinds of methods."""
+    slope, x, y = 0.3, ca.SX.sym("x"), ca.SX.sym("y")
+    tilted = ca.Function("tilted", [x, y], [slope * x - 0.1])
+    normal = np.array([-slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
+    plane = tc.Ground(**GROUND, normal=normal, height=-0.1 * normal[2])
+    scene = dropped(tc.prism(), [plane], 0.02, (0.5, 0.3, -1.0), 10.0)
+    other = replace(scene, ground=(tc.Ground(**GROUND, height=tilted),))
+    times = np.array([0.0, 0.2])
+    for method, value in (("dop853", 1e-10), ("rattle4", 2e-4), ("energy_momentum", 1e-3)):
+        motions = [
+            each.run(METHODS[method].integrator(each.model.equation("rest_length"), value), times)
+            for each in (scene, other)
+        ]
+        assert motions[0][1].switches == motions[1][1].switches
+        np.testing.assert_allclose(motions[0][0], motions[1][0], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -298,6 +316,25 @@ def test_ground_without_friction_leaves_momentum_along_it():
     assert linear[2].max() > 1.0
 
 
+def test_momentum_changes_by_the_mean_forces_of_the_ground():
+    """Step by step, with the weight: the impulses on the nodes are those of the mean forces."""
+    law, step = tc.Ground(1e8, **STIFF), 1e-2
+    scene = dropped(free_tower(), [law], 0.05, (0.5, 0.0, 0.0))
+    states, work = implicit(scene, step, 0.3, 30)
+    assert work.steps == 30
+    linear, _ = evaluate_columns(scene.model.momentum, states)
+    shape = scene.structure.nodes.shape
+    before, after = (ca.SX.sym(name, *shape) for name in ("before", "after"))
+    forces = scene.model.contacts.mean_forces(before, after, step)
+    mean = ca.Function("mean", [ca.vec(before), ca.vec(after)], [ca.sum2(forces)])
+    nodes = states[: len(states) // 2]
+    pushed = evaluate_columns(mean, nodes[:, :-1], nodes[:, 1:])[0]
+    weight = scene.model.constant_force.sum(axis=1)[:, None]
+    assert pushed[2].max() > 100.0
+    # The mean force is 1e8 N/m times depths that are rounded to 1e-16 m and more.
+    np.testing.assert_allclose(np.diff(linear) / step, pushed + weight, rtol=0, atol=1e-4)
+
+
 def test_the_implicit_method_has_its_order_on_the_ground():
     """About two: it does not end steps where nodes touch."""
     scene, times = SCENES["tower"](), np.array([0.0, 0.15])
@@ -354,6 +391,14 @@ def test_rates_of_friction_and_damping():
     )
     assert chosen(tc.Ground(1.0, damping=100.0))[1] == pytest.approx(100.0 * weight / 0.25, rel=0.1)
     assert chosen(tc.Ground(1.0, friction=0.5), gravity=None)[1] == pytest.approx(2.0)
+
+
+def test_a_step_that_does_not_follow_the_ground_is_told():
+    scene = dropped(tc.library.six_bar_ball(), [tc.Ground(1e8)], 0.3)
+    given = scene.model.equation("rest_length"), scene.state, scene.rest_length
+    long, short = (choose(*given, 5.0, 1e-6, step).reason for step in (1e-3, 1e-4))
+    assert long.endswith("and steps follow the ground up to 0.0001 s only")
+    assert "follow" not in short
 
 
 def test_hertzian_ground_is_as_stiff_as_where_the_fall_ends():

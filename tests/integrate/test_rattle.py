@@ -62,6 +62,17 @@ def test_flights_and_kicks_fill_the_step_alike_forwards_and_backwards(order):
         assert fractions == fractions[::-1]
 
 
+@pytest.mark.parametrize(("order", "kicks"), [(2, 1), (4, 6), (6, 10)])
+def test_where_kicks_do_not_commute_they_fill_the_step_as_well(order, kicks):
+    """Those of order 2 are the same."""
+    steps = splitting(order, velocity_dependent=True)
+    assert len(steps.flights) == len(steps.kicks) + 1 == kicks + 1
+    for fractions in (steps.flights, steps.kicks):
+        assert sum(fractions) == pytest.approx(1, abs=3e-16)
+        assert fractions == fractions[::-1]
+    assert (steps == splitting(order)) == (order == 2)
+
+
 @each_order
 def test_kicks_are_a_quadrature_of_their_order(order):
     """A force that depends on time alone: ``Σ b_i c_iᵏ = 1/(k + 1)`` for k < order, no further."""
