@@ -472,7 +472,7 @@ def _resting() -> Iterator[Extreme]:
         case = _dropped(
             stiffness=10.0**power, height=1e-3, duration=60.0, damping=1.0, string_damping=5.0
         )
-        yield Extreme("rest for 60 s", f"1e{power} N/m", case, budget=3e6)
+        yield Extreme("rest for 60 s", f"1e{power} N/m", case, budget=1e6)
 
 
 def _spinning_drop(speeds: tuple[float, ...] = (10.0, 100.0)) -> Iterator[Extreme]:
