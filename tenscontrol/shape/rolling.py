@@ -264,7 +264,13 @@ class RollingGait:
             off = np.abs(self._reached - self._planner.home).max()
             if off <= CLOSE * self._planner.size:
                 self._stand(time, nodes, touching)
-        return self._planner.home if self._phase is _Phase.STANDS else self._planner.rest_length
+        return self._back() if self._phase is _Phase.STANDS else self._planner.rest_length
+
+    def _back(self) -> FloatArray:
+        """Return the next rest lengths on the straight way back."""
+        left = self._planner.home - self._reached
+        share = np.min(self._most / np.maximum(np.abs(left), CLOSE * self._planner.size))
+        return np.asarray(self._reached + min(1.0, float(share)) * left)
 
     def _stand(self, time: float, nodes: FloatArray, feet: IntArray) -> None:
         """Count the step that led here, and begin to wind over the best edge."""
