@@ -143,7 +143,8 @@ class RollingGait:
     that is rigid, lead nearest to a point of the line ahead. Sample by sample the winches follow
     the gradient of :func:`tipping_path`, the fastest of them at its limit, until the centre of mass
     is beyond the edge by a fiftieth of the size. It waits until it has tipped and is at rest, and
-    winds back to the rest lengths of the start. Where one edge cannot be passed, it tries the next.
+    winds back straight to the rest lengths of the start. Where one edge cannot be passed, it tries
+    the next; back over where it came from it goes only if it must.
 
     Parameters
     ----------
