@@ -115,7 +115,7 @@ def animate(
         Node positions of a shape to draw faintly, m: where the motion should go. It is drawn where
         it is given; a free structure may reach the shape at another place.
     ground : ContactLaw or sequence of ContactLaw, optional
-        Planes to draw faintly, where the structure is above them: ``model.ground``.
+        Planes of which the part under the motion is drawn faintly: ``model.ground``.
     view : tuple of two floats
         Elevation and azimuth of the eye, degrees; of no use in the plane.
     dpi : int
