@@ -42,6 +42,9 @@ _PATIENCE = 8.0
 # Steps that a gait foresees, as if the shape were rigid, and how far ahead it looks, in sizes.
 _FORESEEN, _AHEAD = 2, 2.0
 
+# An edge is behind if its direction has this part, turned round, of that of the last step.
+_BACK = 0.7
+
 
 class _Phase(Enum):
     """What a gait does: at rest or on its way there, winding over an edge, tipping."""
@@ -83,7 +86,8 @@ class RollingGait:
     that is rigid, lead nearest to a point of the line ahead. Sample by sample the winches follow
     the gradient of :func:`tipping_path`, the fastest of them at its limit, until the centre of mass
     is beyond the edge by a fiftieth of the size. It waits until it has tipped and is at rest, and
-    winds back to the rest lengths of the start. Where one edge cannot be passed, it tries the next.
+    winds back straight to the rest lengths of the start. Where one edge cannot be passed, it tries
+    the next; back over where it came from it goes only if it must.
 
     Parameters
     ----------
@@ -166,6 +170,7 @@ class RollingGait:
         self._vain: set[tuple[int, ...]] = set()
         self._begun: FloatArray | None = None  # where the line begins
         self._tipped: RollingStep | None = None  # a step that has not come to rest
+        self._stood = self._moved = np.zeros(len(self._normal))  # where, and in the last step, m
 
     def applied(self, value: ArrayLike) -> None:
         """Take note of the rest lengths that the winches reached.
@@ -203,22 +208,31 @@ class RollingGait:
             off = np.abs(self._reached - self._planner.home).max()
             if off <= CLOSE * self._planner.size:
                 self._stand(time, nodes, touching)
-        return self._planner.home if self._phase is _Phase.STANDS else self._planner.rest_length
+        return self._back() if self._phase is _Phase.STANDS else self._planner.rest_length
+
+    def _back(self) -> FloatArray:
+        """Return the next rest lengths on the straight way back."""
+        left = self._planner.home - self._reached
+        share = np.min(self._most / np.maximum(np.abs(left), CLOSE * self._planner.size))
+        return np.asarray(self._reached + min(1.0, float(share)) * left)
 
     def _stand(self, time: float, nodes: FloatArray, feet: IntArray) -> None:
         """Count the step that led here, and begin to wind over the best edge."""
-        if self._tipped is not None and not np.array_equal(feet, self._tipped.feet):
-            self.made += (replace(self._tipped, landed=feet),)
-            self._vain = set()
-        self._tipped = None
-        if len(self.made) >= self._steps:
-            return
         centre = nodes.mean(axis=1)
         self._begun = centre if self._begun is None else self._begun
+        if self._tipped is not None and not np.array_equal(feet, self._tipped.feet):
+            self.made += (replace(self._tipped, landed=feet),)
+            self._vain, self._moved = set(), centre - self._stood
+        self._tipped, self._stood = None, centre
+        if len(self.made) >= self._steps:
+            return
         along = self._direction @ (centre - self._begun)
         goal = self._begun + (along + _AHEAD * self._planner.size) * self._direction
-        edges = self._planner.edges(nodes, feet).keys()
-        left = edges - self._vain or edges
+        edges = self._planner.edges(nodes, feet)
+        # Back where it came from it would only come here again.
+        back = -_BACK * float(np.linalg.norm(self._moved))
+        ahead = {edge for edge, over in edges.items() if over @ self._moved >= back}
+        left = ahead - self._vain or edges.keys() - self._vain or edges.keys()
         edge = min(left, key=lambda each: self._distance(nodes, feet, each, goal, _FORESEEN))
         try:
             self._planner.start(nodes, feet, edge)

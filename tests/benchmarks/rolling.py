@@ -105,7 +105,7 @@ def rolled(slope, steps, yaw=0.0, **parameters):
 
 
 def turn(axis, angle):
-    """Return the matrix of a turn about a unit vector."""
+    """Return the matrix of a turn about a unit vector, clockwise seen from its tip."""
     across = np.cross(np.eye(3), axis).T
     return np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across
 
