@@ -82,8 +82,6 @@ class ContactRecord:
     work_error : float
         Bound on the error of all works together, J, far above it where the motion is smooth;
         infinite where it could not be integrated again.
-    size : float
-        Of the structure, m.
     impulse_error : float or None
         Largest difference between the change of momentum and the impulses of the ground and of
         constant loads, N s; None where supports or other loads change the momentum too.
@@ -114,7 +112,6 @@ class ContactRecord:
     begin: FloatArray
     end: FloatArray
     work_error: float
-    size: float
     impulse_error: float | None = None
 
     @property
@@ -133,23 +130,10 @@ class ContactRecord:
         nodes = sorted({int(node) for node in self.node})
         return {node: self.impulse[:, self.node == node, -1].sum(axis=1) for node in nodes}
 
-    def figures(self, momentum: float) -> dict[str, float | None]:
-        """Return the figures of :class:`Health`, by name.
-
-        Parameters
-        ----------
-        momentum : float
-            The largest that there could be, kg m/s.
-        """
-        impulses = [float(np.linalg.norm(each)) for each in self.node_impulse.values()]
-        off = self.impulse_error
-        return {
-            "penetration": self.penetration / self.size,
-            "damping_work": float(self.damping_work[:, -1].sum()),
-            "friction_work": float(self.friction_work[:, -1].sum()),
-            "impulse": max(impulses, default=0.0),
-            "impulse_error": None if off is None else off / momentum if momentum > 0 else off,
-        }
+    @property
+    def largest_impulse(self) -> float:
+        """Largest impulse of the ground on a node over the run, N s."""
+        return max((float(np.linalg.norm(p)) for p in self.node_impulse.values()), default=0.0)
 
     def summary(self) -> str:
         """Return what touched, how deep, and what was lost, as text.
@@ -529,7 +513,6 @@ class _Recorder:
             begin=frozen(begin),
             end=frozen(end),
             work_error=self.error,
-            size=self._size,
         )
 
     def _touches(

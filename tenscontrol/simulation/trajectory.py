@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -343,11 +343,6 @@ class HealthLimits:
                 found.append(f"{what} {value:.2g} is above its limit {limit:g}{why}")
         return found
 
-    @property
-    def of_accuracy(self) -> HealthLimits:
-        """The same without limits on what is no error: how deep nodes sink, and a fall."""
-        return replace(self, penetration=None, fall=None)
-
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -468,7 +463,6 @@ class Trajectory:
                 )
             ]
         stretch = np.abs(self.bar_length_error) / self.structure.bar_length[:, None]
-        touched = self.contacts
         return Health(
             energy_error=_share(moved, scale) if self.conserves_energy else None,
             momentum_change=changes[0],
@@ -477,8 +471,19 @@ class Trajectory:
             position_error=self.position_error,
             work=self.work,
             fall=self._fall,
-            **({} if touched is None else touched.figures(self._largest_momenta()[0])),
+            **({} if self.contacts is None else self._of_ground(self.contacts)),
         )
+
+    def _of_ground(self, found: ContactRecord) -> dict[str, float | None]:
+        """Return the figures of health that there are with a ground."""
+        off, size = found.impulse_error, float(np.ptp(self.structure.nodes, axis=1).max())
+        return {
+            "penetration": found.penetration / size,
+            "damping_work": float(found.damping_work[:, -1].sum()),
+            "friction_work": float(found.friction_work[:, -1].sum()),
+            "impulse": found.largest_impulse,
+            "impulse_error": None if off is None else _share(off, self._largest_momenta()[0]),
+        }
 
     @property
     def _fall(self) -> float | None:
