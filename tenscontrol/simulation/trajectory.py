@@ -239,11 +239,9 @@ class Health:
         that follows but the last.
     damping_work, friction_work : float or None
         Energy lost at the ground by damping and by friction, J.
-    impulse : float or None
-        Largest impulse of the ground on a node, N s.
-    impulse_error : float or None
-        By how much the impulses of the ground and of loads miss the change of momentum at most, as
-        part of the largest momentum; None where supports or loads that vary change it too.
+    impulse, impulse_error : float or None
+        Largest impulse of the ground on a node, N s; and by how much those of the ground and of
+        loads miss the momentum, as part of the largest; None with supports or varying loads.
     fall : float or None
         Sizes that the mean of the nodes is below z = 0, y = 0 in the plane, at the end; None for
         less than one, or where ground or a support stops a fall.
@@ -394,7 +392,6 @@ class Trajectory:
     note : str or None
         What was put right at the start.
     ground : tuple of ContactLaw
-        The ground of the model.
     contacts : ContactRecord or None
         What touched the ground; None without ground.
     falls : bool
@@ -521,8 +518,7 @@ class Trajectory:
         -------
         str
         """
-        own = f"tolerance {self.choice.value:g}"
-        step = own if self.step is None else f"step {self.step:g} s"
+        step = f"{self.choice.setting} {self.choice.value:g}" + " s" * (self.step is not None)
         drift = np.abs(self.bar_length_error).max(initial=0.0)
         momentum = np.ptp(self.momentum, axis=1).max()
         angular = np.ptp(self.angular_momentum, axis=1).max()
@@ -582,7 +578,8 @@ class Trajectory:
         if self.work.rejections:
             lines.append(f"rejected steps    {self.work.rejections}")
         if self.work.switches:
-            lines.append(f"slack or taut     {self.work.switches} times")
+            what = "switches" if self.contacts else "slack or taut"
+            lines.append(f"{what:18}{self.work.switches} times")
         if self.contacts is not None:
             lines += self.contacts.summary().splitlines()
         if (fall := self._fall) is not None:
