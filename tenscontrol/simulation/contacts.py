@@ -340,8 +340,9 @@ class _Recorder:
         ]
         self._find(nodes, velocities)
         # Places are known to the tolerance, and forces to what the ground makes of that, N.
-        pressed = self.values[:, 1] > 0
-        stiffness = np.abs(self.values[:, 1][pressed] / self.values[:, 0][pressed])
+        deepest, c = self.values[:, 0].argmax(axis=1), np.arange(len(self.values))
+        depth, force = self.values[c, 0, deepest], self.values[c, 1, deepest]
+        stiffness = force[depth > 0] / depth[depth > 0]
         self._noise = tolerance * self._size * float(stiffness.max(initial=0.0))
         self.error = 0.0
         self._done: list[tuple[Segments, IntArray, _Integrals]] = []
