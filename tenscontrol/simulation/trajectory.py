@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -239,11 +239,9 @@ class Health:
         that follows but the last.
     damping_work, friction_work : float or None
         Energy lost at the ground by damping and by friction, J.
-    impulse : float or None
-        Largest impulse of the ground on a node, N s.
-    impulse_error : float or None
-        By how much the impulses of the ground and of loads miss the change of momentum at most, as
-        part of the largest momentum; None where supports or loads that vary change it too.
+    impulse, impulse_error : float or None
+        Largest impulse of the ground on a node, N s; and by how much those of the ground and of
+        loads miss the momentum, as part of the largest; None with supports or varying loads.
     fall : float or None
         Sizes that the mean of the nodes is below z = 0, y = 0 in the plane, at the end; None for
         less than one, or where ground or a support stops a fall.
@@ -343,11 +341,6 @@ class HealthLimits:
                 found.append(f"{what} {value:.2g} is above its limit {limit:g}{why}")
         return found
 
-    @property
-    def of_accuracy(self) -> HealthLimits:
-        """The same without limits on what is no error: how deep nodes sink, and a fall."""
-        return replace(self, penetration=None, fall=None)
-
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -399,7 +392,6 @@ class Trajectory:
     note : str or None
         What was put right at the start.
     ground : tuple of ContactLaw
-        The ground of the model.
     contacts : ContactRecord or None
         What touched the ground; None without ground.
     falls : bool
@@ -468,7 +460,6 @@ class Trajectory:
                 )
             ]
         stretch = np.abs(self.bar_length_error) / self.structure.bar_length[:, None]
-        touched = self.contacts
         return Health(
             energy_error=_share(moved, scale) if self.conserves_energy else None,
             momentum_change=changes[0],
@@ -477,8 +468,19 @@ class Trajectory:
             position_error=self.position_error,
             work=self.work,
             fall=self._fall,
-            **({} if touched is None else touched.figures(self._largest_momenta()[0])),
+            **({} if self.contacts is None else self._of_ground(self.contacts)),
         )
+
+    def _of_ground(self, found: ContactRecord) -> dict[str, float | None]:
+        """Return the figures of health that there are with a ground."""
+        off, size = found.impulse_error, float(np.ptp(self.structure.nodes, axis=1).max())
+        return {
+            "penetration": found.penetration / size,
+            "damping_work": float(found.damping_work[:, -1].sum()),
+            "friction_work": float(found.friction_work[:, -1].sum()),
+            "impulse": found.largest_impulse,
+            "impulse_error": None if off is None else _share(off, self._largest_momenta()[0]),
+        }
 
     @property
     def _fall(self) -> float | None:
@@ -516,8 +518,7 @@ class Trajectory:
         -------
         str
         """
-        own = f"tolerance {self.choice.value:g}"
-        step = own if self.step is None else f"step {self.step:g} s"
+        step = f"{self.choice.setting} {self.choice.value:g}" + " s" * (self.step is not None)
         drift = np.abs(self.bar_length_error).max(initial=0.0)
         momentum = np.ptp(self.momentum, axis=1).max()
         angular = np.ptp(self.angular_momentum, axis=1).max()
@@ -577,7 +578,8 @@ class Trajectory:
         if self.work.rejections:
             lines.append(f"rejected steps    {self.work.rejections}")
         if self.work.switches:
-            lines.append(f"slack or taut     {self.work.switches} times")
+            what = "switches" if self.contacts else "slack or taut"
+            lines.append(f"{what:18}{self.work.switches} times")
         if self.contacts is not None:
             lines += self.contacts.summary().splitlines()
         if (fall := self._fall) is not None:

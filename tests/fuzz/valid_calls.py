@@ -1304,7 +1304,6 @@ call("HealthLimits.passed", lambda: {"health": run().health}, tc.HealthLimits)
 call("simulation.Trajectory.summary", on=run)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("simulation.ContactRecord.summary", on=lambda: dropped_run().contacts)
-call("simulation.ContactRecord.figures", {"momentum": 1.0}, on=lambda: dropped_run().contacts)
 call("scene.Scene.simulate", lambda: {"progress": False}, scene, 0.05)
 call(
     "scene.Scene.linearize",

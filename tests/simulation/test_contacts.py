@@ -123,7 +123,8 @@ def test_health_and_summary_say_what_touched(ball):
         run.contacts.penetration
     )
     assert health.damping_work + health.friction_work == pytest.approx(run.lost_energy[-1])
-    assert health.impulse == max(np.linalg.norm(p) for p in run.contacts.node_impulse.values())
+    largest = max(np.linalg.norm(p) for p in run.contacts.node_impulse.values())
+    assert health.impulse == pytest.approx(largest)
     assert "touched by nodes 4, 5, 8, 10, 6 times" in run.summary()
     assert "J by friction" in run.summary()
 
@@ -230,6 +231,35 @@ def test_nothing_touched():
     assert "nothing touched it" in run.summary()
 
 
+def test_near_but_not_touching():
+    run = flat_drop(tc.Ground(stiffness=1e4, height=0.09), 0.04, step=1e-3)
+    assert run.nodes[2].min() < 0.0925
+    assert run.contacts.node.size == run.contacts.touch.size == 0
+    assert run.contacts.impulse.shape == (3, 0, 41)
+
+
+def test_pressed_from_begin_to_end():
+    """Each end rests on its half of the weight."""
+    law = tc.Ground(stiffness=1e4, damping=1.0, height=0.1 + 9.81 / 1e4)
+    run = flat_drop(law, 0.1, step=1e-3)
+    found = run.contacts
+    np.testing.assert_array_equal(found.touch, [0, 1])
+    np.testing.assert_array_equal(found.begin, [0, 0])
+    np.testing.assert_allclose(found.end, run.time[-1])
+    np.testing.assert_allclose(found.impulse[2, :, -1], 9.81 * 0.1, rtol=1e-10)
+    np.testing.assert_allclose(found.depth, 9.81 / 1e4, rtol=1e-9)
+    assert np.abs(run.lost_energy).max() < 1e-15
+
+
+def test_a_motion_that_runs_away_has_contacts_too():
+    model, lengths = prism_scene(stiffness=1e8)
+    with pytest.raises(SimulationError) as caught:
+        tc.simulate(model, 1.0, rest_length=lengths, step=5e-3)
+    run = caught.value.trajectory
+    assert run.contacts.touch.size
+    assert np.isinf(run.contacts.work_error)
+
+
 LAWS = [
     HertzGround(stiffness=1e5, damping=0.5, friction=0.3),
     SmoothGround(stiffness=5e3, damping=0.3, friction=0.3, width=0.005),
@@ -269,7 +299,7 @@ def test_a_run_in_two_parts_adds_up():
 
 def prism_scene(**options):
     prism = tc.prism()
-    law = ground(-0.05, **options)
+    law = ground(**({"height": -0.05} | options))
     strings = tc.LinearStrings(stiffness=1e3)
     model = tc.Model(prism, strings=strings, gravity=9.81, ground=law)
     lengths = tc.to_rest_length(model, prism.nodes, np.full(9, 17.3205)).rest_length
