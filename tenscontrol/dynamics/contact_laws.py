@@ -165,8 +165,7 @@ class ContactLaw(ABC):
         for field in fields(self):
             name, value = field.name, getattr(self, field.name)
             if name in ("damping", "friction"):
-                given = number(name, value, "s/m" if name == "damping" else "–")
-                if given < 0:
+                if (given := number(name, value, "s/m" if name == "damping" else "–")) < 0:
                     raise ValueError(f"{name} is {given:g}, expected at least 0")
                 object.__setattr__(self, name, given)
             elif name not in ("normal", "height", "nodes"):
@@ -411,20 +410,6 @@ class SmoothGround(ContactLaw):
     """
 
     width: float = 0.01
-
-    if TYPE_CHECKING:
-
-        def __init__(
-            self,
-            stiffness: float,
-            damping: float = 0.0,
-            friction: float = 0.0,
-            slip_speed: float = 0.01,
-            normal: ArrayLike | None = None,
-            height: float | ca.Function = 0.0,
-            nodes: ArrayLike | None = None,
-            width: float = 0.01,
-        ) -> None: ...
 
     def normal_force(self, depth: Any, rate: Any) -> Any:
         """Return the force, N; see :meth:`ContactLaw.normal_force`."""
