@@ -34,7 +34,7 @@ _FASTER = 2.0
 
 # And into no more than so many in all, beside so many for each step of the run: the worst come
 # first.
-_PIECES, _PIECES_A_STEP = 20_000, 3
+_PIECES, _PIECES_A_STEP = 1_000, 0.5
 
 # Parts that are integrated again in one go: the motion leaves that of the run no further than these
 # let it.
@@ -53,8 +53,8 @@ class ContactRecord:
 
     A contact is a node and a law of the ground; those that never touched are left out. Works and
     impulses are from the start of the run to each time. They are integrals over the motion between
-    the states kept, which is integrated again where these are too few to tell: once to some times
-    the work of the run, for the time in which something touched.
+    the states kept, which is integrated again where these are too few to tell: at about the cost of
+    the run itself, for the time in which something touched.
 
     Attributes
     ----------
