@@ -54,11 +54,14 @@ def test_the_way_from_a_shape_to_winch_commands_runs(capsys, monkeypatch):
 
 
 def test_the_page_on_ground_runs():
-    names = ran("ground", 3)
+    names = ran("ground", 5)
     run = names["run"]
     assert -0.95 < run.nodes[2].min() < -0.9  # it has landed, and not sunk
     assert names["bounced"].nodes[0].max() < 1.05  # in front of the wall
     assert -0.96 < names["landed"].nodes[2].min() < -0.9
+    assert names["stance"].contacts.normal_force.sum() == pytest.approx(6 * 9.81, rel=1e-9)
+    held = names["held"]
+    assert np.abs(held.velocities[:, :, -1]).max() < 0.2 * np.abs(held.velocities[:, :, 0]).max()
 
 
 def test_the_page_on_own_controllers_runs():
