@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import TypeVar
 
 import casadi as ca
@@ -320,20 +321,28 @@ def contact_frequency(equation: Equation, state: FloatArray, held: FloatArray) -
     total = float(mass.sum())
     kinetic = 0.5 * total * float((V**2).sum(axis=0).max())
     rates = [0.0]
-    for law, at, _ in contacts:
+    for i, (law, at, _) in enumerate(contacts):
         if len(at):
+            of_depth = equation.prepared.get(("contact rate", i), partial(_of_depth, law))
             highest = -float(np.array(law.sinking(ca.DM(N[:, at]), ca.DM(V[:, at]))[0]).max())
             energy = kinetic + load * max(highest, 0.0)
-            rates.append(_contact_rate(law, energy, load, float(mass[at].min()), float(np.ptp(N))))
+            least, size = float(mass[at].min()), float(np.ptp(N))
+            rates.append(_contact_rate(law, of_depth, energy, load, least, size))
     return max(rates)
 
 
-def _contact_rate(law: ContactLaw, energy: float, load: float, mass: float, size: float) -> float:
-    """Return the largest rate of a node of a mass, rad/s."""
+def _of_depth(law: ContactLaw) -> ca.Function:
+    """Return ``(p, ṗ) -> (stored, F, ∂F/∂p, ∂F/∂ṗ)`` of a node."""
     p, rate = ca.SX.sym("p"), ca.SX.sym("rate")
     normal = law.normal_force(p, rate)
     outputs = [law.stored_energy(p), normal, ca.jacobian(normal, p), ca.jacobian(normal, rate)]
-    of_depth = ca.Function("of_depth", [p, rate], outputs)
+    return ca.Function("of_depth", [p, rate], outputs)
+
+
+def _contact_rate(
+    law: ContactLaw, of_depth: ca.Function, energy: float, load: float, mass: float, size: float
+) -> float:
+    """Return the largest rate of a node of a mass, rad/s."""
 
     def depth(output: int, wanted: float) -> float:
         """Return the depth at which an output reaches a value, to a few per cent."""
