@@ -263,7 +263,9 @@ class RigidBars(Motion):
         positions, motion = shaped[0], self._rates(shaped)
         S = self.stretch @ positions
         alpha = len(self.stretch)
-        gamma = self.law(*_stretch(S, self.stretch @ motion), pulls[:alpha])
+        gamma = self.law(
+            *_stretch(S, self.stretch @ motion), pulls[:alpha] if self.ground else pulls
+        )
         # Forces on the bodies; at the directions half a bar times the difference of its ends.
         F = self.body_load - self.stretch.T @ (gamma[:, None] * S)
         if self.ground:
@@ -330,7 +332,9 @@ class NodeMotion(Motion):
     def slope(self, state, pulls):
         N, V = self.nodes(state)
         alpha, load = len(self.structure.strings), self.load
-        gamma = self.law(*string_motion(self.structure, N, V), pulls[:alpha])
+        gamma = self.law(
+            *string_motion(self.structure, N, V), pulls[:alpha] if self.ground else pulls
+        )
         if self.ground:
             load = load + _pushes(self.ground, N.T, V.T, pulls[alpha:]).T
         acceleration, _ = node_acceleration(self.structure, N, V, gamma, load)

@@ -439,8 +439,12 @@ class Loop:
         free = not len(structure.fixed_rows)
         if contacts is not None and free and not isinstance(self.load, Pieces):
             given = contacts.impulse.sum(axis=1) + np.outer(self.load.sum(axis=1), time - time[0])
-            off = np.abs(linear - linear[:, :1] - given).max()
-            contacts = replace(contacts, impulse_error=float(off))
+            off = linear - linear[:, :1] - given
+            contacts = replace(contacts, impulse_error=float(np.abs(off).max()))
+            if error is not None:  # how far that takes the centre of mass
+                moved = np.cumsum((off[:, 1:] + off[:, :-1]) / 2 * np.diff(time), axis=1)
+                reach = float(model.mass_matrix().sum() * np.ptp(structure.nodes, axis=1).max())
+                error += _SAFETY * float(np.abs(moved).max(initial=0.0)) / reach
         weight = float(model.constant_force[-1].sum())
         bars = nodes[:, structure.bars[:, 1]] - nodes[:, structure.bars[:, 0]]
         stretch = np.linalg.norm(bars, axis=0) - structure.bar_length[:, None]

@@ -95,13 +95,16 @@ def test_a_run_that_is_too_long_is_not_started(prism_case):
     assert row.evaluations > 10
 
 
-def test_a_method_that_refuses_gives_its_reason():
-    model = tc.Model(tc.prism(), strings=tc.LinearStrings(100.0, damping=1.0))
-    lengths = 0.95 * tc.prism().string_length()
-    case = Extreme("prism", "damped", Case(model, 0.5, input="rest_length", value=lengths))
-    row = judge(case, truth(case), "rattle6")
+def test_a_method_that_refuses_gives_its_reason(prism_case, monkeypatch):
+    known = truth(prism_case)
+
+    def refuse(*_, **__):
+        raise ValueError("method takes no damping")
+
+    monkeypatch.setattr("tenscontrol.accuracy.suite.simulate", refuse)
+    row = judge(prism_case, known, "rattle6")
     assert row.verdict == "refused"
-    assert "damped" in row.reason
+    assert row.reason == "method takes no damping"
 
 
 def test_a_run_that_blows_up_is_stopped(prism_case):

@@ -181,7 +181,6 @@ WITHIN = {
     "dynamics.HertzGround.normal_force",
     "dynamics.SmoothGround.normal_force",
     "dynamics.SmoothGround.gap",
-    "dynamics.SmoothGround.stored_energy",
     "dynamics.ContactLaw.normal_force",
     "dynamics.ContactLaw.gap",
     "dynamics.ContactLaw.stored_energy",
