@@ -44,6 +44,9 @@ _VIOLENT, _SPREAD, _SHARE = 4, 16, 0.25
 # These intervals may miss the worst of the motion.
 _SAFETY = 2.0
 
+# Nodes are off by more than the centre of mass is: impulses turn a structure, and bend it.
+_BY_CENTRE = 10.0
+
 # A support whose place changes by more than this part of the size at once jumps; supports whose
 # motions differ by less than the second part of the largest move alike.
 _JUMP, _ALIKE = 1e-9, 1e-12
@@ -444,7 +447,7 @@ class Loop:
             if error is not None:  # how far that takes the centre of mass
                 moved = np.cumsum((off[:, 1:] + off[:, :-1]) / 2 * np.diff(time), axis=1)
                 reach = float(model.mass_matrix().sum() * np.ptp(structure.nodes, axis=1).max())
-                error += _SAFETY * float(np.abs(moved).max(initial=0.0)) / reach
+                error += _BY_CENTRE * float(np.abs(moved).max(initial=0.0)) / reach
         weight = float(model.constant_force[-1].sum())
         bars = nodes[:, structure.bars[:, 1]] - nodes[:, structure.bars[:, 0]]
         stretch = np.linalg.norm(bars, axis=0) - structure.bar_length[:, None]
