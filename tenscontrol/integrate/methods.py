@@ -50,6 +50,8 @@ class Method:
     follows : bool
         Whether it integrates inputs that change within a step: it asks :meth:`Equation.ahead` for
         the input at each time within it. Else profiles and moving supports are refused.
+    locates : bool
+        Whether steps end where a string or a contact switches.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Method:
     compiles: bool = True
     differentiates: bool = False
     follows: bool = False
+    locates: bool = True
 
     def __post_init__(self) -> None:
         text("name", self.name, "what the method is called")
@@ -70,7 +73,7 @@ class Method:
         for i, setting in enumerate(self.settings):
             choice(f"settings[{i}]", setting, ("step", "tolerance"))
         function("make", self.make, "(equation, step=... or tolerance=...) -> Integrator")
-        for name in ("drifts", "projects", "compiles", "differentiates", "follows"):
+        for name in ("drifts", "projects", "compiles", "differentiates", "follows", "locates"):
             truth(name, getattr(self, name), "what the method does")
 
     @property
@@ -158,6 +161,7 @@ _ALL = (
         compiles=False,
         differentiates=True,
         follows=True,
+        locates=False,
     ),
 )
 

@@ -44,7 +44,8 @@ _VIOLENT, _SPREAD, _SHARE = 4, 16, 0.25
 # These intervals may miss the worst of the motion.
 _SAFETY = 2.0
 
-# Nodes are off by more than the centre of mass is: impulses turn a structure, and bend it.
+# A method that steps across impacts leaves its nodes off by more than the centre of mass: impulses
+# turn a structure, and bend it.
 _BY_CENTRE = 10.0
 
 # A support whose place changes by more than this part of the size at once jumps; supports whose
@@ -444,7 +445,8 @@ class Loop:
             given = contacts.impulse.sum(axis=1) + np.outer(self.load.sum(axis=1), time - time[0])
             off = linear - linear[:, :1] - given
             contacts = replace(contacts, impulse_error=float(np.abs(off).max()))
-            if error is not None:  # how far that takes the centre of mass
+            # How far that takes the centre of mass.
+            if error is not None and not (self._method or METHODS[self.choice.method]).locates:
                 moved = np.cumsum((off[:, 1:] + off[:, :-1]) / 2 * np.diff(time), axis=1)
                 reach = float(model.mass_matrix().sum() * np.ptp(structure.nodes, axis=1).max())
                 error += _BY_CENTRE * float(np.abs(moved).max(initial=0.0)) / reach

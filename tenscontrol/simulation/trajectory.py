@@ -384,9 +384,9 @@ class Trajectory:
         Why the motion ends early; None where it does not.
     position_error : float or None
         Estimate of the error of the nodes at the end, as part of the size: by step doubling over
-        parts of the motion; with a tolerance, that times the steps; and by where the impulses of
-        the ground leave the centre of mass. None where few states were kept, or the motion ends
-        early. Motions that magnify errors need :func:`predictability`.
+        parts of the motion; with a tolerance, that times the steps; and of ``energy_momentum``, by
+        where impulses of the ground leave the centre of mass. None where few states were kept, or
+        the motion ends early. Motions that magnify errors need :func:`predictability`.
     faults : tuple of Fault
         What was made to break.
     note : str or None
