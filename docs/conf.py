@@ -45,4 +45,6 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "matplotlib_animations": False,
 }
-suppress_warnings = ["config.cache"]  # gallery settings hold functions, which are not cached
+# Gallery settings hold functions, which are not cached. Names of attributes are taken for
+# references, and several classes have one of the same name.
+suppress_warnings = ["config.cache", "ref.python"]

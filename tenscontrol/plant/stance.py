@@ -50,7 +50,7 @@ class StanceContacts:
     tangential_force : ndarray, shape (d, c)
         F_t, N, of the ground on the node.
     cone_use : ndarray, shape (c,)
-        |F_t|/(μ F_n), at most 1; 1 where there is no friction.
+        ``|F_t|/(μ F_n)``, at most 1; 1 where there is no friction.
     """
 
     node: IntArray
