@@ -56,7 +56,7 @@ from tenscontrol.plant.riccati import (
     regulator_riccati,
     riccati_residual,
 )
-from tenscontrol.plant.stance import Stance, StanceContacts, Tipping, set_down
+from tenscontrol.plant.stance import Stance, StanceContacts, Tipping, convex_hull, set_down
 from tenscontrol.plant.string_outputs import (
     StringMap,
     model_input,
@@ -91,6 +91,7 @@ __all__ = [
     "checked_tracked",
     "command_parents",
     "controllability",
+    "convex_hull",
     "energy_weights",
     "equilibrium",
     "explicit_substeps",

@@ -34,7 +34,6 @@ from tenscontrol.structure import (
 )
 from tenscontrol.validation import (
     FloatArray,
-    IntArray,
     instance,
     non_negative,
     per_member,
@@ -312,7 +311,7 @@ def _stood(
     strained: FloatArray, settle: bool,
 ) -> tuple[Structure, FloatArray, StanceContacts, float]:  # fmt: skip
     """Return a standing shape, γ of its strings, its contacts, and its least stiffness, N/m."""
-    structure, bars = model.structure, _kept_bars(model.structure)
+    structure, bars = model.structure, model.structure.kept_bars
     least_force = float(strained.max(initial=0.0))
     nodes = first = let_down(model, start, load)
     points = GroundPoints.of(model, nodes).touching(float(np.ptp(nodes, axis=1).max()))
@@ -388,13 +387,6 @@ def _refuse_fall(start: FloatArray, end: FloatArray, resultant: FloatArray, kind
         )
 
 
-def _kept_bars(structure: Structure) -> IntArray:
-    """Return the bars that move and whose lengths are to be kept, without redundant ones."""
-    return np.concatenate(
-        [structure.free_bars, structure.swinging_bars, *(b.independent for b in structure.blocks)]
-    )
-
-
 @builds
 def _minimize(
     model: Model, kind: str, held: FloatArray, load: FloatArray, start: FloatArray,
@@ -421,7 +413,7 @@ def _minimize(
     energy = ca.dot(weights, energies) - ca.dot(free_coordinates(structure, load), at)
     if sticking is not None:
         energy += ground_energy(model, nodes)
-    moving = _kept_bars(structure)
+    moving = structure.kept_bars
     B = kernel.differences(nodes, structure.bars[moving])
     stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[moving] ** 2)) / 2
     problem = {"x": q, "p": stage, "f": energy, "g": stretch}

@@ -149,12 +149,12 @@ def _tipping(feet: FloatArray, nodes: IntArray, fall: FloatArray) -> Tipping:
     across = np.linalg.svd(fall[:, None])[0][:, 1:]
     flat, deep = across.T @ feet, fall @ feet
     if len(fall) == 2:
-        ends = int(flat[0].argmin()), int(flat[0].argmax())
+        ends = convex_hull(flat).tolist()
         distance = np.array([-flat[0, ends[0]], flat[0, ends[1]]])
         least = int(distance.argmin())
         foot, margin = ends[least], float(distance[least])
         return Tipping(margin, (int(nodes[foot]),), float(np.arctan2(margin, deep[foot])))
-    hull = _hull(flat)
+    hull = convex_hull(flat)
     following = np.roll(hull, -1)
     edges = flat[:, following] - flat[:, hull]
     length = np.hypot(*edges)
@@ -171,8 +171,13 @@ def _tipping(feet: FloatArray, nodes: IntArray, fall: FloatArray) -> Tipping:
     return Tipping(margin, (int(nodes[start]), int(nodes[end])), float(np.arctan2(margin, height)))
 
 
-def _hull(points: FloatArray) -> IntArray:
-    """Return the corners of the convex hull of points, shape (2, c), counterclockwise."""
+def convex_hull(points: FloatArray) -> IntArray:
+    """Return the corners of the convex hull of points, shape (2, c), counterclockwise.
+
+    Of points on a line, shape (1, c), the lowest and the highest.
+    """
+    if len(points) == 1:
+        return np.array([points.argmin(), points.argmax()])
     order = np.lexsort(points[::-1]).tolist()
     size = float(np.ptp(points, axis=1).max(initial=0.0)) ** 2
 

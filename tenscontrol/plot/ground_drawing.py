@@ -21,7 +21,7 @@ from tenscontrol.plot.style import (
     curve_style,
     dress,
     marker_style,
-    panel_axes,
+    timed_panels,
 )
 from tenscontrol.simulation import ContactRecord, Trajectory
 from tenscontrol.validation import FloatArray, IntArray, instance
@@ -193,7 +193,6 @@ def contacts(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str
     if record is None:
         raise ValueError("run has no ground: make its model by Model(..., ground=Ground(...))")
     names = ["normal_force", "depth", "touch", "work"] + ["balance"] * run.conserves_energy
-    places = dict(zip(names, panel_axes(axes, names), strict=True))
     labels = _labels(record, len(run.ground) > 1)
     work = {
         "lost by damping": record.damping_work.sum(axis=0)[None],
@@ -211,17 +210,18 @@ def contacts(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str
             {"all energy": (balance - balance[0])[None]}, "change of energy\nwith the lost, J"
         )  # fmt: skip
     panels = {}
-    for name, ax in places.items():
-        xlabel = "time, s" if axes is not None or name == names[-1] else None
+    for ax, name, xlabel in timed_panels(axes, names):
         if name == "touch":
             panels[name] = _bars(ax, run, record, labels, xlabel)
         else:
             rows, label = content[name]
             panels[name] = draw_curves(ax, run.time, rows, label, xlabel=xlabel)
-    if "balance" in places:
-        places["balance"].legend([]).remove()
+    if "balance" in panels:
+        panels["balance"].ax.legend([]).remove()
     if len(record.node):
-        places["depth"].set_ylim(bottom=-0.15 * record.penetration)  # not how high the others are
+        panels["depth"].ax.set_ylim(
+            bottom=-0.15 * record.penetration
+        )  # not how high the others are
     return panels
 
 

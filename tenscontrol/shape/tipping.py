@@ -11,8 +11,8 @@ import numpy as np
 
 from tenscontrol.actuation import Winches
 from tenscontrol.dynamics import Model, SharedEvaluator, builds, kernel
-from tenscontrol.plant import held_value
-from tenscontrol.structure import Structure, bar_distances, restore_bar_lengths
+from tenscontrol.plant import SHORTEST, convex_hull, held_value
+from tenscontrol.structure import bar_distances, restore_bar_lengths
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -27,9 +27,6 @@ from tenscontrol.validation import direction as unit_vector
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
-
-# Least rest length, in those of the start, unless the winches say.
-_SHORTEST = 0.01
 
 # Newton steps to an equilibrium: at the start, and from one to the next, which is close by. Within
 # this part of the size it is one.
@@ -238,8 +235,7 @@ class TippingPlanner:
     def __init__(
         self, model: Model, rest_length: object, winches: Winches | None, clearance: float
     ) -> None:
-        import scipy.linalg.lapack
-        import scipy.spatial  # both now, not within the first sample  # noqa: F401
+        import scipy.linalg.lapack  # now, not within the first sample  # noqa: F401
 
         instance("model", model, Model, "make one by Model(structure, strings=..., gravity=...)")
         structure, force = model.structure, model.constant_force.sum(axis=1)
@@ -260,7 +256,7 @@ class TippingPlanner:
         self.home = held_value(model, rest_length, None)
         self.size = float(np.ptp(structure.nodes, axis=1).max())
         self.gravity = weight / float(structure.bar_mass.sum() + structure.point_mass.sum())
-        self._low, self._high = _SHORTEST * self.home, np.full(len(self.home), np.inf)
+        self._low, self._high = SHORTEST * self.home, np.full(len(self.home), np.inf)
         if winches is not None:
             instance("winches", winches, Winches, "make them by Winches(rate=...)")
             winches.refuse_out_of_range("rest_length", self.home)
@@ -283,7 +279,11 @@ class TippingPlanner:
             found = list(combinations(feet.tolist(), d - 1))
         else:
             places = nearest_plane(nodes[:, feet], self._down)[1] @ nodes[:, feet]
-            found = [tuple(sorted(feet[pair].tolist())) for pair in _hull(places)]
+            corners = feet[convex_hull(places)]
+            pairs = (
+                corners[:, None] if d == 2 else np.stack([corners, np.roll(corners, -1)], axis=1)
+            )
+            found = [tuple(sorted(pair)) for pair in pairs.tolist()]
         return {edge: across_edge(nodes, feet, edge, self._down)[0] for edge in found}
 
     def start(self, nodes: FloatArray, feet: IntArray, edge: tuple[int, ...]) -> None:
@@ -308,7 +308,7 @@ class TippingPlanner:
         self._rows = rows.reshape(len(held), n * d)
         place = nodes.ravel(order="F")
         self._values = self._rows @ place
-        count = len(_moving_bars(self._structure)) + len(held)
+        count = len(self._structure.kept_bars) + len(held)
         self._balance(np.concatenate([place, np.zeros(count)]), self.home, _FIRST, -np.inf)
 
     def advance(self, most: FloatArray | float) -> None:
@@ -419,11 +419,6 @@ def across_edge(
     return across / scale, scale
 
 
-def _moving_bars(structure: Structure) -> IntArray:
-    """Return the bars whose lengths are independent."""
-    return np.concatenate([structure.free_bars, *(b.independent for b in structure.blocks)])
-
-
 @builds
 def _conditions(model: Model) -> SharedEvaluator:
     """Return the slope of the energy with bars, their stretch, and the derivatives of both.
@@ -438,24 +433,14 @@ def _conditions(model: Model) -> SharedEvaluator:
     length = kernel.string_lengths(structure, N).T
     energy = ca.sum1(model.strings.as_expressions().stored_energy(length, rest))
     energy -= ca.dot(ca.DM(model.constant_force), N)
-    B = kernel.differences(N, structure.bars[_moving_bars(structure)])
-    stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[_moving_bars(structure)] ** 2)) / 2
+    B = kernel.differences(N, structure.bars[structure.kept_bars])
+    stretch = (kernel.dots(B, B).T - ca.DM(structure.bar_length[structure.kept_bars] ** 2)) / 2
     lam = ca.SX.sym("lambda", stretch.numel())
     slope, directions = ca.gradient(energy, q), ca.jacobian(stretch, q)
     hessian = ca.jacobian(slope + ca.mtimes(directions.T, lam), q)
     found = [slope, stretch, directions, hessian, ca.jacobian(slope, rest)]
     given = [q, rest, lam]
     return SharedEvaluator(ca.Function("tipping", given, [ca.densify(each) for each in found]))
-
-
-def _hull(places: FloatArray) -> list[list[int]]:
-    """Return the edges of the convex hull of points in the plane, or the ends of a line."""
-    if len(places) == 1:
-        return [[int(places.argmin())], [int(places.argmax())]]
-    from scipy.spatial import ConvexHull
-
-    edges: list[list[int]] = ConvexHull(places.T).simplices.tolist()
-    return edges
 
 
 def nearest_plane(shape: FloatArray, down: FloatArray) -> tuple[FloatArray, FloatArray]:

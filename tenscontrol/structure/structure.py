@@ -345,6 +345,12 @@ class Structure:
         return find_blocks(self)
 
     @cached_property
+    def kept_bars(self) -> IntArray:
+        """Indices of the bars that move and whose lengths are to be kept, no redundant ones."""
+        of_blocks = (block.independent for block in self.blocks)
+        return frozen(np.concatenate([self.free_bars, self.swinging_bars, *of_blocks]))
+
+    @cached_property
     def hinged_pairs(self) -> IntArray:
         """Fixed and free node of each swinging bar, shape (·, 2)."""
         pairs = self.bars[self.swinging_bars]
