@@ -146,7 +146,14 @@ def mpc_code(controller: MPC) -> LawCode:
     }
     templates = "program.c", "time_table.c", "mpc.c"
     # A new program: that of the controller may be in the middle of a run.
-    return LawCode(templates, constants, arrays, matrices, _osqp(law.solver()), (first, table))
+    return LawCode(
+        templates,
+        constants,
+        arrays,
+        matrices,
+        _osqp(law.solved_by("osqp").solver()),
+        (first, table),
+    )
 
 
 def _read(
@@ -251,7 +258,7 @@ def nmpc_code(controller: NMPC) -> LawCode:
             "source_of_y": y.astype(np.int64) - 1,
         },
         matrices=matrices,
-        program=_osqp(law.solver(law.subproblem())),
+        program=_osqp(law.solved_by("osqp").solver(law.subproblem())),
         table=(first, table),
         functions=functions,
     )

@@ -107,6 +107,7 @@ def of_force_density(**options):
         sample_time=SAMPLE,
         max_force_density=80.0,
         reference=ramp(),
+        solver="osqp",
         **options,
     )
 
@@ -121,6 +122,7 @@ def of_rest_length():
         winches=WINCHES,
         max_tension=50.0,
         reference=ramp(),
+        solver="osqp",
     )
 
 
@@ -133,6 +135,7 @@ def winding():
         winches=WINDING,
         load_gain=0.1,
         reference=ramp(),
+        solver="osqp",
     )
 
 
@@ -220,7 +223,9 @@ def rolling():
 def sliding():
     """Winches of a planar arm with a slider and a clustered string."""
     winches = tc.Winches(rate=0.5, shortest=0.1)
-    return tc.MPC(coupled_plant("arm"), horizon=4, sample_time=SAMPLE, winches=winches)
+    return tc.MPC(
+        coupled_plant("arm"), horizon=4, sample_time=SAMPLE, winches=winches, solver="osqp"
+    )
 
 
 def closed_loop(pair, pull=0.0, samples=SAMPLES, **options):

@@ -113,7 +113,12 @@ def short_of_iterations(tmp_path_factory):
     """Code whose program is not solved where the prism is pushed hard."""
     plant = scenes.plant("force_density")
     mpc = tc.MPC(
-        plant, horizon=4, sample_time=scenes.SAMPLE, max_force_density=34.0, max_iterations=10
+        plant,
+        horizon=4,
+        sample_time=scenes.SAMPLE,
+        max_force_density=34.0,
+        max_iterations=10,
+        solver="osqp",
     )
     made = tc.generate_c(mpc, tmp_path_factory.mktemp("short") / "code")
     return mpc, made, made.compile()
