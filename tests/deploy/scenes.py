@@ -2,12 +2,9 @@
 
 from functools import cache
 
-import daqp
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.control import Status
-from tenscontrol.control.mpc import QPSolution, QPSolver
 from tenscontrol.demo import tour as demo
 from tests import coupled
 
@@ -20,35 +17,6 @@ ABSURD = (80, 81, 140)
 
 WINCHES = tc.Winches(rate=0.5, shortest=0.1)
 WINDING = tc.Winches(rate=0.5, shortest=0.1, substeps=10)
-
-
-class Exact(QPSolver):
-    """DAQP, set up anew for each program: answers to round-off, as those of the C code."""
-
-    def __init__(self, P, A, tolerance, max_iterations, *, equations=False):
-        self._given = P, A.copy(), tolerance, max_iterations
-
-    def __reduce__(self):
-        return Exact, self._given
-
-    def update(self, A):
-        self._given[1].data[:] = A
-
-    def reset(self):
-        """It remembers nothing."""
-
-    def solve(self, q, l, u, start=None, deadline=np.inf):  # noqa: E741
-        P, A, _, most = self._given
-        if not np.isfinite(q).all():
-            return QPSolution(Status.BAD_DATA, None, None, 0)
-        bounds, sense = (np.minimum(u, 1e30), np.maximum(l, -1e30)), np.where(l == u, 5, 0)
-        x, _, flag, info = daqp.solve(
-            P.toarray(), q, np.ascontiguousarray(A.toarray()), *bounds, sense.astype(np.intc),
-            primal_tol=1e-11, iter_limit=100 * most,
-        )  # fmt: skip
-        if flag <= 0:
-            return QPSolution(Status.INFEASIBLE, None, None, info["iterations"])
-        return QPSolution(Status.OK, x, info["lam"], info["iterations"])
 
 
 class Pair(tc.control.Controller):
@@ -139,7 +107,7 @@ def of_force_density(**options):
         sample_time=SAMPLE,
         max_force_density=80.0,
         reference=ramp(),
-        solver=Exact,
+        solver="daqp",
         **options,
     )
 
@@ -154,7 +122,7 @@ def of_rest_length():
         winches=WINCHES,
         max_tension=50.0,
         reference=ramp(),
-        solver=Exact,
+        solver="daqp",
     )
 
 
@@ -167,12 +135,12 @@ def winding():
         winches=WINDING,
         load_gain=0.1,
         reference=ramp(),
-        solver=Exact,
+        solver="daqp",
     )
 
 
 def with_load():
-    """An unknown load is estimated; the program is written the sparse way, changes are limited."""
+    """An unknown load is estimated, changes are limited, and so is the height."""
     return tc.MPC(
         plant("force_density"),
         horizon=6,
@@ -182,8 +150,7 @@ def with_load():
         tracked=height_row(),
         max_change=4.0,
         outputs=[tc.OutputLimit(height_row(), low=0.9, penalty=100.0)],
-        form="sparse",
-        solver=Exact,
+        solver="daqp",
     )
 
 
@@ -257,7 +224,7 @@ def sliding():
     """Winches of a planar arm with a slider and a clustered string."""
     winches = tc.Winches(rate=0.5, shortest=0.1)
     return tc.MPC(
-        coupled_plant("arm"), horizon=4, sample_time=SAMPLE, winches=winches, solver=Exact
+        coupled_plant("arm"), horizon=4, sample_time=SAMPLE, winches=winches, solver="daqp"
     )
 
 

@@ -3,12 +3,19 @@
 from tenscontrol.control.mpc.constraints import OutputLimit, clearance
 from tenscontrol.control.mpc.linear import MPC, MPCLaw, MPCStatistics, form_of
 from tenscontrol.control.mpc.nonlinear import CONVERGED, NMPC, NMPCStatistics
-from tenscontrol.control.mpc.osqp_adapter import START_RHO, OSQPSolver
-from tenscontrol.control.mpc.problem import MPCProblem, QPSolution, QPSolver, StageData
+from tenscontrol.control.mpc.problem import MPCProblem, StageData
 from tenscontrol.control.mpc.real_time_iteration import NEWTON_STEPS
 from tenscontrol.control.mpc.settings import MPCSettings
 from tenscontrol.control.mpc.shooting import RK4, StageJacobians
-from tenscontrol.control.mpc.solvers.c_source import active_set_source
+from tenscontrol.control.mpc.solvers import (
+    START_RHO,
+    DAQPSolver,
+    OSQPSolver,
+    PIQPSolver,
+    QPSolution,
+    QPSolver,
+    active_set_source,
+)
 from tenscontrol.control.mpc.sparse import Sparse
 
 __all__ = [
@@ -18,6 +25,7 @@ __all__ = [
     "NMPC",
     "RK4",
     "START_RHO",
+    "DAQPSolver",
     "MPCLaw",
     "MPCProblem",
     "MPCSettings",
@@ -25,6 +33,7 @@ __all__ = [
     "NMPCStatistics",
     "OSQPSolver",
     "OutputLimit",
+    "PIQPSolver",
     "QPSolution",
     "QPSolver",
     "Sparse",

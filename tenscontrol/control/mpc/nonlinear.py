@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import LoadObserver
-from tenscontrol.control.mpc.problem import MPCProblem, Pair, QPSolver, StageData, Triple
+from tenscontrol.control.mpc.problem import MPCProblem, Pair, StageData, Triple
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
 from tenscontrol.control.mpc.settings import (
     MPCSettings,
@@ -21,6 +21,7 @@ from tenscontrol.control.mpc.settings import (
     design,
     make_solver,
 )
+from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview

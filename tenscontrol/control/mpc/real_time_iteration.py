@@ -13,8 +13,6 @@ from tenscontrol.control.mpc.problem import (
     Constraints,
     MPCProblem,
     Pair,
-    QPSolution,
-    QPSolver,
     Rows,
     StageData,
 )
@@ -28,6 +26,7 @@ from tenscontrol.control.mpc.shooting import (
     stage_jacobians,
     taut_slopes,
 )
+from tenscontrol.control.mpc.solvers import QPSolution, QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import Evaluator
