@@ -92,16 +92,17 @@ class _LeastDistance:
         above, below = limits[sign < 0], limits[sign > 0]
         parts = np.split(limits[sign == 0], N * np.cumsum(widths)[:-1])
         self.low, self.high = (
-            np.hstack([part.reshape(N, -1) for part in (*parts, each if len(each) else other)])
-            for each, other in ((below, above), (above, below))
+            np.hstack([*(part.reshape(N, -1) for part in parts), soft_rows.reshape(N, -1)])
+            for soft_rows in (below if len(below) else above, above if len(above) else below)
         )
         self.price = np.full(self.low.shape, np.inf)
         self.price[:, self.price.shape[1] - soft :] = self.form.P.diagonal()[count:].reshape(N, -1)
 
     def response(self) -> FloatArray:
         """Return what inputs, the first of all last, do to the rows of a stage; it is the same."""
-        by_row, (N, width) = self.form.A[:, : self.unknowns].tocsr(), self.low.shape
-        found = by_row[self.low[-1]].toarray()
+        by_row = self.form.A[:, : self.unknowns].tocsr()
+        N, width = self.low.shape
+        found: FloatArray = by_row[self.low[-1]].toarray()
         for k, rows in enumerate(self.low):
             moved = np.zeros((width, self.unknowns))
             moved[:, : (k + 1) * self.unknowns // N] = found[:, (N - 1 - k) * self.unknowns // N :]
