@@ -90,7 +90,7 @@ def test_program_satisfies_the_optimality_conditions():
         max_iterations=20000,
     )
     kept = {}
-    program = nmpc._plan.solver
+    program = nmpc._plan.program.solver
     solve, update = program.solve, program.update
 
     def watched(q, l, u, start=None, **_):  # noqa: E741
@@ -105,7 +105,7 @@ def test_program_satisfies_the_optimality_conditions():
     z = disturbed(0.05, 0)
     nodes, velocities = plant.to_nodes(z[:9]), plant.to_velocities(z[:9], z[9:])
     value = nmpc.command(0.0, nodes, velocities).value
-    form = nmpc._plan.form
+    form = nmpc._plan.program.form
     pattern = form.A.copy()
     pattern.data = kept["values"]
     answer, (q, l, u) = kept["answer"], kept["vectors"]  # noqa: E741
