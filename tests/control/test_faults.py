@@ -247,7 +247,7 @@ def test_time_that_osqp_counts_before_the_solve_is_given_back(monkeypatch):
 
     looks = count()
     monkeypatch.setattr(
-        "tenscontrol.control.mpc.osqp_adapter.perf_counter", lambda: 0.25 * next(looks)
+        "tenscontrol.control.mpc.solvers.osqp_adapter.perf_counter", lambda: 0.25 * next(looks)
     )
     dense, zero = np.random.default_rng(0).normal(size=(5, 5)), np.zeros(5)
     program = OSQPSolver(identity(5).tocsc(), csc_array(dense), 1e-6, 4000)

@@ -87,7 +87,8 @@ class LeastDistance(Subproblem):
         none = np.zeros(0)
         data = [
             state_weight, scale * problem.input_weight, scale * problem.terminal_weight,
-            none if rows is None else rows.scale, none if problem.change is None else problem.change,
+            none if rows is None else rows.scale,
+            none if problem.change is None else problem.change,
             *bounds, *row_bounds, price, price,
         ]  # fmt: skip
         self._data = [np.ascontiguousarray(part, dtype=float) for part in data]

@@ -14,7 +14,6 @@ from tenscontrol.control.mpc.problem import (
     LimitRows,
     MPCProblem,
     Pair,
-    QPSolver,
     StageData,
     Triple,
     shifted,
@@ -28,6 +27,7 @@ from tenscontrol.control.mpc.settings import (
     design,
     make_solver,
 )
+from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import (

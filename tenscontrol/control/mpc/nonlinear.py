@@ -13,14 +13,7 @@ import numpy as np
 
 from tenscontrol.control.disturbance import LoadObserver
 from tenscontrol.control.mpc.least_distance import LeastDistance
-from tenscontrol.control.mpc.problem import (
-    MPCProblem,
-    Pair,
-    QPSolver,
-    StageData,
-    Subproblem,
-    Triple,
-)
+from tenscontrol.control.mpc.problem import MPCProblem, Pair, StageData, Subproblem, Triple
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
 from tenscontrol.control.mpc.settings import (
     MPCSettings,
@@ -30,6 +23,7 @@ from tenscontrol.control.mpc.settings import (
     design,
     make_solver,
 )
+from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
@@ -243,9 +237,7 @@ class NMPC(PredictiveController):
             rounds=rounds,
             path=path,
         )
-        self._plan = RealTimeIterate(
-            model, self._law.program(), self._law.problem, self.bounds
-        )
+        self._plan = RealTimeIterate(model, self._law.program(), self._law.problem, self.bounds)
         self.reset()
 
     @property

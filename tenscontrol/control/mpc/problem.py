@@ -1,4 +1,4 @@
-"""The finite-horizon problem of MPC as data, and the interface of what solves it.
+"""The finite-horizon problem of MPC as data, and the interface of its programs.
 
     minimize    Σ (z_k − r_k)ᵀ Q (z_k − r_k) + Σ (v_k − s_k)ᵀ R (v_k − s_k)
                 + (z_N − r_N)ᵀ P (z_N − r_N) + Σ 2 πᵀ (e_k + ½ e_k²)
@@ -333,104 +333,6 @@ class Form(ABC):
     @abstractmethod
     def shifted(self, x: FloatArray, y: FloatArray) -> Pair:
         """Return a primal and dual solution moved on by one sample, to start the next from."""
-
-
-@dataclass(frozen=True, eq=False)
-class QPSolution:
-    """Answer to a quadratic program.
-
-    Attributes
-    ----------
-    status : Status
-    x, y : ndarray or None
-        Primal and dual solution; None unless the status is ``OK``.
-    iterations : int
-    """
-
-    status: Status
-    x: FloatArray | None
-    y: FloatArray | None
-    iterations: int
-
-
-class QPSolver(ABC):
-    """Solver of ``min ½ xᵀ P x + qᵀ x  subject to  l ≤ A x ≤ u`` of one fixed pattern.
-
-    Dual variables y have the sign of ``P x + q + Aᵀ y = 0``: positive at upper bounds.
-
-    Parameters
-    ----------
-    P : sparse array, shape (k, k)
-        Symmetric positive semidefinite; all of it.
-    A : sparse array, shape (m, k)
-    tolerance : float
-        Absolute and relative tolerance of the residuals.
-    max_iterations : int
-    equations : bool
-        Whether many rows of A are equations, and all are in units of their own already.
-    """
-
-    @abstractmethod
-    def __init__(
-        self,
-        P: csc_array,
-        A: csc_array,
-        tolerance: float,
-        max_iterations: int,
-        *,
-        equations: bool = False,
-    ) -> None: ...
-
-    @abstractmethod
-    def update(self, A: FloatArray) -> None:
-        """Put other values into A, in the order of its columns; the pattern stays.
-
-        Parameters
-        ----------
-        A : ndarray, shape (nonzeros of A,)
-
-        Raises
-        ------
-        ValueError
-            If there are not as many values as A has nonzeros, or one is not finite.
-        """
-
-    @abstractmethod
-    def solve(
-        self,
-        q: FloatArray,
-        l: FloatArray,  # noqa: E741 - the letters of the problem
-        u: FloatArray,
-        start: Pair | None = None,
-        deadline: float = np.inf,
-    ) -> QPSolution:
-        """Solve for new vectors, from the last solution or from a given start.
-
-        Parameters
-        ----------
-        q : ndarray, shape (k,)
-        l, u : ndarray, shape (m,)
-            May be infinite.
-        start : pair of ndarray, shapes (k,) and (m,), optional
-            Primal and dual vectors to start from.
-        deadline : float
-            When ``perf_counter`` says so, s, the solve is given up: before it
-            begins, or at the end of an iteration.
-
-        Returns
-        -------
-        QPSolution
-            Data that are not finite, and bounds that cross, are answered by a status.
-
-        Raises
-        ------
-        ValueError
-            If a vector has the wrong length.
-        """
-
-    @abstractmethod
-    def reset(self) -> None:
-        """Forget the last solution, and all that was adapted to it."""
 
 
 @dataclass(frozen=True, eq=False)

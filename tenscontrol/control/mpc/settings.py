@@ -13,15 +13,14 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import Controller, warn_of_unreached
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
 from tenscontrol.control.mpc.constraints import OutputLimit, broken_limits, output_block
-from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.problem import (
     Constraints,
     Form,
     MPCProblem,
-    QPSolver,
     RowBlock,
     string_block,
 )
+from tenscontrol.control.mpc.solvers import DAQPSolver, OSQPSolver, PIQPSolver, QPSolver
 from tenscontrol.control.status import ControlWarning
 from tenscontrol.plant import (
     LinearPlant,
@@ -63,7 +62,11 @@ _NUMBERS = (
     "max_force_density", "Q", "R", "max_change", "min_force_density", "max_tension", "tracked"
 )  # fmt: skip
 
-_SOLVERS: dict[str, type[QPSolver]] = {"osqp": OSQPSolver}
+_SOLVERS: dict[str, type[QPSolver]] = {
+    "osqp": OSQPSolver,
+    "daqp": DAQPSolver,
+    "piqp": PIQPSolver,
+}
 
 
 class SettingsKeywords(TypedDict, total=False):

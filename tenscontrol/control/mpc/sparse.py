@@ -23,7 +23,6 @@ from tenscontrol.control.mpc.problem import (
     LimitRows,
     MPCProblem,
     Pair,
-    QPSolver,
     StageData,
     Subproblem,
     SubproblemSolution,
@@ -31,6 +30,7 @@ from tenscontrol.control.mpc.problem import (
     shifted,
 )
 from tenscontrol.control.mpc.shooting import StageJacobians, applied
+from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.validation import FloatArray, IntArray
 
 if TYPE_CHECKING:

@@ -314,7 +314,7 @@ def test_out_of_iterations_is_a_fallback_and_not_a_bad_command(plant):
 def test_every_status_of_osqp_is_mapped():
     import osqp
 
-    from tenscontrol.control.mpc.osqp_adapter import _STATUS
+    from tenscontrol.control.mpc.solvers.osqp_adapter import _STATUS
 
     assert {status.name for status in osqp.SolverStatus} == set(_STATUS)
     assert [name for name, status in _STATUS.items() if status is Status.OK] == ["OSQP_SOLVED"]

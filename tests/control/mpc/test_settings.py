@@ -40,7 +40,11 @@ def test_a_controller_keeps_its_settings(kind):
 @pytest.mark.parametrize(
     ("solver", "error", "message"),
     [
-        ("simplex", ValueError, "solver is 'simplex', expected one of 'osqp', or a subclass of"),
+        (
+            "simplex",
+            ValueError,
+            "solver is 'simplex', expected one of 'osqp', 'daqp', 'piqp', or a",
+        ),
         (dict, TypeError, "solver is <class 'dict'>, expected a name or a subclass of QPSolver"),
     ],
 )
