@@ -24,14 +24,14 @@ from tenscontrol.control.mpc.shooting import (
     Discretization,
     RadauIIA,
     StageJacobians,
-    executable,
     stage_jacobians,
-    taut_slopes,
 )
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import (
+    AccelerationSlopes,
     LinearPlant,
+    executable,
     explicit_substeps,
     model_input,
     near_symbol,
@@ -75,7 +75,6 @@ class TrajectoryModel:
         )
         self.implicit = stiff or ramp
         self.discretization: Discretization
-        prepared = plant.prepared
         if plant.model.contacts is not None:
             _refuse_ramps(winches)
             self.implicit = False  # one step a sample would pass over an impact
@@ -86,11 +85,11 @@ class TrajectoryModel:
         self.acceleration = reduced_acceleration(plant, taut=self.implicit)
         self.back_end = self.discretization.back_end
         self._plant, self._sample_time = plant, sample_time
-        balance = prepared.get(
-            ("balance along a plan", self.implicit, length),
-            lambda: (taut_slopes(plant) if self.implicit else self.acceleration).map(length),
+        self._balance: AccelerationSlopes | Evaluator = (
+            AccelerationSlopes(plant, length, taut=True, machine_code=machine_code)
+            if self.implicit
+            else Evaluator(self.acceleration.map(length))
         )
-        self._acceleration = Evaluator(balance)
         self.limited: ca.Function | None = None
         self._patterns: tuple[FloatArray, ...] = ()
         if constraints.blocks:
@@ -101,11 +100,11 @@ class TrajectoryModel:
                 patterns = (np.array(ca.DM(rows.sparsity_out(i), 1.0)) for i in (1, 2, 3))
                 parts = [ca.densify(part) for part in rows(*rows.sx_in())]
                 dense = ca.Function(rows.name(), rows.sx_in(), parts)
-                return dense, tuple(patterns), executable(dense.map(length), machine_code)[0]
+                return dense, tuple(patterns), executable(dense, machine_code)[0]
 
-            key = "limited rows", constraints.key, at_end, length, machine_code
-            self.limited, self._patterns, along = prepared.get(key, build)
-            self._rows = Evaluator(along)
+            key = "limited rows", constraints.key, at_end, machine_code
+            self.limited, self._patterns, one = plant.prepared.get(key, build)
+            self._rows = Evaluator(one.map(length))
 
     def units(self, level: float) -> FloatArray:
         """Return units of the state in a program, shape (s,), with ``level`` that of an input.
@@ -136,17 +135,15 @@ class TrajectoryModel:
         reference, inputs, still = reference.copy(), inputs.copy(), np.zeros_like(reference[:, :r])
         for _ in range(_OWN_STEPS if self.implicit else NEWTON_STEPS):
             states = np.hstack([reference[:, :r], still])
-            columns = (x.T if len(x) > 1 else x[0] for x in (states, inputs))
-            values, *slopes = self._acceleration(*columns)
-            left = values.reshape(r, -1, order="F").T + observer.acceleration
-            if self.implicit:
-                by_q, _, by_u = (
-                    slope.ravel(order="K").reshape(len(left), -1, r).swapaxes(1, 2)
-                    for slope in slopes
-                )
+            if isinstance(self._balance, AccelerationSlopes):
+                values, by_z, by_u = self._balance(states, inputs)
+                left = values + observer.acceleration
+                by_q, by_u = (part.swapaxes(1, 2) for part in (by_z[:, :r], by_u))
                 shift, effort = observer.model.rest_of(left, by_q, by_u)
             else:
-                shift, effort = observer.model.rest(left)
+                columns = (x.T if len(x) > 1 else x[0] for x in (states, inputs))
+                left = self._balance(*columns)[0].reshape(r, -1, order="F").T
+                shift, effort = observer.model.rest(left + observer.acceleration)
             reference[:, :r] += shift
             inputs += effort
         return reference, inputs
