@@ -217,7 +217,7 @@ class MPCSettings:
     def _check_solver(self) -> None:
         solver = self.solver
         if isinstance(solver, str):
-            if solver not in _SOLVERS:
+            if solver not in _SOLVERS and solver != "auto":
                 known = ", ".join(map(repr, _SOLVERS))
                 raise ValueError(
                     f"solver is {solver!r}, expected one of {known}, or a subclass of QPSolver"
@@ -233,7 +233,8 @@ class MPCSettings:
 
 def make_solver(settings: MPCSettings, form: Form, equations: bool = False) -> QPSolver:
     """Return a solver of a program, as it is before the first solve."""
-    kind = _SOLVERS[settings.solver] if isinstance(settings.solver, str) else settings.solver
+    name = "osqp" if settings.solver == "auto" else settings.solver
+    kind = _SOLVERS[name] if isinstance(name, str) else name
     return kind(form.P, form.A, settings.tolerance, settings.max_iterations, equations=equations)
 
 

@@ -9,3 +9,9 @@ def active_set_source() -> str:
     """Return the C99 text of ``active_set.c``, whose head says how to use it."""
     place = files("tenscontrol.control.mpc") / "solvers" / "active_set.c"
     return place.read_text(encoding="utf-8")
+
+
+def stages_source() -> str:
+    """Return the C99 text of ``stages.c``, which goes after that of ``active_set.c``."""
+    place = files("tenscontrol.control.mpc") / "solvers" / "stages.c"
+    return place.read_text(encoding="utf-8")
