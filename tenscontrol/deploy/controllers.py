@@ -95,13 +95,14 @@ class _LeastDistance:
             np.hstack([*(part.reshape(N, -1) for part in parts), soft_rows.reshape(N, -1)])
             for soft_rows in (below if len(below) else above, above if len(above) else below)
         )
-        self.price = np.full(self.low.shape, np.inf)
-        self.price[:, self.price.shape[1] - soft :] = self.form.P.diagonal()[count:].reshape(N, -1)
+        self.width = sum(widths) + soft  # rows of a stage
+        self.price = np.full((N, self.width), np.inf)
+        self.price[:, self.width - soft :] = self.form.P.diagonal()[count:].reshape(N, -1)
 
     def response(self) -> FloatArray:
         """Return what inputs, the first of all last, do to the rows of a stage; it is the same."""
         by_row = self.form.A[:, : self.unknowns].tocsr()
-        N, width = self.low.shape
+        N, width = len(self.low), self.width
         found: FloatArray = by_row[self.low[-1]].toarray()
         for k, rows in enumerate(self.low):
             moved = np.zeros((width, self.unknowns))
@@ -192,7 +193,7 @@ def mpc_code(controller: MPC) -> LawCode:
         "UNKNOWNS": unknowns,
         "ROWS": rows,
         "SOFT": int(np.isfinite(program.price).sum()),
-        "STAGE_ROWS": program.low.shape[1],
+        "STAGE_ROWS": program.width,
         "STAGE_INPUTS": unknowns // problem.length,
         "PLANNED": unknowns,
         "LOADS": reader.loads,
