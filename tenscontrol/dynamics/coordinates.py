@@ -230,11 +230,32 @@ class Coordinates:
             Symbol for :meth:`hidden`, to be put in later: expressions and their first derivatives
             are then exact, and much shorter where bars share nodes.
         """
-        structure, r = self.structure, self.count
-        shape = structure.nodes.shape
+        return self.kept_lengths(*self.displaced(z), near)
+
+    def displaced(self, z: Any) -> tuple[Any, Any]:
+        """Return expressions of positions and velocities, (d n, 1), as the basis alone says, SX.
+
+        Parameters
+        ----------
+        z : casadi.SX, shape (2r, 1)
+        """
+        r = self.count
         T = ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
-        N = ca.SX(ca.DM(self.nodes) + ca.reshape(ca.mtimes(T, z[:r]), *shape))
-        V = ca.SX(ca.reshape(ca.mtimes(T, z[r:]), *shape))
+        return ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(T, z[:r]), ca.mtimes(T, z[r:])
+
+    def kept_lengths(self, places: Any, rates: Any, near: Any = None) -> tuple[Any, Any]:
+        """Return expressions of positions and velocities, shape (d, n), with exact bar lengths.
+
+        Parameters
+        ----------
+        places, rates : casadi.SX, shape (d n, 1)
+            Node by node, as :meth:`displaced` returns them, m and m/s.
+        near : casadi.SX, optional
+            See :meth:`expressions`.
+        """
+        structure = self.structure
+        shape = structure.nodes.shape
+        N, V = (ca.SX(ca.reshape(part, *shape)) for part in (places, rates))
         share = structure.end_share
         for bar, column in zip(*self._alone[:1], self._alone[1].T, strict=True):
             start, end = structure.bars[bar].tolist()
@@ -250,38 +271,32 @@ class Coordinates:
                 V[:, node] += part * rate * axis
         if not self._normals:
             return N, V
-        parts = ca.vertsplit(self.hidden(z) if near is None else near, self._hidden_parts)
+        hidden = self.hidden(places, rates) if near is None else near
+        parts = ca.vertsplit(hidden, self._hidden_parts)
         for i, (block, _) in enumerate(self._normals):
             rows = block.rows.tolist()
-            places, speeds = ca.vec(N), ca.vec(V)
+            whole, speeds = ca.vec(N), ca.vec(V)
             there, displaced, faster = parts[3 * i : 3 * i + 3]
-            places[rows] += displaced
+            whole[rows] += displaced
             speeds[rows] += faster
             if near is not None:
                 # Nothing is left of lengths to correct, but of their derivatives.
                 step = self._normal_step(block)
-                _, excess, _ = self._lengths(ca.reshape(places, *shape), block)
-                places[rows] -= step(there, excess)
-                J, _, _ = self._lengths(ca.reshape(places, *shape), block)
+                _, excess, _ = self._lengths(ca.reshape(whole, *shape), block)
+                whole[rows] -= step(there, excess)
+                J, _, _ = self._lengths(ca.reshape(whole, *shape), block)
                 speeds[rows] -= step(there, ca.mtimes(J, speeds[rows]))
-            N, V = ca.reshape(places, *shape), ca.reshape(speeds, *shape)
+            N, V = ca.reshape(whole, *shape), ca.reshape(speeds, *shape)
         return N, V
 
-    def hidden(self, z: Any) -> Any:
+    def hidden(self, places: Any, rates: Any) -> Any:
         """Return what keeps the lengths of bars that share nodes, SX: empty where none do.
 
         For each block its places, and the displacements and velocities in its normal space, m and
-        m/s, of ``[q; q̇]``. By a fixed number of Newton's steps; no numbers where these do not lead
-        to the bar lengths.
-
-        Parameters
-        ----------
-        z : casadi.SX, shape (2r, 1)
+        m/s. By a fixed number of Newton's steps; no numbers where these do not lead to the bar
+        lengths. Arguments as :meth:`kept_lengths`.
         """
-        r, shape, found = self.count, self.structure.nodes.shape, [ca.SX(0, 1)]
-        T = ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
-        moved = ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(T, z[:r])
-        rates = ca.mtimes(T, z[r:])
+        shape, moved, found = self.structure.nodes.shape, places, [ca.SX(0, 1)]
         for block, _ in self._normals:
             places, rows, step = ca.SX(moved), block.rows.tolist(), self._normal_step(block)
             for _ in range(_STEPS):

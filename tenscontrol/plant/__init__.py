@@ -27,14 +27,17 @@ from tenscontrol.plant.linear_plant import (
 from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coordinates, linearize
 from tenscontrol.plant.modes import Modes, modes, modes_of
 from tenscontrol.plant.reduced_dynamics import (
+    AccelerationSlopes,
     acceleration_slopes,
     checked_tracked,
+    executable,
     explicit_substeps,
     near_symbol,
     reduced_acceleration,
     reduced_motion,
     refuse_lost_place,
     sampled_dynamics,
+    sampled_motion,
     settled,
     tracked_motion,
 )
@@ -70,6 +73,7 @@ __all__ = [
     "INPUTS",
     "SHORTEST",
     "STRINGS_MOVE_NO_CENTRE",
+    "AccelerationSlopes",
     "Controllability",
     "LeftSpace",
     "LinearPlant",
@@ -94,6 +98,7 @@ __all__ = [
     "convex_hull",
     "energy_weights",
     "equilibrium",
+    "executable",
     "explicit_substeps",
     "filter_riccati",
     "held_value",
@@ -120,6 +125,7 @@ __all__ = [
     "riccati_residual",
     "sampled",
     "sampled_dynamics",
+    "sampled_motion",
     "set_down",
     "settled",
     "state_units",

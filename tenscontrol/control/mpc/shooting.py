@@ -4,23 +4,25 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import solve_stacked
 from tenscontrol.control.mpc.problem import Pair, Triple
-from tenscontrol.dynamics import Evaluator, built, compiled
+from tenscontrol.dynamics import Evaluator, built
 from tenscontrol.plant import (
+    AccelerationSlopes,
     LinearPlant,
     acceleration_response,
-    acceleration_slopes,
+    executable,
     explicit_substeps,
     model_input,
     reduced_acceleration,
     reduced_motion,
     sampled_dynamics,
+    sampled_motion,
     string_forces,
 )
 from tenscontrol.validation import FloatArray
@@ -33,6 +35,9 @@ _MATRIX = np.array([
     [(296 + 169 * _ROOT) / 1800, (88 + 7 * _ROOT) / 360, (-2 - 3 * _ROOT) / 225],
     [(16 - _ROOT) / 36, (16 + _ROOT) / 36, 1 / 9],
 ])  # fmt: skip
+
+# Up to so many coordinates a sample of one step is faster written out in machine code.
+_MOST_WRITTEN = 12
 
 # A single step is solved when the next one of Newton's method moves no coordinate by more than
 # this part of the size of the structure.
@@ -73,12 +78,6 @@ def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobi
 def applied(slopes: FloatArray, arguments: FloatArray) -> FloatArray:
     """Return what arguments, shape (K, columns), make of slopes stored by columns."""
     return np.asarray((arguments[:, None, :] @ slopes)[:, 0])
-
-
-def executable(function: ca.Function, machine_code: bool) -> tuple[ca.Function, str]:
-    """Return a function, compiled where that is wished and can be, and what evaluates it."""
-    code = compiled(function) if machine_code else None
-    return (function, "virtual machine") if code is None else (code.function, "machine code")
 
 
 class Discretization(ABC):
@@ -131,21 +130,26 @@ class RK4(Discretization):
     def __init__(
         self, plant: LinearPlant, sample_time: float, length: int, machine_code: bool
     ) -> None:
-        self._sampled, self.linearized = sampled_dynamics(plant, sample_time)
+        self._sampled = sampled_motion(plant, sample_time)
         self._count = explicit_substeps(plant, sample_time)
+        self._plant, self._sample_time = plant, sample_time
         self._step, self._r = sample_time / self._count, plant.degrees_of_freedom
-        # Products with derivatives are NumPy's in a sample of several steps: CasADi's take longer.
-        once = self._count == 1
-
-        def build() -> tuple[ca.Function, str]:
-            each = self.linearized if once else acceleration_slopes(plant, taut=False)
-            return executable(each.map(length), machine_code)
-
-        key = "RK4", sample_time if once else "stages", length, machine_code
-        along, self.back_end = plant.prepared.get(key, build)
-        self._along, self._advance = Evaluator(along), Evaluator(self._sampled)
+        self._written: Evaluator | None = None
+        if machine_code and self._count == 1 and self._r <= _MOST_WRITTEN:
+            key = "RK4", sample_time
+            one, self.back_end = plant.prepared.get(key, lambda: executable(self.linearized, True))
+            self._written = Evaluator(one.map(length))
+        else:
+            self._slopes = AccelerationSlopes(plant, length, taut=False, machine_code=machine_code)
+            self.back_end = self._slopes.back_end
+        self._advance = Evaluator(self._sampled)
         self._response = acceleration_response(plant, sample_time)
         self._no_stages = np.zeros((0, plant.degrees_of_freedom))
+
+    @property
+    def linearized(self) -> ca.Function:
+        """``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense, for C code."""
+        return sampled_dynamics(self._plant, self._sample_time)[1]
 
     @property
     def sampled(self) -> ca.Function:
@@ -167,8 +171,8 @@ class RK4(Discretization):
     ) -> StageJacobians:
         """See :meth:`Discretization.linearize`."""
         held = inputs[1:]
-        if self._count == 1:
-            return stage_jacobians(self._along, states, held)
+        if self._written is not None:
+            return stage_jacobians(self._written, states, held)
         (N, s), r, h = states.shape, self._r, self._step
         q, v = states[:, :r], states[:, r:]
         # Derivatives of places and speeds by z and u, by columns.
@@ -181,8 +185,8 @@ class RK4(Discretization):
             for weight, ahead in weights:
                 there = places + ahead * rates
                 at, rate, rates = q + ahead * rate, v + ahead * slope, speeds + ahead * slopes
-                slope, by_q, by_v, by_u = self._accelerations(np.hstack([at, rate]), held)
-                slopes = there @ by_q + rates @ by_v
+                slope, by_z, by_u = self._slopes(np.hstack([at, rate]), held)
+                slopes = there @ by_z[:, :r] + rates @ by_z[:, r:]
                 slopes[:, s:] += by_u
                 end_q += h / 6 * weight * rate
                 end_v += h / 6 * weight * slope
@@ -193,13 +197,6 @@ class RK4(Discretization):
         parts = by_all[:, :s], by_all[:, s:]
         offset = np.hstack([q, v]) - applied(parts[0], states) - applied(parts[1], held)
         return StageJacobians(offset, parts)
-
-    def _accelerations(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, ...]:
-        """Return q̈ of N states, shape (N, r), and its slopes by columns."""
-        N = len(states)
-        found = self._along(*(x.T if N > 1 else x[0] for x in (states, inputs)))
-        value, *slopes = (part.ravel(order="K").reshape(N, -1, self._r) for part in found)
-        return value[:, 0], *slopes
 
     def load_response(self, load: FloatArray) -> FloatArray:
         """See :meth:`Discretization.load_response`."""
@@ -233,14 +230,11 @@ class RadauIIA(Discretization):
     def __init__(
         self, plant: LinearPlant, sample_time: float, length: int, ramp: bool, machine_code: bool
     ) -> None:
-        along, self.back_end = plant.prepared.get(
-            ("Radau IIA", length, machine_code),
-            lambda: executable(taut_slopes(plant).map(3 * length), machine_code),
+        self._along, self._once = (
+            AccelerationSlopes(plant, count, taut=True, machine_code=machine_code)
+            for count in (3 * length, 3)
         )
-        self._along = Evaluator(along)
-        self._once = Evaluator(
-            plant.prepared.get(("Radau IIA", 1), lambda: taut_slopes(plant).map(3))
-        )
+        self.back_end = self._along.back_end
         self._taut = Evaluator(plant.prepared.get("taut", lambda: _taut_force_density(plant)))
         self.ramp, self._plant = ramp, plant
         self._sample_time, self._r = sample_time, plant.degrees_of_freedom
@@ -366,7 +360,7 @@ class RadauIIA(Discretization):
         ])  # fmt: skip
 
     def _equations(
-        self, evaluator: Evaluator, states: FloatArray, inputs: FloatArray, stages: FloatArray
+        self, slopes: AccelerationSlopes, states: FloatArray, inputs: FloatArray, stages: FloatArray
     ) -> tuple[FloatArray, ...]:
         """Return ∂G/∂K, (N, 3r, 3r), G and the slopes of a, where G = K − a is 0 when solved."""
         N, r = len(states), self._r
@@ -375,10 +369,10 @@ class RadauIIA(Discretization):
         places = q + self._sample_time * _NODES[:, None] * v + self._to_place @ stages
         at_stages = inputs[:-1, None] + self._share * np.diff(inputs, axis=0)[:, None]
         points = np.concatenate([places, speeds], axis=2).reshape(3 * N, -1)
-        values, *slopes = evaluator(points.T, at_stages.reshape(3 * N, -1).T)
-        left = stages - values.ravel(order="K").reshape(N, 3, r)
+        values, by_z, by_u = slopes(points, at_stages.reshape(3 * N, -1))
+        left = stages - values.reshape(N, 3, r)
         by_q, by_v, by_u = (
-            slope.ravel(order="K").reshape(N, 3, -1, r).swapaxes(2, 3) for slope in slopes
+            part.reshape(N, 3, -1, r).swapaxes(2, 3) for part in (by_z[:, :r], by_z[:, r:], by_u)
         )
         # Equation [i, row] by unknown [j, column].
         system = by_q[:, :, :, None, :] * -self._to_place[:, None, :, None]
@@ -386,11 +380,6 @@ class RadauIIA(Discretization):
         system = system.reshape(N, 3 * r, 3 * r)
         system[:, np.arange(3 * r), np.arange(3 * r)] += 1.0
         return system, left, by_q, by_v, by_u
-
-
-def taut_slopes(plant: LinearPlant) -> Any:
-    """Return ``(z, u) -> (q̈, ∂q̈/∂q, ∂q̈/∂q̇, ∂q̈/∂u)`` with strings that push where slack."""
-    return plant.prepared.get("taut slopes", lambda: acceleration_slopes(plant, taut=True))
 
 
 def _taut_force_density(plant: LinearPlant) -> ca.Function:
