@@ -218,20 +218,6 @@ class Coordinates:
             velocities = self._columns(flat)
         return velocities
 
-    def expressions(self, z: Any, near: Any = None) -> tuple[Any, Any]:
-        """Return expressions of node positions and velocities, shape (d, n), of ``[q; q̇]``, SX.
-
-        As :meth:`to_nodes` and :meth:`to_velocities`; no numbers where those raise.
-
-        Parameters
-        ----------
-        z : casadi.SX, shape (2r, 1)
-        near : casadi.SX, optional
-            Symbol for :meth:`hidden`, to be put in later: expressions and their first derivatives
-            are then exact, and much shorter where bars share nodes.
-        """
-        return self.kept_lengths(*self.displaced(z), near)
-
     def displaced(self, z: Any) -> tuple[Any, Any]:
         """Return expressions of positions and velocities, (d n, 1), as the basis alone says, SX.
 
@@ -246,12 +232,15 @@ class Coordinates:
     def kept_lengths(self, places: Any, rates: Any, near: Any = None) -> tuple[Any, Any]:
         """Return expressions of positions and velocities, shape (d, n), with exact bar lengths.
 
+        As :meth:`to_nodes` and :meth:`to_velocities`; no numbers where those raise.
+
         Parameters
         ----------
         places, rates : casadi.SX, shape (d n, 1)
-            Node by node, as :meth:`displaced` returns them, m and m/s.
+            What :meth:`displaced` returns.
         near : casadi.SX, optional
-            See :meth:`expressions`.
+            Symbol for :meth:`hidden`, to be put in later: expressions and their first derivatives
+            are then exact, and much shorter where bars share nodes.
         """
         structure = self.structure
         shape = structure.nodes.shape
@@ -272,11 +261,11 @@ class Coordinates:
         if not self._normals:
             return N, V
         hidden = self.hidden(places, rates) if near is None else near
-        parts = ca.vertsplit(hidden, self._hidden_parts)
-        for i, (block, _) in enumerate(self._normals):
-            rows = block.rows.tolist()
+        for block, _ in self._normals:
+            rows, count = block.rows.tolist(), len(block.rows)
             whole, speeds = ca.vec(N), ca.vec(V)
-            there, displaced, faster = parts[3 * i : 3 * i + 3]
+            there, displaced, faster = (hidden[k * count : (k + 1) * count] for k in range(3))
+            hidden = hidden[3 * count :]
             whole[rows] += displaced
             speeds[rows] += faster
             if near is not None:
@@ -293,8 +282,11 @@ class Coordinates:
         """Return what keeps the lengths of bars that share nodes, SX: empty where none do.
 
         For each block its places, and the displacements and velocities in its normal space, m and
-        m/s. By a fixed number of Newton's steps; no numbers where these do not lead to the bar
-        lengths. Arguments as :meth:`kept_lengths`.
+        m/s. By a fixed number of Newton's steps; no numbers where these do not lead to the lengths.
+
+        Parameters
+        ----------
+        places, rates : casadi.SX, shape (d n, 1)
         """
         shape, moved, found = self.structure.nodes.shape, places, [ca.SX(0, 1)]
         for block, _ in self._normals:
@@ -308,16 +300,10 @@ class Coordinates:
             found += [there, there - moved[rows], speeds]
         return ca.vertcat(*found)
 
-    @cached_property
-    def _hidden_parts(self) -> list[int]:
-        """Where the parts of :meth:`hidden` begin, and its size."""
-        sizes = [len(block.rows) for block, _ in self._normals for _ in range(3)]
-        return [sum(sizes[:i]) for i in range(len(sizes) + 1)]
-
     @property
     def hidden_size(self) -> int:
         """Number of entries of :meth:`hidden`."""
-        return self._hidden_parts[-1]
+        return 3 * sum(len(block.rows) for block, _ in self._normals)
 
     def _lengths(self, N: Any, block: Block) -> tuple[Any, Any, Any]:
         """Return J and half the excess of squared lengths of a block, and the worst part, SX."""

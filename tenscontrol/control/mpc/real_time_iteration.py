@@ -21,17 +21,17 @@ from tenscontrol.control.mpc.problem import (
 from tenscontrol.control.mpc.settings import MPCSettings
 from tenscontrol.control.mpc.shooting import (
     RK4,
+    AccelerationSlopes,
     Discretization,
     RadauIIA,
     StageJacobians,
+    executable,
     stage_jacobians,
 )
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import (
-    AccelerationSlopes,
     LinearPlant,
-    executable,
     explicit_substeps,
     model_input,
     near_symbol,
