@@ -1,7 +1,7 @@
 """Model predictive control, linear and nonlinear."""
 
 from tenscontrol.control.mpc.constraints import OutputLimit, clearance
-from tenscontrol.control.mpc.linear import MPC, MPCLaw, MPCStatistics
+from tenscontrol.control.mpc.linear import MPC, MPCLaw, MPCStatistics, form_of
 from tenscontrol.control.mpc.nonlinear import CONVERGED, NMPC, NMPCStatistics
 from tenscontrol.control.mpc.problem import MPCProblem, StageData
 from tenscontrol.control.mpc.real_time_iteration import NEWTON_STEPS
@@ -14,6 +14,7 @@ from tenscontrol.control.mpc.solvers import (
     PIQPSolver,
     QPSolution,
     QPSolver,
+    active_set_source,
 )
 from tenscontrol.control.mpc.sparse import Sparse
 
@@ -38,5 +39,7 @@ __all__ = [
     "Sparse",
     "StageData",
     "StageJacobians",
+    "active_set_source",
     "clearance",
+    "form_of",
 ]

@@ -585,30 +585,3 @@ ACTIVE_SET_API int active_set_solve(ActiveSet *set, const double *q, const doubl
         active_set_start(set, NULL);
     return status;
 }
-
-/* ---- rows of a matrix ---- */
-
-/* Rows without their trailing zeros: row i is value[start[i]] ... value[start[i + 1] - 1]. */
-typedef struct {
-    int rows;
-    const size_t *start;
-    const double *value;
-} ActiveSetMatrix;
-
-ACTIVE_SET_API const double *active_set_matrix_row(void *data, int i, double *space, int *length)
-{
-    const ActiveSetMatrix *matrix = data;
-    (void)space;
-    *length = (int)(matrix->start[i + 1] - matrix->start[i]);
-    return matrix->value + matrix->start[i];
-}
-
-ACTIVE_SET_API void active_set_matrix_products(void *data, const double *x, double *out)
-{
-    const ActiveSetMatrix *matrix = data;
-    int i;
-    for (i = 0; i < matrix->rows; i++) {
-        size_t first = matrix->start[i];
-        out[i] = active_set_dot(matrix->value + first, x, (int)(matrix->start[i + 1] - first));
-    }
-}

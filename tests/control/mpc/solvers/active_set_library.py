@@ -15,23 +15,35 @@ from tenscontrol.validation import FloatArray
 STATUSES = ("solved", "infeasible", "out of iterations", "stopped", "bad data", "inaccurate")
 
 _CALLS = """
-typedef struct { ActiveSet set; ActiveSetMatrix matrix; int asked, stop_at; } Opened;
+typedef struct {
+    ActiveSet set;
+    const size_t *start; /* row i is value[start[i]] ... value[start[i + 1] - 1] */
+    const double *value;
+    int asked, stop_at;
+} Opened;
+
+static const double *kept_row(void *data, int i, double *space, int *length)
+{
+    const Opened *opened = data;
+    (void)space;
+    *length = (int)(opened->start[i + 1] - opened->start[i]);
+    return opened->value + opened->start[i];
+}
 
 static const double *copied_row(void *data, int i, double *space, int *length)
 {
-    const double *row = active_set_matrix_row(&((Opened *)data)->matrix, i, NULL, length);
+    const double *row = kept_row(data, i, NULL, length);
     memcpy(space, row, (size_t)*length * sizeof *space);
     return space;
 }
 
-static const double *kept_row(void *data, int i, double *space, int *length)
-{
-    return active_set_matrix_row(&((Opened *)data)->matrix, i, space, length);
-}
-
 static void all_products(void *data, const double *x, double *out)
 {
-    active_set_matrix_products(&((Opened *)data)->matrix, x, out);
+    int i, length;
+    for (i = 0; i < ((Opened *)data)->set.rows; i++) {
+        const double *row = kept_row(data, i, NULL, &length);
+        out[i] = active_set_dot(row, x, length);
+    }
 }
 
 static int asked(void *data)
@@ -53,9 +65,9 @@ void open_set(Opened *opened, int rows, int columns, int soft, int stored, int l
               const double *curvature, double *numbers, int *integers, const double **pointers)
 {
     ActiveSet *set = &opened->set;
-    opened->matrix.rows = set->rows = rows;
-    opened->matrix.start = start;
-    opened->matrix.value = value;
+    set->rows = rows;
+    opened->start = start;
+    opened->value = value;
     set->columns = columns;
     set->most = ACTIVE_SET_MOST(rows, columns, soft);
     set->stored = stored;
