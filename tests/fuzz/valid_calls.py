@@ -911,7 +911,7 @@ SETTINGS = {
     "tolerance": 1e-4,
     "max_iterations": 4000,
     "time_limit": 1.0,
-    "solver": "osqp",
+    "solver": "auto",
 }
 call(
     "control.MPCSettings",

@@ -22,6 +22,7 @@ from tenscontrol.control.mpc.settings import (
     SettingsKeywords,
     design,
     make_solver,
+    solver_name,
 )
 from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
@@ -254,6 +255,11 @@ class NMPC(PredictiveController):
     def back_end(self) -> str:
         """What evaluates the derivatives: ``"machine code"`` or ``"virtual machine"``."""
         return self._law.model.back_end
+
+    @property
+    def solver(self) -> str:
+        """What solves its programs: ``"daqp"``, ``"osqp"``, ``"piqp"`` or the name of a class."""
+        return solver_name(self._plan.solver)
 
     @property
     def weights(self) -> Triple:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -319,6 +319,7 @@ def shifted(vector: FloatArray, length: int, widths: list[int], repeat: bool) ->
 class Form(ABC):
     """One way to write the problem as ``min ½ xᵀ P x + qᵀ x, l ≤ A x ≤ u``."""
 
+    dense: ClassVar[bool]  # whether rows of A are mostly full
     P: csc_array
     A: csc_array
 

@@ -63,6 +63,8 @@ class Sparse(Form):
     ``row_indices`` are of E_k, G_k and F_k, for each part of the limited rows.
     """
 
+    dense = False
+
     def __init__(
         self, problem: MPCProblem, units: FloatArray | None = None, varying: bool = False
     ) -> None:
