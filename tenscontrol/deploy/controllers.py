@@ -308,7 +308,7 @@ def nmpc_code(controller: NMPC) -> LawCode:
             "source_of_y": y.astype(np.int64) - 1,
         },
         matrices=matrices,
-        program=_osqp(law.solved_by("osqp").solver(law.subproblem())),
+        program=_osqp(law.solver(law.subproblem())),
         table=(first, table),
         functions=functions,
     )

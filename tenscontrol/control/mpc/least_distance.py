@@ -61,7 +61,7 @@ def _multiply() -> ctypes.c_void_p:
     return ctypes.c_void_p(address(capsule, name(capsule)))
 
 
-def _address(array: FloatArray) -> int:
+def _address(array: np.ndarray) -> int:
     return int(array.__array_interface__["data"][0])
 
 
@@ -122,8 +122,12 @@ class LeastDistance(Subproblem):
         self._solve.argtypes = [pointer] * 7 + [_Stop]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle what it is made of; the memory is made anew."""
-        return LeastDistance, self._made_of
+        """Pickle what it is made of, and which limits are active; it is not prepared then."""
+        return LeastDistance, self._made_of, self._multipliers.copy()
+
+    def __setstate__(self, multipliers: FloatArray) -> None:
+        """Take the active limits of another one."""
+        self._multipliers[:] = multipliers
 
     def reset(self) -> None:
         """See :meth:`Subproblem.reset`."""

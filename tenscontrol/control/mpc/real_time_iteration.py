@@ -208,6 +208,10 @@ class RealTimeIterate:
         self._low, self._high = bounds
         self.clear()
 
+    def __getstate__(self) -> dict[str, object]:
+        """Pickle the plan; a program prepared in compiled memory is prepared anew."""
+        return vars(self) | {"linearized": False}
+
     @property
     def inputs(self) -> FloatArray | None:
         """Planned inputs, shape (N, α); None before there is a plan."""
