@@ -7,7 +7,7 @@ from tenscontrol.dynamics.contact_laws import (
     HertzGround,
     SmoothGround,
 )
-from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates, normal_basis
+from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates
 from tenscontrol.dynamics.equation import Equation, InputLayout, smooth_equation
 from tenscontrol.dynamics.evaluator import (
     BUILDING,
@@ -33,6 +33,13 @@ from tenscontrol.dynamics.machine_code import (
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
 from tenscontrol.dynamics.profile import Pieces, Profile, as_pieces, polynomial_at
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
+from tenscontrol.dynamics.tangent import (
+    Complement,
+    Tangent,
+    normal_basis,
+    refuse_large,
+    tangent,
+)
 
 __all__ = [
     "BUILDING",
@@ -41,6 +48,7 @@ __all__ = [
     "Compiled",
     "Compiler",
     "CompilerError",
+    "Complement",
     "ContactLaw",
     "Contacts",
     "Coordinates",
@@ -59,6 +67,7 @@ __all__ = [
     "SharedEvaluator",
     "SmoothGround",
     "StringLaw",
+    "Tangent",
     "as_pieces",
     "builds",
     "built",
@@ -71,7 +80,9 @@ __all__ = [
     "normal_basis",
     "pack_state",
     "polynomial_at",
+    "refuse_large",
     "smooth_equation",
     "solving",
+    "tangent",
     "unpack_states",
 ]
