@@ -34,10 +34,10 @@ from tenscontrol.dynamics.model import Model, pack_state, unpack_states
 from tenscontrol.dynamics.profile import Pieces, Profile, as_pieces, polynomial_at
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
 from tenscontrol.dynamics.tangent import (
-    Complement,
     Tangent,
     normal_basis,
     refuse_large,
+    string_stretch,
     tangent,
 )
 
@@ -48,7 +48,6 @@ __all__ = [
     "Compiled",
     "Compiler",
     "CompilerError",
-    "Complement",
     "ContactLaw",
     "Contacts",
     "Coordinates",
@@ -83,6 +82,7 @@ __all__ = [
     "refuse_large",
     "smooth_equation",
     "solving",
+    "string_stretch",
     "tangent",
     "unpack_states",
 ]

@@ -18,6 +18,9 @@ from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.tangent import (
     Complement,
     bar_basis,
+    momenta,
+    motions_kept,
+    moved_as_one,
     normal_basis,
     refuse_large,
 )
@@ -88,8 +91,8 @@ class Coordinates:
     _momenta: csr_array  # (m, d n): y = momenta @ vec(δN)
     _mass: csr_array  # (n, n): M_s
     _inside: Complement | FloatArray | None = None  # H, (m, r); None for all of y
-    # Motions F, (d n, k), G, (k, f), and the rows of the feet: what feet move as one body is taken
-    # from all nodes, δN − F G δN[rows], and what is left of it, from the feet.
+    # F, (d n, k), G, (k, f), rows (f,): δN is less by F G δN[rows], what feet move as one body,
+    # and on the feet nothing is left.
     _feet: tuple[FloatArray, FloatArray, IntArray] | None = None
 
     @property
@@ -108,12 +111,12 @@ class Coordinates:
     def _projection(self) -> FloatArray:
         """Shape (r, d n): ``q = projection @ vec(δN)``."""
         refuse_large("the projection", (self.count, self.nodes.size))
-        momenta = self.from_sparse(self._momenta)
+        found = self.from_sparse(self._momenta)
         if self._feet is not None:
             fields, from_feet, rows = self._feet
-            momenta[:, rows] = 0.0
-            momenta[:, rows] -= (momenta @ fields) @ from_feet
-        return frozen(momenta)
+            found[:, rows] = 0.0
+            found[:, rows] -= (found @ fields) @ from_feet
+        return frozen(found)
 
     def from_sparse(self, values: Any) -> FloatArray:
         """Return q = Hᵀ y, shape (r,) or (r, k), of coordinates y of the sparse basis.
@@ -127,15 +130,6 @@ class Coordinates:
             return self._inside.transposed(dense)
         return dense if self._inside is None else np.asarray(self._inside.T @ dense)
 
-    def both_sides(self, matrix: csr_array) -> FloatArray:
-        """Return ``Hᵀ X H``, shape (r, r), of a matrix in y.
-
-        Parameters
-        ----------
-        matrix : csr_array, shape (m, m)
-        """
-        return self.from_sparse(self.from_sparse(matrix).T).T
-
     def within(self, inside: FloatArray) -> Coordinates:
         """Return fewer coordinates p, ``q = inside @ p``, with orthonormal columns, shape (r, k).
 
@@ -146,11 +140,23 @@ class Coordinates:
         of_minimal = inside if self._inside is None else self._inside @ inside
         return replace(self, _inside=frozen(np.asarray(of_minimal)))
 
-    @property
-    def outside(self) -> FloatArray:
-        """Orthonormal basis, in y, of the motions as one body that H leaves out, shape (m, k)."""
-        assert isinstance(self._inside, Complement)
-        return self._inside.outside
+    @cached_property
+    def rigid(self) -> FloatArray:
+        """Orthonormal basis, in y, of the motions as one body that supports leave, shape (m, k)."""
+        if isinstance(self._inside, Complement):
+            return self._inside.outside
+        return Complement(
+            self._momenta @ left_by_supports(self.structure, rigid_motions(self.nodes))
+        ).outside
+
+    def to_sparse(self, q: FloatArray) -> FloatArray:
+        """Return y = H q, shape (m,) or (m, k).
+
+        Parameters
+        ----------
+        q : ndarray, shape (r,) or (r, k)
+        """
+        return np.asarray(q if self._inside is None else self._inside @ q)
 
     def project(self, displacements: object) -> FloatArray:
         """Return the coordinates of node displacements, ``q = Tᵀ M vec(δN)``.
@@ -176,6 +182,9 @@ class Coordinates:
                 f"displacements has shape {fields.shape}, expected ({rows},) or ({rows}, k): "
                 f"{', '.join('xyz'[: self.structure.dimension])} node by node"
             )
+        return self._from_nodes(fields)
+
+    def _from_nodes(self, fields: FloatArray) -> FloatArray:
         if self._is_small:
             return np.asarray(self._projection @ fields)
         if self._feet is not None:
@@ -198,7 +207,7 @@ class Coordinates:
         """
         if self._is_small:
             return np.asarray(self.basis @ q)
-        return np.asarray(self.sparse_basis @ (q if self._inside is None else self._inside @ q))
+        return np.asarray(self.sparse_basis @ self.to_sparse(q))
 
     def measure(self, nodes: object, velocities: object) -> FloatArray:
         """Return the reduced state ``z = [q; q̇]`` of a motion.
@@ -227,9 +236,7 @@ class Coordinates:
         if self.kind == "internal":
             N, V = self.laid_over(N, V)
         flat = (part.ravel(order="F") for part in (N - self.nodes, V))
-        if self._is_small:
-            return np.concatenate([self._projection @ part for part in flat])
-        return np.concatenate([self.project(part) for part in flat])
+        return np.concatenate([self._from_nodes(part) for part in flat])
 
     def laid_over(self, nodes: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See :meth:`measure`: nodes, m, and velocities, m/s, laid over the reference."""
@@ -330,9 +337,8 @@ class Coordinates:
         """
         structure, r = self.structure, self.count
         shape = structure.nodes.shape
-        T = ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
-        N = ca.SX(ca.DM(self.nodes) + ca.reshape(ca.mtimes(T, z[:r]), *shape))
-        V = ca.SX(ca.reshape(ca.mtimes(T, z[r:]), *shape))
+        N = ca.SX(ca.DM(self.nodes) + ca.reshape(ca.mtimes(self._T, z[:r]), *shape))
+        V = ca.SX(ca.reshape(ca.mtimes(self._T, z[r:]), *shape))
         share = structure.end_share
         for bar, column in zip(*self._alone[:1], self._alone[1].T, strict=True):
             start, end = structure.bars[bar].tolist()
@@ -377,9 +383,8 @@ class Coordinates:
         z : casadi.SX, shape (2r, 1)
         """
         r, shape, found = self.count, self.structure.nodes.shape, [ca.SX(0, 1)]
-        T = ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
-        moved = ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(T, z[:r])
-        rates = ca.mtimes(T, z[r:])
+        moved = ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(self._T, z[:r])
+        rates = ca.mtimes(self._T, z[r:])
         for block, _ in self._normals:
             places, rows, step = ca.SX(moved), block.rows.tolist(), self._normal_step(block)
             for _ in range(_STEPS):
@@ -390,6 +395,10 @@ class Coordinates:
             there = ca.if_else(worst <= _EXACT, places[rows], np.nan)
             found += [there, there - moved[rows], speeds]
         return ca.vertcat(*found)
+
+    @property
+    def _T(self) -> Any:  # noqa: N802
+        return ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
 
     @cached_property
     def _hidden_parts(self) -> list[int]:
@@ -523,17 +532,17 @@ class Coordinates:
         of the reference, which is the same unless they change their direction, as on two slides.
         """
         held, turn = self.structure.fixed_rows, np.eye(len(nodes))
-        own = _momenta(self._mass, left_by_supports(self.structure, rigid_motions(self.nodes))).T
+        own = momenta(self._mass, left_by_supports(self.structure, rigid_motions(self.nodes))).T
         for nearest in (True, False):
             for _ in range(_MOST):
                 fields, off = rigid_motions(nodes), (nodes - self.nodes).ravel(order="F")
                 back = np.linalg.lstsq(fields[held], -off[held], _RANK_TOLERANCE)[0]
-                left = _kept(fields, held)
+                left = motions_kept(fields, held)
                 moves = fields @ left
-                momenta = _momenta(self._mass, moves).T if nearest else own
-                wanted = -momenta @ (off + fields @ back)
-                move = back + left @ np.linalg.lstsq(momenta @ moves, wanted, _RANK_TOLERANCE)[0]
-                nodes, step = _moved_as_one(nodes, move)
+                along = momenta(self._mass, moves).T if nearest else own
+                wanted = -along @ (off + fields @ back)
+                move = back + left @ np.linalg.lstsq(along @ moves, wanted, _RANK_TOLERANCE)[0]
+                nodes, step = moved_as_one(nodes, move)
                 turn = step @ turn
                 if np.abs(fields @ move).max() <= _LAID * np.abs(nodes).max():
                     break
@@ -578,36 +587,10 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
     mass, inside = model.mass_matrix(), None
     if kind == "nodes":
         basis = csr_array(eye_array(N.size, format="csc")[:, structure.free_rows])
-        momenta = csr_array(basis.T)
+        to_minimal = csr_array(basis.T)
     else:
         basis = bar_basis(structure, N)
-        momenta = csr_array(basis.T @ kron(mass, eye_array(structure.dimension), format="csr"))
+        to_minimal = csr_array(basis.T @ kron(mass, eye_array(structure.dimension), format="csr"))
         if kind == "internal":
-            inside = Complement(momenta @ left_by_supports(structure, rigid_motions(N)))
-    return Coordinates(structure, kind, frozen(N), basis, momenta, mass, inside)
-
-
-def _kept(fields: FloatArray, held: IntArray) -> FloatArray:
-    """Return the combinations of motions as one body, shape (k, ·), that move no held row."""
-    from scipy.linalg import null_space
-
-    size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)
-    return np.asarray(null_space(fields[held] / size, _RANK_TOLERANCE) / size[:, None])
-
-
-def _moved_as_one(nodes: FloatArray, move: Any) -> tuple[FloatArray, FloatArray]:
-    """Return nodes after a screw, of the rates of :func:`rigid_motions`, and its turn."""
-    from scipy.linalg import expm
-
-    d = len(nodes)
-    spin = np.concatenate([np.zeros(3), move[d:]])[-3:]  # in the plane about z alone
-    screw = np.zeros((d + 1, d + 1))
-    screw[:d, :d], screw[:d, d] = np.cross(spin, np.eye(3)).T[:d, :d], move[:d]
-    whole, centre = expm(screw), nodes.mean(axis=1, keepdims=True)
-    return whole[:d, :d] @ (nodes - centre) + whole[:d, d:] + centre, whole[:d, :d]
-
-
-def _momenta(mass: object, basis: FloatArray) -> FloatArray:
-    """Return M T: the mass matrix acts alike on x, y and z."""
-    n = mass.shape[0]  # type: ignore[attr-defined]
-    return np.asarray(mass @ basis.reshape(n, -1)).reshape(basis.shape)  # type: ignore[operator]
+            inside = Complement(to_minimal @ left_by_supports(structure, rigid_motions(N)))
+    return Coordinates(structure, kind, frozen(N), basis, to_minimal, mass, inside)

@@ -12,7 +12,13 @@ from tenscontrol.dynamics.contact_laws import ContactLaw
 from tenscontrol.dynamics.evaluator import evaluate_columns
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.string_laws import StringLaw
-from tenscontrol.structure import Block, Structure, bar_rows, block_mass, node_mass
+from tenscontrol.structure import (
+    Block,
+    Structure,
+    bar_rows,
+    block_mass,
+    node_mass,
+)
 from tenscontrol.validation import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -74,7 +80,7 @@ def bar_basis(structure: Structure, nodes: FloatArray) -> csr_array:
     d = structure.dimension
     # Rows of the basis, shape (k, a), with columns of a part each, shape (k, a, b).
     parts: list[tuple[IntArray, FloatArray]] = []
-    mass, ends = (of[structure.free_bars] for of in (structure.bar_mass, structure.bars))
+    mass, ends = structure.bar_mass[structure.free_bars], structure.bars[structure.free_bars]
     across = _across(nodes[:, ends[:, 1]] - nodes[:, ends[:, 0]])
     across = across * np.sqrt(3 / mass)[:, None, None]
     shift = np.eye(d) / np.sqrt(mass)[:, None, None]
@@ -106,6 +112,32 @@ def bar_basis(structure: Structure, nodes: FloatArray) -> csr_array:
     basis = csr_array((np.concatenate(value), tuple(found)), shape=(nodes.size, count))
     basis.eliminate_zeros()
     return basis
+
+
+def motions_kept(fields: FloatArray, held: IntArray) -> FloatArray:
+    """Return the combinations of motions as one body, shape (k, ·), that move no held row."""
+    from scipy.linalg import null_space
+
+    size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)
+    return np.asarray(null_space(fields[held] / size, _RANK_TOLERANCE) / size[:, None])
+
+
+def moved_as_one(nodes: FloatArray, move: Any) -> tuple[FloatArray, FloatArray]:
+    """Return nodes after a screw, of the rates of :func:`rigid_motions`, and its turn."""
+    from scipy.linalg import expm
+
+    d = len(nodes)
+    spin = np.concatenate([np.zeros(3), move[d:]])[-3:]  # in the plane about z alone
+    screw = np.zeros((d + 1, d + 1))
+    screw[:d, :d], screw[:d, d] = np.cross(spin, np.eye(3)).T[:d, :d], move[:d]
+    whole, centre = expm(screw), nodes.mean(axis=1, keepdims=True)
+    return whole[:d, :d] @ (nodes - centre) + whole[:d, d:] + centre, whole[:d, :d]
+
+
+def momenta(mass: object, basis: FloatArray) -> FloatArray:
+    """Return M T: the mass matrix acts alike on x, y and z."""
+    n = mass.shape[0]  # type: ignore[attr-defined]
+    return np.asarray(mass @ basis.reshape(n, -1)).reshape(basis.shape)  # type: ignore[operator]
 
 
 def refuse_large(what: str, shape: tuple[int, int]) -> None:
@@ -266,7 +298,7 @@ def _of_strings(
     of, count = structure.segment_string, len(structure.strings)
     vectors = nodes[:, structure.segments[:, 1]] - nodes[:, structure.segments[:, 0]]
     each = np.sqrt((vectors**2).sum(axis=0))
-    length = np.bincount(of, each, minlength=count)
+    length: FloatArray = np.bincount(of, each, minlength=count).astype(float)
     gamma, along, by_rest, by_rate = held, np.zeros(count), np.ones(count), np.zeros(count)
     if law is not None:
         gamma, along, by_rest, by_rate = _slopes(law, length, held)
@@ -277,7 +309,7 @@ def _of_strings(
     C = _ends(structure.segments, n)
     whole = csr_array((np.ones(len(of)), (of, np.arange(len(of)))), shape=(count, len(of)))
     by_gamma = -(whole @ _segment_rows(structure, vectors * share)).T
-    unit = _segment_rows(structure, vectors / np.maximum(each, 1e-300))
+    unit = _segment_rows(structure, _unit(vectors))
     stiffness = kron(C.T @ diags_array(own) @ C, eye_array(d), format="csr")
     damping = csr_array((d * n, d * n))
     pull = whole @ unit
@@ -289,6 +321,20 @@ def _of_strings(
     if by_rate.any():
         damping = pull.T @ diags_array(by_rate * length) @ pull
     return by_gamma @ gamma, stiffness, damping, csr_array(by_gamma @ diags_array(by_rest))
+
+
+def string_stretch(structure: Structure, nodes: FloatArray) -> csr_array:
+    """Return the derivatives of string lengths by the nodes, shape (α, d n)."""
+    from scipy.sparse import csr_array
+
+    of, count = structure.segment_string, len(structure.strings)
+    ends = structure.segments
+    unit = _segment_rows(structure, _unit(nodes[:, ends[:, 1]] - nodes[:, ends[:, 0]]))
+    return csr_array((np.ones(len(of)), (of, np.arange(len(of)))), shape=(count, len(of))) @ unit
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=0), 1e-300))
 
 
 def _slopes(law: StringLaw, length: FloatArray, rest_length: Any) -> tuple[FloatArray, ...]:

@@ -352,12 +352,17 @@ class LinearPlant:
 
 
 def _dense_A(plant: LinearPlant) -> FloatArray:  # noqa: N802
-    r, system = plant.degrees_of_freedom, _second_order(plant)
+    r, system, turned = (
+        plant.degrees_of_freedom,
+        _second_order(plant),
+        plant.coordinates.from_sparse,
+    )
     refuse_large("A", (2 * r, 2 * r))
     A = np.zeros((2 * r, 2 * r))
     A[:r, r:] = np.eye(r)
-    A[r:, :r] = -plant.coordinates.both_sides(system.stiffness)
-    A[r:, r:] = -plant.coordinates.both_sides(system.damping)
+    A[r:, :r] = -turned(turned(system.stiffness).T).T
+    if system.damping.nnz:
+        A[r:, r:] = -turned(turned(system.damping).T).T
     return A
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -340,12 +340,14 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
             "string gives the operating point. Weight makes force densities differ along a "
             "string: linearize with input='rest_length'"
         )
-    spread = csr_array(to_segments(structure, plant.input, np.eye(len(parent.strings))).T)
+    spread = to_segments(structure, plant.input, np.eye(len(parent.strings))).T
+    of_parent: dict[str, Any] = {"B": frozen(plant.B @ spread)}
+    if plant.sparse is not None:
+        by_input = csr_array(plant.sparse.by_input @ csr_array(spread))
+        of_parent = {"sparse": replace(plant.sparse, by_input=by_input), "A": None, "B": None}
     return replace(
         plant,
-        sparse=replace(plant.sparse, by_input=csr_array(plant.sparse.by_input @ spread)),
-        A=None,
-        B=None,
+        **of_parent,
         commanded=parent,
         force_density=frozen(gamma),
         rest_length=None if rest_length is None else frozen(rest_length),
@@ -426,7 +428,7 @@ def _left_out(frame: Coordinates, stiffness: csr_array, damping: csr_array, leas
     """Return what motions as one body, which internal coordinates leave out, meet and are given."""
     if frame.kind != "internal":
         return 0.0
-    R, found = frame.outside, [0.0]
+    R, found = frame.rigid, [0.0]
     for matrix, size in ((stiffness, least), (damping, 0.0)):
         size = max(norm(matrix), size, 1e-300)
         # Of accelerations by changes of shape, and by the motions themselves: as loads may give.
