@@ -39,9 +39,9 @@ _FORMS = {
     ca.OP_FABS: "POSITIVE({0})",
     ca.OP_FMAX: "CHOICE(({0} > {1}) | ({1} != {1}), {0}, {1})",
     ca.OP_FMIN: "CHOICE(({0} < {1}) | ({1} != {1}), {0}, {1})",
+    **{op: f"{{0}} {sign} {{1}}" for op, sign in _INFIX.items()},
+    **{op: f"TRUTH({{0}} {sign} {{1}})" for op, sign in _COMPARED.items()},
 }
-_FORMS |= {op: f"{{0}} {sign} {{1}}" for op, sign in _INFIX.items()}
-_FORMS |= {op: f"TRUTH({{0}} {sign} {{1}})" for op, sign in _COMPARED.items()}
 
 # Functions of the C library, entry by entry.
 _CALLED = {

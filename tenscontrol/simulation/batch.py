@@ -349,7 +349,7 @@ class _Runner:
         as_input = "load" in scene.given or isinstance(scene.load, Pieces)
         load = None
         if not as_input:
-            assert not isinstance(scene.load, Pieces)
+            assert not isinstance(scene.load, Pieces)  # else it is an input
             load = scene.load - scene.model.constant_force
         return model.equation(
             scene.input, load, form, degree=scene.pieces.degree, load_input=as_input,
