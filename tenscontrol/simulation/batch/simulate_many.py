@@ -32,7 +32,7 @@ from tenscontrol.integrate import (
 )
 from tenscontrol.interrupt import check, keeping
 from tenscontrol.progress import progress_bar
-from tenscontrol.simulation.batch_inputs import MASSES, BatchInputs, InputSpan, given_by_run
+from tenscontrol.simulation.batch.batch_inputs import MASSES, BatchInputs, InputSpan, given_by_run
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
     FloatArray,
