@@ -1,5 +1,6 @@
 """Open- and closed-loop simulation."""
 
+from tenscontrol.simulation.batch import Batch, simulate_many
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
 from tenscontrol.simulation.loop import SimulationError
@@ -15,6 +16,7 @@ from tenscontrol.simulation.trajectory import (
 
 __all__ = [
     "AccuracyWarning",
+    "Batch",
     "ContactRecord",
     "ControlRecord",
     "CutString",
@@ -30,4 +32,5 @@ __all__ = [
     "checked_load",
     "initial_state",
     "simulate",
+    "simulate_many",
 ]
