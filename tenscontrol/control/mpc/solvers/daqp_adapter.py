@@ -118,6 +118,7 @@ class DAQPSolver(QPSolver):
         self._fill()
         self._model: Any = None
         self._q: FloatArray = np.zeros(0)
+        self._sloped = self._timed = False
         self._active = self._none.copy()
 
     def _fill(self) -> None:
@@ -146,9 +147,13 @@ class DAQPSolver(QPSolver):
         rows = len(self._low_row)
         infinite = np.full(rows, np.inf)
         model = daqp.Model()
+        slope = q[self._free].copy()
+        self._sloped, self._timed = bool(slope.any()), False
+        # Without a slope DAQP does not transform the bounds at each solve.
         flag: int = model.setup(
-            self._hessian, q[self._free].copy(), self._matrix, infinite, -infinite, self._none
-        )[0]
+            self._hessian, slope if self._sloped else None, self._matrix, infinite, -infinite,
+            self._none,
+        )[0]  # fmt: skip
         model.settings = {
             "primal_tol": self._tolerance,
             "iter_limit": self._max_iterations + 1,  # it counts from 1 and stops before
@@ -191,14 +196,16 @@ class DAQPSolver(QPSolver):
         if limit <= 0:
             return QPSolution(Status.OUT_OF_TIME, None, None, 0)
         if start is not None:
-            self._active = self._active_set(q, start[1])
-        given: dict[str, FloatArray] = {}
-        if self._model is not None:
-            if not np.array_equal(q[self._violation], self._q[self._violation]):
-                self._model = None
-            elif not np.array_equal(q, self._q):
+            y = start[1]
+            multiplier = np.maximum(y[self._high_row], 0) + np.minimum(y[self._low_row], 0)
+            self._active = self._states(q, multiplier)
+        flag, given = 0, {}
+        if not np.array_equal(q, self._q):
+            # DAQP has prices of rows, and no slope at all where there is none, from its setup on.
+            if self._sloped and np.array_equal(q[self._violation], self._q[self._violation]):
                 given["f"], self._q = q[self._free].copy(), q.copy()
-        flag = 0
+            else:
+                self._model = None
         if self._model is None:
             flag = self._set_up(q)
         if self._changed:
@@ -208,11 +215,10 @@ class DAQPSolver(QPSolver):
             flag = self._model.update(bupper=high, blower=low, sense=self._active, **given)
         if flag < 0:
             return self._failed(flag, 0)
-        if deadline < np.inf:
-            limit = deadline - perf_counter()
-            self._model.settings = {"time_limit": max(limit, np.finfo(float).tiny)}
-        else:
-            self._model.settings = {"time_limit": 0.0}
+        if deadline < np.inf or self._timed:
+            limit = max(deadline - perf_counter(), np.finfo(float).tiny)
+            self._timed = deadline < np.inf
+            self._model.settings = {"time_limit": limit if self._timed else 0.0}
         x, _, flag, info = self._model.solve()
         if _STATUS[flag] is not Status.OK:
             return self._failed(flag, info["iterations"])
@@ -222,11 +228,6 @@ class DAQPSolver(QPSolver):
         # What DAQP leaves then may start nothing.
         self._model, self._active, self._changed = None, self._none.copy(), False
         return QPSolution(_STATUS[flag], None, None, iterations)
-
-    def _active_set(self, q: FloatArray, y: FloatArray) -> np.ndarray:
-        """Return the states of DAQP's rows for multipliers of A's."""
-        multiplier = np.maximum(y[self._high_row], 0) + np.minimum(y[self._low_row], 0)
-        return self._states(q, multiplier)
 
     def _states(self, q: FloatArray, multiplier: FloatArray) -> np.ndarray:
         active = self._none.copy()
