@@ -76,14 +76,14 @@ class MeasurementCheck:
 
     def fault(self, nodes: FloatArray, velocities: FloatArray) -> Status | None:
         """Return a status for what is wrong with a measurement, shapes (d, n); None if nothing."""
-        # What is not finite is the largest and the least, and comparisons with it are false; no
-        # square overflows after the first.
-        (most, least), (fastest, slowest) = (
-            (part.max(axis=1), part.min(axis=1)) for part in (nodes, velocities)
-        )
+        # What is not finite is the largest and the least along its axis, and comparisons with it
+        # are false; no square overflows after the first.
+        axes = zip(nodes.max(axis=1).tolist(), nodes.min(axis=1).tolist(), strict=True)
+        speeds = zip(velocities.max(axis=1).tolist(), velocities.min(axis=1).tolist(), strict=True)
+        extents, rates = list(axes), list(speeds)
         if not (
-            max(most.max(), -least.min()) <= self.farthest
-            and max(fastest.max(), -slowest.min()) <= self.largest_velocity
+            all(-self.farthest <= a and b <= self.farthest for b, a in extents)
+            and all(-self.largest_velocity <= a and b <= self.largest_velocity for b, a in rates)
         ):
             finite = np.isfinite(nodes).all() and np.isfinite(velocities).all()
             return Status.MEASUREMENT_NOT_PLAUSIBLE if finite else Status.MEASUREMENT_NOT_FINITE
@@ -91,8 +91,8 @@ class MeasurementCheck:
         bars = nodes.take(end, axis=1) - nodes.take(start, axis=1)
         square = np.einsum("ij,ij->j", bars, bars)
         plausible = (
-            (most - least).max() <= self.spread
-            and (fastest - slowest).max() <= self.fastest
+            all(b - a <= self.spread for b, a in extents)
+            and all(b - a <= self.fastest for b, a in rates)
             and bool(((square >= self.squares[0]) & (square <= self.squares[1])).all())
         )
         if plausible and len(self.fixed):
@@ -551,7 +551,7 @@ class Controller(BaseController):
         fault = self._measurement_check.fault(nodes, velocities)
         if fault is not None:
             return np.zeros(0), fault
-        state = self._plant.coordinates.measure(nodes, velocities)
+        state = self._plant.coordinates.state_of(nodes, velocities)
         self._compare(state)
         return state, None
 

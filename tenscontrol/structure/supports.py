@@ -117,3 +117,19 @@ def refuse_load_without_support(structure: Structure, load: FloatArray) -> None:
             f"no equilibrium: nothing holds the structure, and its weights and loads add up to "
             f"{load.sum(axis=1)} N. Fix some nodes, Structure(..., fixed=[...])"
         )
+
+
+def nearest_turn(moments: FloatArray) -> FloatArray:
+    """Return the rotation, shape (d, d), nearest to a matrix of moments of one shape by another's.
+
+    Where the moments are weighted by the mass, it is nearest in the metric of the kinetic energy:
+    what is then left of a displacement has no part along a rotation (Kabsch 1976,
+    doi:10.1107/S0567739476001873).
+    """
+    from scipy.linalg.lapack import dgesdd  # a third of the time of numpy.linalg.svd
+
+    U, _, Vt, failed = dgesdd(moments)
+    if failed:
+        raise np.linalg.LinAlgError("the singular values of the moments did not converge")
+    U[:, -1] *= np.linalg.det(U @ Vt)
+    return np.asarray(U @ Vt)

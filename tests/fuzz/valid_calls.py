@@ -208,6 +208,7 @@ WITHIN = {
     "control.Controller.take_over",
     "plant.LinearPlant.refuse_long_sample_time",
     "dynamics.Coordinates.laid_over",
+    "dynamics.Coordinates.state_of",
     "dynamics.Coordinates.expressions",
     "dynamics.Coordinates.hidden",
     "Height.miss",

@@ -89,7 +89,7 @@ class DAQPSolver(QPSolver):
         is_row[bound] = False
         both = (below >= 0) & (above >= 0)
         is_row[above[both]] = False
-        self._low_row = np.flatnonzero(is_row)
+        self._low_row = np.flatnonzero(is_row)  # all of them, in order, where none is soft
         number = np.zeros(rows, np.int64)
         number[self._low_row] = np.arange(len(self._low_row))
         number[above[both]] = number[below[both]]
@@ -119,7 +119,8 @@ class DAQPSolver(QPSolver):
         self._model: Any = None
         self._q: FloatArray = np.zeros(0)
         self._sloped = self._timed = False
-        self._active = self._none.copy()
+        # The slope and the multipliers of DAQP's rows where the next solve begins.
+        self._last: tuple[FloatArray, FloatArray] | None = None
 
     def _fill(self) -> None:
         self._matrix = np.zeros((len(self._low_row), len(self._free)))
@@ -196,9 +197,11 @@ class DAQPSolver(QPSolver):
         if limit <= 0:
             return QPSolution(Status.OUT_OF_TIME, None, None, 0)
         if start is not None:
-            y = start[1]
-            multiplier = np.maximum(y[self._high_row], 0) + np.minimum(y[self._low_row], 0)
-            self._active = self._states(q, multiplier)
+            multiplier = start[1]
+            if len(self._soft):
+                above, below = multiplier[self._high_row], multiplier[self._low_row]
+                multiplier = np.maximum(above, 0) + np.minimum(below, 0)
+            self._last = q, multiplier
         flag, given = 0, {}
         if not np.array_equal(q, self._q):
             # DAQP has prices of rows, and no slope at all where there is none, from its setup on.
@@ -211,8 +214,9 @@ class DAQPSolver(QPSolver):
         if self._changed:
             given["A"], self._changed = self._matrix, False
         if flag >= 0:
-            low, high = l[self._low_row], u[self._high_row]
-            flag = self._model.update(bupper=high, blower=low, sense=self._active, **given)
+            low, high = (l[self._low_row], u[self._high_row]) if len(self._soft) else (l, u)
+            active = self._states(*self._last) if self._last else self._none
+            flag = self._model.update(bupper=high, blower=low, sense=active, **given)
         if flag < 0:
             return self._failed(flag, 0)
         if deadline < np.inf or self._timed:
@@ -226,21 +230,25 @@ class DAQPSolver(QPSolver):
 
     def _failed(self, flag: int, iterations: int) -> QPSolution:
         # What DAQP leaves then may start nothing.
-        self._model, self._active, self._changed = None, self._none.copy(), False
+        self._model, self._last, self._changed = None, None, False
         return QPSolution(_STATUS[flag], None, None, iterations)
 
     def _states(self, q: FloatArray, multiplier: FloatArray) -> np.ndarray:
         active = self._none.copy()
-        active[multiplier > _INACTIVE] |= _ACTIVE
-        active[multiplier < -_INACTIVE] |= _ACTIVE | _LOWER
-        violated = np.abs(multiplier[self._soft]) > q[self._violation]
-        active[self._soft[violated]] |= _VIOLATED
+        if multiplier.any():
+            active[multiplier > _INACTIVE] |= _ACTIVE
+            active[multiplier < -_INACTIVE] |= _ACTIVE | _LOWER
+            violated = np.abs(multiplier[self._soft]) > q[self._violation]
+            active[self._soft[violated]] |= _VIOLATED
         return active
 
     def _answer(
         self, q: FloatArray, found: FloatArray, multiplier: FloatArray, iterations: int
     ) -> QPSolution:
         rows, columns = self._shape
+        self._last = q, multiplier
+        if not len(self._soft):
+            return QPSolution(Status.OK, found, multiplier, iterations)
         x, y = np.zeros(columns), np.zeros(rows)
         x[self._free] = found
         y[self._high_row] = np.maximum(multiplier, 0)
@@ -248,7 +256,6 @@ class DAQPSolver(QPSolver):
         paid = np.abs(multiplier[self._soft]) - q[self._violation]
         x[self._violation] = np.maximum(paid, 0) / self._price
         y[self._bound] = np.minimum(paid, 0)
-        self._active = self._states(q, multiplier)
         return QPSolution(Status.OK, x, y, iterations)
 
 
