@@ -61,6 +61,9 @@ class MeasurementCheck:
         # Largest velocity, m/s, and coordinate, m, of a node along an axis.
         self.largest_velocity, self.farthest = _FAR * self.fastest, _FAR * size
         self.support_distance = _SUPPORT * size  # of a fixed node from its place, m
+        # The same axis by axis, of positions and then of velocities.
+        self._limits = [(self.farthest, self.spread)] * len(nodes)
+        self._limits += [(self.largest_velocity, self.fastest)] * len(nodes)
         self.fixed, self.places = structure.fixed, nodes[:, structure.fixed]
         rolling = np.setdiff1d(structure.fixed_rows // len(nodes), self.fixed)
         is_held = np.zeros(nodes.size, bool)
@@ -76,25 +79,20 @@ class MeasurementCheck:
 
     def fault(self, nodes: FloatArray, velocities: FloatArray) -> Status | None:
         """Return a status for what is wrong with a measurement, shapes (d, n); None if nothing."""
-        # What is not finite is the largest and the least along its axis, and comparisons with it
-        # are false; no square overflows after the first.
-        axes = zip(nodes.max(axis=1).tolist(), nodes.min(axis=1).tolist(), strict=True)
-        speeds = zip(velocities.max(axis=1).tolist(), velocities.min(axis=1).tolist(), strict=True)
-        extents, rates = list(axes), list(speeds)
-        if not (
-            all(-self.farthest <= a and b <= self.farthest for b, a in extents)
-            and all(-self.largest_velocity <= a and b <= self.largest_velocity for b, a in rates)
-        ):
-            finite = np.isfinite(nodes).all() and np.isfinite(velocities).all()
-            return Status.MEASUREMENT_NOT_PLAUSIBLE if finite else Status.MEASUREMENT_NOT_FINITE
+        motion, plausible = np.concatenate([nodes, velocities]), True
+        extents = motion.min(axis=1).tolist(), motion.max(axis=1).tolist()
+        for least, most, (distance, spread) in zip(*extents, self._limits, strict=True):
+            # What is not finite is the least or the largest, and comparisons with it are false; no
+            # square overflows after this.
+            if not -distance <= least <= most <= distance:
+                finite = np.isfinite(motion).all()
+                return Status.MEASUREMENT_NOT_PLAUSIBLE if finite else Status.MEASUREMENT_NOT_FINITE
+            plausible = plausible and most - least <= spread
         start, end = self.bars
         bars = nodes.take(end, axis=1) - nodes.take(start, axis=1)
         square = np.einsum("ij,ij->j", bars, bars)
-        plausible = (
-            all(b - a <= self.spread for b, a in extents)
-            and all(b - a <= self.fastest for b, a in rates)
-            and bool(((square >= self.squares[0]) & (square <= self.squares[1])).all())
-        )
+        shortest, longest = self.squares
+        plausible = plausible and bool(((square >= shortest) & (square <= longest)).all())
         if plausible and len(self.fixed):
             off = np.linalg.norm(nodes[:, self.fixed] - self.places, axis=0)
             plausible = bool(off.max() <= self.support_distance)

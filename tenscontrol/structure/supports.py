@@ -131,5 +131,17 @@ def nearest_turn(moments: FloatArray) -> FloatArray:
     U, _, Vt, failed = dgesdd(moments)
     if failed:
         raise np.linalg.LinAlgError("the singular values of the moments did not converge")
-    U[:, -1] *= np.linalg.det(U @ Vt)
-    return np.asarray(U @ Vt)
+    turn = U @ Vt
+    if _determinant(turn.tolist()) < 0:  # a mirror image
+        U[:, -1] *= -1
+        turn = U @ Vt
+    return np.asarray(turn)
+
+
+def _determinant(rows: list[list[float]]) -> float:
+    """Return that of a matrix of two or three rows; NumPy's takes as long as all else."""
+    if len(rows) == 2:
+        (a, b), (c, d) = rows
+        return a * d - b * c
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)

@@ -454,6 +454,8 @@ class MPC(PredictiveController):
         for text in self._concerns(self._law.path):
             warnings.warn(text, ControlWarning, stacklevel=2)
         self._solver = self._law.solver()
+        # The data of a reference that rests, which no sample changes.
+        self._resting: tuple[Preview, StageData] | None = None
         self.reset()
         if plant.input == "force_density" and plant.model.strings is not None:
             warn_of_held_lengths(plant, made.problem.feedback, given.sample_time)
@@ -512,7 +514,6 @@ class MPC(PredictiveController):
         super().reset()
         self._forget_plan()
         self._iterations: list[int] = []
-        self._resting: tuple[Preview, StageData] | None = None
         self._solver.reset()
 
     def _forget_plan(self) -> None:

@@ -66,10 +66,10 @@ class DAQPSolver(QPSolver):
         self._shape, self._nonzeros = A.shape, A.nnz
         self._tolerance, self._max_iterations = min(tolerance, _TOLERANCE), max_iterations
         self._found = _violations(P, A)
-        self._begin()
-
-    def _begin(self) -> None:
-        self._values, self._changed = self._made_of[1].data, False
+        # The vector that is expected: no slope, and soft rows with one price for both powers.
+        self._usual_q = np.zeros(A.shape[1])
+        self._usual_q[self._found[0]] = P.diagonal()[self._found[0]]
+        self._values = self._made_of[1].data
         self._prepare(*self._found)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -108,6 +108,7 @@ class DAQPSolver(QPSolver):
         self._none = np.zeros(len(self._low_row), np.intc)
         self._none[self._soft] = _SOFT
         self._hessian = P.toarray()[np.ix_(self._free, self._free)]
+        self._fill()
         self._forget()
 
     def _prepare_without_violations(self) -> None:
@@ -115,10 +116,9 @@ class DAQPSolver(QPSolver):
         self._prepare(none, none, none, none)
 
     def _forget(self) -> None:
-        self._fill()
+        """Set up anew, so that the next solve need not, for the vector that is expected."""
         self._model: Any = None
-        self._q: FloatArray = np.zeros(0)
-        self._sloped = self._timed = False
+        self._set_up(self._usual_q)
         # The slope and the multipliers of DAQP's rows where the next solve begins.
         self._last: tuple[FloatArray, FloatArray] | None = None
 
@@ -139,7 +139,14 @@ class DAQPSolver(QPSolver):
 
     def reset(self) -> None:
         """See :meth:`QPSolver.reset`."""
-        self._begin()
+        first = self._made_of[1].data
+        changed, self._values = self._values is not first, first
+        if self._violation is not self._found[0]:
+            self._prepare(*self._found)
+            return
+        if changed:
+            self._fill()
+        self._forget()
 
     def _set_up(self, q: FloatArray) -> int:
         """Make a model without bounds; return DAQP's exit flag."""
@@ -159,9 +166,10 @@ class DAQPSolver(QPSolver):
             "primal_tol": self._tolerance,
             "iter_limit": self._max_iterations + 1,  # it counts from 1 and stops before
         }
+        self._q, self._changed = q.copy(), False
         if flag < 0:
             return flag
-        self._model, self._q, self._changed = model, q.copy(), False
+        self._model = model
         if len(self._soft):
             softness, price = np.zeros(rows), np.zeros(rows)
             softness[self._soft], price[self._soft] = 1 / self._price, q[self._violation]
