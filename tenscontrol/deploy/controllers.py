@@ -159,7 +159,7 @@ class _Reader:
         return np.concatenate(parts)
 
     def _stage_data(self, time: float, load: FloatArray) -> StageData:
-        return self._law.stage_data(time, load if self.loads else None)
+        return self._law.stage_data(self._law.preview(time), load if self.loads else None)
 
     @staticmethod
     def _split(given: FloatArray, *sizes: int) -> list[FloatArray]:
