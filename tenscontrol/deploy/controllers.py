@@ -22,11 +22,11 @@ from tenscontrol.control.mpc import (
     NEWTON_STEPS,
     RK4,
     STAGES_TOLERANCE,
+    Condensed,
     MPCLaw,
     MPCProblem,
     StageData,
     active_set_source,
-    form_of,
     stages_data,
     stages_source,
 )
@@ -37,6 +37,9 @@ _AGREEMENT = 1e-9
 
 # Violations that the C code takes for round-off, in units of a row.
 _TOLERANCE = 1e-11
+
+# Unknown inputs that a condensed program may have.
+_MOST_UNKNOWNS = 5000
 
 # Numbers that a table may have: some hundred megabytes of C text.
 _LARGEST = 5_000_000
@@ -79,8 +82,13 @@ class _LeastDistance:
 
     def __init__(self, problem: MPCProblem) -> None:
         N, a, rows = problem.length, problem.input_matrix.shape[1], problem.rows
-        self.form = form_of(problem, "condensed")
         self.unknowns = count = problem.input_count
+        if count > _MOST_UNKNOWNS:
+            raise ValueError(
+                f"controller plans {count} inputs, and its program is condensed, so dense, in C "
+                f"code; expected at most {_MOST_UNKNOWNS}. Take a shorter horizon"
+            )
+        self.form = Condensed(problem)
         soft = 0 if rows is None else len(rows.soft)
         widths = [a] * (1 if problem.change is None else 2)
         widths.append(0 if rows is None else len(rows.scale) - soft)

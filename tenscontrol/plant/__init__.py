@@ -27,11 +27,10 @@ from tenscontrol.plant.linear_plant import (
 from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coordinates, linearize
 from tenscontrol.plant.modes import Modes, modes, modes_of
 from tenscontrol.plant.reduced_dynamics import (
-    AccelerationSlopes,
     acceleration_slopes,
     checked_tracked,
-    executable,
     explicit_substeps,
+    linked_accelerations,
     near_symbol,
     reduced_acceleration,
     reduced_motion,
@@ -73,7 +72,6 @@ __all__ = [
     "INPUTS",
     "SHORTEST",
     "STRINGS_MOVE_NO_CENTRE",
-    "AccelerationSlopes",
     "Controllability",
     "LeftSpace",
     "LinearPlant",
@@ -98,7 +96,6 @@ __all__ = [
     "convex_hull",
     "energy_weights",
     "equilibrium",
-    "executable",
     "explicit_substeps",
     "filter_riccati",
     "held_value",
@@ -107,6 +104,7 @@ __all__ = [
     "largest_change",
     "left_spaces",
     "linearize",
+    "linked_accelerations",
     "model_input",
     "modes",
     "modes_of",

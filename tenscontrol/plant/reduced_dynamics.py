@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, Evaluator, compiled, kernel
+from tenscontrol.dynamics import ContactLaw, kernel
 from tenscontrol.plant.linear_plant import LinearPlant, kept
 from tenscontrol.plant.string_outputs import model_input, string_forces
 from tenscontrol.validation import FloatArray, float_array
@@ -283,72 +283,14 @@ def acceleration_slopes(plant: LinearPlant, *, taut: bool) -> ca.Function:
     return ca.Function("derivatives", [z, u], parts)
 
 
-def executable(function: ca.Function, machine_code: bool) -> tuple[ca.Function, str]:
-    """Return a function, compiled where that is wished and can be, and what evaluates it."""
-    code = compiled(function) if machine_code else None
-    return (function, "virtual machine") if code is None else (code.function, "machine code")
-
-
-class AccelerationSlopes:
-    """q̈ of :func:`reduced_acceleration` and its derivatives, at a number of points at once.
+@kept
+def linked_accelerations(
+    plant: LinearPlant, *, taut: bool
+) -> tuple[ca.Function, tuple[ca.Sparsity, ...]]:
+    """Return accelerations of nodes and the Jacobians of three maps, and the patterns of these.
 
     Of the maps from what the basis displaces to shapes with exact bar lengths, on to forces, and on
-    to accelerations of nodes, each has a sparse Jacobian: its code grows with the members, and is
-    that of one point. Only the products with the basis are dense.
-    """
-
-    def __init__(self, plant: LinearPlant, count: int, *, taut: bool, machine_code: bool) -> None:
-        def build() -> tuple[tuple[ca.Sparsity, ...], ca.Function, str]:
-            function, patterns = _linked(plant, taut)
-            return patterns, *executable(function, machine_code)
-
-        key = "acceleration slopes", taut, machine_code
-        patterns, one, self.back_end = plant.prepared.get(key, build)
-        self._evaluate = Evaluator(one.map(count) if count > 1 else one)
-        rows = plant.model.structure.free_rows
-        identity = np.eye(plant.nodes.size)
-        self._project = np.ascontiguousarray(plant.coordinates.project(identity)[:, rows].T)
-        self._basis = np.ascontiguousarray(plant.basis.T)
-        self._places, self._count = plant.nodes.ravel(order="F"), count
-        # All points are multiplied at once; the first Jacobians by the same matrix.
-        self._jacobians = [
-            _transposed(pattern, count, apart)
-            for pattern, apart in zip(patterns, (0, 1, 1), strict=True)
-        ]
-
-    def __call__(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, ...]:
-        """Return q̈, (K, r), and its slopes by columns: by z, (K, 2r, r), and by u, (K, α, r)."""
-        (r, m), K = self._basis.shape, self._count
-        places, rates = (part @ self._basis for part in (states[:, :r], states[:, r:]))
-        given = places + self._places, rates, inputs
-        moved, *entries = self._evaluate(*(part.T if K > 1 else part[0] for part in given))
-        for jacobian, values in zip(self._jacobians, entries, strict=True):
-            jacobian.data = values.ravel(order="K")
-        by_bodies, by_strings, by_lengths = self._jacobians
-        whole = (by_bodies @ self._project).reshape(K, 3 * m, r)  # by N, Ṅ and F
-        by_forces = by_strings @ whole[:, 2 * m :].reshape(K * m, r)
-        by_forces = by_forces.reshape(K, -1, r)  # by N, Ṅ and u
-        by_forces[:, : 2 * m] += whole[:, : 2 * m]
-        by_places = by_lengths @ by_forces[:, : 2 * m].reshape(K * 2 * m, r)
-        by_z = self._basis @ by_places.reshape(K, 2, m, r)
-        value = moved.reshape(K, -1) if K == 1 else moved.T
-        return value @ self._project, by_z.reshape(K, 2 * r, r), by_forces[:, 2 * m :]
-
-
-def _transposed(pattern: ca.Sparsity, count: int, apart: int) -> Any:
-    """Return transposed Jacobians of a number of points in a column, or ``apart`` on a diagonal."""
-    from scipy.sparse import csr_array
-
-    starts, rows = (np.array(part, np.int32) for part in (pattern.colind(), pattern.row()))
-    points = np.arange(count, dtype=np.int32)[:, None]
-    indices = (rows + apart * pattern.size1() * points).ravel()
-    indptr = np.append(starts[:-1] + len(rows) * points, count * len(rows)).astype(np.int32)
-    shape = count * pattern.size2(), pattern.size1() * (count if apart else 1)
-    return csr_array((np.zeros(len(indices)), indices, indptr), shape=shape)
-
-
-def _linked(plant: LinearPlant, taut: bool) -> tuple[ca.Function, tuple[ca.Sparsity, ...]]:
-    """Return accelerations of nodes and the Jacobians of three maps, and the patterns of these.
+    to accelerations, each has a sparse Jacobian, so that its code grows with the members.
 
     The function is ``(n, ṅ, u) -> (N̈, entries of ∂N̈/∂(N, Ṅ, F), of ∂F/∂(N, Ṅ, u) and of
     ∂(N, Ṅ)/∂(n, ṅ))``: n and ṅ as the basis displaces nodes, N̈ where supports leave them free.
@@ -412,4 +354,5 @@ def settled(plant: LinearPlant, z: Any, near: Any, parts: list[Any]) -> list[Any
 
 def reduced_motion(plant: LinearPlant, z: Any, near: Any = None) -> tuple[Any, Any]:
     """Return expressions of node positions and velocities, shape (d, n), of a state z (SX)."""
-    return plant.coordinates.expressions(z, near)
+    frame = plant.coordinates
+    return frame.kept_lengths(*frame.displaced(z), near)

@@ -27,7 +27,7 @@ from tests.control.fault_loop import (
     broken,
     controller,
     plant,
-    unsolved,
+    solve_nothing,
 )
 
 # Samples after the end of a fault by which a status is good again.
@@ -272,7 +272,7 @@ def test_a_plan_that_is_used_up_ends_in_what_is_safe(kind, held, monkeypatch):
     assert made.command(0.0, pushed(held), STILL).status == "ok"
     plan, horizon = made.plan, HORIZON[kind]
     with monkeypatch.context() as patch:
-        patch.setattr(OSQPSolver, "solve", unsolved(Status.INFEASIBLE))
+        solve_nothing(patch, Status.INFEASIBLE)
         before = made.command(STEP, pushed(held), STILL).value
         np.testing.assert_allclose(before, plan[:, 1], atol=1e-12)
         for k in range(2, horizon + 20):

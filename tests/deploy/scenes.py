@@ -107,7 +107,6 @@ def of_force_density(**options):
         sample_time=SAMPLE,
         max_force_density=80.0,
         reference=ramp(),
-        solver="daqp",
         **options,
     )
 
@@ -122,7 +121,6 @@ def of_rest_length():
         winches=WINCHES,
         max_tension=50.0,
         reference=ramp(),
-        solver="daqp",
     )
 
 
@@ -135,7 +133,6 @@ def winding():
         winches=WINDING,
         load_gain=0.1,
         reference=ramp(),
-        solver="daqp",
     )
 
 
@@ -150,7 +147,6 @@ def with_load():
         tracked=height_row(),
         max_change=4.0,
         outputs=[tc.OutputLimit(height_row(), low=0.9, penalty=100.0)],
-        solver="daqp",
     )
 
 
@@ -225,9 +221,7 @@ def rolling():
 def sliding():
     """Winches of a planar arm with a slider and a clustered string."""
     winches = tc.Winches(rate=0.5, shortest=0.1)
-    return tc.MPC(
-        coupled_plant("arm"), horizon=4, sample_time=SAMPLE, winches=winches, solver="daqp"
-    )
+    return tc.MPC(coupled_plant("arm"), horizon=4, sample_time=SAMPLE, winches=winches)
 
 
 def closed_loop(pair, pull=0.0, samples=SAMPLES, **options):

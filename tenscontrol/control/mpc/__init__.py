@@ -2,12 +2,12 @@
 
 from tenscontrol.control.mpc.constraints import OutputLimit, clearance
 from tenscontrol.control.mpc.least_distance import STAGES_TOLERANCE, stages_data
-from tenscontrol.control.mpc.linear import MPC, MPCLaw, MPCStatistics, form_of
+from tenscontrol.control.mpc.linear import MPC, Condensed, MPCLaw, MPCStatistics
 from tenscontrol.control.mpc.nonlinear import CONVERGED, NMPC, NMPCStatistics
-from tenscontrol.control.mpc.problem import MPCProblem, StageData
+from tenscontrol.control.mpc.problem import MPCProblem, StageData, StageJacobians
 from tenscontrol.control.mpc.real_time_iteration import NEWTON_STEPS
 from tenscontrol.control.mpc.settings import MPCSettings
-from tenscontrol.control.mpc.shooting import RK4, StageJacobians
+from tenscontrol.control.mpc.shooting import RK4
 from tenscontrol.control.mpc.solvers import (
     DAQPSolver,
     OSQPSolver,
@@ -26,6 +26,7 @@ __all__ = [
     "NMPC",
     "RK4",
     "STAGES_TOLERANCE",
+    "Condensed",
     "DAQPSolver",
     "MPCLaw",
     "MPCProblem",
@@ -42,7 +43,6 @@ __all__ = [
     "StageJacobians",
     "active_set_source",
     "clearance",
-    "form_of",
     "stages_data",
     "stages_source",
 ]

@@ -18,10 +18,10 @@ from tenscontrol.control.mpc.problem import (
     MPCProblem,
     Pair,
     StageData,
+    StageJacobians,
     Subproblem,
     SubproblemSolution,
 )
-from tenscontrol.control.mpc.shooting import StageJacobians
 from tenscontrol.control.mpc.solvers.c_source import active_set_source, stages_source
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import compiled_library
@@ -62,7 +62,7 @@ def _multiply() -> ctypes.c_void_p:
     return ctypes.c_void_p(address(capsule, name(capsule)))
 
 
-def _address(array: FloatArray) -> int:
+def _address(array: np.ndarray) -> int:
     return int(array.__array_interface__["data"][0])
 
 
@@ -95,6 +95,8 @@ def stages_data(
 @final
 class LeastDistance(Subproblem):
     """The program of a plan in compiled C, with memory of its own."""
+
+    solver_name = "active set"
 
     def __init__(
         self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
@@ -132,8 +134,12 @@ class LeastDistance(Subproblem):
         self._solve.argtypes = [pointer] * 7 + [_Stop]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle what it is made of; the memory is made anew."""
-        return LeastDistance, self._made_of
+        """Pickle what it is made of, and which limits are active; it is not prepared then."""
+        return LeastDistance, self._made_of, self._multipliers.copy()
+
+    def __setstate__(self, multipliers: FloatArray) -> None:
+        """Take the active limits of another one."""
+        self._multipliers[:] = multipliers
 
     def reset(self) -> None:
         """See :meth:`Subproblem.reset`."""

@@ -256,6 +256,11 @@ class NMPC(PredictiveController):
         return self._law.model.back_end
 
     @property
+    def solver(self) -> str:
+        """What solves its programs: ``"active set"``, a name of ``solver=``, or that of a class."""
+        return self._plan.program.solver_name
+
+    @property
     def weights(self) -> Triple:
         """Q, R and the terminal P, which is of ``[z; u_before]`` where inputs are ramps."""
         problem = self._law.problem

@@ -15,23 +15,23 @@ from tenscontrol.control.mpc.problem import (
     Pair,
     Rows,
     StageData,
+    StageJacobians,
     Subproblem,
     SubproblemSolution,
 )
 from tenscontrol.control.mpc.settings import MPCSettings
 from tenscontrol.control.mpc.shooting import (
     RK4,
+    AccelerationSlopes,
     Discretization,
     RadauIIA,
-    StageJacobians,
+    executable,
     stage_jacobians,
 )
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import (
-    AccelerationSlopes,
     LinearPlant,
-    executable,
     explicit_substeps,
     model_input,
     near_symbol,
@@ -207,6 +207,10 @@ class RealTimeIterate:
         self._discretization = model.discretization
         self._low, self._high = bounds
         self.clear()
+
+    def __getstate__(self) -> dict[str, object]:
+        """Pickle the plan; a program prepared in compiled memory is prepared anew."""
+        return vars(self) | {"linearized": False}
 
     @property
     def inputs(self) -> FloatArray | None:

@@ -63,8 +63,8 @@ _NUMBERS = (
 )  # fmt: skip
 
 _SOLVERS: dict[str, type[QPSolver]] = {
-    "osqp": OSQPSolver,
     "daqp": DAQPSolver,
+    "osqp": OSQPSolver,
     "piqp": PIQPSolver,
 }
 
@@ -145,8 +145,12 @@ class MPCSettings:
         Time for a command, s, from its call. A program that is not solved by then
         is given up at the end of an iteration of the solver. The few operations that follow are
         not counted.
-    solver : str or subclass of QPSolver
-        What solves the quadratic programs; ``"osqp"`` by name.
+    solver : {"auto", "daqp", "osqp", "piqp"} or subclass of QPSolver
+        What solves the quadratic programs. DAQP, an active set, is exact to round-off, and the
+        fastest where a program is dense; OSQP (ADMM, to the tolerance) where it is sparse and
+        large. "auto" takes the one or the other by the form of the program; see the attribute
+        ``solver`` of a controller. PIQP, an interior point for sparse programs, needs the extra
+        ``tenscontrol[piqp]``, and is never taken unless named.
 
     Raises
     ------
@@ -178,7 +182,7 @@ class MPCSettings:
     tolerance: float = 1e-4
     max_iterations: int = 4000
     time_limit: float | None = None
-    solver: str | type[QPSolver] = "osqp"
+    solver: str | type[QPSolver] = "auto"
 
     def __post_init__(self) -> None:
         if self.winches is not None:
@@ -217,8 +221,8 @@ class MPCSettings:
     def _check_solver(self) -> None:
         solver = self.solver
         if isinstance(solver, str):
-            if solver not in _SOLVERS and solver != "auto":
-                known = ", ".join(map(repr, _SOLVERS))
+            if solver != "auto" and solver not in _SOLVERS:
+                known = ", ".join(map(repr, ("auto", *_SOLVERS)))
                 raise ValueError(
                     f"solver is {solver!r}, expected one of {known}, or a subclass of QPSolver"
                 )
@@ -231,11 +235,25 @@ class MPCSettings:
         return np.inf if self.time_limit is None else self.time_limit
 
 
+def solver_kind(settings: MPCSettings, dense: bool) -> type[QPSolver]:
+    """Return what solves programs that are dense, or sparse."""
+    named = settings.solver
+    if named == "auto":
+        named = "daqp" if dense else "osqp"
+    return _SOLVERS[named] if isinstance(named, str) else named
+
+
 def make_solver(settings: MPCSettings, form: Form, equations: bool = False) -> QPSolver:
     """Return a solver of a program, as it is before the first solve."""
-    name = "osqp" if settings.solver == "auto" else settings.solver
-    kind = _SOLVERS[name] if isinstance(name, str) else name
+    kind = solver_kind(settings, form.dense)
     return kind(form.P, form.A, settings.tolerance, settings.max_iterations, equations=equations)
+
+
+def solver_name(solver: QPSolver) -> str:
+    """Return the name by which a solver is chosen, or that of its class."""
+    return next(
+        (name for name, kind in _SOLVERS.items() if type(solver) is kind), type(solver).__name__
+    )
 
 
 def _checked_penalty(value: object) -> float:

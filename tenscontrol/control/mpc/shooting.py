@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import solve_stacked
-from tenscontrol.control.mpc.problem import Pair, Triple
-from tenscontrol.dynamics import Evaluator, built
+from tenscontrol.control.mpc.problem import Pair, StageJacobians, Triple, applied
+from tenscontrol.dynamics import Evaluator, built, compiled
 from tenscontrol.plant import (
-    AccelerationSlopes,
     LinearPlant,
     acceleration_response,
-    executable,
     explicit_substeps,
+    linked_accelerations,
     model_input,
     reduced_acceleration,
     reduced_motion,
@@ -48,19 +46,6 @@ _MOST_ROUNDS = 20
 _BALANCED = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class StageJacobians:
-    """First-order functions along a trajectory: ``value ≈ offset + Σ slope · argument``.
-
-    Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j. Those
-    of the motion are by z_k, u_k and, where inputs are ramps, u_{k−1}; those of limited rows by
-    z_k, u_k and z_{k+1}. They are views of memory that the next call may overwrite.
-    """
-
-    offset: FloatArray  # (N, m)
-    slopes: tuple[FloatArray, ...]  # (N, columns, m) each
-
-
 def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobians:
     """Return N values of ``(x, y, …) -> (value, slopes …)`` to first order, rows of arguments."""
     N = len(arguments[0])
@@ -75,9 +60,66 @@ def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobi
     return StageJacobians(offset, tuple(blocks))
 
 
-def applied(slopes: FloatArray, arguments: FloatArray) -> FloatArray:
-    """Return what arguments, shape (K, columns), make of slopes stored by columns."""
-    return np.asarray((arguments[:, None, :] @ slopes)[:, 0])
+def executable(function: ca.Function, machine_code: bool) -> tuple[ca.Function, str]:
+    """Return a function, compiled where that is wished and can be, and what evaluates it."""
+    code = compiled(function) if machine_code else None
+    return (function, "virtual machine") if code is None else (code.function, "machine code")
+
+
+class AccelerationSlopes:
+    """q̈ of a plant and its derivatives, at a number of points at once.
+
+    Of the maps from what the basis displaces to shapes with exact bar lengths, on to forces, and on
+    to accelerations of nodes, each has a sparse Jacobian: its code grows with the members, and is
+    that of one point. Only the products with the basis are dense.
+    """
+
+    def __init__(self, plant: LinearPlant, count: int, *, taut: bool, machine_code: bool) -> None:
+        linked, patterns = linked_accelerations(plant, taut=taut)
+        one, self.back_end = plant.prepared.get(
+            ("accelerations", taut, machine_code), lambda: executable(linked, machine_code)
+        )
+        self._evaluate = Evaluator(one.map(count) if count > 1 else one)
+        rows = plant.model.structure.free_rows
+        identity = np.eye(plant.nodes.size)
+        self._project = np.ascontiguousarray(plant.coordinates.project(identity)[:, rows].T)
+        self._basis = np.ascontiguousarray(plant.basis.T)
+        self._places, self._count = plant.nodes.ravel(order="F"), count
+        # All points are multiplied at once; the first Jacobians by the same matrix.
+        self._jacobians = [
+            _transposed(pattern, count, apart)
+            for pattern, apart in zip(patterns, (0, 1, 1), strict=True)
+        ]
+
+    def __call__(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, ...]:
+        """Return q̈, (K, r), and its slopes by columns: by z, (K, 2r, r), and by u, (K, α, r)."""
+        (r, m), K = self._basis.shape, self._count
+        places, rates = (part @ self._basis for part in (states[:, :r], states[:, r:]))
+        given = places + self._places, rates, inputs
+        moved, *entries = self._evaluate(*(part.T if K > 1 else part[0] for part in given))
+        for jacobian, values in zip(self._jacobians, entries, strict=True):
+            jacobian.data = values.ravel(order="K")
+        by_bodies, by_strings, by_lengths = self._jacobians
+        whole = (by_bodies @ self._project).reshape(K, 3 * m, r)  # by N, Ṅ and F
+        by_forces = by_strings @ whole[:, 2 * m :].reshape(K * m, r)
+        by_forces = by_forces.reshape(K, -1, r)  # by N, Ṅ and u
+        by_forces[:, : 2 * m] += whole[:, : 2 * m]
+        by_places = by_lengths @ by_forces[:, : 2 * m].reshape(K * 2 * m, r)
+        by_z = self._basis @ by_places.reshape(K, 2, m, r)
+        value = moved.reshape(K, -1) if K == 1 else moved.T
+        return value @ self._project, by_z.reshape(K, 2 * r, r), by_forces[:, 2 * m :]
+
+
+def _transposed(pattern: ca.Sparsity, count: int, apart: int) -> Any:
+    """Return transposed Jacobians of a number of points in a column, or ``apart`` on a diagonal."""
+    from scipy.sparse import csr_array
+
+    starts, rows = (np.array(part, np.int32) for part in (pattern.colind(), pattern.row()))
+    points = np.arange(count, dtype=np.int32)[:, None]
+    indices = (rows + apart * pattern.size1() * points).ravel()
+    indptr = np.append(starts[:-1] + len(rows) * points, count * len(rows)).astype(np.int32)
+    shape = count * pattern.size2(), pattern.size1() * (count if apart else 1)
+    return csr_array((np.zeros(len(indices)), indices, indptr), shape=shape)
 
 
 class Discretization(ABC):

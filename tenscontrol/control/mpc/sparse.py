@@ -24,12 +24,14 @@ from tenscontrol.control.mpc.problem import (
     MPCProblem,
     Pair,
     StageData,
+    StageJacobians,
     Subproblem,
     SubproblemSolution,
     Triple,
+    applied,
     shifted,
 )
-from tenscontrol.control.mpc.shooting import StageJacobians, applied
+from tenscontrol.control.mpc.settings import solver_name
 from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.validation import FloatArray, IntArray
 
@@ -62,6 +64,8 @@ class Sparse(Form):
     are C_k too. ``motion_indices`` are of A_k, B_k and C_k; A_0 and C_0 meet only what is known.
     ``row_indices`` are of E_k, G_k and F_k, for each part of the limited rows.
     """
+
+    dense = False
 
     def __init__(
         self, problem: MPCProblem, units: FloatArray | None = None, varying: bool = False
@@ -288,6 +292,7 @@ class SparseSubproblem(Subproblem):
 
     def __init__(self, form: Sparse, solver: QPSolver, relative: bool) -> None:
         self.form, self.solver, self._relative = form, solver, relative
+        self.solver_name = solver_name(solver)
         self._guess: Pair | None = None
 
     def reset(self) -> None:

@@ -43,7 +43,7 @@ def test_a_controller_keeps_its_settings(kind):
         (
             "simplex",
             ValueError,
-            "solver is 'simplex', expected one of 'osqp', 'daqp', 'piqp', or a",
+            "solver is 'simplex', expected one of 'auto', 'daqp', 'osqp', 'piqp'",
         ),
         (dict, TypeError, "solver is <class 'dict'>, expected a name or a subclass of QPSolver"),
     ],
