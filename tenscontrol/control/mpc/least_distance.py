@@ -28,7 +28,7 @@ from tenscontrol.dynamics import compiled_library
 from tenscontrol.validation import FloatArray
 
 # Of a limit, in its unit: what round-off may leave of it.
-_TOLERANCE = 1e-10
+STAGES_TOLERANCE = 1e-10
 
 # What the active-set method says.
 _STATUS = (
@@ -43,7 +43,8 @@ _NEVER = _Stop()
 @cache
 def _library() -> ctypes.CDLL:
     """Return the compiled program."""
-    text = "#define STAGES_API\n" + active_set_source() + stages_source()
+    size = "size_t stages_program_size(void) { return sizeof(StagesProgram); }\n"
+    text = "#define STAGES_API\n" + active_set_source() + stages_source() + size
     library = ctypes.CDLL(str(compiled_library(text)))
     library.stages_program_size.restype = ctypes.c_size_t
     return library
@@ -65,6 +66,32 @@ def _address(array: np.ndarray) -> int:
     return int(array.__array_interface__["data"][0])
 
 
+def stages_data(
+    problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
+) -> tuple[list[int], list[FloatArray]]:
+    """Return what ``stages_program_place`` in ``stages.c`` calls sizes and data."""
+    N, (m, a) = problem.length, problem.input_matrix.shape
+    ramp = len(problem.terminal_weight) > m
+    n = m + a if ramp else m
+    rows, changes = problem.rows, problem.change is not None
+    p = 0 if rows is None else len(rows.scale)
+    scale = problem.cost_scale
+    state_weight = np.zeros((n, n))
+    state_weight[:m, :m] = scale * problem.state_weight
+    price = np.full((N, a * (2 if changes else 1) + p), np.inf)
+    if rows is not None:
+        price[:, price.shape[1] - p :] = scale * rows.penalty * rows.scale
+    none = np.zeros(0)
+    data = [
+        state_weight, scale * problem.input_weight, scale * problem.terminal_weight,
+        none if rows is None else rows.scale,
+        none if problem.change is None else problem.change,
+        *bounds, *row_bounds, price, price,
+    ]  # fmt: skip
+    sizes = [N, n, a, p, int(ramp), int(changes), int(np.isfinite(price).sum()), max_iterations]
+    return sizes, [np.ascontiguousarray(part, dtype=float) for part in data]
+
+
 @final
 class LeastDistance(Subproblem):
     """The program of a plan in compiled C, with memory of its own."""
@@ -76,32 +103,15 @@ class LeastDistance(Subproblem):
     ) -> None:
         self._made_of = problem, row_bounds, max_iterations, bounds
         library, N, (m, a) = _library(), problem.length, problem.input_matrix.shape
-        ramp = len(problem.terminal_weight) > m
-        n = m + a if ramp else m
-        rows, changes = problem.rows, problem.change is not None
-        p = 0 if rows is None else len(rows.scale)
-        scale = problem.cost_scale
-        state_weight = np.zeros((n, n))
-        state_weight[:m, :m] = scale * problem.state_weight
-        price = np.full((N, a * (2 if changes else 1) + p), np.inf)
-        if rows is not None:
-            price[:, price.shape[1] - p :] = scale * rows.penalty * rows.scale
-        none = np.zeros(0)
-        data = [
-            state_weight, scale * problem.input_weight, scale * problem.terminal_weight,
-            none if rows is None else rows.scale,
-            none if problem.change is None else problem.change,
-            *bounds, *row_bounds, price, price,
-        ]  # fmt: skip
-        self._data = [np.ascontiguousarray(part, dtype=float) for part in data]
+        numbers_of, data = stages_data(problem, row_bounds, max_iterations, bounds)
+        n, rows = numbers_of[1], data[-1].size
+        sizes = (ctypes.c_int * 8)(*numbers_of)
+        self._data = data
         addresses = (ctypes.c_void_p * len(data))(*(_address(part) for part in self._data))
-        sizes = (ctypes.c_int * 8)(
-            N, n, a, p, ramp, changes, int(np.isfinite(price).sum()), max_iterations
-        )  # fmt: skip
         self._program = ctypes.create_string_buffer(library.stages_program_size())
         counts, views = (ctypes.c_size_t * 3)(), (ctypes.c_void_p * 6)()
         given = (
-            self._program, sizes, ctypes.c_double(problem.level), ctypes.c_double(_TOLERANCE),
+            self._program, sizes, ctypes.c_double(problem.level), ctypes.c_double(STAGES_TOLERANCE),
             _multiply(), addresses,
         )  # fmt: skip
         library.stages_program_place(*given, None, None, None, counts, views)
@@ -109,7 +119,7 @@ class LeastDistance(Subproblem):
         self._memory = numbers, np.zeros(counts[1], np.intc), np.zeros(counts[2], np.intp)
         places = (ctypes.c_void_p(_address(part)) for part in self._memory)
         library.stages_program_place(*given, *places, counts, views)
-        shapes = [(N + 1, m), (N + 1, a), (price.size,), (N + 1, n), (N, a)]
+        shapes = [(N + 1, m), (N + 1, a), (rows,), (N + 1, n), (N, a)]
         self._states, self._inputs, self._multipliers, moves, self._input_moves = (
             numbers[(place - _address(numbers)) // 8 :][: math.prod(shape)].reshape(shape)
             for place, shape in zip(views, shapes, strict=False)
