@@ -18,10 +18,10 @@ from tenscontrol.control.mpc.problem import (
     MPCProblem,
     Pair,
     StageData,
+    StageJacobians,
     Subproblem,
     SubproblemSolution,
 )
-from tenscontrol.control.mpc.shooting import StageJacobians
 from tenscontrol.control.mpc.solvers.c_source import active_set_source, stages_source
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import compiled_library
@@ -68,6 +68,8 @@ def _address(array: np.ndarray) -> int:
 @final
 class LeastDistance(Subproblem):
     """The program of a plan in compiled C, with memory of its own."""
+
+    solver_name = "active set"
 
     def __init__(
         self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair

@@ -22,7 +22,6 @@ from tenscontrol.control.mpc.settings import (
     SettingsKeywords,
     design,
     make_solver,
-    solver_name,
 )
 from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
@@ -258,8 +257,8 @@ class NMPC(PredictiveController):
 
     @property
     def solver(self) -> str:
-        """What solves its programs: ``"daqp"``, ``"osqp"``, ``"piqp"`` or the name of a class."""
-        return solver_name(self._plan.solver)
+        """What solves its programs: ``"active set"``, a name of ``solver=``, or that of a class."""
+        return self._plan.program.solver_name
 
     @property
     def weights(self) -> Triple:

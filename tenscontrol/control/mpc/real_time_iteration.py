@@ -15,6 +15,7 @@ from tenscontrol.control.mpc.problem import (
     Pair,
     Rows,
     StageData,
+    StageJacobians,
     Subproblem,
     SubproblemSolution,
 )
@@ -25,7 +26,6 @@ from tenscontrol.control.mpc.shooting import (
     Discretization,
     RadauIIA,
     RowSlopes,
-    StageJacobians,
     executable,
 )
 from tenscontrol.control.status import Status

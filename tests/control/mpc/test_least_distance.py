@@ -10,8 +10,7 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.control import NMPC, Status
 from tenscontrol.control.mpc.least_distance import LeastDistance
-from tenscontrol.control.mpc.problem import MPCProblem, Rows, StageData
-from tenscontrol.control.mpc.shooting import StageJacobians
+from tenscontrol.control.mpc.problem import MPCProblem, Rows, StageData, StageJacobians
 from tenscontrol.dynamics.machine_code import compiler
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
