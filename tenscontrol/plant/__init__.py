@@ -29,6 +29,7 @@ from tenscontrol.plant.modes import Modes, modes, modes_of
 from tenscontrol.plant.reduced_dynamics import (
     acceleration_slopes,
     checked_tracked,
+    exact_motion,
     explicit_substeps,
     linked_accelerations,
     near_symbol,
@@ -39,6 +40,7 @@ from tenscontrol.plant.reduced_dynamics import (
     sampled_motion,
     settled,
     tracked_motion,
+    with_jacobian,
 )
 from tenscontrol.plant.reference import (
     STRINGS_MOVE_NO_CENTRE,
@@ -96,6 +98,7 @@ __all__ = [
     "convex_hull",
     "energy_weights",
     "equilibrium",
+    "exact_motion",
     "explicit_substeps",
     "filter_riccati",
     "held_value",
@@ -134,4 +137,5 @@ __all__ = [
     "tracked_motion",
     "unreached_modes",
     "warn_of_left_alone",
+    "with_jacobian",
 ]
