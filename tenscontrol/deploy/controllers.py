@@ -22,6 +22,7 @@ from tenscontrol.control.mpc import (
     NEWTON_STEPS,
     RK4,
     START_RHO,
+    Condensed,
     MPCLaw,
     MPCProblem,
     OSQPSolver,
@@ -29,7 +30,6 @@ from tenscontrol.control.mpc import (
     Sparse,
     StageData,
     StageJacobians,
-    form_of,
 )
 from tenscontrol.validation import FloatArray, IntArray
 
@@ -81,7 +81,7 @@ class _LeastDistance:
 
     def __init__(self, problem: MPCProblem) -> None:
         N, a, rows = problem.length, problem.input_matrix.shape[1], problem.rows
-        self.form = form_of(problem, "condensed")
+        self.form = Condensed(problem)
         self.unknowns = count = problem.input_count
         soft = 0 if rows is None else len(rows.soft)
         widths = [a] * (1 if problem.change is None else 2)

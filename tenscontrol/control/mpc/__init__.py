@@ -1,7 +1,7 @@
 """Model predictive control, linear and nonlinear."""
 
 from tenscontrol.control.mpc.constraints import OutputLimit, clearance
-from tenscontrol.control.mpc.linear import MPC, MPCLaw, MPCStatistics, form_of
+from tenscontrol.control.mpc.linear import MPC, Condensed, MPCLaw, MPCStatistics
 from tenscontrol.control.mpc.nonlinear import CONVERGED, NMPC, NMPCStatistics
 from tenscontrol.control.mpc.problem import MPCProblem, StageData
 from tenscontrol.control.mpc.real_time_iteration import NEWTON_STEPS
@@ -25,6 +25,7 @@ __all__ = [
     "NMPC",
     "RK4",
     "START_RHO",
+    "Condensed",
     "DAQPSolver",
     "MPCLaw",
     "MPCProblem",
@@ -41,5 +42,4 @@ __all__ = [
     "StageJacobians",
     "active_set_source",
     "clearance",
-    "form_of",
 ]

@@ -258,8 +258,12 @@ class NMPC(PredictiveController):
 
     @property
     def solver(self) -> str:
-        """What solves its programs: ``"daqp"``, ``"osqp"``, ``"piqp"`` or the name of a class."""
-        return solver_name(self._plan.solver)
+        """What solves its programs: ``"daqp"``, ``"osqp"``, ``"piqp"`` or the name of a class.
+
+        ``"stages"`` is the compiled active set along the stages, which "auto" takes.
+        """
+        program = self._plan.program
+        return solver_name(program.solver) if isinstance(program, SparseSubproblem) else "stages"
 
     @property
     def weights(self) -> Triple:
