@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import LoadObserver
-from tenscontrol.control.mpc.least_distance import LeastDistance
+from tenscontrol.control.mpc.least_distance import LeastDistance, LeastDistanceArrays
 from tenscontrol.control.mpc.problem import MPCProblem, Pair, StageData, Subproblem, Triple
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
 from tenscontrol.control.mpc.settings import (
@@ -89,10 +89,10 @@ class NMPCLaw(PredictiveLaw):
 
     def program(self) -> Subproblem:
         """Return the SQP subproblem with its solver."""
-        if self.settings.solver == "auto" and self.model.back_end == "machine code":
-            return LeastDistance(
-                self.problem, self.row_bounds, self.settings.max_iterations, self.bounds
-            )
+        if self.settings.solver in ("auto", "daqp"):
+            compiled = self.settings.solver == "auto" and self.model.back_end == "machine code"
+            kind = LeastDistance if compiled else LeastDistanceArrays
+            return kind(self.problem, self.row_bounds, self.settings.max_iterations, self.bounds)
         # Stiff strings are sensitive to rest lengths: measured from those of the plan.
         form = self.subproblem()
         return SparseSubproblem(form, self.solver(form), relative=self.model.implicit)
@@ -263,7 +263,9 @@ class NMPC(PredictiveController):
         ``"stages"`` is the compiled active set along the stages, which "auto" takes.
         """
         program = self._plan.program
-        return solver_name(program.solver) if isinstance(program, SparseSubproblem) else "stages"
+        if isinstance(program, SparseSubproblem):
+            return solver_name(program.solver)
+        return "stages" if isinstance(program, LeastDistance) else "daqp"
 
     @property
     def weights(self) -> Triple:
