@@ -74,6 +74,7 @@ def test_program_satisfies_the_optimality_conditions():
         outputs=[limit],
         tolerance=1e-6,
         max_iterations=50_000,
+        solver="osqp",
     )
     stands = plant.rest_length - 2e-5
     nmpc.applied(stands)
