@@ -103,6 +103,10 @@ class SparsePlant:
     by_input: csr_array
     drift: FloatArray
 
+    def __post_init__(self) -> None:
+        for matrix in (self.stiffness, self.damping, self.by_input):
+            matrix.data.flags.writeable = False
+
 
 def norm(matrix: csr_array) -> float:
     """Return Frobenius' norm of a sparse matrix."""
