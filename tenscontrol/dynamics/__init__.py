@@ -8,7 +8,13 @@ from tenscontrol.dynamics.contact_laws import (
     SmoothGround,
 )
 from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates
-from tenscontrol.dynamics.equation import Equation, InputLayout, smooth_equation
+from tenscontrol.dynamics.equation import (
+    Equation,
+    InputLayout,
+    pack_state,
+    smooth_equation,
+    unpack_states,
+)
 from tenscontrol.dynamics.evaluator import (
     BUILDING,
     ColumnEvaluator,
@@ -22,6 +28,7 @@ from tenscontrol.dynamics.evaluator import (
     exclusive,
     solving,
 )
+from tenscontrol.dynamics.gravity import weights
 from tenscontrol.dynamics.machine_code import (
     Compiled,
     Compiler,
@@ -30,7 +37,7 @@ from tenscontrol.dynamics.machine_code import (
     compiled_library,
     compiler,
 )
-from tenscontrol.dynamics.model import Model, pack_state, unpack_states
+from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, Profile, as_pieces, polynomial_at
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
 from tenscontrol.dynamics.tangent import (
@@ -85,4 +92,5 @@ __all__ = [
     "string_stretch",
     "tangent",
     "unpack_states",
+    "weights",
 ]

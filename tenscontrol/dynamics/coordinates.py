@@ -327,22 +327,33 @@ class Coordinates:
             velocities = self._columns(flat)
         return velocities
 
-    def expressions(self, z: Any, near: Any = None) -> tuple[Any, Any]:
-        """Return expressions of node positions and velocities, shape (d, n), of ``[q; q̇]``, SX.
+    def displaced(self, z: Any) -> tuple[Any, Any]:
+        """Return expressions of positions and velocities, (d n, 1), as the basis alone says, SX.
+
+        Parameters
+        ----------
+        z : casadi.SX, shape (2r, 1)
+        """
+        r = self.count
+        T = ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
+        return ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(T, z[:r]), ca.mtimes(T, z[r:])
+
+    def kept_lengths(self, places: Any, rates: Any, near: Any = None) -> tuple[Any, Any]:
+        """Return expressions of positions and velocities, shape (d, n), with exact bar lengths.
 
         As :meth:`to_nodes` and :meth:`to_velocities`; no numbers where those raise.
 
         Parameters
         ----------
-        z : casadi.SX, shape (2r, 1)
+        places, rates : casadi.SX, shape (d n, 1)
+            What :meth:`displaced` returns.
         near : casadi.SX, optional
             Symbol for :meth:`hidden`, to be put in later: expressions and their first derivatives
             are then exact, and much shorter where bars share nodes.
         """
-        structure, r = self.structure, self.count
+        structure = self.structure
         shape = structure.nodes.shape
-        N = ca.SX(ca.DM(self.nodes) + ca.reshape(ca.mtimes(self._T, z[:r]), *shape))
-        V = ca.SX(ca.reshape(ca.mtimes(self._T, z[r:]), *shape))
+        N, V = (ca.SX(ca.reshape(part, *shape)) for part in (places, rates))
         share = structure.end_share
         for bar, column in zip(*self._alone[:1], self._alone[1].T, strict=True):
             start, end = structure.bars[bar].tolist()
@@ -358,37 +369,35 @@ class Coordinates:
                 V[:, node] += part * rate * axis
         if not self._normals:
             return N, V
-        parts = ca.vertsplit(self.hidden(z) if near is None else near, self._hidden_parts)
-        for i, (block, _) in enumerate(self._normals):
-            rows = block.rows.tolist()
-            places, speeds = ca.vec(N), ca.vec(V)
-            there, displaced, faster = parts[3 * i : 3 * i + 3]
-            places[rows] += displaced
+        hidden = self.hidden(places, rates) if near is None else near
+        for block, _ in self._normals:
+            rows, count = block.rows.tolist(), len(block.rows)
+            whole, speeds = ca.vec(N), ca.vec(V)
+            there, displaced, faster = (hidden[k * count : (k + 1) * count] for k in range(3))
+            hidden = hidden[3 * count :]
+            whole[rows] += displaced
             speeds[rows] += faster
             if near is not None:
                 # Nothing is left of lengths to correct, but of their derivatives.
                 step = self._normal_step(block)
-                _, excess, _ = self._lengths(ca.reshape(places, *shape), block)
-                places[rows] -= step(there, excess)
-                J, _, _ = self._lengths(ca.reshape(places, *shape), block)
+                _, excess, _ = self._lengths(ca.reshape(whole, *shape), block)
+                whole[rows] -= step(there, excess)
+                J, _, _ = self._lengths(ca.reshape(whole, *shape), block)
                 speeds[rows] -= step(there, ca.mtimes(J, speeds[rows]))
-            N, V = ca.reshape(places, *shape), ca.reshape(speeds, *shape)
+            N, V = ca.reshape(whole, *shape), ca.reshape(speeds, *shape)
         return N, V
 
-    def hidden(self, z: Any) -> Any:
+    def hidden(self, places: Any, rates: Any) -> Any:
         """Return what keeps the lengths of bars that share nodes, SX: empty where none do.
 
         For each block its places, and the displacements and velocities in its normal space, m and
-        m/s, of ``[q; q̇]``. By a fixed number of Newton's steps; no numbers where these do not lead
-        to the bar lengths.
+        m/s. By a fixed number of Newton's steps; no numbers where these do not lead to the lengths.
 
         Parameters
         ----------
-        z : casadi.SX, shape (2r, 1)
+        places, rates : casadi.SX, shape (d n, 1)
         """
-        r, shape, found = self.count, self.structure.nodes.shape, [ca.SX(0, 1)]
-        moved = ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(self._T, z[:r])
-        rates = ca.mtimes(self._T, z[r:])
+        shape, moved, found = self.structure.nodes.shape, places, [ca.SX(0, 1)]
         for block, _ in self._normals:
             places, rows, step = ca.SX(moved), block.rows.tolist(), self._normal_step(block)
             for _ in range(_STEPS):
@@ -401,19 +410,9 @@ class Coordinates:
         return ca.vertcat(*found)
 
     @property
-    def _T(self) -> Any:  # noqa: N802
-        return ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
-
-    @cached_property
-    def _hidden_parts(self) -> list[int]:
-        """Where the parts of :meth:`hidden` begin, and its size."""
-        sizes = [len(block.rows) for block, _ in self._normals for _ in range(3)]
-        return [sum(sizes[:i]) for i in range(len(sizes) + 1)]
-
-    @property
     def hidden_size(self) -> int:
         """Number of entries of :meth:`hidden`."""
-        return self._hidden_parts[-1]
+        return 3 * sum(len(block.rows) for block, _ in self._normals)
 
     def _lengths(self, N: Any, block: Block) -> tuple[Any, Any, Any]:
         """Return J and half the excess of squared lengths of a block, and the worst part, SX."""
