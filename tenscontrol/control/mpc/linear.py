@@ -30,7 +30,7 @@ from tenscontrol.control.mpc.settings import (
     solver_name,
 )
 from tenscontrol.control.mpc.solvers import DAQPSolver, QPSolver
-from tenscontrol.control.mpc.sparse import Sparse
+from tenscontrol.control.mpc.sparse import Sparse, Unlimited
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import (
     LinearPlant,
@@ -59,7 +59,8 @@ _OFF, _GROWS, _NEAR = 0.02, 0.5, 0.02
 # Least γ in a shape, relative to the largest: there a string is taken as taut.
 _TAUT = 1e-6
 
-# Beyond so many its dense matrices fill gigabytes.
+# Of unknown inputs. Beyond, dense matrices fill gigabytes, and a program takes so long that the
+# inputs without limits are looked at first.
 _MOST_CONDENSED = 5000
 
 
@@ -94,6 +95,7 @@ class MPCLaw(PredictiveLaw):
     plant: LinearPlant
     design: Design
     form: Form
+    unlimited: Unlimited | None
 
     def solver(self) -> QPSolver:
         """Return the solver of the programs, as it is before the first solve."""
@@ -140,6 +142,20 @@ class MPCLaw(PredictiveLaw):
         first = self._first_state(data, state, previous_input)
         previous = previous_within_bounds - data.origin[0]
         return self.form.vectors(first, data, previous)
+
+    def unlimited_inputs(
+        self,
+        data: StageData,
+        state: FloatArray,
+        previous_input: FloatArray,
+        previous_within_bounds: FloatArray,
+    ) -> FloatArray | None:
+        """Return the inputs of least cost, shape (N, α), if they are asked for and keep limits."""
+        if self.unlimited is None:
+            return None
+        first = self._first_state(data, state, previous_input)
+        plan = self.unlimited.plan(first, data, previous_within_bounds - data.origin[0])
+        return None if plan is None else data.origin + plan
 
     def inputs(
         self, x: FloatArray, data: StageData, state: FloatArray, previous_input: FloatArray
@@ -413,6 +429,9 @@ class MPC(PredictiveController):
             settings=given,
             design=made,
             form=form_of(made.problem, form, given),
+            unlimited=(
+                Unlimited(made.problem) if made.problem.input_count > _MOST_CONDENSED else None
+            ),
             load=None if self._observer is None else self._observer.model,
             path=ReferencePreview(plant, given.reference, made.sampled),
         )
@@ -503,17 +522,25 @@ class MPC(PredictiveController):
         free = law.free_response(data, state, previous)
         if observer is not None:
             observer.expect(free)
+        if (
+            plan := law.unlimited_inputs(data, state, previous, self._previous_within_bounds)
+        ) is not None:
+            self._iterations.append(0)
+            return self._take(plan, None, free)
         vectors = law.vectors(data, state, previous, self._previous_within_bounds)
         answer = self._solver.solve(*vectors, start=self._guess, deadline=deadline)
         self._iterations.append(answer.iterations)
         if answer.x is None or answer.y is None:
             return self._continue(answer.status)
-        # Solved to a tolerance: what is left outside the bounds is cut off.
         inputs = law.inputs(answer.x, data, state, previous)
-        self._plan = np.clip(inputs, self._low, self._high)
+        return self._take(inputs, law.form.shifted(answer.x, answer.y), free)
+
+    def _take(self, inputs: FloatArray, guess: Pair | None, free: FloatArray) -> Command:
+        """Take inputs, shape (N, α), for the plan, and command the first."""
+        # Solved to a tolerance: what is left outside the bounds is cut off.
+        self._plan, self._guess = np.clip(inputs, self._low, self._high), guess
         self._used = 0
-        self._guess = law.form.shifted(answer.x, answer.y)
-        self._predicted = free + law.design.sampled.by_input @ self._plan[0]
+        self._predicted = free + self._law.design.sampled.by_input @ self._plan[0]
         return Command(self._plan[0])
 
     def _fall_back(self, status: Status) -> Command:
