@@ -200,10 +200,12 @@ class Balance:
         the bounds that it ends at as equations, exact to round-off.
         """
         program = _Program.of(self, target, lower, upper)
-        inside = program.interior()
-        if inside is None:
-            return None
-        x, y = inside
+        x, y = np.zeros(self.rows.shape[1]), np.zeros(len(self.values))
+        if program.polished(x, y, 1) is None:  # a bound counts
+            inside = program.interior()
+            if inside is None:
+                return None
+            x, y = inside
         before = np.inf
         for _ in range(_REPETITIONS):
             found = program.polished(x, y)
@@ -300,13 +302,15 @@ class _Program:
             x, y, s, z = x + way * dx, y + way * dy, s + way * ds, z + way * dz
         return None
 
-    def polished(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    def polished(
+        self, x: FloatArray, y: FloatArray, sets: int = _SETS
+    ) -> tuple[FloatArray, FloatArray] | None:
         """Return better x and multipliers, at bounds as equations, or None if no set is right.
 
         Block principal pivoting (Júdice & Pires 1994, doi:10.1016/0305-0548(94)90106-6).
         """
         count, (lower, upper) = len(self.target), self.bounds
-        for _ in range(_SETS):
+        for _ in range(sets):
             found, multipliers = self._at(x, y)
             gamma, size = found[:count], max(1.0, float(np.abs(found[:count]).max()))
             slope = gamma - self.target + (self.A.T @ multipliers)[:count]
