@@ -278,6 +278,7 @@ class _Program:
             if not np.isfinite(mean) or np.abs(y).max(initial=0.0) > 1 / _ROUND_OFF:
                 return None
             if mean < _GAP * size and max(np.abs(short).max(), np.abs(gap).max()) < _EXACT * size:
+                self.side[:] = 0
                 np.add.at(self.side, at, np.where(z > s, -sign, 0).astype(np.int8))
                 return x, y
             factors = self._factored(weight + np.bincount(at, z / s, minlength=k), self.A)
