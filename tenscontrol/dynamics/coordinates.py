@@ -57,7 +57,7 @@ _MOST, _STEPS, _EXACT = 30, 6, 1e-10
 # A shape is laid over the reference when the next step is below this part of its size.
 _LAID = 1e-15
 
-# Entries of a dense matrix up to which it multiplies as fast as a sparse one.
+# Entries up to which a dense matrix multiplies as fast as a sparse one.
 _SMALL = 4_000_000
 
 KINDS = ("nodes", "minimal", "internal")
@@ -91,8 +91,7 @@ class Coordinates:
     _momenta: csr_array  # (m, d n): y = momenta @ vec(δN)
     _mass: csr_array  # (n, n): M_s
     _inside: Complement | FloatArray | None = None  # H, (m, r); None for all of y
-    # F, (d n, k), G, (k, f), rows (f,): δN is less by F G δN[rows], what feet move as one body,
-    # and on the feet nothing is left.
+    # F, G, rows: δN is less by F G δN[rows], what feet move as one body, and on them it is zero.
     _feet: tuple[FloatArray, FloatArray, IntArray] | None = None
 
     @property
@@ -125,10 +124,15 @@ class Coordinates:
         ----------
         values : ndarray or csr_array, shape (m,) or (m, k)
         """
+        if isinstance(self._inside, np.ndarray):
+            return np.asarray((values.T @ self._inside).T)
         dense = values.toarray() if hasattr(values, "toarray") else np.array(values)
-        if isinstance(self._inside, Complement):
-            return self._inside.transposed(dense)
-        return dense if self._inside is None else np.asarray(self._inside.T @ dense)
+        return dense if self._inside is None else self._inside.transposed(dense)
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether they are all of the minimal coordinates y but for motions as one body."""
+        return self.kind != "nodes" and not isinstance(self._inside, np.ndarray)
 
     def within(self, inside: FloatArray) -> Coordinates:
         """Return fewer coordinates p, ``q = inside @ p``, with orthonormal columns, shape (r, k).
@@ -143,11 +147,11 @@ class Coordinates:
     @cached_property
     def rigid(self) -> FloatArray:
         """Orthonormal basis, in y, of the motions as one body that supports leave, shape (m, k)."""
-        if isinstance(self._inside, Complement):
-            return self._inside.outside
-        return Complement(
-            self._momenta @ left_by_supports(self.structure, rigid_motions(self.nodes))
-        ).outside
+        found = self._inside
+        if not isinstance(found, Complement):
+            left = left_by_supports(self.structure, rigid_motions(self.nodes))
+            found = Complement(self._momenta @ left)
+        return frozen(found.outside)
 
     def to_sparse(self, q: FloatArray) -> FloatArray:
         """Return y = H q, shape (m,) or (m, k).
