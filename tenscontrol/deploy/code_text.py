@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control import Controller
-from tenscontrol.control.mpc import OSQPSolver
+from tenscontrol.control.mpc import OSQPSolver, active_set_source
 from tenscontrol.deploy.controllers import LawCode
 from tenscontrol.deploy.measurement_code import measurement
 from tenscontrol.dynamics import builds
@@ -63,6 +63,8 @@ def code_files(controller: Controller, law: LawCode, name: str) -> dict[str, str
         "README.txt": _template("README.txt", name, words),
         **_casadi(functions, name),
     }
+    if law.active_set:
+        texts[f"{name}_active_set.h"] = active_set_source()
     return texts if law.program is None else texts | _solver(law.program, name, set(texts))
 
 

@@ -10,7 +10,7 @@ their derivatives are CasADi functions; the program gives the places of their va
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil, floor
 
 import casadi as ca
@@ -22,6 +22,7 @@ from tenscontrol.control.mpc import (
     NEWTON_STEPS,
     RK4,
     START_RHO,
+    Condensed,
     MPCLaw,
     MPCProblem,
     OSQPSolver,
@@ -34,6 +35,9 @@ from tenscontrol.validation import FloatArray, IntArray
 
 # Maps read from a controller must agree with it at any other point, to this fraction.
 _AGREEMENT = 1e-9
+
+# Violations that the C code takes for round-off, in units of a row.
+_TOLERANCE = 1e-11
 
 # Numbers that a table may have: some hundred megabytes of C text.
 _LARGEST = 5_000_000
@@ -51,6 +55,7 @@ class LawCode:
     # Number of the first sample, and what depends on time alone, shape (K, m), a row a sample.
     table: tuple[int, FloatArray] | None = None
     functions: dict[str, ca.Function] = field(default_factory=dict)  # besides the measurement
+    active_set: bool = False  # whether it solves programs by the active-set method
 
 
 def lqr_code(controller: LQR) -> LawCode:
@@ -67,26 +72,74 @@ def lqr_code(controller: LQR) -> LawCode:
     return LawCode(("lqr.c",), {"RAMP": ramp}, {}, matrices)
 
 
+class _LeastDistance:
+    """The condensed program of a law, its rows stage by stage, violations as prices of rows.
+
+    ``low`` and ``high`` are the rows with the two bounds of each; a soft row that is bounded on
+    both sides stands in the program twice.
+    """
+
+    def __init__(self, problem: MPCProblem) -> None:
+        N, a, rows = problem.length, problem.input_matrix.shape[1], problem.rows
+        self.form = Condensed(problem)
+        self.unknowns = count = problem.input_count
+        soft = 0 if rows is None else len(rows.soft)
+        widths = [a] * (1 if problem.change is None else 2)
+        widths.append(0 if rows is None else len(rows.scale) - soft)
+        # The last rows are the bounds of violations.
+        limits = np.arange(self.form.A.shape[0] - N * soft)
+        sign = self.form.A[:, count:].sum(axis=1)[limits]
+        above, below = limits[sign < 0], limits[sign > 0]
+        parts = np.split(limits[sign == 0], N * np.cumsum(widths)[:-1])
+        self.low, self.high = (
+            np.hstack([*(part.reshape(N, -1) for part in parts), soft_rows.reshape(N, -1)])
+            for soft_rows in (below if len(below) else above, above if len(above) else below)
+        )
+        self.width = sum(widths) + soft  # rows of a stage
+        self.price = np.full((N, self.width), np.inf)
+        self.price[:, self.width - soft :] = self.form.P.diagonal()[count:].reshape(N, -1)
+
+    def response(self) -> FloatArray:
+        """Return what inputs, the first of all last, do to the rows of a stage; it is the same."""
+        by_row = self.form.A[:, : self.unknowns].tocsr()
+        N, width = len(self.low), self.width
+        found: FloatArray = by_row[self.low[-1]].toarray()
+        for k, rows in enumerate(self.low):
+            moved = np.zeros((width, self.unknowns))
+            moved[:, : (k + 1) * self.unknowns // N] = found[:, (N - 1 - k) * self.unknowns // N :]
+            error = float(np.abs(by_row[rows].toarray() - moved).max())
+            if not error <= _AGREEMENT * max(1.0, float(np.abs(found).max())):
+                raise ValueError(
+                    f"controller has a program whose stage {k} is not like the last (off by "
+                    f"{error:.1e}), so it cannot be written as C code"
+                )
+        return found
+
+
 class _Reader:
     """Reads the maps of a law, at any time and for any load."""
 
-    def __init__(self, law: MPCLaw) -> None:
-        self._law = law
+    def __init__(self, law: MPCLaw, program: _LeastDistance) -> None:
+        self._law, self._program = replace(law, form=program.form), program
         s, a = law.plant.B.shape
         self.loads = 0 if law.load is None else law.plant.degrees_of_freedom
-        self.rows, self.unknowns = law.form.A.shape
         # Of state, previous input, the same within bounds, and load.
         self.sizes = s, a, a, self.loads
 
     def vectors(self, time: float, given: FloatArray) -> FloatArray:
-        """Return q, l and u, end to end, for what is given."""
+        """Return q and both bounds, end to end, for what is given."""
         z, previous, bounded, load = self._split(given, *self.sizes)
-        return np.concatenate(self._law.vectors(self._stage_data(time, load), z, previous, bounded))
+        q, low, high = self._law.vectors(self._stage_data(time, load), z, previous, bounded)
+        program = self._program
+        return np.concatenate([
+            q[: program.unknowns], low[program.low.ravel()], high[program.high.ravel()]
+        ])  # fmt: skip
 
-    def inputs(self, time: float, known: FloatArray) -> FloatArray:
-        """Return the planned inputs for solution and what is given."""
-        x, z, previous, _, load = self._split(known, self.unknowns, *self.sizes)
-        return self._law.inputs(x, self._stage_data(time, load), z, previous).ravel()
+    def inputs(self, time: float, given: FloatArray) -> FloatArray:
+        """Return the planned inputs for what is given, where the solution is zero."""
+        z, previous, _, load = self._split(given, *self.sizes)
+        nothing = np.zeros(self._program.form.A.shape[1])
+        return self._law.inputs(nothing, self._stage_data(time, load), z, previous).ravel()
 
     def free_response(self, time: float, given: FloatArray) -> FloatArray:
         """Return the state a sample later without the input to come, for what is given."""
@@ -98,7 +151,7 @@ class _Reader:
         point = np.zeros(sum(self.sizes))
         parts = [
             self.vectors(time, point),
-            self.inputs(time, np.zeros(self.unknowns + len(point))),
+            self.inputs(time, point),
             self._stage_data(time, np.zeros(self.loads)).previous_origin,
         ]
         if self.loads:
@@ -114,12 +167,13 @@ class _Reader:
 
 
 def mpc_code(controller: MPC) -> LawCode:
-    """Return the code of a linear MPC."""
+    """Return the code of a linear MPC, whose program is condensed whatever its form in Python."""
     law = controller.law
     _refuse_time_limit(law.settings.longest_time)
-    reader = _Reader(law)
-    unknowns, rows = reader.unknowns, reader.rows
     problem, sampled = law.design.problem, law.design.sampled
+    program = _LeastDistance(problem)
+    reader = _Reader(law, program)
+    unknowns, rows = program.unknowns, program.low.size
     first, table = _time_table(law.path.span, law.settings.sample_time, problem.length, reader.row)
     times = first * law.settings.sample_time, (first + len(table) - 1) * law.settings.sample_time
     given = sum(reader.sizes)
@@ -129,24 +183,27 @@ def mpc_code(controller: MPC) -> LawCode:
     moved = np.where(np.isfinite(offset[unknowns : unknowns + rows])[:, None], low, high)
     matrices = {
         "vectors": np.vstack([slope[:unknowns], moved]),
-        "inputs": _read(reader.inputs, unknowns + given, times)[1],
+        "inputs": _read(reader.inputs, given, times)[1],
     }
     if law.load is not None:
         matrices["free_response"] = _read(reader.free_response, given, times)[1]
         matrices["by_input"] = sampled.by_input
         matrices["load_gain"] = law.load.gain
-    x, y = law.form.shifted(np.arange(1.0, unknowns + 1), np.arange(1.0, rows + 1))
-    arrays = {"source_of_x": x.astype(np.int64) - 1, "source_of_y": y.astype(np.int64) - 1}
     constants: dict[str, int | float] = {
         "UNKNOWNS": unknowns,
         "ROWS": rows,
-        "PLANNED": problem.input_count,
+        "SOFT": int(np.isfinite(program.price).sum()),
+        "STAGE_ROWS": program.width,
+        "STAGE_INPUTS": unknowns // problem.length,
+        "PLANNED": unknowns,
         "LOADS": reader.loads,
-        "FIRST_RHO": START_RHO,
+        "LEVEL": float(problem.level),
+        "ITERATIONS": law.settings.max_iterations,
+        "TOLERANCE": _TOLERANCE,
     }
-    templates = "program.c", "time_table.c", "mpc.c"
-    # A new program: that of the controller may be in the middle of a run.
-    return LawCode(templates, constants, arrays, matrices, _osqp(law.solver()), (first, table))
+    arrays = {"price": program.price.ravel(), "response": program.response()}
+    templates = "least_distance.c", "time_table.c", "mpc.c"
+    return LawCode(templates, constants, arrays, matrices, table=(first, table), active_set=True)
 
 
 def _read(

@@ -7,7 +7,7 @@ from tenscontrol.dynamics.contact_laws import (
     HertzGround,
     SmoothGround,
 )
-from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates, normal_basis
+from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates
 from tenscontrol.dynamics.equation import (
     Equation,
     InputLayout,
@@ -40,6 +40,13 @@ from tenscontrol.dynamics.machine_code import (
 from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, Profile, as_pieces, polynomial_at
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
+from tenscontrol.dynamics.tangent import (
+    Tangent,
+    normal_basis,
+    refuse_large,
+    string_stretch,
+    tangent,
+)
 
 __all__ = [
     "BUILDING",
@@ -66,6 +73,7 @@ __all__ = [
     "SharedEvaluator",
     "SmoothGround",
     "StringLaw",
+    "Tangent",
     "as_pieces",
     "builds",
     "built",
@@ -78,8 +86,11 @@ __all__ = [
     "normal_basis",
     "pack_state",
     "polynomial_at",
+    "refuse_large",
     "smooth_equation",
     "solving",
+    "string_stretch",
+    "tangent",
     "unpack_states",
     "weights",
 ]

@@ -3,14 +3,12 @@
 from tenscontrol.simulation.batch import Batch, simulate_many
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
+from tenscontrol.simulation.health import AccuracyWarning, Health, HealthLimits
 from tenscontrol.simulation.loop import SimulationError
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.simulation.simulate import checked_load, initial_state, simulate
 from tenscontrol.simulation.trajectory import (
-    AccuracyWarning,
     ControlRecord,
-    Health,
-    HealthLimits,
     Trajectory,
 )
 

@@ -19,8 +19,9 @@ from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
+from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
 from tenscontrol.simulation.loop import Loop, SimulationError, support_offset
-from tenscontrol.simulation.trajectory import AccuracyWarning, HealthLimits, Trajectory
+from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import (
     carried_by_supports,
     refuse_moved_supports,
@@ -363,13 +364,14 @@ def simulate(
 
 def _check(run: Trajectory, limits: HealthLimits) -> None:
     """Warn or raise where the motion passes a limit."""
-    passed = limits.passed(run.health)
+    health = run.health_of(limits.names)
+    passed = limits.passed(health)
     if not passed:
         return
     finer = "a smaller tolerance" if run.step is None else f"a step below {run.step:g} s"
     text = "; ".join(passed)
     # How deep nodes sink, and a fall, are no errors of the integration.
-    if replace(limits, penetration=None, fall=None).passed(run.health):
+    if replace(limits, penetration=None, fall=None).passed(health):
         text += f": the motion may not be accurate. Try {finer}"
     if limits.action == "raise":
         raise SimulationError(text, run)

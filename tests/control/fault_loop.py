@@ -10,7 +10,7 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.control.mpc import OSQPSolver, QPSolution
+from tenscontrol.control.mpc import DAQPSolver, OSQPSolver, QPSolution
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import sampled_dynamics
 
@@ -82,9 +82,10 @@ def broken(rng, nodes, velocities):
     return nodes, velocities
 
 
-def unsolved(status):
-    """A solver that does not solve."""
-    return lambda self, q, l, u, **_: QPSolution(status, None, None, 1)  # noqa: E741
+def solve_nothing(patch, status, iterations=1):
+    """Let no solver solve."""
+    for kind in (DAQPSolver, OSQPSolver):
+        patch.setattr(kind, "solve", lambda *_, **__: QPSolution(status, None, None, iterations))
 
 
 @dataclass
@@ -142,7 +143,7 @@ class FaultLoop:
         strings = self.rng.choice(9, size=self.rng.integers(1, 4), replace=False)
         if fault in SOLVER:
             with monkeypatch.context() as patch:
-                patch.setattr(OSQPSolver, "solve", unsolved(SOLVER[fault]))
+                solve_nothing(patch, SOLVER[fault])
                 return [self.sample() for _ in range(samples)]
         if fault == "cut":
             strings = strings[:1]

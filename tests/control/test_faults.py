@@ -27,7 +27,7 @@ from tests.control.fault_loop import (
     broken,
     controller,
     plant,
-    unsolved,
+    solve_nothing,
 )
 
 # Samples after the end of a fault by which a status is good again.
@@ -247,7 +247,7 @@ def test_time_that_osqp_counts_before_the_solve_is_given_back(monkeypatch):
 
     looks = count()
     monkeypatch.setattr(
-        "tenscontrol.control.mpc.osqp_adapter.perf_counter", lambda: 0.25 * next(looks)
+        "tenscontrol.control.mpc.solvers.osqp_adapter.perf_counter", lambda: 0.25 * next(looks)
     )
     dense, zero = np.random.default_rng(0).normal(size=(5, 5)), np.zeros(5)
     program = OSQPSolver(identity(5).tocsc(), csc_array(dense), 1e-6, 4000)
@@ -272,7 +272,7 @@ def test_a_plan_that_is_used_up_ends_in_what_is_safe(kind, held, monkeypatch):
     assert made.command(0.0, pushed(held), STILL).status == "ok"
     plan, horizon = made.plan, HORIZON[kind]
     with monkeypatch.context() as patch:
-        patch.setattr(OSQPSolver, "solve", unsolved(Status.INFEASIBLE))
+        solve_nothing(patch, Status.INFEASIBLE)
         before = made.command(STEP, pushed(held), STILL).value
         np.testing.assert_allclose(before, plan[:, 1], atol=1e-12)
         for k in range(2, horizon + 20):

@@ -87,7 +87,7 @@ def test_name_that_is_none_in_c(name, tmp_path):
 
 
 def test_name_of_a_file_of_the_solver(tmp_path):
-    mpc = tc.MPC(
+    mpc = tc.NMPC(
         scenes.plant("force_density"), horizon=2, sample_time=scenes.SAMPLE, max_force_density=80.0
     )
     with pytest.raises(ValueError, match=r"name is 'kkt', but OSQP has a file 'kkt\.[ch]'"):

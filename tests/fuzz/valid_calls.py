@@ -209,7 +209,8 @@ WITHIN = {
     "control.Controller.take_over",
     "plant.LinearPlant.refuse_long_sample_time",
     "dynamics.Coordinates.laid_over",
-    "dynamics.Coordinates.expressions",
+    "dynamics.Coordinates.displaced",
+    "dynamics.Coordinates.kept_lengths",
     "dynamics.Coordinates.hidden",
     "Height.miss",
     "NodesAt.miss",
@@ -911,7 +912,7 @@ SETTINGS = {
     "tolerance": 1e-4,
     "max_iterations": 4000,
     "time_limit": 1.0,
-    "solver": "osqp",
+    "solver": "auto",
 }
 call(
     "control.MPCSettings",

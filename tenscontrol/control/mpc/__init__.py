@@ -1,13 +1,21 @@
 """Model predictive control, linear and nonlinear."""
 
 from tenscontrol.control.mpc.constraints import OutputLimit, clearance
-from tenscontrol.control.mpc.linear import MPC, MPCLaw, MPCStatistics
+from tenscontrol.control.mpc.linear import MPC, Condensed, MPCLaw, MPCStatistics
 from tenscontrol.control.mpc.nonlinear import CONVERGED, NMPC, NMPCStatistics
-from tenscontrol.control.mpc.osqp_adapter import START_RHO, OSQPSolver
-from tenscontrol.control.mpc.problem import MPCProblem, QPSolution, QPSolver, StageData
+from tenscontrol.control.mpc.problem import MPCProblem, StageData, StageJacobians
 from tenscontrol.control.mpc.real_time_iteration import NEWTON_STEPS
 from tenscontrol.control.mpc.settings import MPCSettings
-from tenscontrol.control.mpc.shooting import RK4, StageJacobians
+from tenscontrol.control.mpc.shooting import RK4
+from tenscontrol.control.mpc.solvers import (
+    START_RHO,
+    DAQPSolver,
+    OSQPSolver,
+    PIQPSolver,
+    QPSolution,
+    QPSolver,
+    active_set_source,
+)
 from tenscontrol.control.mpc.sparse import Sparse
 
 __all__ = [
@@ -17,6 +25,8 @@ __all__ = [
     "NMPC",
     "RK4",
     "START_RHO",
+    "Condensed",
+    "DAQPSolver",
     "MPCLaw",
     "MPCProblem",
     "MPCSettings",
@@ -24,10 +34,12 @@ __all__ = [
     "NMPCStatistics",
     "OSQPSolver",
     "OutputLimit",
+    "PIQPSolver",
     "QPSolution",
     "QPSolver",
     "Sparse",
     "StageData",
     "StageJacobians",
+    "active_set_source",
     "clearance",
 ]

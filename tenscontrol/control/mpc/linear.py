@@ -14,7 +14,6 @@ from tenscontrol.control.mpc.problem import (
     LimitRows,
     MPCProblem,
     Pair,
-    QPSolver,
     StageData,
     Triple,
     shifted,
@@ -27,7 +26,10 @@ from tenscontrol.control.mpc.settings import (
     SettingsKeywords,
     design,
     make_solver,
+    solver_kind,
+    solver_name,
 )
+from tenscontrol.control.mpc.solvers import DAQPSolver, QPSolver
 from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import (
@@ -46,7 +48,8 @@ if TYPE_CHECKING:
 _FORMS = ("auto", "condensed", "sparse")
 
 # Up to so many unknown inputs the dense form is the cheaper one: tests/benchmarks/mpc_step.py.
-_LARGEST_CONDENSED = 600
+_LARGEST_CONDENSED: dict[type[QPSolver], int] = {DAQPSolver: 3000}
+_LARGEST_OF_OTHERS = 600
 
 # A reference is farther than the linear plant holds where its loop comes to rest off by more than
 # this part of the size, or errors grow faster, 1/s. Those nearer than the third part of the size
@@ -205,6 +208,8 @@ class Condensed(Form):
     the problem in the v_k takes tens.
     """
 
+    dense = True
+
     def __init__(self, problem: MPCProblem) -> None:
         from scipy.linalg import solve_triangular
         from scipy.sparse import block_diag, csc_array, diags_array, hstack, identity
@@ -320,10 +325,11 @@ def _trimmed(matrix: FloatArray) -> csc_array:
     return csc_array(np.where(np.abs(matrix) > 1e-14 * np.abs(matrix).max(), matrix, 0.0))
 
 
-def form_of(problem: MPCProblem, form: str) -> Form:
+def form_of(problem: MPCProblem, form: str, settings: MPCSettings) -> Form:
     """Return a form by its name, or raise where there is none, or it would be too large."""
     if choice("form", form, _FORMS) == "auto":
-        form = "condensed" if problem.input_count <= _LARGEST_CONDENSED else "sparse"
+        largest = _LARGEST_CONDENSED.get(solver_kind(settings, dense=True), _LARGEST_OF_OTHERS)
+        form = "condensed" if problem.input_count <= largest else "sparse"
     if form == "condensed" and problem.input_count > _MOST_CONDENSED:
         raise ValueError(
             f"form is 'condensed', which is dense, for {problem.input_count} unknown inputs; "
@@ -359,7 +365,7 @@ class MPC(PredictiveController):
         In internal coordinates.
     form : {"auto", "condensed", "sparse"}
         How the program is written. Both give the same inputs; "auto" takes the
-        cheaper one by size.
+        cheaper one by size and solver.
     **settings
         Horizon and sample time, and bounds, weights, limits and solver, as keyword arguments of
         :class:`MPCSettings`.
@@ -406,7 +412,7 @@ class MPC(PredictiveController):
             plant=plant,
             settings=given,
             design=made,
-            form=form_of(made.problem, form),
+            form=form_of(made.problem, form, given),
             load=None if self._observer is None else self._observer.model,
             path=ReferencePreview(plant, given.reference, made.sampled),
         )
@@ -449,6 +455,11 @@ class MPC(PredictiveController):
     def form(self) -> str:
         """``"condensed"`` or ``"sparse"``."""
         return "condensed" if isinstance(self._law.form, Condensed) else "sparse"
+
+    @property
+    def solver(self) -> str:
+        """What solves its programs: ``"daqp"``, ``"osqp"``, ``"piqp"`` or the name of a class."""
+        return solver_name(self._solver)
 
     @property
     def statistics(self) -> MPCStatistics:
@@ -521,5 +532,5 @@ class MPC(PredictiveController):
     def __repr__(self) -> str:
         return (
             f"MPC({self.plant!r}, horizon {self.horizon}, "
-            f"sample time {self.sample_time:g} s, {self.form})"
+            f"sample time {self.sample_time:g} s, {self.form}, {self.solver})"
         )

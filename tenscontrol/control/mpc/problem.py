@@ -1,4 +1,4 @@
-"""The finite-horizon problem of MPC as data, and the interface of what solves it.
+"""The finite-horizon problem of MPC as data, and the interface of its programs.
 
     minimize    Σ (z_k − r_k)ᵀ Q (z_k − r_k) + Σ (v_k − s_k)ᵀ R (v_k − s_k)
                 + (z_N − r_N)ᵀ P (z_N − r_N) + Σ 2 πᵀ (e_k + ½ e_k²)
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from tenscontrol.validation import FloatArray, IntArray, freeze_arrays, frozen
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
+
 
 Pair = tuple[FloatArray, FloatArray]
 Triple = tuple[FloatArray, FloatArray, FloatArray]
@@ -317,6 +318,7 @@ def shifted(vector: FloatArray, length: int, widths: list[int], repeat: bool) ->
 class Form(ABC):
     """One way to write the problem as ``min ½ xᵀ P x + qᵀ x, l ≤ A x ≤ u``."""
 
+    dense: ClassVar[bool]  # whether rows of A are mostly full
     P: csc_array
     A: csc_array
 
@@ -334,98 +336,72 @@ class Form(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class QPSolution:
-    """Answer to a quadratic program.
+class StageJacobians:
+    """First-order functions along a trajectory: ``value ≈ offset + Σ slope · argument``.
 
-    Attributes
-    ----------
-    status : Status
-    x, y : ndarray or None
-        Primal and dual solution; None unless the status is ``OK``.
-    iterations : int
+    Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j. Those
+    of the motion are by z_k, u_k and, where inputs are ramps, u_{k−1}; those of limited rows by
+    z_k, u_k and z_{k+1}. They are views of memory that the next call may overwrite.
+    """
+
+    offset: FloatArray  # (N, m)
+    slopes: tuple[FloatArray, ...]  # (N, columns, m) each
+
+
+def applied(slopes: FloatArray, arguments: FloatArray) -> FloatArray:
+    """Return what arguments, shape (K, columns), make of slopes stored by columns."""
+    return np.asarray((arguments[:, None, :] @ slopes)[:, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class SubproblemSolution:
+    """Status, iterations of the solver, and the improved plan; None unless the status is OK.
+
+    The plan is z_0 … z_N, shape (N + 1, s), and u_{−1} … u_{N−1}, shape (N + 1, α).
     """
 
     status: Status
-    x: FloatArray | None
-    y: FloatArray | None
     iterations: int
+    plan: Pair | None
 
 
-class QPSolver(ABC):
-    """Solver of ``min ½ xᵀ P x + qᵀ x  subject to  l ≤ A x ≤ u`` of one fixed pattern.
+class Subproblem(ABC):
+    """The quadratic program that improves a plan: a step of sequential quadratic programming.
 
-    Dual variables y have the sign of ``P x + q + Aᵀ y = 0``: positive at upper bounds.
-
-    Parameters
-    ----------
-    P : sparse array, shape (k, k)
-        Symmetric positive semidefinite; all of it.
-    A : sparse array, shape (m, k)
-    tolerance : float
-        Absolute and relative tolerance of the residuals.
-    max_iterations : int
-    equations : bool
-        Whether many rows of A are equations, and all are in units of their own already.
+    ``solver_name`` says what solves it.
     """
 
-    @abstractmethod
-    def __init__(
-        self,
-        P: csc_array,
-        A: csc_array,
-        tolerance: float,
-        max_iterations: int,
-        *,
-        equations: bool = False,
-    ) -> None: ...
-
-    @abstractmethod
-    def update(self, A: FloatArray) -> None:
-        """Put other values into A, in the order of its columns; the pattern stays.
-
-        Parameters
-        ----------
-        A : ndarray, shape (nonzeros of A,)
-
-        Raises
-        ------
-        ValueError
-            If there are not as many values as A has nonzeros, or one is not finite.
-        """
-
-    @abstractmethod
-    def solve(
-        self,
-        q: FloatArray,
-        l: FloatArray,  # noqa: E741 - the letters of the problem
-        u: FloatArray,
-        start: Pair | None = None,
-        deadline: float = np.inf,
-    ) -> QPSolution:
-        """Solve for new vectors, from the last solution or from a given start.
-
-        Parameters
-        ----------
-        q : ndarray, shape (k,)
-        l, u : ndarray, shape (m,)
-            May be infinite.
-        start : pair of ndarray, shapes (k,) and (m,), optional
-            Primal and dual vectors to start from.
-        deadline : float
-            When ``perf_counter`` says so, s, the solve is given up: before it
-            begins, or at the end of an iteration.
-
-        Returns
-        -------
-        QPSolution
-            Data that are not finite, and bounds that cross, are answered by a status.
-
-        Raises
-        ------
-        ValueError
-            If a vector has the wrong length.
-        """
+    solver_name: str
 
     @abstractmethod
     def reset(self) -> None:
         """Forget the last solution, and all that was adapted to it."""
+
+    @abstractmethod
+    def forget(self) -> None:
+        """Forget the last solution."""
+
+    @abstractmethod
+    def shift(self) -> None:
+        """Move the last solution, which the next one starts from, on by a sample."""
+
+    @abstractmethod
+    def linearize(
+        self, states: FloatArray, inputs: FloatArray, motion: StageJacobians,
+        rows: StageJacobians | None,
+    ) -> bool:  # fmt: skip
+        """Prepare the program along a plan; return False where data are not finite.
+
+        The plan is that of :class:`SubproblemSolution`; rows are None where none are limited.
+        """
+
+    @abstractmethod
+    def solve(
+        self, state: FloatArray, data: StageData, previous: FloatArray, acting: FloatArray,
+        deadline: float,
+    ) -> SubproblemSolution:  # fmt: skip
+        """Solve the program prepared last for a measured state, shape (s,), once.
+
+        Changes are limited from ``previous``, the motion starts with the input ``acting``, shape
+        (α,) each. ``deadline`` is as for :meth:`QPSolver.solve`.
+        """

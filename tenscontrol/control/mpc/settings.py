@@ -13,15 +13,14 @@ from tenscontrol.actuation import Winches
 from tenscontrol.control.controller import Controller, warn_of_unreached
 from tenscontrol.control.disturbance import LoadModel, LoadObserver, load_observer
 from tenscontrol.control.mpc.constraints import OutputLimit, broken_limits, output_block
-from tenscontrol.control.mpc.osqp_adapter import OSQPSolver
 from tenscontrol.control.mpc.problem import (
     Constraints,
     Form,
     MPCProblem,
-    QPSolver,
     RowBlock,
     string_block,
 )
+from tenscontrol.control.mpc.solvers import DAQPSolver, OSQPSolver, PIQPSolver, QPSolver
 from tenscontrol.control.status import ControlWarning
 from tenscontrol.plant import (
     LinearPlant,
@@ -63,7 +62,11 @@ _NUMBERS = (
     "max_force_density", "Q", "R", "max_change", "min_force_density", "max_tension", "tracked"
 )  # fmt: skip
 
-_SOLVERS: dict[str, type[QPSolver]] = {"osqp": OSQPSolver}
+_SOLVERS: dict[str, type[QPSolver]] = {
+    "daqp": DAQPSolver,
+    "osqp": OSQPSolver,
+    "piqp": PIQPSolver,
+}
 
 
 class SettingsKeywords(TypedDict, total=False):
@@ -142,8 +145,12 @@ class MPCSettings:
         Time for a command, s, from its call. A program that is not solved by then
         is given up at the end of an iteration of the solver. The few operations that follow are
         not counted.
-    solver : str or subclass of QPSolver
-        What solves the quadratic programs; ``"osqp"`` by name.
+    solver : {"auto", "daqp", "osqp", "piqp"} or subclass of QPSolver
+        What solves the quadratic programs. DAQP, an active set, is exact to round-off, and the
+        fastest where a program is dense; OSQP (ADMM, to the tolerance) where it is sparse and
+        large. "auto" takes the one or the other by the form of the program; see the attribute
+        ``solver`` of a controller. PIQP, an interior point for sparse programs, needs the extra
+        ``tenscontrol[piqp]``, and is never taken unless named.
 
     Raises
     ------
@@ -175,7 +182,7 @@ class MPCSettings:
     tolerance: float = 1e-4
     max_iterations: int = 4000
     time_limit: float | None = None
-    solver: str | type[QPSolver] = "osqp"
+    solver: str | type[QPSolver] = "auto"
 
     def __post_init__(self) -> None:
         if self.winches is not None:
@@ -214,8 +221,8 @@ class MPCSettings:
     def _check_solver(self) -> None:
         solver = self.solver
         if isinstance(solver, str):
-            if solver not in _SOLVERS:
-                known = ", ".join(map(repr, _SOLVERS))
+            if solver != "auto" and solver not in _SOLVERS:
+                known = ", ".join(map(repr, ("auto", *_SOLVERS)))
                 raise ValueError(
                     f"solver is {solver!r}, expected one of {known}, or a subclass of QPSolver"
                 )
@@ -228,10 +235,25 @@ class MPCSettings:
         return np.inf if self.time_limit is None else self.time_limit
 
 
+def solver_kind(settings: MPCSettings, dense: bool) -> type[QPSolver]:
+    """Return what solves programs that are dense, or sparse."""
+    named = settings.solver
+    if named == "auto":
+        named = "daqp" if dense else "osqp"
+    return _SOLVERS[named] if isinstance(named, str) else named
+
+
 def make_solver(settings: MPCSettings, form: Form, equations: bool = False) -> QPSolver:
     """Return a solver of a program, as it is before the first solve."""
-    kind = _SOLVERS[settings.solver] if isinstance(settings.solver, str) else settings.solver
+    kind = solver_kind(settings, form.dense)
     return kind(form.P, form.A, settings.tolerance, settings.max_iterations, equations=equations)
+
+
+def solver_name(solver: QPSolver) -> str:
+    """Return the name by which a solver is chosen, or that of its class."""
+    return next(
+        (name for name, kind in _SOLVERS.items() if type(solver) is kind), type(solver).__name__
+    )
 
 
 def _checked_penalty(value: object) -> float:
@@ -392,6 +414,12 @@ class PredictiveLaw:
         """Return the law that follows another reference."""
         settings = replace(self.settings, reference=reference)
         return replace(self, settings=settings, path=self.path.following(reference))
+
+    def solved_by(self, solver: str) -> Self:
+        """Return the law whose programs another solver solves, unless it is a class of a user's."""
+        if not isinstance(self.settings.solver, str):
+            return self
+        return replace(self, settings=replace(self.settings, solver=solver))
 
 
 class PredictiveController(Controller):

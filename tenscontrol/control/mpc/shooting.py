@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import solve_stacked
-from tenscontrol.control.mpc.problem import Pair, Triple
+from tenscontrol.control.mpc.problem import Pair, StageJacobians, Triple, applied
 from tenscontrol.dynamics import Evaluator, built, compiled
 from tenscontrol.plant import (
     LinearPlant,
     acceleration_response,
-    acceleration_slopes,
     explicit_substeps,
+    linked_accelerations,
     model_input,
     reduced_acceleration,
     reduced_motion,
     sampled_dynamics,
+    sampled_motion,
     string_forces,
 )
 from tenscontrol.validation import FloatArray
@@ -34,6 +34,9 @@ _MATRIX = np.array([
     [(16 - _ROOT) / 36, (16 + _ROOT) / 36, 1 / 9],
 ])  # fmt: skip
 
+# Up to so many coordinates a sample of one step is faster written out in machine code.
+_MOST_WRITTEN = 12
+
 # A single step is solved when the next one of Newton's method moves no coordinate by more than
 # this part of the size of the structure.
 _SOLVED = 1e-12
@@ -41,19 +44,6 @@ _MOST_ROUNDS = 20
 
 # Then no equation is off by more than this, as accelerations that move places in a sample.
 _BALANCED = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class StageJacobians:
-    """First-order functions along a trajectory: ``value ≈ offset + Σ slope · argument``.
-
-    Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j. Those
-    of the motion are by z_k, u_k and, where inputs are ramps, u_{k−1}; those of limited rows by
-    z_k, u_k and z_{k+1}. They are views of memory that the next call may overwrite.
-    """
-
-    offset: FloatArray  # (N, m)
-    slopes: tuple[FloatArray, ...]  # (N, columns, m) each
 
 
 def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobians:
@@ -70,15 +60,66 @@ def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobi
     return StageJacobians(offset, tuple(blocks))
 
 
-def applied(slopes: FloatArray, arguments: FloatArray) -> FloatArray:
-    """Return what arguments, shape (K, columns), make of slopes stored by columns."""
-    return np.asarray((arguments[:, None, :] @ slopes)[:, 0])
-
-
 def executable(function: ca.Function, machine_code: bool) -> tuple[ca.Function, str]:
     """Return a function, compiled where that is wished and can be, and what evaluates it."""
     code = compiled(function) if machine_code else None
     return (function, "virtual machine") if code is None else (code.function, "machine code")
+
+
+class AccelerationSlopes:
+    """q̈ of a plant and its derivatives, at a number of points at once.
+
+    Of the maps from what the basis displaces to shapes with exact bar lengths, on to forces, and on
+    to accelerations of nodes, each has a sparse Jacobian: its code grows with the members, and is
+    that of one point. Only the products with the basis are dense.
+    """
+
+    def __init__(self, plant: LinearPlant, count: int, *, taut: bool, machine_code: bool) -> None:
+        linked, patterns = linked_accelerations(plant, taut=taut)
+        one, self.back_end = plant.prepared.get(
+            ("accelerations", taut, machine_code), lambda: executable(linked, machine_code)
+        )
+        self._evaluate = Evaluator(one.map(count) if count > 1 else one)
+        rows = plant.model.structure.free_rows
+        identity = np.eye(plant.nodes.size)
+        self._project = np.ascontiguousarray(plant.coordinates.project(identity)[:, rows].T)
+        self._basis = np.ascontiguousarray(plant.basis.T)
+        self._places, self._count = plant.nodes.ravel(order="F"), count
+        # All points are multiplied at once; the first Jacobians by the same matrix.
+        self._jacobians = [
+            _transposed(pattern, count, apart)
+            for pattern, apart in zip(patterns, (0, 1, 1), strict=True)
+        ]
+
+    def __call__(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, ...]:
+        """Return q̈, (K, r), and its slopes by columns: by z, (K, 2r, r), and by u, (K, α, r)."""
+        (r, m), K = self._basis.shape, self._count
+        places, rates = (part @ self._basis for part in (states[:, :r], states[:, r:]))
+        given = places + self._places, rates, inputs
+        moved, *entries = self._evaluate(*(part.T if K > 1 else part[0] for part in given))
+        for jacobian, values in zip(self._jacobians, entries, strict=True):
+            jacobian.data = values.ravel(order="K")
+        by_bodies, by_strings, by_lengths = self._jacobians
+        whole = (by_bodies @ self._project).reshape(K, 3 * m, r)  # by N, Ṅ and F
+        by_forces = by_strings @ whole[:, 2 * m :].reshape(K * m, r)
+        by_forces = by_forces.reshape(K, -1, r)  # by N, Ṅ and u
+        by_forces[:, : 2 * m] += whole[:, : 2 * m]
+        by_places = by_lengths @ by_forces[:, : 2 * m].reshape(K * 2 * m, r)
+        by_z = self._basis @ by_places.reshape(K, 2, m, r)
+        value = moved.reshape(K, -1) if K == 1 else moved.T
+        return value @ self._project, by_z.reshape(K, 2 * r, r), by_forces[:, 2 * m :]
+
+
+def _transposed(pattern: ca.Sparsity, count: int, apart: int) -> Any:
+    """Return transposed Jacobians of a number of points in a column, or ``apart`` on a diagonal."""
+    from scipy.sparse import csr_array
+
+    starts, rows = (np.array(part, np.int32) for part in (pattern.colind(), pattern.row()))
+    points = np.arange(count, dtype=np.int32)[:, None]
+    indices = (rows + apart * pattern.size1() * points).ravel()
+    indptr = np.append(starts[:-1] + len(rows) * points, count * len(rows)).astype(np.int32)
+    shape = count * pattern.size2(), pattern.size1() * (count if apart else 1)
+    return csr_array((np.zeros(len(indices)), indices, indptr), shape=shape)
 
 
 class Discretization(ABC):
@@ -131,21 +172,26 @@ class RK4(Discretization):
     def __init__(
         self, plant: LinearPlant, sample_time: float, length: int, machine_code: bool
     ) -> None:
-        self._sampled, self.linearized = sampled_dynamics(plant, sample_time)
+        self._sampled = sampled_motion(plant, sample_time)
         self._count = explicit_substeps(plant, sample_time)
+        self._plant, self._sample_time = plant, sample_time
         self._step, self._r = sample_time / self._count, plant.degrees_of_freedom
-        # Products with derivatives are NumPy's in a sample of several steps: CasADi's take longer.
-        once = self._count == 1
-
-        def build() -> tuple[ca.Function, str]:
-            each = self.linearized if once else acceleration_slopes(plant, taut=False)
-            return executable(each.map(length), machine_code)
-
-        key = "RK4", sample_time if once else "stages", length, machine_code
-        along, self.back_end = plant.prepared.get(key, build)
-        self._along, self._advance = Evaluator(along), Evaluator(self._sampled)
+        self._written: Evaluator | None = None
+        if machine_code and self._count == 1 and self._r <= _MOST_WRITTEN:
+            key = "RK4", sample_time
+            one, self.back_end = plant.prepared.get(key, lambda: executable(self.linearized, True))
+            self._written = Evaluator(one.map(length))
+        else:
+            self._slopes = AccelerationSlopes(plant, length, taut=False, machine_code=machine_code)
+            self.back_end = self._slopes.back_end
+        self._advance = Evaluator(self._sampled)
         self._response = acceleration_response(plant, sample_time)
         self._no_stages = np.zeros((0, plant.degrees_of_freedom))
+
+    @property
+    def linearized(self) -> ca.Function:
+        """``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense, for C code."""
+        return sampled_dynamics(self._plant, self._sample_time)[1]
 
     @property
     def sampled(self) -> ca.Function:
@@ -167,8 +213,8 @@ class RK4(Discretization):
     ) -> StageJacobians:
         """See :meth:`Discretization.linearize`."""
         held = inputs[1:]
-        if self._count == 1:
-            return stage_jacobians(self._along, states, held)
+        if self._written is not None:
+            return stage_jacobians(self._written, states, held)
         (N, s), r, h = states.shape, self._r, self._step
         q, v = states[:, :r], states[:, r:]
         # Derivatives of places and speeds by z and u, by columns.
@@ -181,8 +227,8 @@ class RK4(Discretization):
             for weight, ahead in weights:
                 there = places + ahead * rates
                 at, rate, rates = q + ahead * rate, v + ahead * slope, speeds + ahead * slopes
-                slope, by_q, by_v, by_u = self._accelerations(np.hstack([at, rate]), held)
-                slopes = there @ by_q + rates @ by_v
+                slope, by_z, by_u = self._slopes(np.hstack([at, rate]), held)
+                slopes = there @ by_z[:, :r] + rates @ by_z[:, r:]
                 slopes[:, s:] += by_u
                 end_q += h / 6 * weight * rate
                 end_v += h / 6 * weight * slope
@@ -193,13 +239,6 @@ class RK4(Discretization):
         parts = by_all[:, :s], by_all[:, s:]
         offset = np.hstack([q, v]) - applied(parts[0], states) - applied(parts[1], held)
         return StageJacobians(offset, parts)
-
-    def _accelerations(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, ...]:
-        """Return q̈ of N states, shape (N, r), and its slopes by columns."""
-        N = len(states)
-        found = self._along(*(x.T if N > 1 else x[0] for x in (states, inputs)))
-        value, *slopes = (part.ravel(order="K").reshape(N, -1, self._r) for part in found)
-        return value[:, 0], *slopes
 
     def load_response(self, load: FloatArray) -> FloatArray:
         """See :meth:`Discretization.load_response`."""
@@ -233,14 +272,11 @@ class RadauIIA(Discretization):
     def __init__(
         self, plant: LinearPlant, sample_time: float, length: int, ramp: bool, machine_code: bool
     ) -> None:
-        along, self.back_end = plant.prepared.get(
-            ("Radau IIA", length, machine_code),
-            lambda: executable(taut_slopes(plant).map(3 * length), machine_code),
+        self._along, self._once = (
+            AccelerationSlopes(plant, count, taut=True, machine_code=machine_code)
+            for count in (3 * length, 3)
         )
-        self._along = Evaluator(along)
-        self._once = Evaluator(
-            plant.prepared.get(("Radau IIA", 1), lambda: taut_slopes(plant).map(3))
-        )
+        self.back_end = self._along.back_end
         self._taut = Evaluator(plant.prepared.get("taut", lambda: _taut_force_density(plant)))
         self.ramp, self._plant = ramp, plant
         self._sample_time, self._r = sample_time, plant.degrees_of_freedom
@@ -366,7 +402,7 @@ class RadauIIA(Discretization):
         ])  # fmt: skip
 
     def _equations(
-        self, evaluator: Evaluator, states: FloatArray, inputs: FloatArray, stages: FloatArray
+        self, slopes: AccelerationSlopes, states: FloatArray, inputs: FloatArray, stages: FloatArray
     ) -> tuple[FloatArray, ...]:
         """Return ∂G/∂K, (N, 3r, 3r), G and the slopes of a, where G = K − a is 0 when solved."""
         N, r = len(states), self._r
@@ -375,10 +411,10 @@ class RadauIIA(Discretization):
         places = q + self._sample_time * _NODES[:, None] * v + self._to_place @ stages
         at_stages = inputs[:-1, None] + self._share * np.diff(inputs, axis=0)[:, None]
         points = np.concatenate([places, speeds], axis=2).reshape(3 * N, -1)
-        values, *slopes = evaluator(points.T, at_stages.reshape(3 * N, -1).T)
-        left = stages - values.ravel(order="K").reshape(N, 3, r)
+        values, by_z, by_u = slopes(points, at_stages.reshape(3 * N, -1))
+        left = stages - values.reshape(N, 3, r)
         by_q, by_v, by_u = (
-            slope.ravel(order="K").reshape(N, 3, -1, r).swapaxes(2, 3) for slope in slopes
+            part.reshape(N, 3, -1, r).swapaxes(2, 3) for part in (by_z[:, :r], by_z[:, r:], by_u)
         )
         # Equation [i, row] by unknown [j, column].
         system = by_q[:, :, :, None, :] * -self._to_place[:, None, :, None]
@@ -386,11 +422,6 @@ class RadauIIA(Discretization):
         system = system.reshape(N, 3 * r, 3 * r)
         system[:, np.arange(3 * r), np.arange(3 * r)] += 1.0
         return system, left, by_q, by_v, by_u
-
-
-def taut_slopes(plant: LinearPlant) -> Any:
-    """Return ``(z, u) -> (q̈, ∂q̈/∂q, ∂q̈/∂q̇, ∂q̈/∂u)`` with strings that push where slack."""
-    return plant.prepared.get("taut slopes", lambda: acceleration_slopes(plant, taut=True))
 
 
 def _taut_force_density(plant: LinearPlant) -> ca.Function:

@@ -24,10 +24,15 @@ from tenscontrol.control.mpc.problem import (
     MPCProblem,
     Pair,
     StageData,
+    StageJacobians,
+    Subproblem,
+    SubproblemSolution,
     Triple,
+    applied,
     shifted,
 )
-from tenscontrol.control.mpc.shooting import StageJacobians, applied
+from tenscontrol.control.mpc.settings import solver_name
+from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.validation import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -59,6 +64,8 @@ class Sparse(Form):
     are C_k too. ``motion_indices`` are of A_k, B_k and C_k; A_0 and C_0 meet only what is known.
     ``row_indices`` are of E_k, G_k and F_k, for each part of the limited rows.
     """
+
+    dense = False
 
     def __init__(
         self, problem: MPCProblem, units: FloatArray | None = None, varying: bool = False
@@ -223,7 +230,7 @@ class Sparse(Form):
         wanted = [data.reference / self.units, data.input_reference / level]
         motion = self._offset + data.drift
         motion[0] += state @ self._first
-        if previous_input is not None:
+        if self._ramp and previous_input is not None:
             motion[0] += previous_input @ self._first_input
         motion /= self.units
         if self._rows_first.size:
@@ -274,3 +281,59 @@ class Sparse(Form):
             shifted(x, N, [s, a, len(self.limits.price) // N], repeat=True),
             shifted(y, N, [s, *self.limits.widths], repeat=False),
         )
+
+
+@final
+class SparseSubproblem(Subproblem):
+    """The program with its states, and a solver of quadratic programs.
+
+    Unknowns are measured from the plan where that ``relative`` is set.
+    """
+
+    def __init__(self, form: Sparse, solver: QPSolver, relative: bool) -> None:
+        self.form, self.solver, self._relative = form, solver, relative
+        self.solver_name = solver_name(solver)
+        self._guess: Pair | None = None
+
+    def reset(self) -> None:
+        """See :meth:`Subproblem.reset`."""
+        self.forget()
+        self.solver.reset()
+
+    def forget(self) -> None:
+        """See :meth:`Subproblem.forget`."""
+        self._guess = None
+
+    def shift(self) -> None:
+        """See :meth:`Subproblem.shift`."""
+        if self._guess is not None:
+            self._guess = self.form.shifted(*self._guess)
+
+    def linearize(
+        self, states: FloatArray, inputs: FloatArray, motion: StageJacobians,
+        rows: StageJacobians | None,
+    ) -> bool:  # fmt: skip
+        """See :meth:`Subproblem.linearize`."""
+        parts = [part for each in (motion, rows) if each for part in (each.offset, *each.slopes)]
+        if not all(np.isfinite(part).all() for part in parts):
+            return False
+        self.form.linearize(motion, rows, (states[1:], inputs[1:]) if self._relative else None)
+        self.solver.update(self.form.A.data)
+        if self._guess is not None:
+            self._guess = self.form.at_plan(self._guess)
+        return True
+
+    def solve(
+        self, state: FloatArray, data: StageData, previous: FloatArray, acting: FloatArray,
+        deadline: float,
+    ) -> SubproblemSolution:  # fmt: skip
+        """See :meth:`Subproblem.solve`."""
+        vectors = self.form.vectors(state, data, previous, acting)
+        answer = self.solver.solve(*vectors, start=self._guess, deadline=deadline)
+        self._guess = None
+        if answer.x is None or answer.y is None:
+            return SubproblemSolution(answer.status, answer.iterations, None)
+        self._guess = answer.x, answer.y
+        later, inputs = self.form.trajectory(answer.x)
+        plan = np.vstack([state, later]), np.vstack([acting, inputs])
+        return SubproblemSolution(answer.status, answer.iterations, plan)

@@ -9,12 +9,14 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import Status
-from tenscontrol.control.mpc import OSQPSolver, QPSolution
+from tenscontrol.control.mpc import OSQPSolver
 from tenscontrol.control.mpc.linear import Condensed
 from tenscontrol.control.mpc.problem import MPCProblem, StageData
 from tenscontrol.control.mpc.sparse import Sparse
+from tests.control.fault_loop import solve_nothing
 
 STILL = np.zeros((3, 6))
+GIVEN = {"sample_time": 0.02, "max_force_density": 60.0}
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +169,7 @@ def test_pattern_of_the_program_is_fixed_and_setup_happens_once(plant, monkeypat
         return original(self, **data)
 
     monkeypatch.setattr(osqp.OSQP, "setup", counted)
-    mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=60.0)
+    mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=60.0, solver="osqp")
     for k in range(10):
         assert mpc.command(0.02 * k, pushed(plant, seed=k), STILL).status == "ok"
     assert len(setups) == 1
@@ -255,10 +257,6 @@ def test_moving_reference_is_seen_ahead(plant):
     assert np.abs(early.value - plant.force_density).max() > 0.1
 
 
-def failing(status):
-    return lambda self, q, l, u, **_: QPSolution(status, None, None, 7)  # noqa: E741
-
-
 @pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])
 def test_unsolved_programs_continue_the_last_plan_then_hold_equilibrium(plant, monkeypatch, status):
     mpc = tc.MPC(plant, horizon=4, sample_time=0.02, max_force_density=60.0)
@@ -266,7 +264,7 @@ def test_unsolved_programs_continue_the_last_plan_then_hold_equilibrium(plant, m
     mpc.command(0.0, nodes, STILL)
     plan = mpc.plan
     with monkeypatch.context() as patch:
-        patch.setattr(OSQPSolver, "solve", failing(status))
+        solve_nothing(patch, status)
         for k in range(1, 4):
             command = mpc.command(0.02 * k, nodes, STILL)
             assert str(command) == f"{status.value}: plan continued"
@@ -314,7 +312,7 @@ def test_out_of_iterations_is_a_fallback_and_not_a_bad_command(plant):
 def test_every_status_of_osqp_is_mapped():
     import osqp
 
-    from tenscontrol.control.mpc.osqp_adapter import _STATUS
+    from tenscontrol.control.mpc.solvers.osqp_adapter import _STATUS
 
     assert {status.name for status in osqp.SolverStatus} == set(_STATUS)
     assert [name for name, status in _STATUS.items() if status is Status.OK] == ["OSQP_SOLVED"]
@@ -341,8 +339,20 @@ def test_program_answers_infeasible_unbounded_and_bad_data_without_a_solution():
 
 
 def test_form_is_chosen_by_size(plant):
-    assert tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=60.0).form == "condensed"
-    assert tc.MPC(plant, horizon=100, sample_time=0.02, max_force_density=60.0).form == "sparse"
+    found = [
+        (mpc.form, mpc.solver)
+        for length in (20, 100, 400)
+        for solver in ("auto", "osqp")
+        for mpc in [tc.MPC(plant, horizon=length, **GIVEN, solver=solver)]
+    ]
+    assert found == [
+        ("condensed", "daqp"), ("condensed", "osqp"),
+        ("condensed", "daqp"), ("sparse", "osqp"),
+        ("sparse", "osqp"), ("sparse", "osqp"),
+    ]  # fmt: skip
+    named = tc.MPC(plant, horizon=20, **GIVEN, form="sparse")
+    assert named.solver == "osqp"
+    assert repr(named).endswith("sparse, osqp)")
 
 
 def test_an_operating_point_without_prestress_can_be_controlled():

@@ -90,7 +90,7 @@ def test_program_satisfies_the_optimality_conditions():
         max_iterations=20000,
     )
     kept = {}
-    program = nmpc._plan.solver
+    program = nmpc._plan.program.solver
     solve, update = program.solve, program.update
 
     def watched(q, l, u, start=None, **_):  # noqa: E741
@@ -105,7 +105,7 @@ def test_program_satisfies_the_optimality_conditions():
     z = disturbed(0.05, 0)
     nodes, velocities = plant.to_nodes(z[:9]), plant.to_velocities(z[:9], z[9:])
     value = nmpc.command(0.0, nodes, velocities).value
-    form = nmpc._plan.form
+    form = nmpc._plan.program.form
     pattern = form.A.copy()
     pattern.data = kept["values"]
     answer, (q, l, u) = kept["answer"], kept["vectors"]  # noqa: E741
@@ -187,13 +187,13 @@ def test_preparation_is_apart_from_feedback_and_setup_happens_once(monkeypatch):
     nmpc.prepare()  # nothing to prepare from
     for k in range(4):
         nodes = plant.to_nodes(disturbed(0.02, k)[:9])
-        motion = nmpc.law.model.discretization._along
+        motion = nmpc.law.model.discretization._slopes._evaluate  # once a stage of RK4
         calls = motion.calls
         first = nmpc.command(SAMPLE * k, nodes, STILL)
-        assert motion.calls == calls + (k == 0)  # prepared before, but the first time
+        assert motion.calls == calls + 4 * (k == 0)  # prepared before, but the first time
         nmpc.prepare()
         nmpc.prepare()
-        assert motion.calls == calls + 1 + (k == 0)
+        assert motion.calls == calls + 4 + 4 * (k == 0)
         assert np.array_equal(first.value, plain.command(SAMPLE * k, nodes, STILL).value)
     assert len(setups) == setups_before
 

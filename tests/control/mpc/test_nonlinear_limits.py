@@ -192,7 +192,7 @@ def test_program_pays_only_for_the_limits_that_it_has(plant):
         plain, limited = (
             NMPC(
                 plant, horizon=4, sample_time=SAMPLE, max_force_density=60.0, max_tension=most
-            )._plan.form
+            )._plan.program.form
             for most in (None, 50.0)
         )
         assert plain.A.shape == (4 * 27, 4 * 27)
@@ -200,7 +200,7 @@ def test_program_pays_only_for_the_limits_that_it_has(plant):
         assert limited.A.shape == (4 * 27 + 2 * 4 * 9, 4 * 36)
         assert limited.A.nnz - plain.A.nnz == 3 * 81 + 4 * 9 + 2 * 4 * 9
     else:
-        program = NMPC(plant, horizon=4, sample_time=SAMPLE)._plan.form
+        program = NMPC(plant, horizon=4, sample_time=SAMPLE)._plan.program.form
         assert program.A.shape == (4 * 18 + 4 * 9 + 2 * 4 * 9, 4 * 36)
 
 

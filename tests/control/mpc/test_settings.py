@@ -40,7 +40,11 @@ def test_a_controller_keeps_its_settings(kind):
 @pytest.mark.parametrize(
     ("solver", "error", "message"),
     [
-        ("simplex", ValueError, "solver is 'simplex', expected one of 'osqp', or a subclass of"),
+        (
+            "simplex",
+            ValueError,
+            "solver is 'simplex', expected one of 'auto', 'daqp', 'osqp', 'piqp'",
+        ),
         (dict, TypeError, "solver is <class 'dict'>, expected a name or a subclass of QPSolver"),
     ],
 )
@@ -88,9 +92,9 @@ def test_another_solver_is_one_class(kind):
     np.testing.assert_allclose(values[1], values[0], atol=1e-3)
 
 
-def test_code_is_written_for_osqp_alone(tmp_path):
+def test_code_of_nmpc_is_written_for_osqp_alone(tmp_path):
     plant = scenes.plant("force_density")
-    mpc = tc.MPC(plant, **GIVEN, solver=ActiveSet)
+    mpc = tc.NMPC(plant, **GIVEN, solver=ActiveSet)
     with pytest.raises(ValueError, match="solves its programs by ActiveSet, and C code is written"):
         tc.generate_c(mpc, tmp_path / "code")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.problem import QPSolution, QPSolver
+from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, refused
 from tenscontrol.control.status import Status
 from tenscontrol.validation import FloatArray
 
@@ -32,8 +32,6 @@ _STATUS = {
     "OSQP_UNSOLVED": Status.UNSOLVED,
 }
 
-
-_LARGEST = 1e20
 
 # Step of ADMM at the start.
 START_RHO = 1.0
@@ -58,11 +56,10 @@ class OSQPSolver(QPSolver):
         polish: bool = False,
         equations: bool = False,
     ) -> None:
-        rows, columns = A.shape
         self.tolerance, self.max_iterations = tolerance, max_iterations
         # The caller may put other values into its A.
         self._made_of = P, A.copy(), tolerance, max_iterations, polish, equations
-        self._shapes = {"q": columns, "l": rows, "u": rows}
+        self._shape = A.shape
         self._nonzeros = A.nnz
         self._set_up()
 
@@ -131,7 +128,8 @@ class OSQPSolver(QPSolver):
         self._solver.codegen(folder, parameters="matrices", extension_name=None, prefix=prefix)
 
     def _cold_start(self) -> None:
-        self._solver.warm_start(x=np.zeros(self._shapes["q"]), y=np.zeros(self._shapes["l"]))
+        rows, columns = self._shape
+        self._solver.warm_start(x=np.zeros(columns), y=np.zeros(rows))
 
     def solve(
         self,
@@ -143,20 +141,12 @@ class OSQPSolver(QPSolver):
     ) -> QPSolution:
         """See :meth:`QPSolver.solve`.
 
-        Data that are not finite, or bounds that cross, never reach OSQP: it
-        would print a line, keep the old data, or be poisoned for good.
+        Of data that are refused OSQP would print a line, keep the old data, or be poisoned for
+        good.
         """
-        for name, vector in (("q", q), ("l", l), ("u", u)):
-            if vector.shape != (self._shapes[name],):
-                raise ValueError(
-                    f"{name} has shape {vector.shape}, expected ({self._shapes[name]},)"
-                )
-        # OSQP takes 1e30 for infinite, and loses its digits long before.
-        largest = max(np.abs(q).max(initial=0.0), l.max(initial=0.0), -u.min(initial=0.0))
-        if not largest < _LARGEST or np.isnan(l).any() or np.isnan(u).any():
-            return QPSolution(Status.BAD_DATA, None, None, 0)
-        if (l > u).any():
-            return QPSolution(Status.INFEASIBLE, None, None, 0)
+        refusal = refused(q, l, u, self._shape)
+        if refusal is not None:
+            return refusal
         if deadline < np.inf:
             left = deadline - perf_counter()
             if left <= 0:

@@ -1,0 +1,139 @@
+"""The interface of what solves quadratic programs."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tenscontrol.control.status import Status
+from tenscontrol.validation import FloatArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
+
+# OSQP takes 1e30 for infinite, and loses its digits long before; the others follow.
+_LARGEST = 1e20
+
+
+@dataclass(frozen=True, eq=False)
+class QPSolution:
+    """Answer to a quadratic program.
+
+    Attributes
+    ----------
+    status : Status
+    x, y : ndarray or None
+        Primal and dual solution; None unless the status is ``OK``.
+    iterations : int
+    """
+
+    status: Status
+    x: FloatArray | None
+    y: FloatArray | None
+    iterations: int
+
+
+class QPSolver(ABC):
+    """Solver of ``min ½ xᵀ P x + qᵀ x  subject to  l ≤ A x ≤ u`` of one fixed pattern.
+
+    Dual variables y have the sign of ``P x + q + Aᵀ y = 0``: positive at upper bounds.
+
+    Parameters
+    ----------
+    P : sparse array, shape (k, k)
+        Symmetric positive semidefinite; all of it.
+    A : sparse array, shape (m, k)
+    tolerance : float
+        Absolute and relative tolerance of the residuals.
+    max_iterations : int
+    equations : bool
+        Whether many rows of A are equations, and all are in units of their own already.
+    """
+
+    @abstractmethod
+    def __init__(
+        self,
+        P: csc_array,
+        A: csc_array,
+        tolerance: float,
+        max_iterations: int,
+        *,
+        equations: bool = False,
+    ) -> None: ...
+
+    @abstractmethod
+    def update(self, A: FloatArray) -> None:
+        """Put other values into A, in the order of its columns; the pattern stays.
+
+        Parameters
+        ----------
+        A : ndarray, shape (nonzeros of A,)
+
+        Raises
+        ------
+        ValueError
+            If there are not as many values as A has nonzeros, or one is not finite.
+        """
+
+    @abstractmethod
+    def solve(
+        self,
+        q: FloatArray,
+        l: FloatArray,  # noqa: E741 - the letters of the problem
+        u: FloatArray,
+        start: tuple[FloatArray, FloatArray] | None = None,
+        deadline: float = np.inf,
+    ) -> QPSolution:
+        """Solve for new vectors, from the last solution or from a given start.
+
+        Parameters
+        ----------
+        q : ndarray, shape (k,)
+        l, u : ndarray, shape (m,)
+            May be infinite.
+        start : pair of ndarray, shapes (k,) and (m,), optional
+            Primal and dual vectors to start from.
+        deadline : float
+            When ``perf_counter`` says so, s, the solve is given up: before it
+            begins, or at the end of an iteration.
+
+        Returns
+        -------
+        QPSolution
+            Data that are not finite, and bounds that cross, are answered by a status.
+
+        Raises
+        ------
+        ValueError
+            If a vector has the wrong length.
+        """
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget the last solution, and all that was adapted to it."""
+
+
+def refused(
+    q: FloatArray,
+    l: FloatArray,  # noqa: E741 - the letters of the problem
+    u: FloatArray,
+    shape: tuple[int, int],
+) -> QPSolution | None:
+    """Return the answer to data that must not reach a solver, or None; raise for wrong lengths.
+
+    ``shape`` is that of A. Data that are not finite may poison a solver for good, and bounds that
+    cross may leave the old data in it.
+    """
+    rows, columns = shape
+    for name, vector, size in (("q", q, columns), ("l", l, rows), ("u", u, rows)):
+        if vector.shape != (size,):
+            raise ValueError(f"{name} has shape {vector.shape}, expected ({size},)")
+    largest = max(np.abs(q).max(initial=0.0), l.max(initial=0.0), -u.min(initial=0.0))
+    if not largest < _LARGEST or np.isnan(l).any() or np.isnan(u).any():
+        return QPSolution(Status.BAD_DATA, None, None, 0)
+    if (l > u).any():
+        return QPSolution(Status.INFEASIBLE, None, None, 0)
+    return None
