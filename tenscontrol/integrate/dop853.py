@@ -45,6 +45,9 @@ _SHORTEST = 10 * np.finfo(float).eps
 # A longer step, times the largest frequency, makes round-off grow, which no error estimate sees.
 _STABLE = 4.0
 
+# What ending late at a switch may change of velocities, as part of what a step may err.
+_LATE = 0.01
+
 # Switches in a row without any time between them, at most.
 _MOST_STALLS = 50
 
@@ -167,9 +170,9 @@ def _work(told: dict[str, float]) -> Work:
         steps=tries - round(told["rejections"]),
         rejections=round(told["rejections"]),
         evaluations=1
+        # A landing takes a new start.
         + _STAGES * (tries + round(told["approaches"]))
-        # A landing takes two slopes for its interpolant, its last step again, and a new start.
-        + (_STAGES + 3) * landings
+        + landings
         + _MORE_STAGES * round(told["interpolants"]),
         switches=round(told["switches"]),
     )
@@ -277,10 +280,13 @@ class _Turn:
 
     def _cut(self) -> ca.Function:
         x, f, taut = self._carried[:3]
-        land = landing(self._method.plain(), self._equation)
-        u = self._input
-        _, taut2, taken, switched, tries = land(x, taut, u, self._h, self._x1)
-        x2, f2, _, K2 = self._tried(x, f, u, taut, taken, self._scale)
+        n, u = self._equation.states, self._input
+        land = landing(self._method.trial(), self._equation)
+        # What ending late may change of velocities, as part of what a step may err; see landing().
+        allowed = 2 * _LATE * self._scale[n - 1] * (self._longest / _STABLE) ** 2
+        y, y1 = ca.vertcat(x, f), ca.vertcat(self._x1, self._f1, ca.vec(self._K))
+        y2, taut2, taken, switched, tries = land(y, taut, u, self._h, y1, f, self._f1, allowed)
+        x2, f2, K2 = y2[:n], y2[n : 2 * n], ca.reshape(y2[2 * n :], n, _STAGES + 1)
         time = self._after(taken)
         # Strings that switch again and again while no time passes.
         stalled = taken < _SHORTEST * self._duration
@@ -376,12 +382,15 @@ class _DormandPrince:
         _, _, u, _, h = self._inputs
         return self._equation.ahead(u, part * h)
 
-    def plain(self) -> ca.Function:
-        """Return ``(x, u, taut, h) -> x1``: the step alone."""
+    def trial(self) -> ca.Function:
+        """Return ``([x; f], u, taut, h) -> [x1; f1; K]``: the step alone, without its error."""
         x, _, u, taut, h = self._inputs
-        stages = ca.Function("stages", self._inputs, [self._stages()[0]])
-        x1 = stages(x, self._equation.slope(x, u, taut), u, taut, h)
-        return ca.Function("dop853", [x, u, taut, h], [x1])
+        x1, slopes = self._stages()
+        f1 = self._equation.slope(x1, self._at(1.0), taut)
+        stages = ca.Function("stages", self._inputs, [ca.vertcat(x1, f1, *slopes, f1)])
+        y = ca.MX.sym("y", 2 * x.shape[0])
+        end = stages(*ca.vertsplit(y, x.shape[0]), u, taut, h)
+        return ca.Function("trial", [y, u, taut, h], [end])
 
     def tried(self) -> ca.Function:
         """Return ``(x, f, u, taut, h, scale) -> (x1, f1, error, K)``.
