@@ -22,12 +22,14 @@ from tenscontrol.dynamics.evaluator import (
     exclusive,
     solving,
 )
+from tenscontrol.dynamics.forms import C_EXPORT, C_HEAD, external_interface
 from tenscontrol.dynamics.machine_code import (
     Compiled,
     Compiler,
     CompilerError,
     compiled,
     compiled_library,
+    compiled_source,
     compiler,
 )
 from tenscontrol.dynamics.model import Model, pack_state, unpack_states
@@ -36,6 +38,8 @@ from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, Stri
 
 __all__ = [
     "BUILDING",
+    "C_EXPORT",
+    "C_HEAD",
     "KINDS",
     "ColumnEvaluator",
     "Compiled",
@@ -64,10 +68,12 @@ __all__ = [
     "built",
     "compiled",
     "compiled_library",
+    "compiled_source",
     "compiler",
     "coordinates",
     "evaluate_columns",
     "exclusive",
+    "external_interface",
     "normal_basis",
     "pack_state",
     "polynomial_at",
