@@ -8,8 +8,17 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator, compiler
-from tenscontrol.integrate.events import crossing, landing, taut_strings
+from tenscontrol.dynamics import Equation, Evaluator, compiled_source, compiler
+from tenscontrol.integrate.dop853_loop import loop_source
+from tenscontrol.integrate.events import (
+    POLISHES,
+    crossing,
+    distance,
+    landing,
+    search,
+    switching,
+    taut_strings,
+)
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -18,7 +27,6 @@ from tenscontrol.integrate.integrator import (
     Span,
     Work,
     checked_tolerance,
-    in_machine_code,
     largest_frequency,
     state_scale,
 )
@@ -32,8 +40,8 @@ _STAGES, _MORE_STAGES = 12, 3
 # Coefficients of the interpolant.
 _POWERS = 7
 
-# Turns (steps tried) per call into CasADi, and the most numbers that they may record.
-_TURNS = 32
+# Turns (steps tried) per call, interpreted and compiled, and the most numbers that they may record.
+_TURNS, _COMPILED_TURNS = 32, 256
 _MOST_RECORDED = 4e6
 
 # How the step follows the error: by a factor 0.9 error^(-1/8) within these bounds.
@@ -99,13 +107,17 @@ class DOP853(Integrator):
     ) -> tuple[ca.Function, ca.Function, int, str]:
         """Return many turns, taut and slope at the start, how many turns, and the back end."""
         equation = self._equation
-        count = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _TURNS))
-        turns = _Turn(equation, project).function().mapaccum(count)
-        chunk, back_end = in_machine_code(equation, turns, machine_code)
+        most = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _COMPILED_TURNS))
+        chunk, back_end = None, "machine code for the forces"
+        if equation.form != "loops":
+            chunk, back_end = _compiled_turns(equation, project, most, machine_code)
+        if chunk is None:
+            most = min(most, _TURNS)
+            chunk = _Turn(equation, project).function().mapaccum(most)
         x, u, _, _ = equation.symbols(ca.MX)
         taut = taut_strings(equation, x, u)
         start = ca.Function("start", [x, u], [taut, equation.slope(x, u, taut)])
-        return chunk, start, count, back_end
+        return chunk, start, most, back_end
 
     def advance(
         self,
@@ -132,13 +144,14 @@ class DOP853(Integrator):
         states = np.empty((n, outputs))
         longest = min(_STABLE / max(self._frequency, 1e-300), duration)
         given = np.concatenate([held, [duration, spacing, longest], self.tolerance * scale])
-        given = np.tile(given[:, None], (1, self._turns)) if self._turns > 1 else given
+        if (columns := self._chunk.columns(1)) > 1:
+            given = np.tile(given[:, None], (1, columns))
         done, told = 0, dict.fromkeys(_CARRIED, 0.0)
         try:
             while told["time"] < duration:
                 check()
                 after, recorded = self._chunk(carried, given)
-                carried = after.reshape(-1, self._turns, order="F")[:, -1].copy()
+                carried = after.reshape(len(carried), -1, order="F")[:, -1].copy()
                 recorded = recorded.reshape(-1, self._turns, order="F")
                 done = _interpolate(recorded, times[:-1], states, done)
                 told = dict(zip(_CARRIED, carried[2 * n + switches :].tolist(), strict=True))
@@ -162,6 +175,36 @@ class DOP853(Integrator):
         except KeyboardInterrupt:
             reached = Span(self._projected(states[:, :done]), _work(told))
             raise IntegrationInterrupt(told["time"], reached) from None
+
+
+def _compiled_turns(
+    equation: Equation, project: bool, count: int, wanted: bool
+) -> tuple[ca.Function | None, str]:
+    """Return so many turns of the loop in C, if that is wanted and there is a compiler."""
+    if not wanted or compiler() is None:
+        return None, "virtual machine"
+    exact = projection(equation) if project else None
+    functions = [equation.slope, *([] if exact is None else [exact])]
+    if equation.switches:
+        functions += [each(equation) for each in (crossing, search, distance, switching)]
+    n = equation.states
+    sizes = {
+        "STATES": n, "INPUTS": equation.inputs, "SWITCHES": equation.switches,
+        "DEGREE": equation.layout.degree, "TURNS": count, "RECORD": 2 + n * (1 + _POWERS),
+        "POLISHES": POLISHES, "MOST_STALLS": _MOST_STALLS,
+    }  # fmt: skip
+    numbers = {
+        "SAFETY": _SAFETY, "LEAST": _LEAST, "MOST": _MOST, "ORDER": _ORDER, "STABLE": _STABLE,
+        "SHORTEST": _SHORTEST, "TWICE_LATE": 2 * _LATE, "MORE": 1 + 1e-14,
+    }  # fmt: skip
+    source = loop_source(functions, sizes, numbers, _CARRIED, _coefficients())
+    return compiled_source(source, ("turns",))[0], "machine code"
+
+
+def _coefficients() -> Any:
+    from scipy.integrate import DOP853
+
+    return DOP853
 
 
 def _work(told: dict[str, float]) -> Work:
@@ -360,11 +403,9 @@ class _DormandPrince:
     """One step of the method for fixed ``taut``, as CasADi functions."""
 
     def __init__(self, equation: Equation, project: bool = False) -> None:
-        from scipy.integrate import DOP853  # holds the coefficients
-
         self._equation = equation
         self._project = projection(equation) if project else None
-        self._method = DOP853
+        self._method = _coefficients()
         x, *rest = equation.symbols(ca.MX)
         self._inputs = [x, ca.MX.sym("f", x.shape), *rest]
 

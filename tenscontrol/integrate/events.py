@@ -36,7 +36,7 @@ BAND = 1e-11
 # O(h⁵), so each true step gains several digits.
 _SAMPLES = 6
 _ZOOMS = 2
-_POLISHES = 4
+POLISHES = 4
 
 # How late steps of a method without error control end at a switch, as part of the length of the
 # string: the force is wrong by the square of it. And at most, as part of the step.
@@ -137,17 +137,48 @@ def landing(step: ca.Function, equation: Equation, least: float = 0.0) -> ca.Fun
     _, taut, u, h, _ = _symbols(equation)
     sizes = {"y": step.size1_in(0), "y1": step.size1_out(0), "xd": n, "xd1": n, "allowed": 1}
     y, y1, xd, xd1, allowed = (ca.MX.sym(name, size) for name, size in sizes.items())
-    inside_step, room = _interpolant(equation), _room(equation)
+    found, part, speed, aim, chosen, leaving = search(equation, least)(
+        y[:n], taut, u, h, y1[:n], xd, xd1, allowed
+    )
+    # Where there is none, no step is taken.
+    begin = ca.vertcat(part, 0, ca.if_else(found, 0, aim), speed, ca.logic_not(found), y1)
+    given = (y, taut, u, h, chosen, aim)
+    reached = _approach(step, equation).fold(POLISHES)(
+        begin, *(ca.repmat(each, 1, POLISHES) for each in given)
+    )
+    part, steps, end = reached[1], reached[4], reached[5:]
+    taut2, switched = switching(equation)(end[:n], equation.ahead(u, part * h), taut, leaving)
+    outputs = [
+        end,
+        ca.if_else(found, taut2, taut),
+        ca.if_else(found, part * h, h),
+        ca.if_else(found, switched, 0),
+        ca.if_else(found, steps, 0),
+    ]
+    return ca.Function("landing", [y, taut, u, h, y1, xd, xd1, allowed], outputs)
+
+
+def search(equation: Equation, least: float = 0.0) -> ca.Function:
+    """Return what finds the first switch of a step on its interpolant; see :func:`landing`.
+
+    ``(x, taut, u, h, x1, xd, xd1, allowed) -> (found, part, speed, aim, chosen, leaving)``: whether
+    there is one; at which part of the step; the slope of the gap along the step; the gap to end at;
+    the strings whose mean gap that is, and those on their way out, 1 or 0 each.
+    """
+    n = equation.states
+    x, taut, u, h, x1 = _symbols(equation)
+    xd, xd1, allowed = (ca.MX.sym(name, size) for name, size in (("xd", n), ("e", n), ("a", 1)))
+    room = _room(equation)
     zoom = _zoom(room, equation)
-    within = [inside_step(y[:n], xd, y1[:n], xd1, h), u, taut, h]
+    within = [_interpolant(equation)(x, xd, x1, xd1, h), u, taut, h]
     low, high, found = ca.MX(0), ca.MX(1), ca.MX(0)
     for _ in range(_ZOOMS if equation.contacts is None else _ZOOMS_ON_GROUND):
         low, high, found = zoom(*within, low, high)
     inside, outside = room(*within, low), room(*within, high)
     # The string that is out first, by the secants; several, where they go out together.
     scale = equation.gap_scale(u)
-    band, size = 0.5 * BAND * scale, ca.mmin(scale)
-    near, start = ca.mmin(band), ca.fmax(inside, 0)
+    near, size = ca.mmin(0.5 * BAND * scale), ca.mmin(scale)
+    start = ca.fmax(inside, 0)
     first = ca.mmin(ca.if_else(outside < 0, start / ca.if_else(outside < 0, start - outside, 1), 1))
     out = ca.logic_and(outside < 0, inside + first * (outside - inside) <= near)
     chosen = ca.if_else(found, out, outside <= ca.mmin(outside) + near)
@@ -163,22 +194,28 @@ def landing(step: ca.Function, equation: Equation, least: float = 0.0) -> ca.Fun
     there = ca.dot(chosen, room(*within, guess)) / ca.sum1(chosen) - edge
     secant = (there - before) / ca.if_else(guess > low, guess - low, 1)
     speed = ca.if_else(ca.logic_and(guess > low, secant < 0), secant, speed)
-    reached = _approach(step, equation).fold(_POLISHES)(
-        ca.vertcat(guess + (aim - there) / speed, 0, 0, speed, 0, y1),
-        *(ca.repmat(a, 1, _POLISHES) for a in (y, taut, u, h, chosen, aim)),
-    )
-    part, steps, end = reached[1], reached[4], reached[5:]
-    # Whatever else has reached the border and is on its way out switches with it.
-    at_border = (2 * taut - 1) * equation.gap(end[:n], equation.ahead(u, part * h))[0] <= band
-    switch = ca.logic_and(at_border, outside < inside)
-    outputs = [
-        ca.if_else(found, end, y1),
-        ca.if_else(found, ca.fabs(taut - switch), taut),
-        ca.if_else(found, part * h, h),
-        ca.if_else(found, ca.sum1(switch), 0),
-        steps,
-    ]
-    return ca.Function("landing", [y, taut, u, h, y1, xd, xd1, allowed], outputs)
+    part = guess + (aim - there) / speed
+    outputs = [found, part, speed, aim, chosen, outside < inside]
+    names = [x, taut, u, h, x1, xd, xd1, allowed]
+    return ca.Function("search", names, [ca.densify(each) for each in outputs])
+
+
+def distance(equation: Equation) -> ca.Function:
+    """Return ``(x, u, taut, chosen) -> gap``: the mean gap of strings, positive before a switch."""
+    x, u, taut, _ = equation.symbols()
+    chosen = equation.symbol("chosen", equation.switches)
+    gap = (2 * taut - 1) * equation.gap(x, u)[0]
+    return ca.Function("distance", [x, u, taut, chosen], [ca.dot(chosen, gap) / ca.sum1(chosen)])
+
+
+def switching(equation: Equation) -> ca.Function:
+    """Return ``(x, u, taut, leaving) -> (taut2, switched)``: what has reached the border."""
+    x, u, taut, _ = equation.symbols()
+    leaving = equation.symbol("leaving", equation.switches)
+    gap, band = (2 * taut - 1) * equation.gap(x, u)[0], 0.5 * BAND * equation.gap_scale(u)
+    switch = ca.logic_and(gap <= band, leaving)
+    outputs = [ca.densify(ca.fabs(taut - switch)), ca.densify(ca.sum1(switch))]
+    return ca.Function("switching", [x, u, taut, leaving], outputs)
 
 
 def _landing_of(step: ca.Function, equation: Equation) -> ca.Function:
@@ -269,8 +306,7 @@ def _approach(step: ca.Function, equation: Equation) -> ca.Function:
     # A string that only grazes the border has no slope to follow.
     part = ca.fmin(ca.fmax(ca.if_else(speed < 0, wanted, 0), 0), 1)
     end = step(y, u, taut, part * h)
-    room = (2 * taut - 1) * equation.gap(end[:n], equation.ahead(u, part * h))[0]
-    gap = ca.dot(chosen, room) / ca.sum1(chosen)
+    gap = distance(equation)(end[:n], equation.ahead(u, part * h), taut, chosen)
     # Closer than this, the difference is round-off.
     apart = ca.logic_and(taken > 0, ca.fabs(part - before) > 1e-6)
     secant = (gap - gap_before) / ca.if_else(apart, part - before, 1)
