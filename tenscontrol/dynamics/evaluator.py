@@ -256,6 +256,10 @@ class Evaluator:
         """Pickle the function; the memory is made anew."""
         return Evaluator, (self._function,)
 
+    def columns(self, i: int) -> int:
+        """Return how many columns an input has."""
+        return int(self._function.size2_in(i))
+
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Evaluate and return one array per output: a vector, or a matrix in Fortran order."""
         with self._in_use:
