@@ -7,7 +7,7 @@ from scipy.linalg import expm
 import tenscontrol as tc
 from tenscontrol.control.mpc import Sparse
 
-HORIZON, SAMPLES = 6, 8
+HORIZON, SAMPLES = 5, 6
 
 
 def ball():
@@ -30,12 +30,13 @@ def class_2_tower():
     return plant, {"winches": tc.Winches(rate=0.2), "max_tension": 1.02 * tension}
 
 
-def x_frame():
-    """Force densities, with changes limited, on a planar structure."""
-    structure = tc.library.x_frame()
+def tower():
+    """Force densities, with changes limited."""
+    structure = tc.prism_tower(2)
     rest = tc.prestress(structure, min_force_density=10.0)
     plant = tc.linearize(tc.Model(structure), rest)
-    return plant, {"max_force_density": 1.05 * rest.force_density.max(), "max_change": 2.0}
+    most = 1.01 * rest.force_density.max()
+    return plant, {"max_force_density": most, "max_change": 1.0, "R": 1e-4}
 
 
 def by_elimination(problem, data, state, previous, multipliers):
@@ -63,7 +64,8 @@ def by_elimination(problem, data, state, previous, multipliers):
     )
 
 
-@pytest.mark.parametrize("scene", [ball, class_2_tower, x_frame])
+@pytest.mark.filterwarnings("ignore:no string reaches")
+@pytest.mark.parametrize("scene", [ball, class_2_tower, tower])
 def test_inputs_are_those_of_the_optimality_conditions(scene):
     plant, given = scene()
     mpc = tc.MPC(plant, horizon=HORIZON, sample_time=0.02, **given)
