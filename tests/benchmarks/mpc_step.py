@@ -4,8 +4,8 @@ Run: ``python -m tests.benchmarks.mpc_step``. Prints ratios measured in one run,
 the prism is moved to a new height (no bound active) and recovers from a push (bounds active).
 
 With ``--other FOLDER``, another checkout of the project, whole commands of the two are timed in
-processes that take turns: of the prism and of a ball of six bars, by force densities and by winches,
-that recover from pushes.
+processes that take turns: of the prism and of a ball of six bars, by force densities and by
+winches, that recover from pushes.
 """
 
 from __future__ import annotations
