@@ -31,8 +31,9 @@ _STATUS = {
     -8: Status.UNSOLVED,  # unsupported
 }
 
-# Bits of a row's state in DAQP, and the least multiplier of one that is active.
-_ACTIVE, _LOWER, _SOFT, _VIOLATED = 1, 2, 8, 32
+# Bits of a row's state in DAQP (the last: soft, and not violated), and the least multiplier of one
+# that is active.
+_ACTIVE, _LOWER, _SOFT, _KEPT = 1, 2, 8, 32
 _INACTIVE = 1e-12
 
 # Rows are kept to this, in their units: an active set has no use for less.
@@ -246,8 +247,8 @@ class DAQPSolver(QPSolver):
         if multiplier.any():
             active[multiplier > _INACTIVE] |= _ACTIVE
             active[multiplier < -_INACTIVE] |= _ACTIVE | _LOWER
-            violated = np.abs(multiplier[self._soft]) > q[self._violation]
-            active[self._soft[violated]] |= _VIOLATED
+            kept = np.abs(multiplier[self._soft]) <= q[self._violation]
+            active[self._soft[kept]] |= _KEPT
         return active
 
     def _answer(
