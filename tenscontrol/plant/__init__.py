@@ -18,6 +18,7 @@ from tenscontrol.plant.linear_plant import (
     SHORTEST,
     LinearPlant,
     Sampled,
+    SparsePlant,
     acceleration_response,
     input_bounds,
     largest_change,
@@ -25,7 +26,7 @@ from tenscontrol.plant.linear_plant import (
     state_units,
 )
 from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coordinates, linearize
-from tenscontrol.plant.modes import Modes, modes, modes_of
+from tenscontrol.plant.modes import Modes, ReducedPlant, modes, modes_of, reduce
 from tenscontrol.plant.reduced_dynamics import (
     acceleration_slopes,
     checked_tracked,
@@ -80,10 +81,12 @@ __all__ = [
     "Modes",
     "OperatingPoint",
     "Preview",
+    "ReducedPlant",
     "Reference",
     "ReferencePreview",
     "Sampled",
     "SmoothReference",
+    "SparsePlant",
     "Stance",
     "StanceContacts",
     "StringMap",
@@ -115,6 +118,7 @@ __all__ = [
     "near_symbol",
     "own_modes",
     "reached_states",
+    "reduce",
     "reduced_acceleration",
     "reduced_motion",
     "reduced_shape",
