@@ -130,9 +130,6 @@ from .estimation import (
 from .estimation import (
     Sensors as Sensors,
 )
-from .estimation import (
-    kalman as kalman,
-)
 from .plant import (
     OperatingPoint as OperatingPoint,
 )
@@ -208,6 +205,9 @@ from .simulation import (
 from .simulation import (
     simulate as simulate,
 )
+from .simulation import (
+    simulate_many as simulate_many,
+)
 from .statics import (
     prestress as prestress,
 )
@@ -271,7 +271,6 @@ __all__ = [
     "energy_weights",
     "equilibrium",
     "generate_c",
-    "kalman",
     "linearize",
     "load_scene",
     "long_run",
@@ -285,6 +284,7 @@ __all__ = [
     "shape_path",
     "shape_target",
     "simulate",
+    "simulate_many",
     "skin",
     "stability_map",
     "subdivide",

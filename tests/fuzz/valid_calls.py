@@ -135,6 +135,7 @@ RESULTS = {
     "shape.TippingPath",
     "control.ControlWarning",
     "simulation.AccuracyWarning",
+    "simulation.Batch",
     "simulation.ContactRecord",
     "simulation.ControlRecord",
     "simulation.EstimateRecord",
@@ -1301,6 +1302,26 @@ call(
     },
 )
 call("HealthLimits.passed", lambda: {"health": run().health}, tc.HealthLimits)
+call(
+    "simulate_many",
+    lambda: {
+        "model": elastic(),
+        "duration": 0.01,
+        "nodes": nodes(),
+        "velocities": np.array([STILL, STILL]),
+        "rest_length": rest_length(),
+        "vary": {"stiffness": np.array([90.0, 100.0])},
+        "method": "rk4",
+        "step": 1e-3,
+        "output_step": 0.005,
+        "keep_nodes": [0, 2],
+        "project": True,
+        "machine_code": False,
+        "threads": 1,
+        "progress": False,
+    },
+    share=0.3,
+)
 call("simulation.Trajectory.summary", on=run)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("simulation.ContactRecord.summary", on=lambda: dropped_run().contacts)

@@ -3,10 +3,10 @@
 from tenscontrol.control.mpc.constraints import OutputLimit, clearance
 from tenscontrol.control.mpc.linear import MPC, Condensed, MPCLaw, MPCStatistics
 from tenscontrol.control.mpc.nonlinear import CONVERGED, NMPC, NMPCStatistics
-from tenscontrol.control.mpc.problem import MPCProblem, StageData
+from tenscontrol.control.mpc.problem import MPCProblem, StageData, StageJacobians
 from tenscontrol.control.mpc.real_time_iteration import NEWTON_STEPS
 from tenscontrol.control.mpc.settings import MPCSettings
-from tenscontrol.control.mpc.shooting import RK4, StageJacobians
+from tenscontrol.control.mpc.shooting import RK4
 from tenscontrol.control.mpc.solvers import (
     START_RHO,
     DAQPSolver,

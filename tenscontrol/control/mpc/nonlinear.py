@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import LoadObserver
-from tenscontrol.control.mpc.least_distance import LeastDistance, LeastDistanceArrays
 from tenscontrol.control.mpc.problem import MPCProblem, Pair, StageData, Subproblem, Triple
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
 from tenscontrol.control.mpc.settings import (
@@ -22,10 +21,10 @@ from tenscontrol.control.mpc.settings import (
     SettingsKeywords,
     design,
     make_solver,
-    solver_name,
 )
 from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
+from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.validation import FloatArray, frozen, instance, number, truth, whole_number
@@ -258,14 +257,8 @@ class NMPC(PredictiveController):
 
     @property
     def solver(self) -> str:
-        """What solves its programs: ``"daqp"``, ``"osqp"``, ``"piqp"`` or the name of a class.
-
-        ``"stages"`` is the compiled active set along the stages, which "auto" takes.
-        """
-        program = self._plan.program
-        if isinstance(program, SparseSubproblem):
-            return solver_name(program.solver)
-        return "stages" if isinstance(program, LeastDistance) else "daqp"
+        """What solves its programs: ``"active set"``, a name of ``solver=``, or that of a class."""
+        return self._plan.program.solver_name
 
     @property
     def weights(self) -> Triple:

@@ -27,7 +27,6 @@ from tenscontrol.validation import FloatArray, IntArray, freeze_arrays, frozen
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
-    from tenscontrol.control.mpc.shooting import StageJacobians
 
 Pair = tuple[FloatArray, FloatArray]
 Triple = tuple[FloatArray, FloatArray, FloatArray]
@@ -337,6 +336,24 @@ class Form(ABC):
 
 
 @dataclass(frozen=True, eq=False)
+class StageJacobians:
+    """First-order functions along a trajectory: ``value ≈ offset + Σ slope · argument``.
+
+    Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j. Those
+    of the motion are by z_k, u_k and, where inputs are ramps, u_{k−1}; those of limited rows by
+    z_k, u_k and z_{k+1}. They are views of memory that the next call may overwrite.
+    """
+
+    offset: FloatArray  # (N, m)
+    slopes: tuple[FloatArray, ...]  # (N, columns, m) each
+
+
+def applied(slopes: FloatArray, arguments: FloatArray) -> FloatArray:
+    """Return what arguments, shape (K, columns), make of slopes stored by columns."""
+    return np.asarray((arguments[:, None, :] @ slopes)[:, 0])
+
+
+@dataclass(frozen=True, eq=False)
 class SubproblemSolution:
     """Status, iterations of the solver, and the improved plan; None unless the status is OK.
 
@@ -349,7 +366,12 @@ class SubproblemSolution:
 
 
 class Subproblem(ABC):
-    """The quadratic program that improves a plan: a step of sequential quadratic programming."""
+    """The quadratic program that improves a plan: a step of sequential quadratic programming.
+
+    ``solver_name`` says what solves it.
+    """
+
+    solver_name: str
 
     @abstractmethod
     def reset(self) -> None:

@@ -15,6 +15,7 @@ from tenscontrol.control.mpc.problem import (
     Pair,
     Rows,
     StageData,
+    StageJacobians,
     Subproblem,
     SubproblemSolution,
 )
@@ -24,7 +25,6 @@ from tenscontrol.control.mpc.shooting import (
     AccelerationSlopes,
     Discretization,
     RadauIIA,
-    StageJacobians,
     executable,
     stage_jacobians,
 )

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import solve_stacked
-from tenscontrol.control.mpc.problem import Pair, Triple
+from tenscontrol.control.mpc.problem import Pair, StageJacobians, Triple, applied
 from tenscontrol.dynamics import Evaluator, built, compiled
 from tenscontrol.plant import (
     LinearPlant,
@@ -47,19 +46,6 @@ _MOST_ROUNDS = 20
 _BALANCED = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class StageJacobians:
-    """First-order functions along a trajectory: ``value ≈ offset + Σ slope · argument``.
-
-    Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j. Those
-    of the motion are by z_k, u_k and, where inputs are ramps, u_{k−1}; those of limited rows by
-    z_k, u_k and z_{k+1}. They are views of memory that the next call may overwrite.
-    """
-
-    offset: FloatArray  # (N, m)
-    slopes: tuple[FloatArray, ...]  # (N, columns, m) each
-
-
 def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobians:
     """Return N values of ``(x, y, …) -> (value, slopes …)`` to first order, rows of arguments."""
     N = len(arguments[0])
@@ -72,11 +58,6 @@ def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobi
         offset -= applied(by_columns, argument)
         blocks.append(by_columns)
     return StageJacobians(offset, tuple(blocks))
-
-
-def applied(slopes: FloatArray, arguments: FloatArray) -> FloatArray:
-    """Return what arguments, shape (K, columns), make of slopes stored by columns."""
-    return np.asarray((arguments[:, None, :] @ slopes)[:, 0])
 
 
 def executable(function: ca.Function, machine_code: bool) -> tuple[ca.Function, str]:

@@ -24,12 +24,14 @@ from tenscontrol.control.mpc.problem import (
     MPCProblem,
     Pair,
     StageData,
+    StageJacobians,
     Subproblem,
     SubproblemSolution,
     Triple,
+    applied,
     shifted,
 )
-from tenscontrol.control.mpc.shooting import StageJacobians, applied
+from tenscontrol.control.mpc.settings import solver_name
 from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.validation import FloatArray, IntArray
 
@@ -290,6 +292,7 @@ class SparseSubproblem(Subproblem):
 
     def __init__(self, form: Sparse, solver: QPSolver, relative: bool) -> None:
         self.form, self.solver, self._relative = form, solver, relative
+        self.solver_name = solver_name(solver)
         self._guess: Pair | None = None
 
     def reset(self) -> None:

@@ -20,12 +20,13 @@ from tenscontrol.control.mpc.problem import (
     MPCProblem,
     Pair,
     StageData,
+    StageJacobians,
     Subproblem,
     SubproblemSolution,
     Triple,
+    applied,
 )
-from tenscontrol.control.mpc.shooting import StageJacobians, applied
-from tenscontrol.control.mpc.solvers.c_source import active_set_source, stages_source
+from tenscontrol.control.mpc.solvers import active_set_source, least_distance, stages_source
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import compiled_library
 from tenscontrol.validation import FloatArray, IntArray
@@ -90,6 +91,8 @@ def _prices(problem: MPCProblem) -> FloatArray:
 @final
 class LeastDistance(Subproblem):
     """The program in compiled C, with memory of its own."""
+
+    solver_name = "active set"
 
     def __init__(
         self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
@@ -189,12 +192,6 @@ class LeastDistance(Subproblem):
         return SubproblemSolution(_STATUS[status], self._count(self._program), plan)
 
 
-# Bits of a row in DAQP, its exit flags of a solution, and those of what else may come.
-_SOFT = 8
-_SOLVED = {1, 2}
-_FAILED = {-1: Status.INFEASIBLE, -4: Status.OUT_OF_ITERATIONS, -7: Status.OUT_OF_TIME}
-
-
 @final
 class LeastDistanceArrays(Subproblem):
     """The program in arrays of NumPy, solved by DAQP on the rows that may be active.
@@ -202,6 +199,8 @@ class LeastDistanceArrays(Subproblem):
     These are the rows active last, and those that a solution without them violates, until none is.
     Of the stages in closed loop, ``[z_{k+1}; u_k] = T_k [z_k; x_k − f_k] + [d_k; 0]``.
     """
+
+    solver_name = "daqp"
 
     def __init__(
         self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
@@ -344,19 +343,16 @@ class LeastDistanceArrays(Subproblem):
         feedforward = self._feedforward(data, gap)
         z, u = self._simulated(first, -feedforward, gap)
         middle = self._limits(z, u)
-        low, high = (
-            [(self._bounds[0] - inputs[1:]) / level],
-            [(self._bounds[1] - inputs[1:]) / level],
-        )
+        lower, upper = ([(bound - inputs[1:]) / level] for bound in self._bounds)
         if problem.change is not None:
             change = np.diff(inputs, axis=0)
             change[0] = inputs[1] - previous
-            low.append((-problem.change - change) / level)
-            high.append((problem.change - change) / level)
+            lower.append((-problem.change - change) / level)
+            upper.append((problem.change - change) / level)
         if self._limited:
-            low.append(self._row_bounds[0] - self._values)
-            high.append(self._row_bounds[1] - self._values)
-        bounds = np.hstack(low) - middle, np.hstack(high) - middle
+            lower.append(self._row_bounds[0] - self._values)
+            upper.append(self._row_bounds[1] - self._values)
+        bounds = np.hstack(lower) - middle, np.hstack(upper) - middle
         if not (np.isfinite(middle).all() and np.isfinite(feedforward).all()):
             return SubproblemSolution(Status.BAD_DATA, 0, None)
         x, values, work = np.zeros((N, a)), np.zeros(self._price.shape), 0
@@ -366,7 +362,10 @@ class LeastDistanceArrays(Subproblem):
             if perf_counter() >= deadline:
                 return SubproblemSolution(Status.OUT_OF_TIME, work, None)
             if len(rows):
-                status, multipliers, iterations = self._restricted(rows, matrix, bounds, deadline)
+                low, high, price = (part.flat[rows] for part in (*bounds, self._price))
+                status, multipliers, iterations = least_distance(
+                    matrix, low, high, price, _TOLERANCE, self._max_iterations, deadline
+                )
                 work += iterations
                 if status is not Status.OK:
                     return SubproblemSolution(status, work, None)
@@ -401,31 +400,3 @@ class LeastDistanceArrays(Subproblem):
             both = self._closed[k].T @ np.concatenate([slope[k] + tail, effort[k]])
             tail, found[k] = both[:n], both[n:]
         return found
-
-    def _restricted(
-        self, rows: IntArray, matrix: FloatArray, bounds: Pair, deadline: float
-    ) -> tuple[Status, FloatArray, int]:
-        """Solve with these rows alone: status, their multipliers, and iterations."""
-        import daqp
-
-        # In the span of the rows, which has few directions.
-        factor = np.asarray(np.linalg.qr(matrix.T, mode="r"))
-        price = self._price.flat[rows]
-        soft = np.isfinite(price)
-        low, high = (bound.flat[rows] for bound in bounds)
-        if (low > high).any():
-            return Status.INFEASIBLE, np.zeros(0), 0
-        model, size = daqp.Model(), len(factor)
-        sense = np.where(soft, _SOFT, 0).astype(np.intc)
-        model.setup(np.eye(size), np.zeros(size), factor.T.copy(), high, low, sense)
-        limit = 0.0 if deadline == np.inf else max(deadline - perf_counter(), 1e-9)
-        model.settings = {
-            "primal_tol": 0.1 * _TOLERANCE, "dual_tol": 1e-12, "time_limit": limit,
-            "iter_limit": self._max_iterations + 1,
-        }  # fmt: skip
-        if soft.any():
-            weight, softness = np.where(soft, price, 0.0), np.where(soft, 1 / price, 0.0)
-            model.soft_weights(softness, softness, weight, weight)
-        _, _, flag, info = model.solve()
-        status = Status.OK if flag in _SOLVED else _FAILED.get(flag, Status.UNSOLVED)
-        return status, info["lam"], info["iterations"]

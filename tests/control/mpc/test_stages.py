@@ -9,9 +9,14 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import NMPC, Status
-from tenscontrol.control.mpc.least_distance import LeastDistance, LeastDistanceArrays
-from tenscontrol.control.mpc.problem import MPCProblem, Rows, StageData, Subproblem
-from tenscontrol.control.mpc.shooting import StageJacobians
+from tenscontrol.control.mpc.problem import (
+    MPCProblem,
+    Rows,
+    StageData,
+    StageJacobians,
+    Subproblem,
+)
+from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
 from tenscontrol.dynamics.machine_code import compiler
 
 SAMPLE = 0.02
@@ -295,7 +300,7 @@ def test_structures(name):
 
 
 @pytest.mark.parametrize(("solver", "code", "name"), [
-    ("auto", True, "daqp" if compiler() is None else "stages"), ("auto", False, "daqp"),
+    ("auto", True, "daqp" if compiler() is None else "active set"), ("auto", False, "daqp"),
     ("osqp", False, "osqp"),
 ])  # fmt: skip
 def test_solvers_agree(solver, code, name):
