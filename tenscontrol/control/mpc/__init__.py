@@ -8,15 +8,16 @@ from tenscontrol.control.mpc.real_time_iteration import NEWTON_STEPS
 from tenscontrol.control.mpc.settings import MPCSettings
 from tenscontrol.control.mpc.shooting import RK4
 from tenscontrol.control.mpc.solvers import (
-    START_RHO,
     DAQPSolver,
     OSQPSolver,
     PIQPSolver,
     QPSolution,
     QPSolver,
     active_set_source,
+    stages_source,
 )
 from tenscontrol.control.mpc.sparse import Sparse
+from tenscontrol.control.mpc.stages import STAGES_TOLERANCE, stages_data
 
 __all__ = [
     "CONVERGED",
@@ -24,7 +25,7 @@ __all__ = [
     "NEWTON_STEPS",
     "NMPC",
     "RK4",
-    "START_RHO",
+    "STAGES_TOLERANCE",
     "Condensed",
     "DAQPSolver",
     "MPCLaw",
@@ -42,4 +43,6 @@ __all__ = [
     "StageJacobians",
     "active_set_source",
     "clearance",
+    "stages_data",
+    "stages_source",
 ]

@@ -257,7 +257,7 @@ class NMPC(PredictiveController):
 
     @property
     def solver(self) -> str:
-        """What solves its programs: ``"active set"``, a name of ``solver=``, or that of a class."""
+        """What solves its programs: ``"stages"``, a name of ``solver=``, or that of a class."""
         return self._plan.program.solver_name
 
     @property

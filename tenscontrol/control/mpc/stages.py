@@ -32,7 +32,7 @@ from tenscontrol.dynamics import compiled_library
 from tenscontrol.validation import FloatArray, IntArray
 
 # Of a limit, in its unit: what round-off may leave of it.
-_TOLERANCE = 1e-10
+STAGES_TOLERANCE = 1e-10
 
 # What the active-set method says.
 _STATUS = (
@@ -47,7 +47,8 @@ _NEVER = _Stop()
 @cache
 def _library() -> ctypes.CDLL:
     """Return the compiled program."""
-    text = "#define STAGES_API\n" + active_set_source() + stages_source()
+    size = "size_t stages_program_size(void) { return sizeof(StagesProgram); }\n"
+    text = "#define STAGES_API\n" + active_set_source() + stages_source() + size
     library = ctypes.CDLL(str(compiled_library(text)))
     library.stages_program_size.restype = ctypes.c_size_t
     return library
@@ -88,37 +89,47 @@ def _prices(problem: MPCProblem) -> FloatArray:
     return np.tile(np.concatenate([hard, soft]), (problem.length, 1))
 
 
+def stages_data(
+    problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
+) -> tuple[list[int], list[FloatArray]]:
+    """Return what ``stages_program_place`` in ``stages.c`` calls sizes and data."""
+    N, (m, a) = problem.length, problem.input_matrix.shape
+    ramp = len(problem.terminal_weight) > m
+    rows, changes, price = problem.rows, problem.change is not None, _prices(problem)
+    none = np.zeros(0)
+    data = [
+        *_weights(problem),
+        none if rows is None else rows.scale,
+        none if problem.change is None else problem.change,
+        *bounds, *row_bounds, price, price,
+    ]  # fmt: skip
+    sizes = [
+        N, m + a if ramp else m, a, 0 if rows is None else len(rows.scale), int(ramp),
+        int(changes), int(np.isfinite(price).sum()), max_iterations,
+    ]  # fmt: skip
+    return sizes, [np.ascontiguousarray(part, dtype=float) for part in data]
+
+
 @final
 class LeastDistance(Subproblem):
     """The program in compiled C, with memory of its own."""
 
-    solver_name = "active set"
+    solver_name = "stages"
 
     def __init__(
         self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
     ) -> None:
         self._made_of = problem, row_bounds, max_iterations, bounds
         library, N, (m, a) = _library(), problem.length, problem.input_matrix.shape
-        ramp = len(problem.terminal_weight) > m
-        n = m + a if ramp else m
-        rows, changes = problem.rows, problem.change is not None
-        p = 0 if rows is None else len(rows.scale)
-        price, none = _prices(problem), np.zeros(0)
-        data = [
-            *_weights(problem),
-            none if rows is None else rows.scale,
-            none if problem.change is None else problem.change,
-            *bounds, *row_bounds, price, price,
-        ]  # fmt: skip
-        self._data = [np.ascontiguousarray(part, dtype=float) for part in data]
+        numbers_of, data = stages_data(problem, row_bounds, max_iterations, bounds)
+        n, rows = numbers_of[1], data[-1].size
+        sizes = (ctypes.c_int * 8)(*numbers_of)
+        self._data = data
         addresses = (ctypes.c_void_p * len(data))(*(_address(part) for part in self._data))
-        sizes = (ctypes.c_int * 8)(
-            N, n, a, p, ramp, changes, int(np.isfinite(price).sum()), max_iterations
-        )  # fmt: skip
         self._program = ctypes.create_string_buffer(library.stages_program_size())
         counts, views = (ctypes.c_size_t * 3)(), (ctypes.c_void_p * 6)()
         given = (
-            self._program, sizes, ctypes.c_double(problem.level), ctypes.c_double(_TOLERANCE),
+            self._program, sizes, ctypes.c_double(problem.level), ctypes.c_double(STAGES_TOLERANCE),
             _multiply(), addresses,
         )  # fmt: skip
         library.stages_program_place(*given, None, None, None, counts, views)
@@ -126,7 +137,7 @@ class LeastDistance(Subproblem):
         self._memory = numbers, np.zeros(counts[1], np.intc), np.zeros(counts[2], np.intp)
         places = (ctypes.c_void_p(_address(part)) for part in self._memory)
         library.stages_program_place(*given, *places, counts, views)
-        shapes = [(N + 1, m), (N + 1, a), (price.size,), (N + 1, n), (N, a)]
+        shapes = [(N + 1, m), (N + 1, a), (rows,), (N + 1, n), (N, a)]
         self._states, self._inputs, self._multipliers, moves, self._input_moves = (
             numbers[(place - _address(numbers)) // 8 :][: math.prod(shape)].reshape(shape)
             for place, shape in zip(views, shapes, strict=False)
@@ -364,7 +375,7 @@ class LeastDistanceArrays(Subproblem):
             if len(rows):
                 low, high, price = (part.flat[rows] for part in (*bounds, self._price))
                 status, multipliers, iterations = least_distance(
-                    matrix, low, high, price, _TOLERANCE, self._max_iterations, deadline
+                    matrix, low, high, price, STAGES_TOLERANCE, self._max_iterations, deadline
                 )
                 work += iterations
                 if status is not Status.OK:
@@ -372,7 +383,7 @@ class LeastDistanceArrays(Subproblem):
                 x = -(multipliers @ matrix).reshape(N, a)
                 values = self._limits(*self._simulated(np.zeros_like(first), x, np.zeros_like(gap)))
             over = np.maximum(values - bounds[1], bounds[0] - values)
-            new = np.flatnonzero((over > _TOLERANCE * (1 + np.abs(values))) & ~is_row)
+            new = np.flatnonzero((over > STAGES_TOLERANCE * (1 + np.abs(values))) & ~is_row)
             if not len(new):
                 break
             is_row.flat[new] = True

@@ -300,7 +300,7 @@ def test_structures(name):
 
 
 @pytest.mark.parametrize(("solver", "code", "name"), [
-    ("auto", True, "daqp" if compiler() is None else "active set"), ("auto", False, "daqp"),
+    ("auto", True, "daqp" if compiler() is None else "stages"), ("auto", False, "daqp"),
     ("osqp", False, "osqp"),
 ])  # fmt: skip
 def test_solvers_agree(solver, code, name):
