@@ -37,7 +37,8 @@ Q, R, _ = nmpc.weights
 print(nmpc.back_end, flush=True)
 for line in sys.stdin:
     rng = np.random.default_rng(int(line))
-    z, cost, times = np.r_[0.05 * rng.normal(size=9), 0.25 * rng.normal(size=9)], 0.0, []
+    off = 0.04 * rng.normal(size=(3, 6)), 0.2 * rng.normal(size=(3, 6))
+    z, cost, times = plant.measure(prism.nodes + off[0], off[1]), 0.0, []
     nmpc.reset()
     for k in range(25):
         motion = plant.to_nodes(z[:9]), plant.to_velocities(z[:9], z[9:])
