@@ -80,7 +80,8 @@ class TrajectoryModel:
             _refuse_ramps(winches)
             self.implicit = False  # one step a sample would pass over an impact
         if self.implicit:
-            self.discretization = RadauIIA(plant, sample_time, length, ramp, machine_code)
+            loaded = settings.load_gain is not None
+            self.discretization = RadauIIA(plant, sample_time, length, ramp, machine_code, loaded)
         else:
             self.discretization = RK4(plant, sample_time, length, machine_code)
         self.acceleration = reduced_acceleration(plant, taut=self.implicit)

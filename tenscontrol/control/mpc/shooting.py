@@ -322,19 +322,21 @@ class RadauIIA(Discretization):
     it. With forces that end where a string goes slack, Newton's method fails from 0.1 mm off
     already where strings have 1e6 N/m.
 
-    The stages of a ramp see ``u_i = u_before + c_i (u − u_before)``.
+    The stages of a ramp see ``u_i = u_before + c_i (u − u_before)``. Where no load is ever
+    estimated, plans are not ``loaded``, and what one does is not found.
     """
 
     def __init__(
-        self, plant: LinearPlant, sample_time: float, length: int, ramp: bool, machine_code: bool
-    ) -> None:
+        self, plant: LinearPlant, sample_time: float, length: int, ramp: bool, machine_code: bool,
+        loaded: bool = True,
+    ) -> None:  # fmt: skip
         self._along, self._once = (
             AccelerationSlopes(plant, count, taut=True, machine_code=machine_code)
             for count in (3 * length, 3)
         )
         self.back_end = self._along.back_end
         self._taut = Evaluator(plant.prepared.get("taut", lambda: _taut_force_density(plant)))
-        self.ramp, self._plant = ramp, plant
+        self.ramp, self._plant, self._loaded = ramp, plant, loaded
         self._sample_time, self._r = sample_time, plant.degrees_of_freedom
         self._share = _NODES[:, None] if self.ramp else np.ones((3, 1))
         # What the accelerations at the stages do to places and speeds there.
@@ -420,7 +422,8 @@ class RadauIIA(Discretization):
         sides = [-left[..., None], by_q, h * _NODES[:, None, None] * by_q + by_v, share * by_u]
         if self.ramp:
             sides.append((1 - share) * by_u)
-        sides.append(np.broadcast_to(np.eye(r), (N, 3, r, r)))
+        if self._loaded:
+            sides.append(np.broadcast_to(np.eye(r), (N, 3, r, r)))
         answer = solve_stacked(system, np.concatenate(sides, axis=3).reshape(N, 3 * r, -1))
         self._change, self._slopes = answer[:, :, 0].reshape(N, 3, r), answer[:, :, 1:]
         # By columns: entry [k, j, i], i first the places and then the speeds at the end.
@@ -444,9 +447,10 @@ class RadauIIA(Discretization):
         """See :meth:`Discretization.corrected`."""
         states, inputs = changes
         parts = [states, inputs[1:], inputs[:-1]] if self.ramp else [states, inputs[1:]]
-        parts.append(np.zeros((len(states), self._r)))
-        if load is not None:
-            parts[-1][:] = load
+        if self._loaded:
+            parts.append(np.zeros((len(states), self._r)))
+            if load is not None:
+                parts[-1][:] = load
         moved = self._slopes @ np.hstack(parts)[:, :, None]
         return stages + self._change + moved.reshape(stages.shape)
 
