@@ -179,7 +179,7 @@ class LeastDistance(Subproblem):
         self._states[:], self._inputs[:] = states, inputs
         parts = [motion.offset, *motion.slopes, *[None] * (3 - len(motion.slopes))]
         parts += [None] * 4 if rows is None else [rows.offset, *rows.slopes]
-        kept = [None if part is None else np.ascontiguousarray(part) for part in parts]
+        kept = [None if part is None else np.ascontiguousarray(part, float) for part in parts]
         addresses = [None if part is None else _address(part) for part in kept]
         return bool(self._prepare(self._program, *addresses))
 
@@ -194,7 +194,7 @@ class LeastDistance(Subproblem):
                 return SubproblemSolution(Status.OUT_OF_TIME, 0, None)
             stop = _Stop(lambda _: perf_counter() >= deadline)
         given = state, acting, data.reference, data.input_reference, data.drift, previous
-        kept = [np.ascontiguousarray(part) for part in given]
+        kept = [np.ascontiguousarray(part, float) for part in given]
         status = self._solve(self._program, *map(_address, kept), stop)
         plan = None
         if status == 0:
