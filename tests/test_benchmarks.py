@@ -260,6 +260,12 @@ def test_nmpc_step(printed, nothing_compiled):
     assert abs(cost["MPC, linear"] - 1.0) > 1e-2
 
 
+def test_nmpc_commits(printed):
+    text = printed("nmpc_commits", "--old . --starts 1 --back_ends interpreted")
+    assert "interpreted: virtual machine and virtual machine, 24 samples each" in text
+    assert "closed-loop costs agree to 0.0e+00" in text
+
+
 @needs_compiler
 @pytest.mark.skipif(which("size") is None, reason="there is no program size")
 def test_deploy(printed):
