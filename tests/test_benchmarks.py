@@ -101,6 +101,16 @@ def test_oracle_agreement(printed, monkeypatch, tmp_path):
     assert row(text, "motions")[0] < 1e-10
 
 
+def test_growth(printed):
+    text = printed("growth", "--stages 1 2 --whole 2 --last linearize")
+    assert len(row(text, "prestress search")) == 2  # no exponent of so short times
+    for what in ("prestress at a level", "prestress, all taut", "bars of a given γ"):
+        assert row(text, f"     2  {what}")[0] < 1e-8
+    assert row(text, "     2  counts and verdicts")[0] == 0.0
+    for what in ("20 lowest stiffnesses", "20 lowest modes"):
+        assert row(text, f"     2  {what}")[0] < 1e-8
+
+
 @needs_compiler
 def test_member_cost(printed, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

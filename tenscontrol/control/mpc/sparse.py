@@ -252,9 +252,11 @@ class Sparse(Form):
             np.concatenate([equal, high]),
         )  # fmt: skip
 
-    def inputs(self, x: FloatArray, state: FloatArray, data: StageData) -> FloatArray:
+    def inputs(
+        self, x: FloatArray, state: FloatArray, data: StageData, samples: int | None = None
+    ) -> FloatArray:
         """See :meth:`Form.inputs`."""
-        return self.trajectory(x)[1]
+        return self.trajectory(x)[1][:samples]
 
     def trajectory(self, x: FloatArray) -> Pair:
         """Return z_1 … z_N (N, s) and u_0 … u_{N−1} (N, α) of a solution."""
