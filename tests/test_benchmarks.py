@@ -330,3 +330,10 @@ def test_morph(printed, nothing_compiled):
     assert tension < 45.0
     assert "{'ok': 135}" in text
     assert "out of range" not in text
+
+
+def test_reduced_control(printed):
+    text = printed("reduced_control", "--stages 5 --loop 8 --duration 2")
+    assert float(re.search(r"^ +5 +\d+ .* (\S+)$", text, re.M)[1]) < 1e-8
+    for law in ("LQR", "MPC"):
+        assert row(text, law)[2] == pytest.approx(1, abs=0.05)
