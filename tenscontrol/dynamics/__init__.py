@@ -28,6 +28,7 @@ from tenscontrol.dynamics.evaluator import (
     exclusive,
     solving,
 )
+from tenscontrol.dynamics.forms import C_EXPORT, C_HEAD, external_interface
 from tenscontrol.dynamics.gravity import weights
 from tenscontrol.dynamics.machine_code import (
     Compiled,
@@ -35,6 +36,7 @@ from tenscontrol.dynamics.machine_code import (
     CompilerError,
     compiled,
     compiled_library,
+    compiled_source,
     compiler,
 )
 from tenscontrol.dynamics.model import Model
@@ -50,6 +52,8 @@ from tenscontrol.dynamics.tangent import (
 
 __all__ = [
     "BUILDING",
+    "C_EXPORT",
+    "C_HEAD",
     "KINDS",
     "ColumnEvaluator",
     "Compiled",
@@ -79,10 +83,12 @@ __all__ = [
     "built",
     "compiled",
     "compiled_library",
+    "compiled_source",
     "compiler",
     "coordinates",
     "evaluate_columns",
     "exclusive",
+    "external_interface",
     "normal_basis",
     "pack_state",
     "polynomial_at",

@@ -30,6 +30,7 @@ from tenscontrol.structure import (
     bar_rows,
     block_mass,
     left_by_supports,
+    nearest_turn,
     refuse_wrong_bar_lengths,
     rigid_basis,
     rigid_motions,
@@ -237,10 +238,14 @@ class Coordinates:
         """
         N = self.structure.checked_nodes("nodes", nodes)
         V = self.structure.checked_nodes("velocities", velocities)
+        return self.state_of(N, V)
+
+    def state_of(self, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
+        """See :meth:`measure`: of finite arrays of the right shape, which are not checked."""
         if self.kind == "internal":
-            N, V = self.laid_over(N, V)
-        flat = (part.ravel(order="F") for part in (N - self.nodes, V))
-        return np.concatenate([self._from_nodes(part) for part in flat])
+            nodes, velocities = self.laid_over(nodes, velocities)
+        motion = np.stack([(nodes - self.nodes).T, velocities.T]).reshape(2, -1)
+        return np.asarray(self._from_nodes(motion.T).T.ravel())
 
     def laid_over(self, nodes: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See :meth:`measure`: nodes, m, and velocities, m/s, laid over the reference."""
@@ -503,8 +508,12 @@ class Coordinates:
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
-        weights = self._mass.sum(axis=1)
-        return np.asarray(nodes @ weights / weights.sum())[:, None]
+        return np.asarray(nodes @ self._shares)
+
+    @cached_property
+    def _shares(self) -> FloatArray:
+        """Shares of the nodes in the mass, shape (n, 1)."""
+        return np.asarray(self._mass.sum(axis=1, keepdims=True) / self._mass.sum())
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray]:
@@ -513,17 +522,9 @@ class Coordinates:
         return centre, (self.nodes - centre) @ self._mass
 
     def _alignment(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the turn and the centre of mass that lay the shape over the reference.
-
-        The rotation nearest in the metric of the kinetic energy (Kabsch 1976,
-        doi:10.1107/S0567739476001873): at the optimum the displacement has no
-        part along a rigid motion.
-        """
+        """Return what lays the shape over the reference: then nothing is left of a rigid motion."""
         centre = self._centre(nodes)
-        spread = self._reference[1] @ (nodes - centre).T
-        U, _, Vt = np.linalg.svd(spread)
-        U[:, -1] *= np.linalg.det(U @ Vt)
-        return U @ Vt, centre
+        return nearest_turn(self._reference[1] @ (nodes - centre).T), centre
 
     def _along_supports(
         self, nodes: FloatArray, velocities: FloatArray

@@ -256,6 +256,10 @@ class Evaluator:
         """Pickle the function; the memory is made anew."""
         return Evaluator, (self._function,)
 
+    def columns(self, i: int) -> int:
+        """Return how many columns an input has."""
+        return int(self._function.size2_in(i))
+
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Evaluate and return one array per output: a vector, or a matrix in Fortran order."""
         with self._in_use:
@@ -313,9 +317,20 @@ class ColumnEvaluator:
         return results
 
 
+# Of each function, evaluators that no thread uses at the moment.
+_IDLE = Prepared()
+
+
 def evaluate_columns(function: ca.Function, *columns: FloatArray) -> list[FloatArray]:
     """Evaluate a function of column vectors at T of them; see :class:`ColumnEvaluator`."""
-    return ColumnEvaluator(function)(*columns)
+    _, idle = _IDLE.get(function, lambda: (function, deque[ColumnEvaluator]()))
+    try:
+        evaluator = idle.pop()
+    except IndexError:
+        evaluator = ColumnEvaluator(function)
+    found = evaluator(*columns)
+    idle.append(evaluator)
+    return found
 
 
 def _dense(sparsity: ca.Sparsity) -> FloatArray:

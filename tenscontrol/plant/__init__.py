@@ -30,6 +30,7 @@ from tenscontrol.plant.modes import Modes, ReducedPlant, modes, modes_of, reduce
 from tenscontrol.plant.reduced_dynamics import (
     acceleration_slopes,
     checked_tracked,
+    exact_motion,
     explicit_substeps,
     linked_accelerations,
     near_symbol,
@@ -40,6 +41,7 @@ from tenscontrol.plant.reduced_dynamics import (
     sampled_motion,
     settled,
     tracked_motion,
+    with_jacobian,
 )
 from tenscontrol.plant.reference import (
     STRINGS_MOVE_NO_CENTRE,
@@ -99,6 +101,7 @@ __all__ = [
     "convex_hull",
     "energy_weights",
     "equilibrium",
+    "exact_motion",
     "explicit_substeps",
     "filter_riccati",
     "held_value",
@@ -138,4 +141,5 @@ __all__ = [
     "tracked_motion",
     "unreached_modes",
     "warn_of_left_alone",
+    "with_jacobian",
 ]

@@ -429,9 +429,10 @@ class Sampled:
         self, state: FloatArray, previous: FloatArray, origin: FloatArray
     ) -> FloatArray:
         """Return the next state at zero input without drift; ``origin`` is where v is zero."""
-        return np.asarray(
-            self.transition @ state + self.by_previous @ previous - self.by_input @ origin
-        )
+        free = self.transition @ state - self.by_input @ origin
+        if self.ramp:
+            free += self.by_previous @ previous
+        return np.asarray(free)
 
 
 def kept(

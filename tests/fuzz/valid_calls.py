@@ -213,6 +213,7 @@ WITHIN = {
     "control.Controller.take_over",
     "plant.LinearPlant.refuse_long_sample_time",
     "dynamics.Coordinates.laid_over",
+    "dynamics.Coordinates.state_of",
     "dynamics.Coordinates.displaced",
     "dynamics.Coordinates.kept_lengths",
     "dynamics.Coordinates.hidden",

@@ -311,6 +311,7 @@ class _Runner:
         self._project = how.project if method.drifts or how.method is not None else None
         self.choice = chosen
         steps = isinstance(method.make, type) and issubclass(method.make, FixedStep)
+        self._steps = steps
         self._shares = not scene.parameters or (steps and self._can_share(equation))
         self._lanes = None
         if self._shares:
@@ -477,18 +478,22 @@ class _Runner:
         return kept, ended
 
     def _of_run(self, run: int) -> Integrator:
-        """Return the integrator of a run: one for all of a thread, or of a model of its own."""
-        if self._shares:
-            if not hasattr(self._threads, "integrator"):
-                made = self._integrator(self._shared, self.how.machine_code)
-                self._threads.integrator = made
-            found: Integrator = self._threads.integrator
-            return found
-        form = "mapped" if self._method.differentiates else "auto"
-        equation = self._equation(self.scene.model_of(run), "auto", ())
-        if self._method.differentiates and equation.form == "loops":
-            equation = self._equation(self.scene.model_of(run), form, ())
-        return self._integrator(equation, self.how.machine_code)
+        """Return the integrator of a run: of a model of its own, or that of all.
+
+        One with fixed steps has no memory, and serves all runs of a thread.
+        """
+        code = self.how.machine_code
+        if not self._shares:
+            equation = self._equation(self.scene.model_of(run), "auto", ())
+            if self._method.differentiates and equation.form == "loops":
+                equation = self._equation(self.scene.model_of(run), "mapped", ())
+            return self._integrator(equation, code)
+        if not self._steps:
+            return self._integrator(self._shared, code)
+        if not hasattr(self._threads, "integrator"):
+            self._threads.integrator = self._integrator(self._shared, code)
+        found: Integrator = self._threads.integrator
+        return found
 
     def _end(self, run: int, time: float, why: str) -> None:
         self.end_time[run] = time
