@@ -259,9 +259,7 @@ def mujoco_rollout(
         return {}
     prism = model.structure
     scenes = [
-        RigidScene(
-            tc.Case(model, duration, prism.nodes, rates, input="rest_length", value=lengths)
-        )
+        RigidScene(tc.Case(model, duration, prism.nodes, rates, input="rest_length", value=lengths))
         for rates in V
     ]
     made = mujoco.MjModel.from_xml_string(scenes[0].xml)
@@ -279,9 +277,11 @@ def mujoco_rollout(
             made.opt.integrator, made.opt.timestep = method, duration / steps
             states, _ = rollout.rollout(made, data, starts, nstep=steps)
             last = states[:, -1, 1:]
-            return scenes[0].nodes(last[:, : made.nq], last[:, made.nq : made.nq + made.nv])[
-                0
-            ].transpose(2, 0, 1)
+            return (
+                scenes[0]
+                .nodes(last[:, : made.nq], last[:, made.nq : made.nq + made.nv])[0]
+                .transpose(2, 0, 1)
+            )
 
         return run
 
