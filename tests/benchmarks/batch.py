@@ -41,10 +41,13 @@ def thrown(prism: tc.Structure, runs: int) -> np.ndarray:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
-    given = options(__doc__, arguments, runs=1000, duration=1.0, repeats=5)
+    given = options(
+        __doc__, arguments, runs=1000, duration=1.0, repeats=5, scenes=("taut", "slack")
+    )
     prism = tc.prism()
     V = thrown(prism, given.runs)
-    for name, vertical in (("taut", np.sqrt(3) * 17.3205), ("slack", 9.0)):
+    for name in given.scenes:
+        vertical = {"taut": np.sqrt(3) * 17.3205, "slack": 9.0}[name]
         model = tc.Model(prism, strings=tc.LinearStrings(STIFFNESS))
         gamma = np.repeat([17.3205, 17.3205, vertical], 3)
         lengths = tc.to_rest_length(model, prism.nodes, gamma).rest_length
