@@ -103,9 +103,6 @@ from .control import (
 from .control import (
     clearance as clearance,
 )
-from .control import (
-    lqr as lqr,
-)
 from .deploy import (
     generate_c as generate_c,
 )
@@ -150,6 +147,9 @@ from .plant import (
 )
 from .plant import (
     modes as modes,
+)
+from .plant import (
+    reduce as reduce,
 )
 from .robustness import (
     ClosedLoopCase as ClosedLoopCase,
@@ -274,13 +274,13 @@ __all__ = [
     "linearize",
     "load_scene",
     "long_run",
-    "lqr",
     "modes",
     "net",
     "predictability",
     "prestress",
     "prism",
     "prism_tower",
+    "reduce",
     "shape_path",
     "shape_target",
     "simulate",

@@ -277,6 +277,8 @@ def instance(name: str, value: object, kind: type, how: str) -> None:
 
 def number(name: str, value: object, unit: str) -> float:
     """Return one finite real number."""
+    if type(value) is float and abs(value) <= LARGEST:  # most are
+        return value
     return float(shaped(name, value, (), f"one number, {unit}"))
 
 

@@ -83,6 +83,8 @@ def values(tmp_path_factory):
         rest.tangent_stiffness(100.0),
         plant,
         plant.coordinates,
+        plant.sparse,
+        tc.reduce(plant, modes=2),
         tc.modes(plant),
         tc.controllability(plant),
         run,

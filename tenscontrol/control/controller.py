@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -62,6 +61,9 @@ class MeasurementCheck:
         # Largest velocity, m/s, and coordinate, m, of a node along an axis.
         self.largest_velocity, self.farthest = _FAR * self.fastest, _FAR * size
         self.support_distance = _SUPPORT * size  # of a fixed node from its place, m
+        # The same axis by axis, of positions and then of velocities.
+        self._limits = [(self.farthest, self.spread)] * len(nodes)
+        self._limits += [(self.largest_velocity, self.fastest)] * len(nodes)
         self.fixed, self.places = structure.fixed, nodes[:, structure.fixed]
         rolling = np.setdiff1d(structure.fixed_rows // len(nodes), self.fixed)
         is_held = np.zeros(nodes.size, bool)
@@ -77,21 +79,20 @@ class MeasurementCheck:
 
     def fault(self, nodes: FloatArray, velocities: FloatArray) -> Status | None:
         """Return a status for what is wrong with a measurement, shapes (d, n); None if nothing."""
-        # Comparisons with what is not finite are false; no square overflows after the first.
-        if not (
-            np.abs(nodes).max() <= self.farthest
-            and np.abs(velocities).max() <= self.largest_velocity
-        ):
-            finite = np.isfinite(nodes).all() and np.isfinite(velocities).all()
-            return Status.MEASUREMENT_NOT_PLAUSIBLE if finite else Status.MEASUREMENT_NOT_FINITE
+        motion, plausible = np.concatenate([nodes, velocities]), True
+        extents = motion.min(axis=1).tolist(), motion.max(axis=1).tolist()
+        for least, most, (distance, spread) in zip(*extents, self._limits, strict=True):
+            # What is not finite is the least or the largest, and comparisons with it are false; no
+            # square overflows after this.
+            if not -distance <= least <= most <= distance:
+                finite = np.isfinite(motion).all()
+                return Status.MEASUREMENT_NOT_PLAUSIBLE if finite else Status.MEASUREMENT_NOT_FINITE
+            plausible = plausible and most - least <= spread
         start, end = self.bars
-        bars = nodes[:, end] - nodes[:, start]
-        square = (bars * bars).sum(axis=0)
-        plausible = (
-            np.ptp(nodes, axis=1).max() <= self.spread
-            and np.ptp(velocities, axis=1).max() <= self.fastest
-            and ((square >= self.squares[0]) & (square <= self.squares[1])).all()
-        )
+        bars = nodes.take(end, axis=1) - nodes.take(start, axis=1)
+        square = np.einsum("ij,ij->j", bars, bars)
+        shortest, longest = self.squares
+        plausible = plausible and bool(((square >= shortest) & (square <= longest)).all())
         if plausible and len(self.fixed):
             off = np.linalg.norm(nodes[:, self.fixed] - self.places, axis=0)
             plausible = bool(off.max() <= self.support_distance)
@@ -99,6 +100,11 @@ class MeasurementCheck:
             off = np.abs(nodes[:, self.rolling] - self.held_at)[self.held]
             plausible = bool(off.max() <= self.support_distance)
         return None if plausible else Status.MEASUREMENT_NOT_PLAUSIBLE
+
+
+def clipped(value: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return the nearest value within bounds; ``np.clip`` takes three times as long."""
+    return np.minimum(np.maximum(value, low), high)
 
 
 class BaseController(ABC):
@@ -272,7 +278,7 @@ class BaseController(ABC):
         self._called = perf_counter()
         time = number("time", time, "s")
         shape = self._structure.nodes.shape
-        N, V = (measured(*pair, shape) for pair in (("nodes", nodes), ("velocities", velocities)))
+        N, V = measured("nodes", nodes, shape), measured("velocities", velocities, shape)
         state, fault = self._measure(N, V)
         if fault is not None:
             return self.fall_back(fault)
@@ -316,7 +322,7 @@ class BaseController(ABC):
         self._status_count[desired.status] += 1
         if desired.fallback is not None:
             self._fallback_count[desired.fallback] += 1
-        return replace(desired, value=self._previous_input)
+        return Command(self._previous_input, desired.status, desired.fallback, desired.detail)
 
     @exclusive
     def applied(self, value: object) -> None:
@@ -350,7 +356,7 @@ class BaseController(ABC):
             previous = self._equilibrium_input
         assert previous is not None  # a law on a plant has the second, others are asked before
         # Bounds come before the limit of change, wherever the actuators are.
-        return np.clip(previous, self._low, self._high)
+        return clipped(previous, self._low, self._high)
 
     @property
     def _sample_bounds(self) -> tuple[FloatArray, FloatArray]:
@@ -364,7 +370,7 @@ class BaseController(ABC):
 
     def _within_bounds(self, desired: FloatArray) -> FloatArray:
         """Return the nearest input within the bounds of this sample."""
-        return np.clip(desired, *self._sample_bounds)
+        return clipped(desired, *self._sample_bounds)
 
     @exclusive
     def reset(self) -> None:
@@ -478,15 +484,20 @@ class Controller(BaseController):
             commanded=plant.commanded, equilibrium_input=plant.equilibrium_input,
             check=MeasurementCheck(structure, plant.nodes, rate),
         )  # fmt: skip
-        # z that a subclass predicts for the next sample, and how far the last one was off, m.
+        # z that a subclass predicts for the next sample; what it predicted for the last, and that.
         self._predicted: FloatArray | None = None
-        self._prediction_error: float | None = None
+        self._compared: tuple[FloatArray, FloatArray] | None = None
         self._displacements, self._dimension = plant.basis, len(plant.nodes)
 
     @property
     def prediction_error(self) -> float | None:
         """See :attr:`BaseController.prediction_error`."""
-        return self._prediction_error
+        if self._compared is None:
+            return None
+        state, predicted = self._compared
+        off = (state - predicted)[: self._displacements.shape[1]]
+        nodes = (self._displacements @ off).reshape(-1, self._dimension)
+        return float(np.sqrt((nodes * nodes).sum(axis=1).max()))
 
     @exclusive
     def reset(self) -> None:
@@ -509,11 +520,9 @@ class Controller(BaseController):
     def _compare(self, state: FloatArray | None) -> None:
         """Note how far a state, None if there is none, is off what was predicted."""
         predicted, self._predicted = self._predicted, None
-        self._prediction_error = None
+        self._compared = None
         if predicted is not None and state is not None:
-            off = (state - predicted)[: self._displacements.shape[1]]
-            nodes = (self._displacements @ off).reshape(-1, self._dimension)
-            self._prediction_error = float(np.sqrt((nodes * nodes).sum(axis=1).max()))
+            self._compared = state, predicted
 
     @property
     def left_alone(self) -> Modes:
@@ -540,7 +549,7 @@ class Controller(BaseController):
         fault = self._measurement_check.fault(nodes, velocities)
         if fault is not None:
             return np.zeros(0), fault
-        state = self._plant.coordinates.measure(nodes, velocities)
+        state = self._plant.coordinates.state_of(nodes, velocities)
         self._compare(state)
         return state, None
 

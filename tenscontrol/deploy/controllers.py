@@ -1,10 +1,10 @@
 """Numbers of a law in C code: LQR, linear MPC, nonlinear MPC.
 
 The vectors of the program of linear MPC are affine in the state, the previous input, the same
-within bounds, and the estimated load; the planned inputs also in the solution. Their matrices are
+within bounds, and the estimated load; so are the planned inputs. Their matrices are
 read from the controller, by one evaluation a column. Their values at zero depend on time alone and
 become a table with a row a sample. In nonlinear MPC the motion over a sample, the limited rows and
-their derivatives are CasADi functions; the program gives the places of their values in its matrix.
+their derivatives are CasADi functions; the program along the stages is that of Python.
 """
 
 from __future__ import annotations
@@ -21,23 +21,25 @@ from tenscontrol.control.mpc import (
     CONVERGED,
     NEWTON_STEPS,
     RK4,
-    START_RHO,
+    STAGES_TOLERANCE,
     Condensed,
     MPCLaw,
     MPCProblem,
-    OSQPSolver,
-    QPSolver,
-    Sparse,
     StageData,
-    StageJacobians,
+    active_set_source,
+    stages_data,
+    stages_source,
 )
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.validation import FloatArray
 
 # Maps read from a controller must agree with it at any other point, to this fraction.
 _AGREEMENT = 1e-9
 
 # Violations that the C code takes for round-off, in units of a row.
 _TOLERANCE = 1e-11
+
+# Unknown inputs that a condensed program may have.
+_MOST_UNKNOWNS = 5000
 
 # Numbers that a table may have: some hundred megabytes of C text.
 _LARGEST = 5_000_000
@@ -51,11 +53,10 @@ class LawCode:
     constants: dict[str, int | float]  # of the preprocessor
     arrays: dict[str, np.ndarray]  # of one or two dimensions
     matrices: dict[str, FloatArray]  # written without their zeros
-    program: OSQPSolver | None = None  # before its first solve
     # Number of the first sample, and what depends on time alone, shape (K, m), a row a sample.
     table: tuple[int, FloatArray] | None = None
     functions: dict[str, ca.Function] = field(default_factory=dict)  # besides the measurement
-    active_set: bool = False  # whether it solves programs by the active-set method
+    headers: dict[str, str] = field(default_factory=dict)  # texts of C that it includes
 
 
 def lqr_code(controller: LQR) -> LawCode:
@@ -81,8 +82,13 @@ class _LeastDistance:
 
     def __init__(self, problem: MPCProblem) -> None:
         N, a, rows = problem.length, problem.input_matrix.shape[1], problem.rows
-        self.form = Condensed(problem)
         self.unknowns = count = problem.input_count
+        if count > _MOST_UNKNOWNS:
+            raise ValueError(
+                f"controller plans {count} inputs, and its program is condensed, so dense, in C "
+                f"code; expected at most {_MOST_UNKNOWNS}. Take a shorter horizon"
+            )
+        self.form = Condensed(problem)
         soft = 0 if rows is None else len(rows.soft)
         widths = [a] * (1 if problem.change is None else 2)
         widths.append(0 if rows is None else len(rows.scale) - soft)
@@ -159,7 +165,7 @@ class _Reader:
         return np.concatenate(parts)
 
     def _stage_data(self, time: float, load: FloatArray) -> StageData:
-        return self._law.stage_data(time, load if self.loads else None)
+        return self._law.stage_data(self._law.preview(time), load if self.loads else None)
 
     @staticmethod
     def _split(given: FloatArray, *sizes: int) -> list[FloatArray]:
@@ -202,8 +208,9 @@ def mpc_code(controller: MPC) -> LawCode:
         "TOLERANCE": _TOLERANCE,
     }
     arrays = {"price": program.price.ravel(), "response": program.response()}
-    templates = "least_distance.c", "time_table.c", "mpc.c"
-    return LawCode(templates, constants, arrays, matrices, table=(first, table), active_set=True)
+    templates = "program.c", "least_distance.c", "time_table.c", "mpc.c"
+    headers = {"active_set": active_set_source()}
+    return LawCode(templates, constants, arrays, matrices, (first, table), headers=headers)
 
 
 def _read(
@@ -229,7 +236,7 @@ def _read(
 
 
 def nmpc_code(controller: NMPC) -> LawCode:
-    """Return the code of a nonlinear MPC."""
+    """Return the code of a nonlinear MPC, which solves its program along the stages."""
     law = controller.law
     _refuse_time_limit(law.settings.longest_time)
     problem, model = law.problem, law.model
@@ -239,37 +246,19 @@ def nmpc_code(controller: NMPC) -> LawCode:
             "steps, which are not written as C code: give a shorter step and winches that jump, "
             "or take MPC, whose prediction is linear"
         )
-    N, (s, a) = problem.length, problem.input_matrix.shape
-    p = 0 if problem.rows is None else len(problem.rows.scale)
-    # A new program: that of the controller may be in the middle of a run.
-    program = law.subproblem()
-    fixed = program.A.data.copy()
-    still = _flat(N, s, s, a), None if p == 0 else _flat(N, p, s, a, s)
-    program.linearize(*still)
-    nothing = np.zeros(s), law.stage_data(np.zeros((N, s)), np.zeros((N, a)))
+    sizes, data = stages_data(problem, law.row_bounds, law.settings.max_iterations, law.bounds)
+    N, _, _, p, _, changes, soft, most = sizes
 
     def row(time: float) -> FloatArray:
-        reference, origin = law.targets(time)
-        q, _, _ = program.vectors(nothing[0], law.stage_data(reference, origin), np.zeros(a))
-        return np.concatenate([q, reference.ravel(), origin.ravel()])
+        return np.concatenate([part.ravel() for part in law.targets(time)])
 
-    first, table = _time_table(law.path.span, law.settings.sample_time, N, row)
-    low, high = program.vectors(*nothing, np.zeros(a))[1:]
-    slopes = np.zeros((len(low), a))
-    # Rows of a change are bounded on both sides, and move alike; no others move.
-    bounded = np.isfinite(low)
-    for i, unit in enumerate(np.eye(a)):
-        slopes[bounded, i] = program.vectors(*nothing, unit)[1][bounded] - low[bounded]
-    source, factor = _places(program, fixed, (N, s, a, p))
-    limit_of_row, limit_scale = _limits(program, problem)
-    x, y = program.shifted(np.arange(1.0, program.A.shape[1] + 1), np.arange(1.0, len(low) + 1))
     functions = {
         "advance": model.discretization.sampled,
         "linearize": model.discretization.linearized,
     }
     if model.limited is not None:
         functions["limited"] = model.limited
-    matrices = {"by_previous_input": slopes, "feedback": -problem.feedback}
+    matrices = {"feedback": -problem.feedback}
     loads = 0
     if law.load is not None:
         loads = len(law.load.gain)
@@ -279,86 +268,33 @@ def nmpc_code(controller: NMPC) -> LawCode:
             "load_response": law.load.response,
             "load_shift": law.load.shift,
             "load_effort": law.load.effort,
-        } | _gradients(program, problem)
+        }
+    names = (
+        "state_weight", "input_weight", "terminal_weight", "limit_scale", "largest_change",
+        "", "", "limit_low", "limit_high", "price",
+    )  # fmt: skip
     return LawCode(
         templates=("program.c", "time_table.c", "nmpc.c"),
         constants={
-            "UNKNOWNS": program.A.shape[1],
-            "ROWS": program.A.shape[0],
-            "ENTRIES": len(fixed),
             "HORIZON": N,
             "PLANNED": problem.input_count,
             "LIMITED": p,
+            "CHANGES": changes,
+            "SOFT": soft,
             "LOADS": loads,
             "NEWTON_STEPS": NEWTON_STEPS,
             "LEVEL": float(problem.level),
             "ROUNDS": law.rounds,
             "CONVERGED": CONVERGED,
-            "FIRST_RHO": START_RHO,
+            "ITERATIONS": most,
+            "TOLERANCE": STAGES_TOLERANCE,
         },
-        arrays={
-            "unit": program.units,
-            "first_low": low,
-            "first_high": high,
-            "source_of_entry": source,
-            "entry": factor,
-            "limit_of_row": limit_of_row,
-            "limit_scale": limit_scale,
-            "source_of_x": x.astype(np.int64) - 1,
-            "source_of_y": y.astype(np.int64) - 1,
-        },
+        arrays={name: part.ravel() for name, part in zip(names, data, strict=False) if name},
         matrices=matrices,
-        program=_osqp(law.solver(law.subproblem())),
-        table=(first, table),
+        table=_time_table(law.path.span, law.settings.sample_time, N, row),
         functions=functions,
+        headers={"active_set": active_set_source(), "stages": stages_source()},
     )
-
-
-def _flat(N: int, values: int, *arguments: int) -> StageJacobians:
-    """Return the tangents of functions that are zero."""
-    return StageJacobians(np.zeros((N, values)), tuple(np.zeros((N, j, values)) for j in arguments))
-
-
-def _places(
-    program: Sparse, fixed: FloatArray, sizes: tuple[int, int, int, int]
-) -> tuple[IntArray, FloatArray]:
-    """Return which slope each entry of the matrix is, −1 for none, and its factor or its value.
-
-    Slopes are numbered as the C code has them: all A_k, then all B_k, E_k, G_k and F_k, by columns.
-    """
-    N, s, a, p = sizes
-    starts = np.cumsum([0, N * s * s, N * s * a, N * p * s, N * p * a])
-    source, factor = np.full(len(fixed), -1), fixed.copy()
-    motion, parts = program.motion_indices, program.row_indices
-    for begin, slots in [
-        *zip(starts[:2], motion, strict=True),
-        *((begin, slots) for part in parts for begin, slots in zip(starts[2:], part, strict=True)),
-    ]:
-        source[slots.index], factor[slots.index] = begin + slots.source, slots.factor
-    return source, factor
-
-
-def _gradients(program: Sparse, problem: MPCProblem) -> dict[str, FloatArray]:
-    """Return what references and origins of a sample do to q: that is −P times them, in units."""
-    N, (s, a) = problem.length, problem.input_matrix.shape
-    starts = {"by_reference": 0, "by_last": (N - 1) * s, "by_origin": N * s}
-    found = {}
-    for name, start in starts.items():
-        unit = np.full(a, problem.level) if name == "by_origin" else program.units
-        found[name] = -program.P[start:, start:][: len(unit), : len(unit)].toarray() / unit
-    return found
-
-
-def _limits(program: Sparse, problem: MPCProblem) -> tuple[IntArray, FloatArray]:
-    """Return which of the N p limited values each row bounds, −1 for none, and its unit."""
-    count, N, rows = program.A.shape[0], problem.length, problem.rows
-    limit, unit = np.full(count, -1), np.ones(count)
-    for places, start in program.limits.parts:
-        assert rows is not None  # there are parts
-        found = N * len(program.units) + start + np.arange(N * len(places))
-        limit[found] = (len(rows.scale) * np.arange(N)[:, None] + places).ravel()
-        unit[found] = np.tile(rows.scale[places], N)
-    return limit, unit
 
 
 def _time_table(
@@ -386,13 +322,3 @@ def _refuse_time_limit(limit: float) -> None:
             f"controller has time_limit={limit:g} s, and C code without an operating system has no "
             "clock: make it without, and limit the work by max_iterations"
         )
-
-
-def _osqp(solver: QPSolver) -> OSQPSolver:
-    """Return the solver of a controller, or raise where C code cannot be written."""
-    if not isinstance(solver, OSQPSolver):
-        raise ValueError(
-            f"controller solves its programs by {type(solver).__name__}, and C code is written for "
-            "OSQP: make it with solver='osqp'"
-        )
-    return solver

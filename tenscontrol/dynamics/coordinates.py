@@ -30,6 +30,7 @@ from tenscontrol.structure import (
     bar_rows,
     block_mass,
     left_by_supports,
+    nearest_turn,
     refuse_wrong_bar_lengths,
     rigid_basis,
     rigid_motions,
@@ -57,7 +58,7 @@ _MOST, _STEPS, _EXACT = 30, 6, 1e-10
 # A shape is laid over the reference when the next step is below this part of its size.
 _LAID = 1e-15
 
-# Entries of a dense matrix up to which it multiplies as fast as a sparse one.
+# Entries up to which a dense matrix multiplies as fast as a sparse one.
 _SMALL = 4_000_000
 
 KINDS = ("nodes", "minimal", "internal")
@@ -91,8 +92,7 @@ class Coordinates:
     _momenta: csr_array  # (m, d n): y = momenta @ vec(δN)
     _mass: csr_array  # (n, n): M_s
     _inside: Complement | FloatArray | None = None  # H, (m, r); None for all of y
-    # F, (d n, k), G, (k, f), rows (f,): δN is less by F G δN[rows], what feet move as one body,
-    # and on the feet nothing is left.
+    # F, G, rows: δN is less by F G δN[rows], what feet move as one body, and on them it is zero.
     _feet: tuple[FloatArray, FloatArray, IntArray] | None = None
 
     @property
@@ -125,10 +125,15 @@ class Coordinates:
         ----------
         values : ndarray or csr_array, shape (m,) or (m, k)
         """
+        if isinstance(self._inside, np.ndarray):
+            return np.asarray((values.T @ self._inside).T)
         dense = values.toarray() if hasattr(values, "toarray") else np.array(values)
-        if isinstance(self._inside, Complement):
-            return self._inside.transposed(dense)
-        return dense if self._inside is None else np.asarray(self._inside.T @ dense)
+        return dense if self._inside is None else self._inside.transposed(dense)
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether they are all of the minimal coordinates y but for motions as one body."""
+        return self.kind != "nodes" and not isinstance(self._inside, np.ndarray)
 
     def within(self, inside: FloatArray) -> Coordinates:
         """Return fewer coordinates p, ``q = inside @ p``, with orthonormal columns, shape (r, k).
@@ -143,11 +148,11 @@ class Coordinates:
     @cached_property
     def rigid(self) -> FloatArray:
         """Orthonormal basis, in y, of the motions as one body that supports leave, shape (m, k)."""
-        if isinstance(self._inside, Complement):
-            return self._inside.outside
-        return Complement(
-            self._momenta @ left_by_supports(self.structure, rigid_motions(self.nodes))
-        ).outside
+        found = self._inside
+        if not isinstance(found, Complement):
+            left = left_by_supports(self.structure, rigid_motions(self.nodes))
+            found = Complement(self._momenta @ left)
+        return frozen(found.outside)
 
     def to_sparse(self, q: FloatArray) -> FloatArray:
         """Return y = H q, shape (m,) or (m, k).
@@ -233,10 +238,14 @@ class Coordinates:
         """
         N = self.structure.checked_nodes("nodes", nodes)
         V = self.structure.checked_nodes("velocities", velocities)
+        return self.state_of(N, V)
+
+    def state_of(self, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
+        """See :meth:`measure`: of finite arrays of the right shape, which are not checked."""
         if self.kind == "internal":
-            N, V = self.laid_over(N, V)
-        flat = (part.ravel(order="F") for part in (N - self.nodes, V))
-        return np.concatenate([self._from_nodes(part) for part in flat])
+            nodes, velocities = self.laid_over(nodes, velocities)
+        motion = np.stack([(nodes - self.nodes).T, velocities.T]).reshape(2, -1)
+        return np.asarray(self._from_nodes(motion.T).T.ravel())
 
     def laid_over(self, nodes: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See :meth:`measure`: nodes, m, and velocities, m/s, laid over the reference."""
@@ -499,8 +508,12 @@ class Coordinates:
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
-        weights = self._mass.sum(axis=1)
-        return np.asarray(nodes @ weights / weights.sum())[:, None]
+        return np.asarray(nodes @ self._shares)
+
+    @cached_property
+    def _shares(self) -> FloatArray:
+        """Shares of the nodes in the mass, shape (n, 1)."""
+        return np.asarray(self._mass.sum(axis=1)).reshape(-1, 1) / self._mass.sum()
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray]:
@@ -509,17 +522,9 @@ class Coordinates:
         return centre, (self.nodes - centre) @ self._mass
 
     def _alignment(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the turn and the centre of mass that lay the shape over the reference.
-
-        The rotation nearest in the metric of the kinetic energy (Kabsch 1976,
-        doi:10.1107/S0567739476001873): at the optimum the displacement has no
-        part along a rigid motion.
-        """
+        """Return what lays the shape over the reference: then nothing is left of a rigid motion."""
         centre = self._centre(nodes)
-        spread = self._reference[1] @ (nodes - centre).T
-        U, _, Vt = np.linalg.svd(spread)
-        U[:, -1] *= np.linalg.det(U @ Vt)
-        return U @ Vt, centre
+        return nearest_turn(self._reference[1] @ (nodes - centre).T), centre
 
     def _along_supports(
         self, nodes: FloatArray, velocities: FloatArray

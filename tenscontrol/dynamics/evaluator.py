@@ -317,9 +317,20 @@ class ColumnEvaluator:
         return results
 
 
+# Of each function, evaluators that no thread uses at the moment.
+_IDLE = Prepared()
+
+
 def evaluate_columns(function: ca.Function, *columns: FloatArray) -> list[FloatArray]:
     """Evaluate a function of column vectors at T of them; see :class:`ColumnEvaluator`."""
-    return ColumnEvaluator(function)(*columns)
+    _, idle = _IDLE.get(function, lambda: (function, deque[ColumnEvaluator]()))
+    try:
+        evaluator = idle.pop()
+    except IndexError:
+        evaluator = ColumnEvaluator(function)
+    found = evaluator(*columns)
+    idle.append(evaluator)
+    return found
 
 
 def _dense(sparsity: ca.Sparsity) -> FloatArray:

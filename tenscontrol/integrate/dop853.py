@@ -8,7 +8,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator, compiled_source, compiler
+from tenscontrol.dynamics import Equation, Evaluator, SharedEvaluator, compiled_source, compiler
 from tenscontrol.integrate.dop853_loop import loop_source
 from tenscontrol.integrate.events import (
     POLISHES,
@@ -28,6 +28,7 @@ from tenscontrol.integrate.integrator import (
     Work,
     checked_tolerance,
     largest_frequency,
+    power_iteration,
     state_scale,
 )
 from tenscontrol.integrate.projection import NOT_RIGID, Projector, projection
@@ -99,25 +100,30 @@ class DOP853(Integrator):
         self._held: FloatArray | None = None  # input for which it was found
         by = compiler() if machine_code else None
         built = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
-        chunk, start, self._turns, self.back_end = built
+        chunk, start, self._largest, self._turns, self.back_end = built
         self._chunk, self._start = Evaluator(chunk), Evaluator(start)
 
     def _build(
         self, project: bool, machine_code: bool
-    ) -> tuple[ca.Function, ca.Function, int, str]:
-        """Return many turns, taut and slope at the start, how many turns, and the back end."""
+    ) -> tuple[ca.Function, ca.Function, SharedEvaluator | None, int, str]:
+        """Return many turns, taut and slope at the start, what finds the largest frequency.
+
+        Then how many turns, and the back end.
+        """
         equation = self._equation
         most = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _COMPILED_TURNS))
-        chunk, back_end = None, "machine code for the forces"
+        functions: tuple[ca.Function | None, ...] = ()
+        back_end = "machine code for the forces"
         if equation.form != "loops":
-            chunk, back_end = _compiled_turns(equation, project, most, machine_code)
-        if chunk is None:
+            functions, back_end = _compiled_turns(equation, project, most, machine_code)
+        if not functions:
             most = min(most, _TURNS)
-            chunk = _Turn(equation, project).function().mapaccum(most)
+            functions = _Turn(equation, project).function().mapaccum(most), None
         x, u, _, _ = equation.symbols(ca.MX)
         taut = taut_strings(equation, x, u)
         start = ca.Function("start", [x, u], [taut, equation.slope(x, u, taut)])
-        return chunk, start, most, back_end
+        chunk, largest = functions
+        return chunk, start, None if largest is None else SharedEvaluator(largest), most, back_end
 
     def advance(
         self,
@@ -133,7 +139,7 @@ class DOP853(Integrator):
         before, of_strings = self._held, held[: self._equation.layout.strings]
         # The frequency is found again only where an input has changed by more than a fifth.
         if before is None or (np.abs(of_strings - before) > 0.2 * np.abs(before)).any():
-            self._frequency = largest_frequency(self._equation, state, held)
+            self._frequency = largest_frequency(self._equation, state, held, self._largest)
             self._held = of_strings.copy()
         scale = state_scale(self._equation, state, held, self._frequency)
         taut, slope = (part.copy() for part in self._start(state, held))
@@ -179,14 +185,18 @@ class DOP853(Integrator):
 
 def _compiled_turns(
     equation: Equation, project: bool, count: int, wanted: bool
-) -> tuple[ca.Function | None, str]:
-    """Return so many turns of the loop in C, if that is wanted and there is a compiler."""
+) -> tuple[tuple[ca.Function, ...], str]:
+    """Return so many turns of the loop in C, and what finds the largest frequency; or nothing.
+
+    That is where it is not wanted, or there is no compiler.
+    """
     if not wanted or compiler() is None:
-        return None, "virtual machine"
+        return (), "virtual machine"
     exact = projection(equation) if project else None
     functions = [equation.slope, *([] if exact is None else [exact])]
     if equation.switches:
         functions += [each(equation) for each in (crossing, search, distance, switching)]
+    functions.append(power_iteration(equation))
     n = equation.states
     sizes = {
         "STATES": n, "INPUTS": equation.inputs, "SWITCHES": equation.switches,
@@ -198,7 +208,7 @@ def _compiled_turns(
         "SHORTEST": _SHORTEST, "TWICE_LATE": 2 * _LATE, "MORE": 1 + 1e-14,
     }  # fmt: skip
     source = loop_source(functions, sizes, numbers, _CARRIED, _coefficients())
-    return compiled_source(source, ("turns",))[0], "machine code"
+    return compiled_source(source, ("turns", "largest")), "machine code"
 
 
 def _coefficients() -> Any:
@@ -234,7 +244,7 @@ def _interpolate(recorded: FloatArray, times: FloatArray, states: FloatArray, do
     within = recorded[:, np.minimum(np.searchsorted(ends, now), len(ends) - 1)]
     part = (now - within[0]) / within[1]
     value = np.zeros((n, len(now)))
-    for i, rows in enumerate(np.split(within[2 + n :], _POWERS)[::-1]):
+    for i, rows in enumerate(within[2 + n :].reshape(_POWERS, n, len(now))[::-1]):
         value = (value + rows) * (part if i % 2 == 0 else 1 - part)
     states[:, done:reached] = value + within[2 : 2 + n]
     return reached

@@ -24,9 +24,11 @@ def loop_source(
     carried: Sequence[str],
     method: Any,
 ) -> str:
-    """Return the C text of ``turns(z, given) -> (z, records)``; see :class:`DOP853`.
+    """Return the C text of ``turns(z, given) -> (z, records)`` and of ``largest``.
 
-    ``functions`` are called by name, ``sizes`` and ``numbers`` are constants of the text,
+    The first is many turns of :class:`DOP853`, the second is the last of ``functions``, by which
+    the largest frequency is found. ``functions`` are called by name, ``sizes`` and ``numbers`` are
+    constants of the text,
     ``carried`` names the numbers in z, and ``method`` has the coefficients.
     """
     n, switches, inputs = (sizes[name] for name in ("STATES", "SWITCHES", "INPUTS"))
@@ -70,6 +72,7 @@ def loop_source(
             *(f"#define {name} {value}" for name, value in constants.items()),
             _TEXT % parts,
             external_interface("turns", [z, given], [z, sizes["RECORD"] * sizes["TURNS"]]),
+            external_interface("largest", [n, inputs, switches, 1, n // 2], [1]),
         ]
     )
 
@@ -218,12 +221,24 @@ static double land(const double *x, double *taut, const double *u, double h, dou
 }
 #endif
 
+EXPORTED int largest(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
+  const double *given[ARG_SIZE];
+  double *to[RES_SIZE];
+  casadi_int own[IW_SIZE];
+  (void)iw;
+  memcpy(given, arg, 5 * sizeof(double *));
+  to[0] = res[0];
+  return frequency(given, to, own, w, mem);
+}
+
 EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
   const double *input = arg[1], *span = input + INPUTS, longest = span[2], *scale = span + 3;
   const double duration = span[0];
   double *z = res[0], *x = z, *f = z + STATES, *taut = f + STATES, *now = taut + SWITCHES;
   double *x1, *K, *K1, *started, *begun, *strings;
-  Memory memory = {iw, w, w + W_SIZE, 0}, *m = &memory;
+  casadi_int own[IW_SIZE];
+  Memory memory = {own, w, w + W_SIZE, 0}, *m = &memory;
+  (void)iw;
   (void)mem;
   K = m->y + STATES; K1 = K + SLOPES; x1 = K1 + SLOPES; begun = x1 + STATES;
   m->later = begun + SWITCHES; started = m->later + INPUTS; strings = started + INPUTS;

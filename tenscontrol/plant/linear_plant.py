@@ -103,6 +103,10 @@ class SparsePlant:
     by_input: csr_array
     drift: FloatArray
 
+    def __post_init__(self) -> None:
+        for matrix in (self.stiffness, self.damping, self.by_input):
+            matrix.data.flags.writeable = False
+
 
 def norm(matrix: csr_array) -> float:
     """Return Frobenius' norm of a sparse matrix."""
@@ -425,9 +429,10 @@ class Sampled:
         self, state: FloatArray, previous: FloatArray, origin: FloatArray
     ) -> FloatArray:
         """Return the next state at zero input without drift; ``origin`` is where v is zero."""
-        return np.asarray(
-            self.transition @ state + self.by_previous @ previous - self.by_input @ origin
-        )
+        free = self.transition @ state - self.by_input @ origin
+        if self.ramp:
+            free += self.by_previous @ previous
+        return np.asarray(free)
 
 
 def kept(
@@ -474,11 +479,12 @@ def zero_order_hold(
     """Return Φ, Γ and d of ``z⁺ = Φ z + Γ v + d``, exact for v held over a sample."""
     from scipy.linalg import expm
 
-    states, inputs = B.shape
-    exponent = np.zeros((states + inputs + 1, states + inputs + 1))
-    exponent[:states, :states] = plant.A
-    exponent[:states, states:-1] = B
-    exponent[:states, -1] = plant.drift
+    states = len(B)
+    # What is held over a sample; of more inputs than states, accelerations and speeds.
+    held = np.column_stack([B, plant.drift])
+    pushed = held if held.shape[1] <= states else np.eye(states)
+    exponent = np.zeros((states + pushed.shape[1],) * 2)
+    exponent[:states, :states], exponent[:states, states:] = plant.A, pushed
     turned, grown = sample_time * plant.spectral_radius, np.full((states, len(exponent)), np.nan)
     if turned <= _MOST_RADIANS:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -488,7 +494,8 @@ def zero_order_hold(
             f"sample_time is {sample_time:g} s, in which the plant turns by up to {turned:.3g} rad "
             f"or moves beyond all numbers; expected at most {_MOST_RADIANS:g} rad: digits are lost"
         )
-    return grown[:, :states], grown[:, states:-1], grown[:, -1]
+    moved = grown[:, states:] if pushed is held else grown[:, states:] @ held
+    return grown[:, :states], moved[:, :-1], moved[:, -1]
 
 
 def is_undamped(plant: LinearPlant) -> bool:

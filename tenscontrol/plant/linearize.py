@@ -62,6 +62,9 @@ _NO_STIFFNESS, _ROUND_OFF = 1e-12, 1e-6
 # Force densities may differ by this part of the largest from those of given rest lengths.
 _LAW_TOLERANCE = 1e-6
 
+# Coordinates up to which dense matrices are made at once.
+_USUAL = 300
+
 # Asking for the linear model of a string this close to slack is asking for a kink.
 _SLACK_TOLERANCE = 1e-9
 
@@ -386,21 +389,14 @@ def _reduced(
     frame, free = frame_of(model, nodes, kind), model.structure.free_rows
     if kind == "nodes":  # bars need not keep their lengths
         refuse_large("the stiffness of all nodes", (len(free), len(free)))
-        sides = [-at.stiffness[:, free], -at.damping[:, free], at.by_input]
-        bent = [
-            -at.curvature[:, free],
-            *(
-                csr_array((len(kept), side.shape[1]))
-                for side in sides[1:]
-                for kept in [model.structure.kept_bars]
-            ),
-        ]
-        found = [
-            at.accelerations(side.toarray(), each.toarray())
-            for side, each in zip(sides, bent, strict=True)
-        ]
+        bent, inputs = at.curvature[:, free].toarray(), at.by_input.toarray()
         stiffness, damping, by_input = (
-            csr_array(part) for part in (-found[0], -found[1], found[2])
+            csr_array(at.accelerations(forces, turned))
+            for forces, turned in (
+                (at.stiffness[:, free].toarray(), bent),
+                (at.damping[:, free].toarray(), 0 * bent),
+                (inputs, np.zeros((len(bent), inputs.shape[1]))),
+            )
         )
         drift = at.acceleration[free]
     else:
@@ -411,7 +407,7 @@ def _reduced(
     held = norm(by_input) * float(np.linalg.norm(gamma)) / float(np.ptp(nodes))
     if norm(stiffness) <= _NO_STIFFNESS * held:
         stiffness = csr_array(stiffness.shape)
-    return LinearPlant(
+    plant = LinearPlant(
         model=model,
         coordinates=frame,
         input=input,
@@ -422,6 +418,11 @@ def _reduced(
         external_force=frozen(load),
         invariance_residual=_left_out(frame, stiffness, damping, _ROUND_OFF * held),
     )
+    if frame.count <= _USUAL:  # made now, not at the first use
+        for name in ("A", "B", "drift", "basis"):
+            getattr(plant, name)
+        frame.project(np.zeros(nodes.size))
+    return plant
 
 
 def _left_out(frame: Coordinates, stiffness: csr_array, damping: csr_array, least: float) -> float:

@@ -296,31 +296,38 @@ def linked_accelerations(
     ∂(N, Ṅ)/∂(n, ṅ))``: n and ṅ as the basis displaces nodes, N̈ where supports leave them free.
     """
     refuse_lost_place(plant)
-    structure, frame = plant.model.structure, plant.coordinates
-    shape, size = structure.nodes.shape, plant.nodes.size
+    structure, size = plant.model.structure, plant.nodes.size
     n, rates, u = (ca.SX.sym(x, k) for x, k in (("n", size), ("r", size), ("u", plant.B.shape[1])))
-    N, V, F = (ca.SX.sym(name, *shape) for name in "NVF")
-    near = near_symbol(plant)
-    free = structure.free_rows.tolist()
-    lengths = frame.kept_lengths(n, rates, near)
-    maps = [
-        (ca.vec(kernel.accelerations(structure, N, V, F))[free], [N, V, F]),
-        (ca.densify(ca.vec(_forces(plant, N, V, u, taut))), [N, V, u]),
-        (ca.vertcat(*map(ca.vec, lengths)), [n, rates, near]),
-    ]
-    links = []
-    for value, given in maps:
-        by = ca.vertcat(*(ca.vec(part) for part in given if part is not near))
-        links.append(ca.Function("link", given, ca.cse([value, ca.jacobian(value, by)])))
-    accelerated, forced, kept_lengths = links
-    motion, by_n = kept_lengths(n, rates, frame.hidden(n, rates))
-    there, velocities = (ca.reshape(part, *shape) for part in ca.vertsplit(motion, size))
+    N, V, F = (ca.SX.sym(name, *structure.nodes.shape) for name in "NVF")
+    moved = ca.vec(kernel.accelerations(structure, N, V, F))[structure.free_rows.tolist()]
+    accelerated = with_jacobian(moved, N, V, F)
+    forced = with_jacobian(ca.vec(_forces(plant, N, V, u, taut)), N, V, u)
+    there, velocities, by_n = exact_motion(plant, n, rates)
     force, by_N = forced(there, velocities, u)
-    moved, by_F = accelerated(there, velocities, ca.reshape(force, *shape))
+    moved, by_F = accelerated(there, velocities, ca.reshape(force, *N.shape))
     jacobians = by_F, by_N, by_n
     entries = [ca.densify(part.nz[:]) for part in jacobians]
     function = ca.Function("linked", [n, rates, u], [ca.densify(moved), *entries])
     return function, tuple(part.sparsity() for part in jacobians)
+
+
+def exact_motion(plant: LinearPlant, n: Any, rates: Any) -> tuple[Any, Any, Any]:
+    """Return N, Ṅ and ∂(N, Ṅ)/∂(n, ṅ), sparse, of what the basis displaces, columns, SX."""
+    frame, near = plant.coordinates, near_symbol(plant)
+    at, moving = (ca.SX.sym("at", *part.shape) for part in (n, rates))
+    value = ca.vertcat(*map(ca.vec, frame.kept_lengths(at, moving, near)))
+    parts = ca.cse([value, ca.jacobian(value, ca.vertcat(at, moving))])
+    exact = ca.Function("exact", [at, moving, near], parts)
+    motion, jacobian = exact(n, rates, frame.hidden(n, rates))
+    N, V = (ca.reshape(part, *plant.nodes.shape) for part in ca.vertsplit(motion, n.numel()))
+    return N, V, jacobian
+
+
+def with_jacobian(value: Any, *arguments: Any) -> ca.Function:
+    """Return the function of a column, dense, and its Jacobian, sparse, by all arguments, SX."""
+    value = ca.densify(value)
+    jacobian = ca.jacobian(value, ca.vertcat(*map(ca.vec, arguments)))
+    return ca.Function("link", list(arguments), ca.cse([value, jacobian]))
 
 
 def _forces(plant: LinearPlant, N: Any, V: Any, u: Any, taut: bool) -> Any:

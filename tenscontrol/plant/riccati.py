@@ -71,7 +71,14 @@ def regulator_riccati(
         _symmetric(unit[:, None] * state_weight * unit),
         _symmetric(level**2 * input_weight),
     )
+    spread = None
+    if B.shape[1] > len(A):  # inputs that move the state alike are one, by its least cost
+        A_scaled, B_scaled, Q, R = scaled
+        root = np.linalg.inv(np.linalg.cholesky(R)).T
+        moved, sizes, Vt = np.linalg.svd(B_scaled @ root, full_matrices=False)
+        spread, scaled = root @ Vt.T, (A_scaled, moved * sizes, Q, np.eye(len(sizes)))
     K, P, poles, residual = _split_solution(*scaled, split, discrete, _REGULATOR)
+    K = K if spread is None else spread @ K
     return level * K / unit, poles, P / unit[:, None] / unit, residual
 
 

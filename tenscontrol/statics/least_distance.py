@@ -200,10 +200,12 @@ class Balance:
         the bounds that it ends at as equations, exact to round-off.
         """
         program = _Program.of(self, target, lower, upper)
-        inside = program.interior()
-        if inside is None:
-            return None
-        x, y = inside
+        x, y = np.zeros(self.rows.shape[1]), np.zeros(len(self.values))
+        if program.polished(x, y, 1) is None:  # a bound counts
+            inside = program.interior()
+            if inside is None:
+                return None
+            x, y = inside
         before = np.inf
         for _ in range(_REPETITIONS):
             found = program.polished(x, y)
@@ -276,6 +278,7 @@ class _Program:
             if not np.isfinite(mean) or np.abs(y).max(initial=0.0) > 1 / _ROUND_OFF:
                 return None
             if mean < _GAP * size and max(np.abs(short).max(), np.abs(gap).max()) < _EXACT * size:
+                self.side[:] = 0
                 np.add.at(self.side, at, np.where(z > s, -sign, 0).astype(np.int8))
                 return x, y
             factors = self._factored(weight + np.bincount(at, z / s, minlength=k), self.A)
@@ -300,13 +303,15 @@ class _Program:
             x, y, s, z = x + way * dx, y + way * dy, s + way * ds, z + way * dz
         return None
 
-    def polished(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    def polished(
+        self, x: FloatArray, y: FloatArray, sets: int = _SETS
+    ) -> tuple[FloatArray, FloatArray] | None:
         """Return better x and multipliers, at bounds as equations, or None if no set is right.
 
         Block principal pivoting (Júdice & Pires 1994, doi:10.1016/0305-0548(94)90106-6).
         """
         count, (lower, upper) = len(self.target), self.bounds
-        for _ in range(_SETS):
+        for _ in range(sets):
             found, multipliers = self._at(x, y)
             gamma, size = found[:count], max(1.0, float(np.abs(found[:count]).max()))
             slope = gamma - self.target + (self.A.T @ multipliers)[:count]

@@ -162,7 +162,7 @@ def test_a_short_run_that_is_still_away_does_not_warn():
 
 
 def test_programs_that_are_not_solved_warn():
-    mpc = law(tc.MPC, max_iterations=1)
+    mpc = law(tc.MPC, max_iterations=1, solver="osqp")
     start = plant().to_nodes(0.05 * np.random.default_rng(0).normal(size=9))
     with pytest.warns(
         ControlWarning, match="% of the programs were not solved, most of them out of"

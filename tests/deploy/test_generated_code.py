@@ -41,6 +41,17 @@ def test_rest_length_with_winches_and_soft_limits(tmp_path):
     assert run.control.command.shape == (9, scenes.SAMPLES)
 
 
+def test_ball_with_winches_and_soft_limits(tmp_path):
+    one = scenes.tumbling(horizon=4)
+    pair = scenes.Pair(one, tc.generate_c(one, tmp_path).compile(), spoilt=(20,), absurd=(25,))
+    scenes.shaken(pair, samples=50)
+    assert pair.statuses[0] == pair.statuses[1]
+    assert pair.error < 1e-12
+    assert max(pair.iterations) > 3  # changes of the active set
+    # All stages are alike: their rows stand in the code once.
+    assert "response[96][96]" in (tmp_path / "controller_data.h").read_text("utf-8")
+
+
 def test_winches_that_wind_under_an_unknown_load(tmp_path):
     """The state of the program holds the last command too."""
     pair = scenes.pair_of(scenes.winding(), tmp_path)

@@ -112,6 +112,8 @@ RESULTS = {
     "plant.Controllability",
     "plant.LinearPlant",
     "plant.Modes",
+    "plant.ReducedPlant",
+    "plant.SparsePlant",
     "plant.Stance",
     "plant.StanceContacts",
     "plant.Tipping",
@@ -209,9 +211,14 @@ WITHIN = {
     "control.Controller.take_over",
     "plant.LinearPlant.refuse_long_sample_time",
     "dynamics.Coordinates.laid_over",
+    "dynamics.Coordinates.state_of",
     "dynamics.Coordinates.displaced",
     "dynamics.Coordinates.kept_lengths",
     "dynamics.Coordinates.hidden",
+    "dynamics.Coordinates.displacements",
+    "dynamics.Coordinates.from_sparse",
+    "dynamics.Coordinates.to_sparse",
+    "dynamics.Coordinates.within",
     "Height.miss",
     "NodesAt.miss",
     "PointAt.miss",
@@ -810,7 +817,8 @@ call(
     lambda: {"model": loaded(), "at": tc.OperatingPoint(nodes(), gamma(), STILL)},
     share=0.3,
 )
-call("modes", lambda: {"plant": plant()})
+call("modes", lambda: {"plant": plant(), "count": 2})
+call("reduce", lambda: {"plant": plant(), "modes": [3, 4]})
 call("controllability", lambda: {"plant": plant()})
 call("energy_weights", lambda: {"plant": plant(), "by_mode": True})
 call(

@@ -1,6 +1,7 @@
 """Model predictive control, linear and nonlinear."""
 
 from tenscontrol.control.mpc.constraints import OutputLimit, clearance
+from tenscontrol.control.mpc.least_distance import STAGES_TOLERANCE, stages_data
 from tenscontrol.control.mpc.linear import MPC, Condensed, MPCLaw, MPCStatistics
 from tenscontrol.control.mpc.nonlinear import CONVERGED, NMPC, NMPCStatistics
 from tenscontrol.control.mpc.problem import MPCProblem, StageData, StageJacobians
@@ -8,13 +9,13 @@ from tenscontrol.control.mpc.real_time_iteration import NEWTON_STEPS
 from tenscontrol.control.mpc.settings import MPCSettings
 from tenscontrol.control.mpc.shooting import RK4
 from tenscontrol.control.mpc.solvers import (
-    START_RHO,
     DAQPSolver,
     OSQPSolver,
     PIQPSolver,
     QPSolution,
     QPSolver,
     active_set_source,
+    stages_source,
 )
 from tenscontrol.control.mpc.sparse import Sparse
 
@@ -24,7 +25,7 @@ __all__ = [
     "NEWTON_STEPS",
     "NMPC",
     "RK4",
-    "START_RHO",
+    "STAGES_TOLERANCE",
     "Condensed",
     "DAQPSolver",
     "MPCLaw",
@@ -42,4 +43,6 @@ __all__ = [
     "StageJacobians",
     "active_set_source",
     "clearance",
+    "stages_data",
+    "stages_source",
 ]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Unpack, final
 
 import numpy as np
 
+from tenscontrol.control.controller import clipped
 from tenscontrol.control.held_loop import warn_of_held_lengths
 from tenscontrol.control.mpc.problem import (
     Form,
@@ -30,11 +31,12 @@ from tenscontrol.control.mpc.settings import (
     solver_name,
 )
 from tenscontrol.control.mpc.solvers import DAQPSolver, QPSolver
-from tenscontrol.control.mpc.sparse import Sparse
+from tenscontrol.control.mpc.sparse import Sparse, Unlimited
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import (
     LinearPlant,
     OperatingPoint,
+    Preview,
     ReferencePreview,
     linearize,
     sampled,
@@ -48,7 +50,7 @@ if TYPE_CHECKING:
 _FORMS = ("auto", "condensed", "sparse")
 
 # Up to so many unknown inputs the dense form is the cheaper one: tests/benchmarks/mpc_step.py.
-_LARGEST_CONDENSED: dict[type[QPSolver], int] = {DAQPSolver: 3000}
+_LARGEST_CONDENSED: dict[type[QPSolver], int] = {DAQPSolver: 2000}
 _LARGEST_OF_OTHERS = 600
 
 # A reference is farther than the linear plant holds where its loop comes to rest off by more than
@@ -59,7 +61,8 @@ _OFF, _GROWS, _NEAR = 0.02, 0.5, 0.02
 # Least γ in a shape, relative to the largest: there a string is taken as taut.
 _TAUT = 1e-6
 
-# Beyond so many its dense matrices fill gigabytes.
+# Of unknown inputs. Beyond, dense matrices fill gigabytes, and a program takes so long that the
+# inputs without limits are looked at first.
 _MOST_CONDENSED = 5000
 
 
@@ -94,15 +97,19 @@ class MPCLaw(PredictiveLaw):
     plant: LinearPlant
     design: Design
     form: Form
+    unlimited: Unlimited | None
 
     def solver(self) -> QPSolver:
         """Return the solver of the programs, as it is before the first solve."""
         return make_solver(self.settings, self.form)
 
-    def stage_data(self, time: float, load: FloatArray | None) -> StageData:
+    def preview(self, time: float) -> Preview:
+        """Return the reference over the horizon: the same object while it rests."""
+        return self.path.over_horizon(time, self.design.problem.length)
+
+    def stage_data(self, preview: Preview, load: FloatArray | None) -> StageData:
         """Return what is known of the horizon before its start is measured; load: q̈ or None."""
         problem, ramp = self.design.problem, self.design.sampled.ramp
-        preview = self.path.over_horizon(time, problem.length)
         origin, drift, reference = preview.input[:-1], preview.drift, preview.reference
         effort = np.zeros_like(origin)
         if self.load is not None and load is not None:
@@ -141,12 +148,31 @@ class MPCLaw(PredictiveLaw):
         previous = previous_within_bounds - data.origin[0]
         return self.form.vectors(first, data, previous)
 
-    def inputs(
-        self, x: FloatArray, data: StageData, state: FloatArray, previous_input: FloatArray
-    ) -> FloatArray:
-        """Return the inputs that a solution of the program plans, shape (N, α)."""
+    def unlimited_inputs(
+        self,
+        data: StageData,
+        state: FloatArray,
+        previous_input: FloatArray,
+        previous_within_bounds: FloatArray,
+    ) -> FloatArray | None:
+        """Return the inputs of least cost, shape (N, α), if they are asked for and keep limits."""
+        if self.unlimited is None:
+            return None
         first = self._first_state(data, state, previous_input)
-        return data.origin + self.form.inputs(x, first, data)
+        plan = self.unlimited.plan(first, data, previous_within_bounds - data.origin[0])
+        return None if plan is None else data.origin + plan
+
+    def inputs(
+        self,
+        x: FloatArray,
+        data: StageData,
+        state: FloatArray,
+        previous_input: FloatArray,
+        samples: int | None = None,
+    ) -> FloatArray:
+        """Return the inputs that a solution of the program plans, shape (N, α), or the first."""
+        first = self._first_state(data, state, previous_input)
+        return data.origin[:samples] + self.form.inputs(x, first, data, samples)
 
     def free_response(
         self, data: StageData, state: FloatArray, previous_input: FloatArray
@@ -197,6 +223,16 @@ def law_in_shape(
     return growth, float(np.linalg.norm(off.reshape(-1, len(plant.nodes)), axis=1).max())
 
 
+@dataclass(frozen=True, eq=False)
+class _Horizon:
+    """What stage data make of a condensed program at ``z_0 = 0``, with a previous input of 0."""
+
+    data: StageData
+    low: FloatArray  # bounds of the rows
+    high: FloatArray
+    inputs: FloatArray  # v_0 …, without limits
+
+
 @final
 class Condensed(Form):
     """Only the departures from the LQR law, and violations, are unknown: small and dense.
@@ -205,7 +241,8 @@ class Condensed(Form):
     c_k is block diagonal and the same at each sample (Rossiter, Kouvaritakis &
     Rice 1998, doi:10.1016/S0005-1098(97)00192-5). Measured by its Cholesky
     factor it is the identity, and an ADMM solver needs a few iterations where
-    the problem in the v_k takes tens.
+    the problem in the v_k takes tens. Measured from the optimum without limits,
+    the program asks for the least distance from it that keeps them.
     """
 
     dense = True
@@ -248,37 +285,51 @@ class Condensed(Form):
         self._moved_by_drift = limits.on_inputs @ by_drift + limits.on_states @ drifts
         slope = scale * unit.T
         self._from_reference = -slope @ weighted.T
-        self._from_state = slope @ (weighted.T @ free + effort.T @ by_state)
         self._from_drift = slope @ (weighted.T @ drifts + effort.T @ by_drift)
         self._from_input_reference = -slope @ effort.T
-        self._drift: FloatArray = np.zeros(0)
-        self._by_this_drift = (self._drift, self._drift, self._drift)
+        # The optimum without limits is at x = −(from_state z_0 + …): x is measured from there.
+        from_state = slope @ (weighted.T @ free + effort.T @ by_state)
+        self._moved_by_state -= on_choice @ from_state
+        self._by_state -= self._to_inputs @ from_state
+        self._on_choice = on_choice
+        self._q = frozen(np.concatenate([np.zeros(self._count), limits.price]))
+        self._kept: _Horizon | None = None
 
     def vectors(self, state: FloatArray, data: StageData, previous: FloatArray) -> Triple:
         """See :meth:`Form.vectors`."""
-        slope, motion, _ = self._drifted(data)
-        q = self._from_state @ state + self._from_reference @ data.reference.ravel() + slope
-        if data.input_reference.any():
-            q += self._from_input_reference @ data.input_reference.ravel()
-        low, high = self._limits.bounds(previous, data)
-        offset = self._moved_by_state @ state + motion
-        return np.concatenate([q, self._limits.price]), low - offset, high - offset
+        known = self._known(data)
+        offset = self._moved_by_state @ state
+        low, high = known.low - offset, known.high - offset
+        first = self._limits.first_change
+        if first is not None:
+            moved = previous / self._limits.level
+            low[first] += moved
+            high[first] += moved
+        return self._q, low, high
 
-    def inputs(self, x: FloatArray, state: FloatArray, data: StageData) -> FloatArray:
+    def inputs(
+        self, x: FloatArray, state: FloatArray, data: StageData, samples: int | None = None
+    ) -> FloatArray:
         """See :meth:`Form.inputs`."""
-        base = self._by_state @ state + self._drifted(data)[2]
-        v = self._to_inputs @ x[: self._count] + base
-        return np.asarray(v.reshape(self._length, -1))
+        width = self._count // self._length
+        taken = slice(None if samples is None else samples * width)
+        base = self._by_state[taken] @ state + self._known(data).inputs[taken]
+        v = self._to_inputs[taken] @ x[: self._count] + base
+        return np.asarray(v.reshape(-1, width))
 
-    def _drifted(self, data: StageData) -> Triple:
-        """Return what the drift does to q, to the limited rows and to v; kept while it stays."""
-        if not np.array_equal(self._drift, data.drift):
+    def _known(self, data: StageData) -> _Horizon:
+        """Return what does not depend on the measured state; kept while the data stay."""
+        kept = self._kept
+        if kept is None or kept.data is not data:
             drift = data.drift.ravel()
-            self._drift = data.drift.copy()
-            self._by_this_drift = (
-                self._from_drift @ drift, self._moved_by_drift @ drift, self._by_drift @ drift
-            )  # fmt: skip
-        return self._by_this_drift
+            slope = self._from_reference @ data.reference.ravel() + self._from_drift @ drift
+            if data.input_reference.any():
+                slope += self._from_input_reference @ data.input_reference.ravel()
+            offset = self._moved_by_drift @ drift - self._on_choice @ slope
+            low, high = self._limits.bounds(np.zeros(self._count // self._length), data)
+            inputs = self._by_drift @ drift - self._to_inputs @ slope
+            kept = self._kept = _Horizon(data, low - offset, high - offset, inputs)
+        return kept
 
     def shifted(self, x: FloatArray, y: FloatArray) -> Pair:
         """See :meth:`Form.shifted`."""
@@ -413,12 +464,17 @@ class MPC(PredictiveController):
             settings=given,
             design=made,
             form=form_of(made.problem, form, given),
+            unlimited=(
+                Unlimited(made.problem) if made.problem.input_count > _MOST_CONDENSED else None
+            ),
             load=None if self._observer is None else self._observer.model,
             path=ReferencePreview(plant, given.reference, made.sampled),
         )
         for text in self._concerns(self._law.path):
             warnings.warn(text, ControlWarning, stacklevel=2)
         self._solver = self._law.solver()
+        # The data of a reference that rests, which no sample changes.
+        self._resting: tuple[Preview, StageData] | None = None
         self.reset()
         if plant.input == "force_density" and plant.model.strings is not None:
             warn_of_held_lengths(plant, made.problem.feedback, given.sample_time)
@@ -480,9 +536,21 @@ class MPC(PredictiveController):
         self._solver.reset()
 
     def _forget_plan(self) -> None:
-        self._plan: FloatArray = np.zeros((0, len(self._low)))
+        # What the last solved program was, and its plan once it is asked for.
+        self._solved: tuple[FloatArray, StageData, FloatArray, FloatArray] | None = None
+        self._planned: FloatArray | None = None
         self._used = 0
         self._guess: Pair | None = None
+
+    @property
+    def _plan(self) -> FloatArray:
+        """Inputs that the last solved program planned, shape (N, α)."""
+        if self._planned is None:
+            if self._solved is None:
+                return np.zeros((0, len(self._low)))
+            # Solved to a tolerance: what is left outside the bounds is cut off.
+            self._planned = clipped(self._law.inputs(*self._solved), self._low, self._high)
+        return self._planned
 
     def take_over(self, command: object) -> None:
         """See :meth:`Controller.take_over`."""
@@ -491,30 +559,46 @@ class MPC(PredictiveController):
         if self._observer is not None:
             self._observer.expect(None)
 
+    def _stage_data(self, time: float) -> StageData:
+        """Return the data of this sample: those of the last one where nothing moves."""
+        preview = self._law.preview(time)
+        if self._observer is not None:
+            return self._law.stage_data(preview, self._observer.acceleration)
+        if self._resting is None or self._resting[0] is not preview:
+            self._resting = preview, self._law.stage_data(preview, None)
+        return self._resting[1]
+
     def _decide(self, time: float, state: FloatArray) -> Command:
         law, observer = self._law, self._observer
+        by_input = law.design.sampled.by_input
         deadline = self._called + self._longest_time
         if observer is not None and self._previous_input is not None:
-            observer.correct(state, law.design.sampled.by_input @ self._previous_input)
-        data = law.stage_data(time, None if observer is None else observer.acceleration)
+            observer.correct(state, by_input @ self._previous_input)
+        data = self._stage_data(time)
         if self._previous_input is None:
             self._previous_input = frozen(data.previous_origin)
         previous = self._previous_input
         free = law.free_response(data, state, previous)
         if observer is not None:
             observer.expect(free)
-        vectors = law.vectors(data, state, previous, self._previous_within_bounds)
-        answer = self._solver.solve(*vectors, start=self._guess, deadline=deadline)
-        self._iterations.append(answer.iterations)
-        if answer.x is None or answer.y is None:
-            return self._continue(answer.status)
-        # Solved to a tolerance: what is left outside the bounds is cut off.
-        inputs = law.inputs(answer.x, data, state, previous)
-        self._plan = np.clip(inputs, self._low, self._high)
+        plan = law.unlimited_inputs(data, state, previous, self._previous_within_bounds)
+        if plan is not None:
+            self._iterations.append(0)
+            self._solved, self._planned = None, clipped(plan, self._low, self._high)
+            self._guess, value = None, self._planned[0]
+        else:
+            vectors = law.vectors(data, state, previous, self._previous_within_bounds)
+            answer = self._solver.solve(*vectors, start=self._guess, deadline=deadline)
+            self._iterations.append(answer.iterations)
+            if answer.x is None or answer.y is None:
+                return self._continue(answer.status)
+            self._solved, self._planned = (answer.x, data, state, previous), None
+            self._guess = law.form.shifted(answer.x, answer.y)
+            first = law.inputs(*self._solved, samples=1)[0]
+            value = clipped(first, self._low, self._high)
         self._used = 0
-        self._guess = law.form.shifted(answer.x, answer.y)
-        self._predicted = free + law.design.sampled.by_input @ self._plan[0]
-        return Command(self._plan[0])
+        self._predicted = free + by_input @ value
+        return Command(value)
 
     def _fall_back(self, status: Status) -> Command:
         if self._observer is not None:

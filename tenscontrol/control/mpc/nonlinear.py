@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import LoadObserver
-from tenscontrol.control.mpc.least_distance import LeastDistance
+from tenscontrol.control.mpc.least_distance import LeastDistance, LeastDistanceArrays
 from tenscontrol.control.mpc.problem import MPCProblem, Pair, StageData, Subproblem, Triple
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
 from tenscontrol.control.mpc.settings import (
@@ -88,10 +88,10 @@ class NMPCLaw(PredictiveLaw):
 
     def program(self) -> Subproblem:
         """Return the SQP subproblem with its solver."""
-        if self.settings.solver == "auto" and self.model.back_end == "machine code":
-            return LeastDistance(
-                self.problem, self.row_bounds, self.settings.max_iterations, self.bounds
-            )
+        if self.settings.solver in ("auto", "daqp"):
+            compiled = self.settings.solver == "auto" and self.model.back_end == "machine code"
+            kind = LeastDistance if compiled else LeastDistanceArrays
+            return kind(self.problem, self.row_bounds, self.settings.max_iterations, self.bounds)
         # Stiff strings are sensitive to rest lengths: measured from those of the plan.
         form = self.subproblem()
         return SparseSubproblem(form, self.solver(form), relative=self.model.implicit)
@@ -257,7 +257,10 @@ class NMPC(PredictiveController):
 
     @property
     def solver(self) -> str:
-        """What solves its programs: ``"active set"``, a name of ``solver=``, or that of a class."""
+        """What solves its programs: ``"daqp"``, ``"osqp"``, ``"piqp"`` or the name of a class.
+
+        ``"stages"`` is the compiled active set along the stages, which "auto" takes.
+        """
         return self._plan.program.solver_name
 
     @property

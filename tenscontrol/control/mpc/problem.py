@@ -215,8 +215,10 @@ class LimitRows:
     def __init__(self, problem: MPCProblem) -> None:
         from scipy.sparse import csc_array, eye, identity, kron, vstack
 
-        self._problem = problem
+        self._problem, self.level = problem, problem.level
         N, count = problem.length, len(problem.low)
+        # The rows of the first change, which the previous input moves.
+        self.first_change = None if problem.change is None else slice(N * count, (N + 1) * count)
         each, earlier = identity(N), eye(N, k=-1)
         first = csc_array(([1.0], ([0], [0])), shape=(N, 1))
         soft = np.zeros(0, dtype=int) if problem.rows is None else problem.rows.soft
@@ -327,8 +329,10 @@ class Form(ABC):
         """Return q, l and u from z_0 and v_{−1}, which matters only where the change is limited."""
 
     @abstractmethod
-    def inputs(self, x: FloatArray, state: FloatArray, data: StageData) -> FloatArray:
-        """Return v_0 … v_{N−1}, shape (N, α), from a solution."""
+    def inputs(
+        self, x: FloatArray, state: FloatArray, data: StageData, samples: int | None = None
+    ) -> FloatArray:
+        """Return v_0 … v_{N−1}, shape (N, α), or the first of them, from a solution."""
 
     @abstractmethod
     def shifted(self, x: FloatArray, y: FloatArray) -> Pair:

@@ -25,13 +25,14 @@ from tenscontrol.control.mpc.shooting import (
     AccelerationSlopes,
     Discretization,
     RadauIIA,
+    RowSlopes,
     executable,
-    stage_jacobians,
 )
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import (
     LinearPlant,
+    exact_motion,
     explicit_substeps,
     model_input,
     near_symbol,
@@ -40,6 +41,7 @@ from tenscontrol.plant import (
     settled,
     state_units,
     string_forces,
+    with_jacobian,
 )
 from tenscontrol.validation import FloatArray
 
@@ -57,8 +59,7 @@ _MOST_EXPLICIT = 4
 class TrajectoryModel:
     """The motion of a plant over N samples, and the values of limited rows, with derivatives.
 
-    Steps are implicit where inputs are ramps or strings are stiff. ``limited`` is
-    ``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of the rows that are limited, dense.
+    Steps are implicit where inputs are ramps or strings are stiff.
     """
 
     def __init__(
@@ -90,21 +91,32 @@ class TrajectoryModel:
             if self.implicit
             else Evaluator(self.acceleration.map(length))
         )
-        self.limited: ca.Function | None = None
-        self._patterns: tuple[FloatArray, ...] = ()
+        self._constraints = constraints
+        self._rows: RowSlopes | None = None
         if constraints.blocks:
             at_end = self.discretization.ramp
 
-            def build() -> tuple[ca.Function, tuple[FloatArray, ...], ca.Function]:
-                rows = limited_rows(plant, constraints, at_end)
-                patterns = (np.array(ca.DM(rows.sparsity_out(i), 1.0)) for i in (1, 2, 3))
-                parts = [ca.densify(part) for part in rows(*rows.sx_in())]
-                dense = ca.Function(rows.name(), rows.sx_in(), parts)
-                return dense, tuple(patterns), executable(dense, machine_code)[0]
+            def build() -> tuple[ca.Function, tuple[ca.Sparsity, ...]]:
+                linked, patterns = linked_rows(plant, constraints, at_end)
+                return executable(linked, machine_code)[0], patterns
 
-            key = "limited rows", constraints.key, at_end, machine_code
-            self.limited, self._patterns, one = plant.prepared.get(key, build)
-            self._rows = Evaluator(one.map(length))
+            key = "linked rows", constraints.key, at_end, machine_code
+            self._rows = RowSlopes(plant, *plant.prepared.get(key, build), length)
+
+    @property
+    def limited(self) -> ca.Function | None:
+        """``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of limited rows, dense, for C code."""
+        if not self._constraints.blocks:
+            return None
+        at_end = self.discretization.ramp
+
+        def build() -> ca.Function:
+            rows = limited_rows(self._plant, self._constraints, at_end)
+            given = rows.sx_in()
+            return ca.Function(rows.name(), given, [ca.densify(part) for part in rows(*given)])
+
+        key = "limited rows", self._constraints.key, at_end
+        return self._plant.prepared.get(key, build)
 
     def units(self, level: float) -> FloatArray:
         """Return units of the state in a program, shape (s,), with ``level`` that of an input.
@@ -120,9 +132,9 @@ class TrajectoryModel:
 
     def with_pattern(self, rows: Rows | None) -> Rows | None:
         """Return limited rows with ones where a derivative can be other than zero."""
-        if rows is None:
+        if rows is None or self._rows is None:
             return None
-        by_state, by_input, by_next_state = self._patterns
+        by_state, by_input, by_next_state = self._rows.patterns
         return replace(rows, by_state=by_state, by_input=by_input, by_next_state=by_next_state)
 
     def at_rest(self, reference: FloatArray, inputs: FloatArray, observer: LoadObserver) -> Pair:
@@ -154,9 +166,8 @@ class TrajectoryModel:
         """Return the motion along a plan, and the limited rows or None, to first order."""
         here, later = np.ascontiguousarray(states[:-1]), np.ascontiguousarray(states[1:])
         motion = self.discretization.linearize(here, inputs, stages)
-        if self.limited is None:
-            return motion, None
-        return motion, stage_jacobians(self._rows, here, inputs[1:], later)
+        rows = None if self._rows is None else self._rows(here, inputs[1:], later)
+        return motion, rows
 
 
 def _refuse_ramps(winches: Winches | None) -> None:
@@ -190,6 +201,40 @@ def limited_rows(plant: LinearPlant, constraints: Constraints, at_end: bool = Fa
     parts = [y, *(ca.jacobian(y, by) for by in (z, u, later))]
     parts = settled(plant, later, ahead, settled(plant, z, near, parts))
     return ca.Function("rows", [z, u, later], ca.cse(parts))
+
+
+def linked_rows(
+    plant: LinearPlant, constraints: Constraints, at_end: bool
+) -> tuple[ca.Function, tuple[ca.Sparsity, ...]]:
+    """Return the rows of :func:`limited_rows` and their sparse Jacobians, and patterns of these.
+
+    The function is ``(n, ṅ, u, n⁺, ṅ⁺) -> (y, entries of ∂y/∂n, ∂y/∂ṅ, ∂y/∂u, ∂y/∂n⁺, ∂y/∂ṅ⁺)``
+    of what the basis displaces, by rows; patterns are of the transposed.
+    """
+    m, a = plant.nodes.size, plant.B.shape[1]
+    sizes = {"n": m, "rates": m, "u": a, "later": m, "faster": m}
+    n, rates, u, later, faster = given = [ca.SX.sym(name, k) for name, k in sizes.items()]
+    N, V, L = (ca.SX.sym(name, *plant.nodes.shape) for name in "NVL")
+    forces = string_forces(plant, plant.input, N, V, model_input(plant, u))
+    kinds = {"force_density": forces[0], "tension": forces[1]}
+    values = ca.vertcat(*(
+        kinds[block.quantity] if block.quantity
+        else ca.mtimes(ca.sparsify(ca.DM(block.on_nodes)), ca.vec(L))
+        for block in constraints.blocks
+    ))  # fmt: skip
+    end = exact_motion(plant, later, faster)
+    at = end if at_end else exact_motion(plant, n, rates)
+    y, by_all = with_jacobian(values, N, V, u, L)(*at[:2], u, end[0])
+    by_motion = ca.mtimes(by_all[:, : 2 * m], at[2])
+    by_end = ca.mtimes(by_all[:, 2 * m + a :], end[2][:m, :])
+    none = ca.SX(*by_motion.shape)
+    start, end_part = (none, by_motion + by_end) if at_end else (by_motion, by_end)
+    by_u = by_all[:, 2 * m : 2 * m + a]
+    jacobians = [start[:, :m], start[:, m:], by_u, end_part[:, :m], end_part[:, m:]]
+    transposed = [part.T for part in jacobians]
+    entries = [ca.densify(part.nz[:]) for part in transposed]
+    function = ca.Function("rows", given, ca.cse([y, *entries]))
+    return function, tuple(part.sparsity() for part in transposed)
 
 
 class RealTimeIterate:

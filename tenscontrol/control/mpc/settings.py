@@ -415,12 +415,6 @@ class PredictiveLaw:
         settings = replace(self.settings, reference=reference)
         return replace(self, settings=settings, path=self.path.following(reference))
 
-    def solved_by(self, solver: str) -> Self:
-        """Return the law whose programs another solver solves, unless it is a class of a user's."""
-        if not isinstance(self.settings.solver, str):
-            return self
-        return replace(self, settings=replace(self.settings, solver=solver))
-
 
 class PredictiveController(Controller):
     """What linear and nonlinear MPC have in common: bounds, horizon, reference and load."""

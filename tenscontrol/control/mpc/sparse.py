@@ -252,9 +252,11 @@ class Sparse(Form):
             np.concatenate([equal, high]),
         )  # fmt: skip
 
-    def inputs(self, x: FloatArray, state: FloatArray, data: StageData) -> FloatArray:
+    def inputs(
+        self, x: FloatArray, state: FloatArray, data: StageData, samples: int | None = None
+    ) -> FloatArray:
         """See :meth:`Form.inputs`."""
-        return self.trajectory(x)[1]
+        return self.trajectory(x)[1][:samples]
 
     def trajectory(self, x: FloatArray) -> Pair:
         """Return z_1 … z_N (N, s) and u_0 … u_{N−1} (N, α) of a solution."""
@@ -337,3 +339,61 @@ class SparseSubproblem(Subproblem):
         later, inputs = self.form.trajectory(answer.x)
         plan = np.vstack([state, later]), np.vstack([acting, inputs])
         return SubproblemSolution(answer.status, answer.iterations, plan)
+
+
+class Unlimited:
+    """Inputs of least cost without limits, by the recursion of dynamic programming.
+
+    The cost at the end is that of the LQR, so that its feedback holds at every stage, and what a
+    reference and drifts add is a linear term of the cost, ``2 gᵀ z``. Inputs that keep all limits
+    are those of the whole problem, exactly. For many inputs that move few states.
+    """
+
+    def __init__(self, problem: MPCProblem) -> None:
+        from scipy.sparse import csr_array
+
+        P, by_input = problem.terminal_weight, problem.input_matrix
+        self._problem = problem
+        curvature = problem.input_weight + by_input.T @ P @ by_input
+        self._to_inputs = np.linalg.solve(curvature, by_input.T)
+        self._closed = problem.transition - by_input @ problem.feedback
+        self._rows_by_input = csr_array(
+            np.zeros((0, by_input.shape[1])) if problem.rows is None else problem.rows.by_input
+        )
+
+    def plan(self, state: FloatArray, data: StageData, previous: FloatArray) -> FloatArray | None:
+        """Return the inputs, shape (N, α), from z_0 and v_{−1}; None if a limit is in the way."""
+        problem, N = self._problem, self._problem.length
+        if data.input_reference.any():
+            return None
+        P, slope = problem.terminal_weight, -problem.terminal_weight @ data.reference[-1]
+        ahead = np.zeros_like(data.drift)
+        for k in range(N - 1, -1, -1):
+            ahead[k] = P @ data.drift[k] + slope
+            if k:
+                slope = self._closed.T @ ahead[k] - problem.state_weight @ data.reference[k - 1]
+        plan = np.zeros_like(data.low)
+        for k in range(N):
+            v = plan[k] = -problem.feedback @ state - self._to_inputs @ ahead[k]
+            after = problem.transition @ state + problem.input_matrix @ v + data.drift[k]
+            if not self._allows(k, v, data, previous, state, after):
+                return None
+            state, previous = after, v
+        return plan
+
+    def _allows(
+        self, k: int, v: FloatArray, data: StageData, before: FloatArray, state: FloatArray,
+        after: FloatArray,
+    ) -> bool:  # fmt: skip
+        """Whether a stage keeps all limits."""
+        problem = self._problem
+        if (v < data.low[k]).any() or (v > data.high[k]).any():
+            return False
+        change = np.abs(v - before + data.shift[k])
+        if problem.change is not None and (change > problem.change).any():
+            return False
+        if problem.rows is None:
+            return True
+        y = problem.rows.by_state @ state + problem.rows.by_next_state @ after
+        y = y + self._rows_by_input @ v
+        return bool((y >= data.row_low[k]).all() and (y <= data.row_high[k]).all())

@@ -9,13 +9,24 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import NMPC, Status
-from tenscontrol.control.mpc.least_distance import LeastDistance
-from tenscontrol.control.mpc.problem import MPCProblem, Rows, StageData, StageJacobians
+from tenscontrol.control.mpc.least_distance import LeastDistance, LeastDistanceArrays
+from tenscontrol.control.mpc.problem import (
+    MPCProblem,
+    Rows,
+    StageData,
+    StageJacobians,
+    Subproblem,
+)
 from tenscontrol.dynamics.machine_code import compiler
 
-pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-
 SAMPLE = 0.02
+KINDS = [
+    pytest.param(
+        LeastDistance, marks=pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+    ),
+    LeastDistanceArrays,
+]
+both = pytest.mark.parametrize("kind", KINDS)
 
 
 def dense_solution(problem, bounds, row_bounds, plan, motion, rows, given):
@@ -153,18 +164,19 @@ def random_program(seed, N, ramp, limited, changes, hard):
     return problem, bounds, (-reach, reach), plan, motion, along, given
 
 
+@both
 @pytest.mark.parametrize("N", [1, 2, 7])
 @pytest.mark.parametrize(("ramp", "limited", "changes", "hard"), [
     (False, False, False, False), (True, False, True, False), (False, True, False, False),
     (False, True, True, True), (True, True, True, False),
 ])  # fmt: skip
-def test_random_programs(N, ramp, limited, changes, hard):
+def test_random_programs(kind, N, ramp, limited, changes, hard):
     """Twice each: cold, then from the active set of the first, at another state."""
     solved = 0
     for seed in range(4):
         made = random_program(seed, N, ramp, limited, changes, hard)
         problem, bounds, row_bounds, plan, motion, rows, given = made
-        program = LeastDistance(problem, row_bounds, 500, bounds)
+        program = kind(problem, row_bounds, 500, bounds)
         for factor in (1.0, 0.8):
             at = factor * given[0], *given[1:]
             assert program.linearize(*plan, motion, rows)
@@ -179,15 +191,16 @@ def test_random_programs(N, ramp, limited, changes, hard):
     assert solved >= 4
     # From the active set of the answer, nothing changes.
     program.linearize(*plan, motion, rows)
-    if found.plan is not None:
+    if found.plan is not None and kind is LeastDistance:
         assert program.solve(*at, np.inf).iterations == 0
 
 
-def test_data_without_value_are_told():
+@both
+def test_data_without_value_are_told(kind):
     problem, bounds, row_bounds, plan, motion, rows, given = random_program(
         0, 3, False, True, True, False
     )
-    program = LeastDistance(problem, row_bounds, 500, bounds)
+    program = kind(problem, row_bounds, 500, bounds)
     for part in (motion.offset, motion.slopes[0], rows.slopes[2]):
         kept = part.copy()
         part.flat[-1] = np.nan
@@ -221,50 +234,59 @@ def scene(name):
     else:
         structure = tc.library.class2_tower(2)
         rest, held = tc.prestress(structure, min_force_density=5.0), "force_density"
-        limits |= {"max_force_density": 1.05 * rest.force_density, "max_tension": 100.0}
+        tension = rest.force_density * structure.string_length()
+        limits |= {"max_force_density": 1.05 * rest.force_density, "max_tension": 1.02 * tension}
     plant = tc.linearize(tc.Model(structure, strings=strings), rest, input=held)
     return plant, limits
+
+
+class Compared(Subproblem):
+    """All ways to solve the program of an NMPC, each against the dense one."""
+
+    def __init__(self, law):
+        self._law, self.changes = law, 0
+        given = law.problem, law.row_bounds, 500, law.bounds
+        kinds = [LeastDistanceArrays] + [LeastDistance] * (compiler() is not None)
+        self._programs = [kind(*given) for kind in kinds]
+
+    def reset(self):
+        self.forget()
+
+    def forget(self):
+        for program in self._programs:
+            program.forget()
+
+    def shift(self):
+        for program in self._programs:
+            program.shift()
+
+    def linearize(self, states, inputs, motion, rows):
+        self._data = (states.copy(), inputs.copy()), motion, rows
+        found = [each.linearize(states, inputs, motion, rows) for each in self._programs]
+        return all(found)
+
+    def solve(self, *given):
+        law = self._law
+        flag, _, inputs = dense_solution(
+            law.problem, law.bounds, law.row_bounds, *self._data, given[:-1]
+        )
+        assert flag == 1
+        for program in self._programs:
+            found = program.solve(*given)
+            assert found.status is Status.OK
+            off = np.abs(found.plan[1][1:] - inputs).max()
+            assert off < 1e-9 * law.problem.level
+            self.changes += found.iterations
+        return found
 
 
 @pytest.mark.filterwarnings("ignore:no string reaches")
 @pytest.mark.parametrize("name", ["ball, winches", "ball, ramps", "d_bar", "class-2 tower"])
 def test_structures(name):
-    """Programs of a closed loop, caught as they are solved."""
+    """Programs of two samples of a closed loop; derivatives need no compiler here."""
     plant, limits = scene(name)
-    if name == "class-2 tower":
-        tension = plant.force_density * plant.model.structure.string_length(plant.nodes)
-        limits = limits | {"max_tension": 1.02 * tension}
-    nmpc = NMPC(plant, sample_time=SAMPLE, solver="osqp", **limits)
-    law, caught = nmpc.law, {}
-    # Derivatives need no compiler here.
-    program = LeastDistance(law.problem, law.row_bounds, 500, law.bounds)
-    nmpc._plan.program = program
-    linearize, solve = program.linearize, program.solve
-
-    def kept(*arguments):
-        states, inputs, *parts = arguments
-        caught["plan"] = states.copy(), inputs.copy()
-        caught["parts"] = [
-            None if part is None else StageJacobians(
-                part.offset.copy(), tuple(slope.copy() for slope in part.slopes)
-            )
-            for part in parts
-        ]  # fmt: skip
-        return linearize(*arguments)
-
-    def compared(*arguments):
-        found = solve(*arguments)
-        flag, _, inputs = dense_solution(
-            law.problem, law.bounds, law.row_bounds, caught["plan"], *caught["parts"],
-            arguments[:-1],
-        )  # fmt: skip
-        assert (found.status, flag) == (Status.OK, 1)
-        level = law.problem.level
-        np.testing.assert_allclose(found.plan[1][1:], inputs, rtol=0, atol=1e-9 * level)
-        caught["changes"] = caught.get("changes", 0) + found.iterations
-        return found
-
-    program.linearize, program.solve = kept, compared
+    nmpc = NMPC(plant, sample_time=SAMPLE, **limits)
+    compared = nmpc._plan.program = Compared(nmpc.law)
     r = plant.degrees_of_freedom
     rng = np.random.default_rng(0)
     z = np.r_[0.003 * rng.normal(size=r), 0.15 * rng.normal(size=r)]
@@ -274,31 +296,33 @@ def test_structures(name):
         assert command.status is Status.OK
         given = (before, command.value) if nmpc.sampled.n_in() == 3 else (command.value,)
         z, before = nmpc.sampled(z, *given).full().ravel(), command.value
-    assert caught["changes"] > 0  # limits matter
+    assert compared.changes > 0  # limits matter
 
 
-def test_solvers_agree():
+@pytest.mark.parametrize(("solver", "code", "name"), [
+    ("auto", True, "daqp" if compiler() is None else "stages"), ("auto", False, "daqp"),
+    ("osqp", False, "osqp"),
+])  # fmt: skip
+def test_solvers_agree(solver, code, name):
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
     nodes = plant.to_nodes(0.05 * np.random.default_rng(0).normal(size=9))
     values = []
-    for solver in ("auto", "osqp"):
-        limits = {"horizon": 6, "max_force_density": 33.0, "max_change": 1.0}
+    for kind in ({"solver": solver, "machine_code": code}, {"solver": "daqp"}):
         nmpc = NMPC(
-            plant, sample_time=SAMPLE, machine_code=True, solver=solver, tolerance=1e-9,
-            max_iterations=50_000, **limits,
+            plant, horizon=4, sample_time=SAMPLE, max_force_density=33.0, max_change=1.0,
+            tolerance=1e-9, max_iterations=50_000, **kind,
         )  # fmt: skip
         values.append(nmpc.command(0.0, nodes, np.zeros((3, 6))).value)
-    np.testing.assert_allclose(*values, rtol=0, atol=1e-6 * 17)
+        assert nmpc.solver == (name if len(values) == 1 else "daqp")
+    np.testing.assert_allclose(*values, rtol=0, atol=(1e-6 if solver == "osqp" else 1e-9) * 17)
 
 
-def test_a_copy_continues_as_its_original():
+@pytest.mark.parametrize("code", [True, False])
+def test_a_copy_continues_as_its_original(code):
     prism = tc.prism()
     plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
-    nmpc = NMPC(
-        plant, horizon=5, sample_time=SAMPLE, max_force_density=33.0, machine_code=True,
-        solver="auto",
-    )  # fmt: skip
+    nmpc = NMPC(plant, horizon=4, sample_time=SAMPLE, max_force_density=33.0, machine_code=code)
     rng = np.random.default_rng(0)
     shapes = [plant.to_nodes(0.05 * rng.normal(size=9)) for _ in range(3)]
     nmpc.command(0.0, shapes[0], np.zeros((3, 6)))

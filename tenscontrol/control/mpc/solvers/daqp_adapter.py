@@ -31,8 +31,9 @@ _STATUS = {
     -8: Status.UNSOLVED,  # unsupported
 }
 
-# Bits of a row's state in DAQP, and the least multiplier of one that is active.
-_ACTIVE, _LOWER, _SOFT, _VIOLATED = 1, 2, 8, 32
+# Bits of a row's state in DAQP (the last: soft, and not violated), and the least multiplier of one
+# that is active.
+_ACTIVE, _LOWER, _SOFT, _KEPT = 1, 2, 8, 32
 _INACTIVE = 1e-12
 
 # Rows are kept to this, in their units: an active set has no use for less.
@@ -66,10 +67,10 @@ class DAQPSolver(QPSolver):
         self._shape, self._nonzeros = A.shape, A.nnz
         self._tolerance, self._max_iterations = min(tolerance, _TOLERANCE), max_iterations
         self._found = _violations(P, A)
-        self._begin()
-
-    def _begin(self) -> None:
-        self._values, self._changed = self._made_of[1].data, False
+        # The vector that is expected: no slope, and soft rows with one price for both powers.
+        self._usual_q = np.zeros(A.shape[1])
+        self._usual_q[self._found[0]] = P.diagonal()[self._found[0]]
+        self._values = self._made_of[1].data
         self._prepare(*self._found)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -89,7 +90,7 @@ class DAQPSolver(QPSolver):
         is_row[bound] = False
         both = (below >= 0) & (above >= 0)
         is_row[above[both]] = False
-        self._low_row = np.flatnonzero(is_row)
+        self._low_row = np.flatnonzero(is_row)  # all of them, in order, where none is soft
         number = np.zeros(rows, np.int64)
         number[self._low_row] = np.arange(len(self._low_row))
         number[above[both]] = number[below[both]]
@@ -108,6 +109,7 @@ class DAQPSolver(QPSolver):
         self._none = np.zeros(len(self._low_row), np.intc)
         self._none[self._soft] = _SOFT
         self._hessian = P.toarray()[np.ix_(self._free, self._free)]
+        self._fill()
         self._forget()
 
     def _prepare_without_violations(self) -> None:
@@ -115,10 +117,11 @@ class DAQPSolver(QPSolver):
         self._prepare(none, none, none, none)
 
     def _forget(self) -> None:
-        self._fill()
+        """Set up anew, so that the next solve need not, for the vector that is expected."""
         self._model: Any = None
-        self._q: FloatArray = np.zeros(0)
-        self._active = self._none.copy()
+        self._set_up(self._usual_q)
+        # The slope and the multipliers of DAQP's rows where the next solve begins.
+        self._last: tuple[FloatArray, FloatArray] | None = None
 
     def _fill(self) -> None:
         self._matrix = np.zeros((len(self._low_row), len(self._free)))
@@ -137,7 +140,14 @@ class DAQPSolver(QPSolver):
 
     def reset(self) -> None:
         """See :meth:`QPSolver.reset`."""
-        self._begin()
+        first = self._made_of[1].data
+        changed, self._values = self._values is not first, first
+        if self._violation is not self._found[0]:
+            self._prepare(*self._found)
+            return
+        if changed:
+            self._fill()
+        self._forget()
 
     def _set_up(self, q: FloatArray) -> int:
         """Make a model without bounds; return DAQP's exit flag."""
@@ -146,16 +156,21 @@ class DAQPSolver(QPSolver):
         rows = len(self._low_row)
         infinite = np.full(rows, np.inf)
         model = daqp.Model()
+        slope = q[self._free].copy()
+        self._sloped, self._timed = bool(slope.any()), False
+        # Without a slope DAQP does not transform the bounds at each solve.
         flag: int = model.setup(
-            self._hessian, q[self._free].copy(), self._matrix, infinite, -infinite, self._none
-        )[0]
+            self._hessian, slope if self._sloped else None, self._matrix, infinite, -infinite,
+            self._none,
+        )[0]  # fmt: skip
         model.settings = {
             "primal_tol": self._tolerance,
             "iter_limit": self._max_iterations + 1,  # it counts from 1 and stops before
         }
+        self._q, self._changed = q.copy(), False
         if flag < 0:
             return flag
-        self._model, self._q, self._changed = model, q.copy(), False
+        self._model = model
         if len(self._soft):
             softness, price = np.zeros(rows), np.zeros(rows)
             softness[self._soft], price[self._soft] = 1 / self._price, q[self._violation]
@@ -191,28 +206,32 @@ class DAQPSolver(QPSolver):
         if limit <= 0:
             return QPSolution(Status.OUT_OF_TIME, None, None, 0)
         if start is not None:
-            self._active = self._active_set(q, start[1])
-        given: dict[str, FloatArray] = {}
-        if self._model is not None:
-            if not np.array_equal(q[self._violation], self._q[self._violation]):
-                self._model = None
-            elif not np.array_equal(q, self._q):
+            multiplier = start[1]
+            if len(self._soft):
+                above, below = multiplier[self._high_row], multiplier[self._low_row]
+                multiplier = np.maximum(above, 0) + np.minimum(below, 0)
+            self._last = q, multiplier
+        flag, given = 0, {}
+        if not np.array_equal(q, self._q):
+            # DAQP has prices of rows, and no slope at all where there is none, from its setup on.
+            if self._sloped and np.array_equal(q[self._violation], self._q[self._violation]):
                 given["f"], self._q = q[self._free].copy(), q.copy()
-        flag = 0
+            else:
+                self._model = None
         if self._model is None:
             flag = self._set_up(q)
         if self._changed:
             given["A"], self._changed = self._matrix, False
         if flag >= 0:
-            low, high = l[self._low_row], u[self._high_row]
-            flag = self._model.update(bupper=high, blower=low, sense=self._active, **given)
+            low, high = (l[self._low_row], u[self._high_row]) if len(self._soft) else (l, u)
+            active = self._states(*self._last) if self._last else self._none
+            flag = self._model.update(bupper=high, blower=low, sense=active, **given)
         if flag < 0:
             return self._failed(flag, 0)
-        if deadline < np.inf:
-            limit = deadline - perf_counter()
-            self._model.settings = {"time_limit": max(limit, np.finfo(float).tiny)}
-        else:
-            self._model.settings = {"time_limit": 0.0}
+        if deadline < np.inf or self._timed:
+            limit = max(deadline - perf_counter(), np.finfo(float).tiny)
+            self._timed = deadline < np.inf
+            self._model.settings = {"time_limit": limit if self._timed else 0.0}
         x, _, flag, info = self._model.solve()
         if _STATUS[flag] is not Status.OK:
             return self._failed(flag, info["iterations"])
@@ -220,26 +239,25 @@ class DAQPSolver(QPSolver):
 
     def _failed(self, flag: int, iterations: int) -> QPSolution:
         # What DAQP leaves then may start nothing.
-        self._model, self._active, self._changed = None, self._none.copy(), False
+        self._model, self._last, self._changed = None, None, False
         return QPSolution(_STATUS[flag], None, None, iterations)
-
-    def _active_set(self, q: FloatArray, y: FloatArray) -> np.ndarray:
-        """Return the states of DAQP's rows for multipliers of A's."""
-        multiplier = np.maximum(y[self._high_row], 0) + np.minimum(y[self._low_row], 0)
-        return self._states(q, multiplier)
 
     def _states(self, q: FloatArray, multiplier: FloatArray) -> np.ndarray:
         active = self._none.copy()
-        active[multiplier > _INACTIVE] |= _ACTIVE
-        active[multiplier < -_INACTIVE] |= _ACTIVE | _LOWER
-        violated = np.abs(multiplier[self._soft]) > q[self._violation]
-        active[self._soft[violated]] |= _VIOLATED
+        if multiplier.any():
+            active[multiplier > _INACTIVE] |= _ACTIVE
+            active[multiplier < -_INACTIVE] |= _ACTIVE | _LOWER
+            kept = np.abs(multiplier[self._soft]) <= q[self._violation]
+            active[self._soft[kept]] |= _KEPT
         return active
 
     def _answer(
         self, q: FloatArray, found: FloatArray, multiplier: FloatArray, iterations: int
     ) -> QPSolution:
         rows, columns = self._shape
+        self._last = q, multiplier
+        if not len(self._soft):
+            return QPSolution(Status.OK, found, multiplier, iterations)
         x, y = np.zeros(columns), np.zeros(rows)
         x[self._free] = found
         y[self._high_row] = np.maximum(multiplier, 0)
@@ -247,7 +265,6 @@ class DAQPSolver(QPSolver):
         paid = np.abs(multiplier[self._soft]) - q[self._violation]
         x[self._violation] = np.maximum(paid, 0) / self._price
         y[self._bound] = np.minimum(paid, 0)
-        self._active = self._states(q, multiplier)
         return QPSolution(Status.OK, x, y, iterations)
 
 

@@ -131,9 +131,13 @@ def refused(
     for name, vector, size in (("q", q, columns), ("l", l, rows), ("u", u, rows)):
         if vector.shape != (size,):
             raise ValueError(f"{name} has shape {vector.shape}, expected ({size},)")
-    largest = max(np.abs(q).max(initial=0.0), l.max(initial=0.0), -u.min(initial=0.0))
-    if not largest < _LARGEST or np.isnan(l).any() or np.isnan(u).any():
+    # What is not a number is the largest and the least, and comparisons with it are false.
+    if not (
+        np.abs(q).max(initial=0.0) < _LARGEST
+        and l.max(initial=0.0) < _LARGEST
+        and u.min(initial=0.0) > -_LARGEST
+    ):
         return QPSolution(Status.BAD_DATA, None, None, 0)
-    if (l > u).any():
+    if not (l <= u).all():
         return QPSolution(Status.INFEASIBLE, None, None, 0)
     return None

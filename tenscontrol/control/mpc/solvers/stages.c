@@ -20,7 +20,8 @@
 #include <string.h>
 
 /* The same operations, so the same numbers, in wider registers where the machine has them. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#ifdef STAGES_WIDE
+#elif defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
 #define STAGES_WIDE __attribute__((target_clones("avx2", "default")))
 #else
 #define STAGES_WIDE
@@ -56,6 +57,13 @@ typedef struct {
 } Stages;
 
 #define STAGES_WORK(n, a) (2 * (size_t)((n) + (a)) * ((n) + (a)) + 6 * (size_t)((n) + (a)))
+
+/* Numbers of the memory of a program. */
+#define STAGES_NUMBERS(N, n, a, p, rows, soft)                                                   \
+    (ACTIVE_SET_NUMBERS(rows, (N) * (a), ACTIVE_SET_MOST(rows, (N) * (a), soft), 1) +            \
+     (size_t)(N) * (2 * ((a) + (n)) * (n) + (p) * (2 * (n) + (a) + 1) + (n) + (n) * (n) +        \
+                    2 * (a) * (a) + 2 * (a) * (n) + 4 * (a)) +                                   \
+     (size_t)((N) + 1) * (2 * (n) + (a)) + 4 * (size_t)(rows) + STAGES_WORK(n, a))
 
 static int stages_rows(const Stages *s)
 {
@@ -433,11 +441,6 @@ static double *stages_take(double **memory, size_t count)
     return taken;
 }
 
-STAGES_API size_t stages_program_size(void)
-{
-    return sizeof(StagesProgram);
-}
-
 /*
  * Lay a program out in memory.
  *
@@ -474,9 +477,7 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     set->limit = sizes[7];
     set->tolerance = tolerance;
     used = ACTIVE_SET_NUMBERS(set->rows, set->columns, set->most, 1);
-    counts[0] = used + N * (2 * (a + n) * n + p * (2 * n + a + 1) + n + n * n + 2 * a * a +
-                            2 * a * n + 4 * a) +
-                (N + 1) * (m + a + n) + 4 * rows + STAGES_WORK(n, a);
+    counts[0] = STAGES_NUMBERS(N, n, a, p, rows, (size_t)sizes[6]);
     counts[1] = ACTIVE_SET_INTEGERS(set->rows, set->most);
     counts[2] = ACTIVE_SET_POINTERS(set->most);
     if (numbers == NULL)
