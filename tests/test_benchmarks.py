@@ -137,6 +137,17 @@ def test_simulation(printed):
         assert row(text, "MuJoCo RK4, step 1e-3")[0] < 1e-5
 
 
+@needs_compiler
+@needs("jax", "bench")
+def test_batch(printed, monkeypatch):
+    module = import_module("tests.benchmarks.batch")
+    monkeypatch.setattr(module, "_OURS", ("rk4",))
+    monkeypatch.setattr(module, "STEPS", (0.0125,))
+    text = printed("batch", "--runs 5 --duration 0.1 --repeats 1")
+    for label in ("tenscontrol rk4", "NumPy RK4", "JAX vmap, matrices"):
+        assert row(text, label)[1] < 1e-3
+
+
 def test_ground_drop(printed):
     text = printed("ground_drop", "--duration 0.4 --settings 3 --repeats 1 --plain")
     errors = [row(text, "dop853 ", which)[1] for which in range(3)]
