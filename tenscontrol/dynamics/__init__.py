@@ -22,7 +22,6 @@ from tenscontrol.dynamics.evaluator import (
     exclusive,
     solving,
 )
-from tenscontrol.dynamics.forms import C_EXPORT, C_HEAD, external_interface
 from tenscontrol.dynamics.machine_code import (
     Compiled,
     Compiler,
@@ -38,8 +37,6 @@ from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, Stri
 
 __all__ = [
     "BUILDING",
-    "C_EXPORT",
-    "C_HEAD",
     "KINDS",
     "ColumnEvaluator",
     "Compiled",
@@ -73,7 +70,6 @@ __all__ = [
     "coordinates",
     "evaluate_columns",
     "exclusive",
-    "external_interface",
     "normal_basis",
     "pack_state",
     "polynomial_at",
