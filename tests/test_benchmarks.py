@@ -26,7 +26,7 @@ def needs(package, extra):
 
 def test_every_benchmark_is_tested():
     there = {path.stem for path in BENCHMARKS.glob("*.py") if not path.stem.startswith("test_")}
-    there -= {"__init__", "command_line"}
+    there -= {"__init__", "command_line", "jax_peers"}
     assert there == {name.removeprefix("test_") for name in globals() if name[:5] == "test_"} - {
         "every_benchmark_is_tested"
     }
@@ -329,6 +329,15 @@ def test_error_against_time(printed):
         first, _, last = (row(text, f"{name} ", k)[1] for k in range(3))
         assert last < min(first, most)
     assert re.findall(r"^1e-0[389]  +(\S+)", text, re.M)[1:] == ["rattle6", "–"]
+
+
+@needs("jax", "jax")
+def test_thrown_ball(printed):
+    text = printed("thrown_ball", "--plain --all --duration 0.5 --settings 2 --repeats 1")
+    assert "order 8, tolerance 1e-13" in text
+    for name, most in (("dop853", 1e-5), ("jax rk4", 1e-3), ("rattle6", 1e-2)):
+        first, last = (row(text, f"{name} ", k)[1] for k in range(2))
+        assert last < min(first, most)
 
 
 def test_morph(printed, nothing_compiled):
