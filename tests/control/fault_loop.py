@@ -11,6 +11,8 @@ import numpy as np
 import tenscontrol as tc
 from tenscontrol.control import Status
 from tenscontrol.control.mpc import DAQPSolver, OSQPSolver, QPSolution
+from tenscontrol.control.mpc.problem import SubproblemSolution
+from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import sampled_dynamics
 
@@ -86,6 +88,9 @@ def solve_nothing(patch, status, iterations=1):
     """Let no solver solve."""
     for kind in (DAQPSolver, OSQPSolver):
         patch.setattr(kind, "solve", lambda *_, **__: QPSolution(status, None, None, iterations))
+    unsolved = SubproblemSolution(status, iterations, None)
+    for kind in (LeastDistance, LeastDistanceArrays):
+        patch.setattr(kind, "solve", lambda *_: unsolved)
 
 
 @dataclass

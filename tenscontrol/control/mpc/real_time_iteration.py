@@ -27,6 +27,7 @@ from tenscontrol.control.mpc.shooting import (
     RadauIIA,
     RowSlopes,
     executable,
+    repeated,
 )
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import Evaluator
@@ -89,7 +90,7 @@ class TrajectoryModel:
         self._balance: AccelerationSlopes | Evaluator = (
             AccelerationSlopes(plant, length, taut=True, machine_code=machine_code)
             if self.implicit
-            else Evaluator(self.acceleration.map(length))
+            else Evaluator(repeated(self.acceleration, length))
         )
         self._constraints = constraints
         self._rows: RowSlopes | None = None

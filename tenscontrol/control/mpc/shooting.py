@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscontrol.control.disturbance import solve_stacked
 from tenscontrol.control.mpc.problem import Pair, StageJacobians, Triple, applied
-from tenscontrol.dynamics import Evaluator, built, compiled
+from tenscontrol.dynamics import Evaluator, builds, built, compiled
 from tenscontrol.plant import (
     LinearPlant,
     acceleration_response,
@@ -60,6 +60,12 @@ def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobi
     return StageJacobians(offset, tuple(blocks))
 
 
+@builds
+def repeated(function: ca.Function, count: int) -> ca.Function:
+    """Return a function of so many columns."""
+    return function.map(count) if count > 1 else function
+
+
 def executable(function: ca.Function, machine_code: bool) -> tuple[ca.Function, str]:
     """Return a function, compiled where that is wished and can be, and what evaluates it."""
     code = compiled(function) if machine_code else None
@@ -79,7 +85,7 @@ class AccelerationSlopes:
         one, self.back_end = plant.prepared.get(
             ("accelerations", taut, machine_code), lambda: executable(linked, machine_code)
         )
-        self._evaluate = Evaluator(one.map(count) if count > 1 else one)
+        self._evaluate = Evaluator(repeated(one, count))
         rows = plant.model.structure.free_rows
         identity = np.eye(plant.nodes.size)
         self._project = np.ascontiguousarray(plant.coordinates.project(identity)[:, rows].T)
@@ -132,7 +138,7 @@ class RowSlopes:
         patterns: tuple[ca.Sparsity, ...],
         length: int,
     ) -> None:
-        self._evaluate = Evaluator(linked.map(length) if length > 1 else linked)
+        self._evaluate = Evaluator(repeated(linked, length))
         self._places = plant.nodes.ravel(order="F")
         self._basis = np.where(np.abs(plant.basis.T) > 1e-14, plant.basis.T, 0.0)
         # By places and rates at the start, by the input, by places and rates at the end.
@@ -236,7 +242,7 @@ class RK4(Discretization):
         if machine_code and self._count == 1 and self._r <= _MOST_WRITTEN:
             key = "RK4", sample_time
             one, self.back_end = plant.prepared.get(key, lambda: executable(self.linearized, True))
-            self._written = Evaluator(one.map(length))
+            self._written = Evaluator(repeated(one, length))
         else:
             self._slopes = AccelerationSlopes(plant, length, taut=False, machine_code=machine_code)
             self.back_end = self._slopes.back_end
