@@ -41,6 +41,7 @@ def test_every_example_is_tested():
         "plot_control_t_bar.py",
         "plot_ground_lander.py",
         "plot_ground_rolling.py",
+        "plot_ground_thrown_prisms.py",
         "plot_library.py",
         "plot_paper_skin.py",
         "plot_paper_string_mass.py",
@@ -70,6 +71,12 @@ def test_ground_lander():
         assert values[least] > 0.9 * height / found["LENGTH"]
     assert list(found["best"].values()) == sorted(found["best"].values())
     assert found["error"] < 1e-4
+
+
+def test_ground_thrown_prisms():
+    found = run("plot_ground_thrown_prisms.py")
+    assert found["batch"].completed.all()
+    assert 0 < found["toppled"].sum() < 200
 
 
 def test_ground_rolling():

@@ -830,7 +830,7 @@ call(
 )
 call("modes", lambda: {"plant": plant(), "count": 2})
 call("reduce", lambda: {"plant": plant(), "modes": [3, 4]})
-call("controllability", lambda: {"plant": plant()})
+call("controllability", lambda: {"plant": plant(), "count": 3})
 call("energy_weights", lambda: {"plant": plant(), "by_mode": True})
 call(
     "equilibrium",

@@ -273,19 +273,22 @@ class RK4(Discretization):
             return stage_jacobians(self._written, states, held)
         (N, s), r, h = states.shape, self._r, self._step
         q, v = states[:, :r], states[:, r:]
-        # Derivatives of places and speeds by z and u, by columns.
-        whole = np.broadcast_to(np.eye(s + held.shape[1], s), (N, s + held.shape[1], s))
-        places, speeds = whole[:, :, :r], whole[:, :, r:]
+        # Derivatives of places and speeds by z and u, by columns: at first of z by itself.
+        start = np.broadcast_to(np.eye(s + held.shape[1], s), (N, s + held.shape[1], s))
+        places, speeds = start[:, :, :r], start[:, :, r:]
         weights = list(zip((1.0, 2.0, 2.0, 1.0), (0.0, 0.5 * h, 0.5 * h, h), strict=True))
-        for _ in range(self._count):
+        for step in range(self._count):
             end_q, end_v, end_places, end_speeds = (x.copy() for x in (q, v, places, speeds))
             rate, slope, rates, slopes = v, np.zeros_like(v), speeds, np.zeros_like(speeds)
             for weight, ahead in weights:
                 there = places + ahead * rates
                 at, rate, rates = q + ahead * rate, v + ahead * slope, speeds + ahead * slopes
                 slope, by_z, by_u = self._slopes(np.hstack([at, rate]), held)
-                slopes = there @ by_z[:, :r] + rates @ by_z[:, r:]
-                slopes[:, s:] += by_u
+                if step == 0 and not ahead:
+                    slopes = np.concatenate([by_z, by_u], axis=1)
+                else:
+                    slopes = np.concatenate([there, rates], axis=2) @ by_z
+                    slopes[:, s:] += by_u
                 end_q += h / 6 * weight * rate
                 end_v += h / 6 * weight * slope
                 end_places += h / 6 * weight * rates
@@ -340,9 +343,10 @@ class RadauIIA(Discretization):
         # What the accelerations at the stages do to places and speeds there.
         self._to_place, self._to_speed = sample_time**2 * _MATRIX @ _MATRIX, sample_time * _MATRIX
         self._size = float(np.ptp(plant.nodes, axis=1).max())
-        # Of the plan linearized last: Newton's step of K, its derivative, and that of z⁺ by a load.
-        self._change: FloatArray = np.zeros((0, 3, self._r))
-        self._slopes: FloatArray = np.zeros((0, 3 * self._r, 0))
+        # What they do to the end, as columns of M⁻ᵀ of the equations M K = … are combined.
+        self._to_end = np.stack([self._to_place[2], self._to_speed[2]])
+        # Of the plan linearized last: M⁻ᵀ, the equations' left, and slopes of q̈ by z and u.
+        self._linear: tuple[FloatArray, ...] = ()
         self._by_load: FloatArray = np.zeros((0, self._r, 0))
 
     @built
@@ -391,19 +395,19 @@ class RadauIIA(Discretization):
         for z, u in ((state, previous), (end, held)):
             if not self._taut(z, u)[0].min() >= 0:
                 end = np.full_like(end, np.nan)
-        by_load = solve_stacked(system, np.tile(np.eye(r), (3, 1))[None]).reshape(3, r * r)
-        response = np.stack([self._to_place[2], self._to_speed[2]]) @ by_load
-        return end, response.reshape(2 * r, r)
+        inverse = solve_stacked(system, np.eye(3 * r)[None])
+        return end, self._at_end(inverse).sum(axis=1)[0].T
 
     def _single(
         self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray
     ) -> Triple:
-        """Return end, stages and ∂G/∂K of a step; no numbers where Newton's method fails."""
+        """Return end, stages and (∂G/∂K)ᵀ of a step; no numbers where Newton's method fails."""
         states, inputs = state[None], np.array([previous, held])
         stages = np.zeros((1, 3, self._r))
         for _ in range(_MOST_ROUNDS):
             system, left = self._equations(self._once, states, inputs, stages)[:2]
-            change = solve_stacked(system, (load - left).reshape(1, -1, 1)).reshape(stages.shape)
+            change = solve_stacked(system.swapaxes(1, 2), (np.tile(load, 3) - left)[..., None])
+            change = change.reshape(stages.shape)
             stages = stages + change
             if np.abs(self._to_place @ change).max() <= _SOLVED * self._size:
                 return self._ends(states, stages)[0], stages[0], system
@@ -414,27 +418,31 @@ class RadauIIA(Discretization):
         self, states: FloatArray, inputs: FloatArray, stages: FloatArray
     ) -> StageJacobians:
         """See :meth:`Discretization.linearize`."""
-        (N, s), r, a, h = states.shape, self._r, inputs.shape[1], self._sample_time
-        system, left, by_q, by_v, by_u = self._equations(self._along, states, inputs, stages)
+        (N, s), r, h = states.shape, self._r, self._sample_time
+        system, left, by_z, by_u = self._equations(self._along, states, inputs, stages)
+        inverse = solve_stacked(system, np.broadcast_to(np.eye(3 * r), system.shape))
+        to_end = self._at_end(inverse)
+        self._linear = inverse, left, by_z, by_u
+        self._by_load = to_end.sum(axis=1)
+        by_points, by_inputs = by_z @ to_end, by_u @ to_end
+        by_state = by_points.sum(axis=1)
+        by_state[:, r:] += np.tensordot(by_points[:, :, :r], h * _NODES, (1, 0))
+        by_state[:, np.arange(s), np.arange(s)] += 1.0
+        by_state[:, np.arange(r, s), np.arange(r)] += h
         share = self._share[:, :, None]
-        sides = [-left[..., None], by_q, h * _NODES[:, None, None] * by_q + by_v, share * by_u]
+        slopes = [by_state, (share * by_inputs).sum(axis=1)]
         if self.ramp:
-            sides.append((1 - share) * by_u)
-        sides.append(np.broadcast_to(np.eye(r), (N, 3, r, r)))
-        answer = solve_stacked(system, np.concatenate(sides, axis=3).reshape(N, 3 * r, -1))
-        self._change, self._slopes = answer[:, :, 0].reshape(N, 3, r), answer[:, :, 1:]
-        # By columns: entry [k, j, i], i first the places and then the speeds at the end.
-        last = np.stack([self._to_place[2], self._to_speed[2]])
-        by_all = np.einsum("tj,njrc->nctr", last, self._slopes.reshape(N, 3, r, -1))
-        by_all = by_all.reshape(N, -1, s)
-        by_all[:, np.arange(s), np.arange(s)] += 1.0
-        by_all[:, np.arange(r, s), np.arange(r)] += h
-        widths = np.cumsum([s, a, a] if self.ramp else [s, a])
-        *slopes, self._by_load = np.split(by_all, widths, axis=1)
-        offset = self._ends(states, stages + self._change)
+            slopes.append(((1 - share) * by_inputs).sum(axis=1))
+        offset = self._ends(states, stages) - applied(to_end.reshape(N, 3 * r, s), left)
         for slope, argument in zip(slopes, (states, inputs[1:], inputs[:-1]), strict=False):
             offset -= applied(slope, argument)
         return StageJacobians(offset, tuple(slopes))
+
+    def _at_end(self, inverse: FloatArray) -> FloatArray:
+        """Return what right-hand sides of each stage do to z⁺, by columns, (N, 3, r, 2r)."""
+        N, r = len(inverse), self._r
+        found = self._to_end @ inverse.reshape(N, 3 * r, 3, r)
+        return np.asarray(found.reshape(N, 3, r, 2 * r))
 
     def load_response(self, load: FloatArray) -> FloatArray:
         """See :meth:`Discretization.load_response`."""
@@ -442,13 +450,16 @@ class RadauIIA(Discretization):
 
     def corrected(self, stages: FloatArray, changes: Pair, load: FloatArray | None) -> FloatArray:
         """See :meth:`Discretization.corrected`."""
+        inverse, left, by_z, by_u = self._linear
         states, inputs = changes
-        parts = [states, inputs[1:], inputs[:-1]] if self.ramp else [states, inputs[1:]]
-        parts.append(np.zeros((len(states), self._r)))
+        points = np.repeat(states[:, None], 3, axis=1)
+        points[:, :, : self._r] += self._sample_time * _NODES[:, None] * states[:, None, self._r :]
+        at_stages = inputs[:-1, None] + self._share * np.diff(inputs, axis=0)[:, None]
+        sides = (points[:, :, None] @ by_z + at_stages[:, :, None] @ by_u)[:, :, 0]
+        sides -= left.reshape(sides.shape)
         if load is not None:
-            parts[-1][:] = load
-        moved = self._slopes @ np.hstack(parts)[:, :, None]
-        return stages + self._change + moved.reshape(stages.shape)
+            sides += load
+        return stages + applied(inverse, sides.reshape(left.shape)).reshape(stages.shape)
 
     def _ends(self, states: FloatArray, stages: FloatArray) -> FloatArray:
         """Return the states at the ends of samples, shape (N, s)."""
@@ -460,7 +471,10 @@ class RadauIIA(Discretization):
     def _equations(
         self, slopes: AccelerationSlopes, states: FloatArray, inputs: FloatArray, stages: FloatArray
     ) -> tuple[FloatArray, ...]:
-        """Return ∂G/∂K, (N, 3r, 3r), G and the slopes of a, where G = K − a is 0 when solved."""
+        """Return (∂G/∂K)ᵀ, (N, 3r, 3r), G, (N, 3r), and the slopes of a at the stages by columns.
+
+        The equations are solved where G = K − a is 0.
+        """
         N, r = len(states), self._r
         q, v = states[:, None, :r], states[:, None, r:]
         speeds = v + self._to_speed @ stages
@@ -468,16 +482,14 @@ class RadauIIA(Discretization):
         at_stages = inputs[:-1, None] + self._share * np.diff(inputs, axis=0)[:, None]
         points = np.concatenate([places, speeds], axis=2).reshape(3 * N, -1)
         values, by_z, by_u = slopes(points, at_stages.reshape(3 * N, -1))
-        left = stages - values.reshape(N, 3, r)
-        by_q, by_v, by_u = (
-            part.reshape(N, 3, -1, r).swapaxes(2, 3) for part in (by_z[:, :r], by_z[:, r:], by_u)
-        )
-        # Equation [i, row] by unknown [j, column].
-        system = by_q[:, :, :, None, :] * -self._to_place[:, None, :, None]
-        system -= by_v[:, :, :, None, :] * self._to_speed[:, None, :, None]
+        by_z, by_u = by_z.reshape(N, 3, 2 * r, r), by_u.reshape(N, 3, -1, r)
+        # Unknown [j, row] by equation [i, column].
+        by_q, by_v = (part.swapaxes(1, 2)[:, None] for part in (by_z[:, :, :r], by_z[:, :, r:]))
+        system = by_q * -self._to_place.T[:, None, :, None]
+        system -= by_v * self._to_speed.T[:, None, :, None]
         system = system.reshape(N, 3 * r, 3 * r)
         system[:, np.arange(3 * r), np.arange(3 * r)] += 1.0
-        return system, left, by_q, by_v, by_u
+        return system, (stages - values.reshape(N, 3, r)).reshape(N, 3 * r), by_z, by_u
 
 
 def _taut_force_density(plant: LinearPlant) -> ca.Function:
