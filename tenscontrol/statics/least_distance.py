@@ -6,13 +6,13 @@ large ones by sparse equations.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.statics.equilibrium_matrix import null_space
-from tenscontrol.validation import FloatArray
+from tenscontrol.statics.equilibrium_matrix import MemberForces, is_small, null_space
+from tenscontrol.validation import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array, csr_array
@@ -216,6 +216,59 @@ class Balance:
                 break
             (x, y), before = found, missed
         return program.scale * x
+
+
+@dataclass(frozen=True, eq=False)
+class BalancedForces:
+    """All force densities ``D x + o`` that balance, those of strings first.
+
+    Few are given by directions D; many by sparse equations of x, with D = 1 and o = 0.
+    """
+
+    directions: FloatArray  # D, (k, ·)
+    offset: FloatArray  # o, (k,)
+    balance: Balance | None
+
+    @classmethod
+    def of(cls, forces: MemberForces) -> BalancedForces:
+        """Return those of movable members."""
+        if is_small(forces.matrix):
+            return cls(forces.states, forces.particular, None)
+        from scipy.sparse import eye_array
+
+        k = forces.matrix.shape[1]
+        return cls(eye_array(k).tocsr(), np.zeros(k), Balance(forces.matrix.tocsr(), forces.load))
+
+    def at_level(self, chosen: IntArray, level: float) -> BalancedForces | None:
+        """Return those in which the chosen strings have the mean ``level``.
+
+        None if no state of self-stress changes that mean.
+        """
+        if self.balance is not None:
+            row = np.zeros(len(self.offset))
+            row[chosen] = 1 / len(chosen)
+            return replace(self, balance=self.balance.joined(row, level))
+        states, particular = self.directions, self.offset
+        mean = states[chosen].mean(axis=0)
+        weight = float(np.linalg.norm(mean))
+        if weight < _ROUND_OFF:
+            return None
+        start = mean * (level - particular[chosen].mean()) / weight**2
+        directions = states @ np.linalg.svd(mean[None, :])[2][1:].T
+        return BalancedForces(directions, particular + states @ start, None)
+
+    def nearest(self, target: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray | None:
+        """Return those whose γ are nearest to a target within bounds, or None if none are."""
+        if self.balance is not None:
+            return self.balance.nearest(target, low, high)
+        D, offset, count = self.directions, self.offset, len(target)
+        x = nearest_between(D[:count], offset[:count], target, low, high)
+        return None if x is None else np.asarray(offset + D @ x)
+
+    def largest_share(self, low: FloatArray, high: FloatArray, most: float | None = 1) -> float:
+        """Return the largest part of the least γ, at most ``most``, that they can have."""
+        D, offset = self.directions[: len(low)], self.offset[: len(low)]
+        return largest_share(D, offset, low, high, most, self.balance)
 
 
 class _Program:

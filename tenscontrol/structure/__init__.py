@@ -16,13 +16,13 @@ from tenscontrol.structure.segments import (
     segment_counts,
     spread_force_density,
     spread_rest_length,
+    subdivide,
     to_segments,
     to_strings,
     whole_strings,
 )
 from tenscontrol.structure.skin import skin, skin_rest_length
 from tenscontrol.structure.structure import Structure, same_members
-from tenscontrol.structure.subdivide import subdivide
 from tenscontrol.structure.supports import (
     affine_motions,
     carried_by_supports,

@@ -20,8 +20,8 @@ EXACT = 1e-8
 
 SHAPES = {
     **KNOWN,
-    "tall class-2 tower": lambda: class2_tower(12),
-    "tower": lambda: tc.prism_tower(6),
+    "tall class-2 tower": lambda: class2_tower(8),
+    "tower": lambda: tc.prism_tower(4),
     "prism of six": lambda: tc.prism(6),
     "star prism": lambda: star_prism(7, 3, 2),
     "square body": square_body,
@@ -29,8 +29,8 @@ SHAPES = {
     "massive strings": lambda: tc.subdivide(tc.prism(), 4, 0.01),
     "levy dome": tc.library.levy_dome,
     "balls": tc.library.thirty_bar_ball,
-    **{f"random {i}": lambda i=i: any_structure(i) for i in range(6)},
-    **{f"any {i}": lambda i=i: random_any(i) for i in range(6)},
+    **{f"random {i}": lambda i=i: any_structure(i) for i in range(4)},
+    **{f"any {i}": lambda i=i: random_any(i) for i in range(4)},
 }
 LARGE = ("massive strings", "levy dome", "balls", "any 1", "any 2", "random 1", "random 2")
 ASKED = (
@@ -109,7 +109,7 @@ def test_prestress_and_stability_are_the_same(name, monkeypatch):
         assert one[1].is_stable == other[1].is_stable
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(8))
 def test_sparse_prestress_is_refused_where_a_linear_program_is_infeasible(seed, monkeypatch):
     structure = prism_with_extra_strings(seed)
     monkeypatch.setattr(MATRIX, "_FEW", -1)
