@@ -161,8 +161,9 @@ class NMPC(PredictiveController):
     iterations : int
         Programs solved in a sample at most; fewer if the plan has converged.
     machine_code : bool
-        Compile the derivatives, where there is a C compiler: the same numbers, sooner. The
-        library is kept for the next run; the first time it takes some ten seconds.
+        Compile the derivatives, where there is a C compiler: the same numbers to round-off, sooner.
+        The library is kept for the next run and serves every horizon; the first time it takes some
+        ten seconds.
     **settings
         Horizon and sample time, and bounds, weights, limits and solver, as keyword arguments of
         :class:`MPCSettings`. Limits are on what is predicted, linearized along the plan. Where the
