@@ -26,7 +26,7 @@ def needs(package, extra):
 
 def test_every_benchmark_is_tested():
     there = {path.stem for path in BENCHMARKS.glob("*.py") if not path.stem.startswith("test_")}
-    there -= {"__init__", "command_line"}
+    there -= {"__init__", "command_line", "jax_peers"}
     assert there == {name.removeprefix("test_") for name in globals() if name[:5] == "test_"} - {
         "every_benchmark_is_tested"
     }
@@ -137,6 +137,17 @@ def test_simulation(printed):
         assert row(text, "MuJoCo RK4, step 1e-3")[0] < 1e-5
 
 
+@needs_compiler
+@needs("jax", "bench")
+def test_batch(printed, monkeypatch):
+    module = import_module("tests.benchmarks.batch")
+    monkeypatch.setattr(module, "_OURS", ("rk4",))
+    monkeypatch.setattr(module, "STEPS", (0.0125,))
+    text = printed("batch", "--runs 5 --duration 0.1 --repeats 1")
+    for label in ("tenscontrol rk4", "NumPy RK4", "JAX vmap, matrices"):
+        assert row(text, label)[1] < 1e-3
+
+
 def test_ground_drop(printed):
     text = printed("ground_drop", "--duration 0.4 --settings 3 --repeats 1 --plain")
     errors = [row(text, "dop853 ", which)[1] for which in range(3)]
@@ -212,22 +223,16 @@ def test_stiffness(printed):
 
 
 def test_qp_solvers(printed):
-    text = printed("qp_solvers", "--starts 1 --samples 3 --horizon 3 --slowest 1000000")
-    sizes = re.findall(r"^(.*): (\d+) programs, (\d+) unknowns, (\d+) rows, (\d+) e", text, re.M)
-    assert sizes == [
-        ("condensed MPC", "3", "27", "27", "378"),
-        ("sparse MPC", "3", "81", "81", "1215"),
-        ("NMPC", "3", "81", "81", "1215"),
-    ]
-    assert row(text, "CasADi hpipm") == []  # "takes trajectories only", or not in the wheel
-    for k in range(3):
-        assert row(text, "bounds active in a program: ", k)[0] >= 3
-        for name in ("ours (OSQP, in place)", "OSQP, set up anew"):
-            conditions, objective = row(text, name, k)[-2:]
-            assert conditions < 1e-2
-            assert objective < 2e-3
-        piqp = row(text, "PIQP, sparse", k)
-        assert piqp == [] if find_spec("piqp") is None else piqp[-2] < 1e-4
+    text = printed("qp_solvers", "--starts 1 --samples 6 --lengths 4")
+    assert "horizon 4: 6 programs, 36 inputs" in text
+    errors = {"DAQP, condensed": 1e-12, "OSQP, condensed": 1e-2, "OSQP, sparse": 1e-2}
+    errors |= {"PIQP multistage, sparse": 1e-2} if find_spec("piqp") else {}
+    errors |= {"quadprog, condensed": 1e-9} if find_spec("quadprog") else {}
+    for name, most in errors.items():
+        times, worst = row(text, name)[::2], row(text, name)[1::2]
+        assert len(times) == len(worst) >= 1
+        assert max(worst) < most
+    assert row(text, "DAQP, condensed")[0] == 1.0
 
 
 def test_contact_estimation(printed):
@@ -264,6 +269,12 @@ def test_nmpc_step(printed, nothing_compiled):
     assert cost["NMPC, machine code"] == cost["NMPC, no compiler"]
     assert cost["NMPC, machine code"] == pytest.approx(1.0, abs=1e-3)
     assert abs(cost["MPC, linear"] - 1.0) > 1e-2
+
+
+def test_nmpc_commits(printed):
+    text = printed("nmpc_commits", "--old . --starts 1 --back_ends interpreted")
+    assert "interpreted: virtual machine and virtual machine, 24 samples each" in text
+    assert "closed-loop costs agree to 0.0e+00" in text
 
 
 @needs_compiler
@@ -320,6 +331,15 @@ def test_error_against_time(printed):
     assert re.findall(r"^1e-0[389]  +(\S+)", text, re.M)[1:] == ["rattle6", "–"]
 
 
+@needs("jax", "jax")
+def test_thrown_ball(printed):
+    text = printed("thrown_ball", "--plain --all --duration 0.5 --settings 2 --repeats 1")
+    assert "order 8, tolerance 1e-13" in text
+    for name, most in (("dop853", 1e-5), ("jax rk4", 1e-3), ("rattle6", 1e-2)):
+        first, last = (row(text, f"{name} ", k)[1] for k in range(2))
+        assert last < min(first, most)
+
+
 def test_morph(printed, nothing_compiled):
     text = printed("morph", "1000 --plants 1 --rate 1")
     stiffness, pieces, height, twist, node, gamma, tension, rate, *_ = row(text, " ")
@@ -330,3 +350,10 @@ def test_morph(printed, nothing_compiled):
     assert tension < 45.0
     assert "{'ok': 135}" in text
     assert "out of range" not in text
+
+
+def test_reduced_control(printed):
+    text = printed("reduced_control", "--stages 5 --loop 8 --duration 2")
+    assert float(re.search(r"^ +5 +\d+ .* (\S+)$", text, re.M)[1]) < 1e-8
+    for law in ("LQR", "MPC"):
+        assert row(text, law)[2] == pytest.approx(1, abs=0.05)

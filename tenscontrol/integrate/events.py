@@ -40,20 +40,20 @@ POLISHES = 4
 
 # How late steps of a method without error control end at a switch, as part of the length of the
 # string: the force is wrong by the square of it. And at most, as part of the step.
-_LATE, _MOST_LATE = 1e-9, 1e-3
+LATE, _MOST_LATE = 1e-9, 1e-3
 
 # With ground: a node that dips in by δ at the acceleration a stays √(8δ/a), a small part of a long
 # step. Each zoom finds dips of a ninth of the depth.
 _ZOOMS_ON_GROUND = 7
 
 # Substeps that one step may be cut into; the rest is then taken whole, and counted.
-_SUBSTEPS = 8
+SUBSTEPS = 8
 
 # Instructions of the room up to which it is written out for each sample.
 _MOST_WRITTEN = 1000
 
 # What is left of a step below this part of it is round-off.
-_REST = 1e-13
+REST = 1e-13
 
 # Steps to a crossing, which is next to zero where a string starts on the border of slack.
 _MOST_HALVINGS = 5000
@@ -168,12 +168,27 @@ def search(equation: Equation, least: float = 0.0) -> ca.Function:
     n = equation.states
     x, taut, u, h, x1 = _symbols(equation)
     xd, xd1, allowed = (ca.MX.sym(name, size) for name, size in (("xd", n), ("e", n), ("a", 1)))
-    room = _room(equation)
-    zoom = _zoom(room, equation)
-    within = [_interpolant(equation)(x, xd, x1, xd1, h), u, taut, h]
+    zoom, first_out = zoom_in(equation), switch_on_interpolant(equation, least)
+    within = [interpolant(equation)(x, xd, x1, xd1, h), u, taut, h]
     low, high, found = ca.MX(0), ca.MX(1), ca.MX(0)
-    for _ in range(_ZOOMS if equation.contacts is None else _ZOOMS_ON_GROUND):
+    for _ in range(zooms(equation)):
         low, high, found = zoom(*within, low, high)
+    names = [x, taut, u, h, x1, xd, xd1, allowed]
+    outputs = [found, *first_out(*within, low, high, found, allowed)]
+    return ca.Function("search", names, [ca.densify(each) for each in outputs])
+
+
+def zooms(equation: Equation) -> int:
+    """Return how often :func:`search` zooms in."""
+    return _ZOOMS if equation.contacts is None else _ZOOMS_ON_GROUND
+
+
+def switch_on_interpolant(equation: Equation, least: float = LATE) -> ca.Function:
+    """Return ``(coefficients, u, taut, h, low, high, found, allowed) -> (part, …)`` of `search`."""
+    _, taut, u, h, _ = _symbols(equation)
+    coefficients = ca.MX.sym("coefficients", equation.states // 2, 6)
+    low, high, found, allowed = (ca.MX.sym(name) for name in ("low", "high", "found", "allowed"))
+    room, within = _room(equation), [coefficients, u, taut, h]
     inside, outside = room(*within, low), room(*within, high)
     # The string that is out first, by the secants; several, where they go out together.
     scale = equation.gap_scale(u)
@@ -195,9 +210,9 @@ def search(equation: Equation, least: float = 0.0) -> ca.Function:
     secant = (there - before) / ca.if_else(guess > low, guess - low, 1)
     speed = ca.if_else(ca.logic_and(guess > low, secant < 0), secant, speed)
     part = guess + (aim - there) / speed
-    outputs = [found, part, speed, aim, chosen, outside < inside]
-    names = [x, taut, u, h, x1, xd, xd1, allowed]
-    return ca.Function("search", names, [ca.densify(each) for each in outputs])
+    outputs = [part, speed, aim, chosen, outside < inside]
+    names = [*within, low, high, found, allowed]
+    return ca.Function("first_out", names, [ca.densify(each) for each in outputs])
 
 
 def distance(equation: Equation) -> ca.Function:
@@ -222,7 +237,7 @@ def _landing_of(step: ca.Function, equation: Equation) -> ca.Function:
     """Return ``(x, taut, u, h, x1) -> (x2, …)``: :func:`landing` for a step of x alone."""
     x, taut, u, h, x1 = _symbols(equation)
     ends = equation.slope(x, u, taut), equation.slope(x1, equation.ahead(u, h), taut)
-    land = landing(step, equation, _LATE)
+    land = landing(step, equation, LATE)
     return ca.Function("landing_of", [x, taut, u, h, x1], list(land(x, taut, u, h, x1, *ends, 0)))
 
 
@@ -233,7 +248,7 @@ def _attempt(step: ca.Function, equation: Equation) -> ca.Function:
     return ca.Function("attempt", [x, taut, u, h], [end, crossing(equation)(x, end, u, taut, h)])
 
 
-def _interpolant(equation: Equation) -> ca.Function:
+def interpolant(equation: Equation) -> ca.Function:
     """Return ``(x, xd, x1, xd1, h) -> coefficients`` of the positions inside a step.
 
     They belong to the polynomial of degree 5 with the positions, velocities and
@@ -265,12 +280,13 @@ def _room(equation: Equation) -> ca.Function:
     return ca.Function("room", [coefficients, u, taut, h, s], [room])
 
 
-def _zoom(room: ca.Function, equation: Equation) -> ca.Function:
+def zoom_in(equation: Equation) -> ca.Function:
     """Return ``(coefficients, u, taut, h, low, high) -> (low, high, found)``.
 
     The least room is sampled at equal parts of the bracket, and the bracket closes in on the
     samples next to the first that is negative; where none is, on the lowest.
     """
+    room = _room(equation)
     written = equation.form == "flat" and room.n_instructions() <= _MOST_WRITTEN
     symbols: Any = ca.SX if written else ca.MX  # a call, not written out six times for compilers
     within = [symbols.sym(room.name_in(i), room.sparsity_in(i)) for i in range(4)]
@@ -303,19 +319,31 @@ def _approach(step: ca.Function, equation: Equation) -> ca.Function:
     state = ca.MX.sym("state", 5 + step.size1_out(0))
     chosen, aim = ca.MX.sym("chosen", equation.switches), ca.MX.sym("aim")
     wanted, before, gap_before, speed, taken = (state[i] for i in range(5))
-    # A string that only grazes the border has no slope to follow.
-    part = ca.fmin(ca.fmax(ca.if_else(speed < 0, wanted, 0), 0), 1)
+    part = part_to_try(wanted, speed)
     end = step(y, u, taut, part * h)
     gap = distance(equation)(end[:n], equation.ahead(u, part * h), taut, chosen)
+    wanted, speed = corrected(part, gap, before, gap_before, speed, taken, aim)
+    inputs = [state, y, taut, u, h, chosen, aim]
+    again = ca.vertcat(wanted, part, gap, speed, taken + 1, end)
+    choose = where_needed(ca.Function("again", inputs, [again]))
+    far = ca.logic_or(taken == 0, ca.fabs(gap_before - aim) > ca.fabs(aim))
+    return ca.Function("approach", inputs, [choose(far, *inputs)])
+
+
+def part_to_try(wanted: Any, speed: Any) -> Any:
+    """Return the part of a step to take; without a slope, as of a string that grazes, none."""
+    return ca.fmin(ca.fmax(ca.if_else(speed < 0, wanted, 0), 0), 1)
+
+
+def corrected(
+    part: Any, gap: Any, before: Any, gap_before: Any, speed: Any, taken: Any, aim: Any
+) -> tuple[Any, Any]:
+    """Return the part wanted next and the slope, by the secant method, from the last two gaps."""
     # Closer than this, the difference is round-off.
     apart = ca.logic_and(taken > 0, ca.fabs(part - before) > 1e-6)
     secant = (gap - gap_before) / ca.if_else(apart, part - before, 1)
     speed = ca.if_else(ca.logic_and(apart, secant < 0), secant, speed)
-    inputs = [state, y, taut, u, h, chosen, aim]
-    again = ca.vertcat(part + (aim - gap) / speed, part, gap, speed, taken + 1, end)
-    choose = where_needed(ca.Function("again", inputs, [again]))
-    far = ca.logic_or(taken == 0, ca.fabs(gap_before - aim) > ca.fabs(aim))
-    return ca.Function("approach", inputs, [choose(far, *inputs)])
+    return part + (aim - gap) / speed, speed
 
 
 def _substep(attempt: ca.Function, land: ca.Function, equation: Equation) -> ca.Function:
@@ -339,7 +367,7 @@ def _substep(attempt: ca.Function, land: ca.Function, equation: Equation) -> ca.
     state, held = ca.MX.sym("state", going.size1_out(0)), ca.MX.sym("held", equation.inputs + 1)
     parts = _split(state, equation)
     choose = ca.Function.if_else("choose", going, done)
-    some = parts[2] > _REST * held[-1]
+    some = parts[2] > REST * held[-1]
     x, taut, left, counts = parts
     now = equation.ahead(held[:-1], held[-1] - left)
     return ca.Function("substep", [state, held], [choose(some, x, taut, left, counts, now)])
@@ -357,12 +385,12 @@ def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.F
     more = counts + _count(tries=1, unlocated=1)
     pulling = taut_strings(equation, end, equation.ahead(u, h))
     whole = ca.Function("whole", [state, held], [ca.vertcat(end, pulling, 0, more)])
-    rest = _SUBSTEPS - 1
+    rest = SUBSTEPS - 1
     cut_up = substep.fold(rest)(state, ca.repmat(held, 1, rest))
 
     def followed(by: ca.Function, after: Any) -> Any:
         """Return what follows a state of substeps where time is left."""
-        return where_needed(by)(_split(after, equation)[2] > _REST * h, after, held)
+        return where_needed(by)(_split(after, equation)[2] > REST * h, after, held)
 
     several = ca.Function("several", [state, held], [followed(whole, cut_up)])
     return ca.Function("finish", [state, held], [followed(several, substep(state, held))])

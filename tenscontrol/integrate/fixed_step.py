@@ -75,7 +75,7 @@ class FixedStep(Integrator):
 
     def _build(self, project: bool, machine_code: bool) -> _Steps:
         equation = self._equation
-        step = carried(self.smooth_step(project), equation)
+        step = _carried(self.smooth_step(project), equation)
         block, back_end = in_machine_code(equation, _block(step), machine_code)
         size = int(step.size1_in(0))
         many = int(np.clip(_MOST_NUMBERS / (_BLOCK * size), 1, _MANY))
@@ -211,7 +211,7 @@ def _block(step: ca.Function) -> ca.Function:
     return ca.Function("block", [z, u, steps], [many])
 
 
-def carried(step: ca.Function, equation: Equation) -> ca.Function:
+def _carried(step: ca.Function, equation: Equation) -> ca.Function:
     """Return ``(z, u, h) -> z``: a step that carries the time, which strings pull, and counts.
 
     Without strings that can go slack, and with an input that is held, z is the state alone.

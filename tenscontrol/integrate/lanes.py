@@ -3,7 +3,8 @@
 A step for fixed taut strings, and the test for a switch within it, are straight lists of
 operations. They are written here as C on short vectors with one entry a run. Each entry is
 computed by the operations of the scalar step in their order, so its bits are those of a run by
-itself. A run with a switch within a step takes that step by the scalar code, which locates it.
+itself. Where some runs have a switch within a step, these go on to it together, and the others
+wait.
 """
 
 from __future__ import annotations
@@ -16,12 +17,28 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import Equation, compiled_library, compiler
-from tenscontrol.integrate.events import COUNTS, crossing, taut_strings
-from tenscontrol.integrate.fixed_step import FixedStep, carried
+from tenscontrol.dynamics.forms import C_EXPORT
+from tenscontrol.integrate.events import (
+    COUNTS,
+    POLISHES,
+    REST,
+    SUBSTEPS,
+    corrected,
+    crossing,
+    distance,
+    interpolant,
+    part_to_try,
+    switch_on_interpolant,
+    switching,
+    taut_strings,
+    zoom_in,
+    zooms,
+)
+from tenscontrol.integrate.fixed_step import FixedStep
 from tenscontrol.validation import FloatArray, IntArray
 
 # Operations of a step up to which it is written out: compilers take half a millisecond for each.
-_MOST_WRITTEN = 12_000
+_MOST_WRITTEN = 30_000
 
 _INFIX = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 _COMPARED = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
@@ -167,33 +184,80 @@ def lanes_source(smooth: ca.Function, equation: Equation) -> str | None:
 
     None if the step cannot be written so.
     """
-    x, u, taut, h = equation.symbols(ca.SX)
-    clock = ca.SX.sym("clock")
-    if not smooth.is_a("SXFunction") or smooth.n_instructions() > _MOST_WRITTEN:
+    if not smooth.is_a("SXFunction"):
         return None
-    now = equation.ahead(u, clock)
-    x1 = smooth(x, now, taut, h)
-    crossed = ca.SX(0)
-    if equation.switches:
-        crossed = crossing(equation)(x, x1, now, taut, h)
-    attempt = ca.Function("attempt", [x, u, taut, clock, h], [x1, ca.densify(crossed)])
-    pulling = ca.Function("pulling", [x, u], [ca.densify(taut_strings(equation, x, u))])
-    if not all(map(_is_writable, (attempt, pulling))):
+    functions = _parts(smooth, equation)
+    count = sum(each.n_instructions() for each in functions)
+    if count > _MOST_WRITTEN or not all(map(_is_writable, functions)):
         return None
-    code = ca.CodeGenerator("lib", {"with_header": False})
-    if equation.switches:
-        code.add(carried(smooth, equation))
     wide = has_wide_vectors()
     sizes = {
         "W": 4 if wide else 2, "STATES": equation.states, "INPUTS": equation.inputs,
-        "SWITCHES": equation.switches, "CLOCKS": min(equation.layout.degree, 1),
-        "COUNTS": len(COUNTS), "LANES": '__attribute__((target("avx2")))' if wide else "",
+        "SWITCHES": equation.switches, "COUNTS": len(COUNTS), "ZOOMS": zooms(equation),
+        "POLISHES": POLISHES, "SUBSTEPS": SUBSTEPS, "REST": repr(REST),
+        "LANES": '__attribute__((target("avx2")))' if wide else "",
     }  # fmt: skip
-    called = {_CALLED[op] for each in (attempt, pulling) for op in _operations(each) & set(_CALLED)}
+    called = {_CALLED[op] for each in functions for op in _operations(each) & set(_CALLED)}
     kinds = (f"{'EACH_OF_TWO' if name in _OF_TWO else 'EACH'}({name})" for name in sorted(called))
     texts = [f"#define {name} {value}" for name, value in sizes.items()]
-    texts += [code.dump(), _VECTORS, *kinds, lane_code(attempt), lane_code(pulling), _RUN]
-    return "\n".join(texts)
+    texts += [C_EXPORT, _VECTORS, *kinds, *map(lane_code, functions)]
+    return "\n".join([*texts, _CUT if equation.switches else "", _RUN])
+
+
+def _parts(smooth: ca.Function, equation: Equation) -> list[ca.Function]:
+    """Return what the loop calls, of dense SX.
+
+    ``of`` are the input, the time since u, and the time of the step that is done: the step, or
+    what is left of it, begins there.
+    """
+    x, u, taut, h = equation.symbols(ca.SX)
+    clock, done, x1 = ca.SX.sym("clock"), ca.SX.sym("done"), ca.SX.sym("x1", equation.states)
+    of = [u, clock, done]
+    now = equation.ahead(equation.ahead(u, clock), done)
+    later = equation.ahead(now, h)
+
+    def function(name: str, inputs: list[Any], *outputs: Any) -> ca.Function:
+        return ca.Function(name, inputs, [ca.densify(ca.SX(each)) for each in outputs])
+
+    found = [function("smooth", [x, taut, *of, h], smooth(x, now, taut, h))]
+    if not equation.switches:
+        return found
+    n, alpha = equation.states, equation.switches
+    part, wanted, before, gap_before, speed, taken, aim, low, high, hit = map(
+        ca.SX.sym,
+        ("part", "wanted", "before", "gap", "speed", "taken", "aim", "low", "high", "hit"),
+    )
+    chosen, leaving = ca.SX.sym("chosen", alpha), ca.SX.sym("leaving", alpha)
+    dense = ca.SX.sym("coefficients", n // 2, 6)
+    within = [dense, now, taut, h]
+    slopes = equation.slope(x, now, taut), equation.slope(x1, later, taut)
+    tried = part_to_try(wanted, speed)
+    end = equation.ahead(now, part * h)
+    gap = distance(equation)(x1, end, taut, chosen)
+    zoom, first_out = (each(equation).expand() for each in (zoom_in, switch_on_interpolant))
+    return [
+        *found,
+        function("crossing", [x, x1, taut, *of, h], crossing(equation)(x, x1, now, taut, h)),
+        function("pulling", [x, *of], taut_strings(equation, x, now)),
+        function(
+            "interpolated", [x, x1, taut, *of, h],
+            interpolant(equation)(x, slopes[0], x1, slopes[1], h),
+        ),
+        function("zoom", [dense, taut, *of, h, low, high], *zoom(*within, low, high)),
+        function(
+            "first_out", [dense, taut, *of, h, low, high, hit],
+            *first_out(*within, low, high, hit, 0),
+        ),
+        function("to_try", [wanted, speed, h], tried, tried * h),
+        function(
+            "corrected", [x1, taut, *of, h, chosen, part, before, gap_before, speed, taken, aim],
+            gap, *corrected(part, gap, before, gap_before, speed, taken, aim),
+        ),
+        function(
+            "switching", [x1, taut, *of, h, part, leaving],
+            *switching(equation)(x1, end, taut, leaving), part * h,
+        ),
+    ]  # fmt: skip
 
 
 def has_wide_vectors() -> bool:
@@ -213,7 +277,6 @@ int has_wide_vectors(void) { return 0; }
 
 _VECTORS = """\
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 typedef double V __attribute__((vector_size(8 * W)));
 typedef long long M __attribute__((vector_size(8 * W)));
@@ -228,58 +291,125 @@ typedef long long M __attribute__((vector_size(8 * W)));
   { for (int i = 0; i < W; ++i) x[i] = f(x[i], y[i]); return x; }
 """
 
+# The lanes of ``cut`` are those with a switch in the step; the others go on with numbers that
+# nobody reads, and keep what they have. See :func:`events.located`.
+_CUT = """\
+LANES static inline int any(M lanes) {
+  long long found = 0;
+  for (int i = 0; i < W; ++i) found |= lanes[i];
+  return found != 0;
+}
+
+LANES static void take(M lanes, const V *from, V *to, int count) {
+  for (int k = 0; k < count; ++k) to[k] = CHOICE(lanes, from[k], to[k]);
+}
+
+LANES static void cut(M cut_lanes, V *x, V *taut, const V *u, const V *clock, const V *h,
+                      V *x1, V *counts) {
+  V at[STATES], end[STATES], pulls[SWITCHES], left[1], done[1], crossed[1], dense[3 * STATES];
+  V low[1], high[1], hit[1], part[1], speed[1], aim[1], chosen[SWITCHES], leaving[SWITCHES];
+  V wanted[1], tried[1], gap[1], next[1], slope[1], gap_here[1], time[1], taken[1], switched[1];
+  V reached[STATES], after[SWITCHES];
+  M active = cut_lanes;
+  memcpy(at, x, sizeof(at));
+  memcpy(end, x1, sizeof(end));
+  memcpy(pulls, taut, sizeof(pulls));
+  left[0] = h[0];
+  done[0] = ALL(0.0);
+  counts[0] += ONLY(active, ALL(1.0));
+  for (int sub = 0; any(active); ++sub) {
+    if (sub) {
+      lanes_smooth(at, pulls, u, clock, done, left, end);
+      counts[0] += ONLY(active, ALL(1.0));
+      M over = active;
+      if (sub <= SUBSTEPS) {
+        lanes_crossing(at, end, pulls, u, clock, done, left, crossed);
+        over &= crossed[0] == 0.0;
+      } else {
+        counts[3] += ONLY(active, ALL(1.0));
+        lanes_pulling(end, u, clock, h, after);
+        take(active, after, pulls, SWITCHES);
+      }
+      take(over, end, at, STATES);
+      active &= ~over;
+      if (!any(active)) break;
+    }
+    lanes_interpolated(at, end, pulls, u, clock, done, left, dense);
+    low[0] = ALL(0.0);
+    high[0] = ALL(1.0);
+    for (int i = 0; i < ZOOMS; ++i) {
+      lanes_zoom(dense, pulls, u, clock, done, left, low, high, time, tried, hit);
+      low[0] = time[0];
+      high[0] = tried[0];
+    }
+    lanes_first_out(dense, pulls, u, clock, done, left, low, high, hit,
+                    wanted, speed, aim, chosen, leaving);
+    const M found = hit[0] != 0.0;
+    part[0] = ALL(0.0);
+    gap[0] = CHOICE(found, ALL(0.0), aim[0]);
+    taken[0] = CHOICE(found, ALL(0.0), ALL(1.0));
+    for (int i = 0; i < POLISHES; ++i) {
+      const M far = active & ((taken[0] == 0.0) | (POSITIVE(gap[0] - aim[0]) > POSITIVE(aim[0])));
+      if (!any(far)) break;
+      lanes_to_try(wanted, speed, left, tried, time);
+      lanes_smooth(at, pulls, u, clock, done, time, reached);
+      lanes_corrected(reached, pulls, u, clock, done, left, chosen, tried, part, gap, speed,
+                      taken, aim, gap_here, next, slope);
+      take(far, reached, end, STATES);
+      take(far, tried, part, 1);
+      take(far, gap_here, gap, 1);
+      take(far, next, wanted, 1);
+      take(far, slope, speed, 1);
+      taken[0] += ONLY(far, ALL(1.0));
+    }
+    lanes_switching(end, pulls, u, clock, done, left, part, leaving, after, switched, time);
+    const M landed = active & found;
+    take(active, end, at, STATES);
+    take(landed, after, pulls, SWITCHES);
+    counts[0] += ONLY(landed, taken[0]);
+    counts[1] += ONLY(active, ALL(1.0));
+    counts[2] += ONLY(landed, switched[0]);
+    left[0] -= CHOICE(found, time[0], left[0]);
+    done[0] = h[0] - left[0];
+    active &= left[0] > REST * h[0];
+  }
+  take(cut_lanes, at, x1, STATES);
+  take(cut_lanes, pulls, taut, SWITCHES);
+}
+"""
+
 # A lane that no run is left for repeats the last run. Arrays of no entries are no C: hence + 1.
 _RUN = """\
-#if defined(_WIN32)
-__declspec(dllexport)
-#endif
-LANES void run_lanes(long long runs, long long outputs, long long inner, double length,
-                     const double *begin, const double *held, long long stride, double *kept,
-                     long long *good, double *counts, const volatile int *stop) {
-  V x[STATES], x1[STATES], u[INPUTS + 1], taut[SWITCHES + 1], clock[1], h[1], crossed[1];
-#if SWITCHES
-  casadi_int args, results, integers, reals;
-  step_work(&args, &results, &integers, &reals);
-  const double **arg = malloc(args * sizeof(*arg));
-  double **res = malloc(results * sizeof(*res)), *w = malloc((reals + 1) * sizeof(*w));
-  casadi_int *iw = malloc((integers + 1) * sizeof(*iw));
-  double z[STATES + CLOCKS + SWITCHES + COUNTS], of_run[INPUTS + 1];
-#endif
+EXPORTED LANES void run_lanes(
+    long long runs, long long outputs, long long inner, double length, const double *begin,
+    const double *held, long long stride, double *kept, long long *good, double *counts,
+    const volatile int *stop) {
+  V x[STATES], x1[STATES], u[INPUTS + 1], taut[SWITCHES + 1], clock[1], none[1], h[1];
+  none[0] = ALL(0.0);
   h[0] = ALL(length);
   for (long long first = 0; first < runs; first += W) {
-    long long run[W], left = outputs * inner, done = 0;
+    const long long total = outputs * inner;
+    long long run[W], done = 0;
     int going = W;
+    V counted[COUNTS] = {{0}};
     for (int i = 0; i < W; ++i) run[i] = first + i < runs ? first + i : runs - 1;
     for (int k = 0; k < STATES; ++k)
       for (int i = 0; i < W; ++i) x[k][i] = begin[run[i] * STATES + k];
     for (int k = 0; k < INPUTS; ++k)
       for (int i = 0; i < W; ++i) u[k][i] = held[run[i] * stride + k];
-    clock[0] = ALL(0.0);
     for (int i = 0; i < W; ++i) good[run[i]] = -1;
-    lanes_pulling(x, u, taut);
-    for (; done < left && going && !*stop; ++done) {
-      lanes_attempt(x, u, taut, clock, h, x1, crossed);
+    clock[0] = none[0];
 #if SWITCHES
-      for (int i = 0; i < W; ++i) {
-        double *counted = counts + run[i] * COUNTS;
-        if (i && run[i] == run[i - 1]) {
-          for (int k = 0; k < STATES; ++k) x1[k][i] = x1[k][i - 1];
-          for (int k = 0; k < SWITCHES; ++k) taut[k][i] = taut[k][i - 1];
-        } else if (crossed[0][i] == 0) {
-          ++counted[0];
-        } else {
-          for (int k = 0; k < STATES; ++k) z[k] = x[k][i];
-          for (int k = 0; k < CLOCKS; ++k) z[STATES] = clock[0][i];
-          for (int k = 0; k < SWITCHES; ++k) z[STATES + CLOCKS + k] = taut[k][i];
-          memcpy(z + STATES + CLOCKS + SWITCHES, counted, COUNTS * sizeof(double));
-          for (int k = 0; k < INPUTS; ++k) of_run[k] = u[k][i];
-          arg[0] = z; arg[1] = of_run; arg[2] = &length; res[0] = z;
-          step(arg, res, iw, w, 0);
-          for (int k = 0; k < STATES; ++k) x1[k][i] = z[k];
-          for (int k = 0; k < SWITCHES; ++k) taut[k][i] = z[STATES + CLOCKS + k];
-          memcpy(counted, z + STATES + CLOCKS + SWITCHES, COUNTS * sizeof(double));
-        }
-      }
+    lanes_pulling(x, u, clock, none, taut);
+#endif
+    for (; done < total && going && !*stop; ++done) {
+      lanes_smooth(x, taut, u, clock, none, h, x1);
+#if SWITCHES
+      V crossed[1];
+      lanes_crossing(x, x1, taut, u, clock, none, h, crossed);
+      const M lanes = crossed[0] != 0.0;
+      counted[0] += ONLY(~lanes, ALL(1.0));
+      if (any(lanes)) cut(lanes, x, taut, u, clock, h, x1, counted);
 #endif
       V finite = ALL(0.0);
       for (int k = 0; k < STATES; ++k) { x[k] = x1[k]; finite += x1[k] * 0.0; }
@@ -294,10 +424,10 @@ LANES void run_lanes(long long runs, long long outputs, long long inner, double 
           for (int k = 0; k < STATES; ++k)
             kept[(run[i] * outputs + done / inner) * STATES + k] = x[k][i];
     }
-    for (int i = 0; i < W; ++i) if (good[run[i]] < 0) good[run[i]] = done;
+    for (int i = 0; i < W; ++i) {
+      if (good[run[i]] < 0) good[run[i]] = done;
+      for (int k = 0; k < COUNTS; ++k) counts[run[i] * COUNTS + k] = counted[k][i];
+    }
   }
-#if SWITCHES
-  free(arg); free(res); free(iw); free(w);
-#endif
 }
 """

@@ -1,15 +1,25 @@
 """Time of one MPC step: a program updated in place against one built anew at each sample.
 
-Run: ``python -m tests.benchmarks.mpc_step``. Prints ratios measured in one run; the
-prism is moved to a new height (no bound active) and recovers from a push (bounds active).
+Run: ``python -m tests.benchmarks.mpc_step``. Prints ratios measured in one run, of processor time;
+the prism is moved to a new height (no bound active) and recovers from a push (bounds active).
+
+With ``--other FOLDER``, another checkout of the project, whole commands of the two are timed in
+processes that take turns: of the prism and of a ball of six bars, by force densities and by
+winches, that recover from pushes.
 """
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
+import warnings
 from collections.abc import Sequence
-from time import perf_counter
+from time import process_time
 
 import numpy as np
+from scipy.linalg import expm
 
 import tenscontrol as tc
 from tenscontrol.demo import tour as demo
@@ -20,7 +30,15 @@ LIMIT = 34.0  # N/m, little above the prestress, so that bounds are met
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__doc__, arguments, duration=4.0, lengths=LENGTHS)
+    given = options(
+        __doc__, arguments, duration=4.0, lengths=LENGTHS, other="", worker="", rounds=3
+    )
+    if given.worker:
+        print(json.dumps(commands(given.worker)))
+        return
+    if given.other:
+        against(given.other, given.rounds)
+        return
     scenes = {
         "ramp": scene(push=0.01, target=0.85, duration=given.duration),
         "push": scene(push=0.1, target=1.0, duration=given.duration),
@@ -54,6 +72,67 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for form in ("condensed", "sparse")
         ]
         print(f"  {length:7d}  {9 * length:6d}  {medians[0] / medians[1]:8.2f}")
+
+
+def against(other, rounds):
+    """Print times of whole commands here against those of another checkout."""
+    here = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+    print("whole commands, processor time, here and there in turn")
+    print("  scene                    median  / there's  p99 / median")
+    for name in SCENES:
+        times = {here: [], other: []}
+        for _ in range(rounds):
+            for folder, found in times.items():
+                environment = {**os.environ, "PYTHONPATH": folder, "OPENBLAS_NUM_THREADS": "1"}
+                run = subprocess.run(
+                    [sys.executable, os.path.abspath(__file__), "--worker", name],
+                    cwd=folder, env=environment, capture_output=True, text=True, check=True,
+                )  # fmt: skip
+                found += json.loads(run.stdout)
+        median, late = np.median(times[here]), np.percentile(times[here], 99)
+        ratio = median / np.median(times[other])
+        print(f"  {name:22s} {1e3 * median:6.3f} ms {ratio:10.3f} {late / median:13.2f}")
+
+
+SCENES = ("prism, forces", "prism, winches", "ball, forces", "ball, winches")
+
+
+def commands(name):
+    """Return times of commands, s, along the motion of a closed loop; of the public names alone."""
+    body, by = name.split(", ")
+    structure = tc.prism() if body == "prism" else tc.library.six_bar_ball(bar_length=1.0)
+    rest = tc.prestress(structure, force_density=20.0)
+    model = tc.Model(structure, strings=tc.LinearStrings(stiffness=1e3))
+    given = {"horizon": 20, "sample_time": demo.SAMPLE}
+    if by == "winches":
+        plant = tc.linearize(model, rest, input="rest_length")
+        given["winches"] = tc.Winches(rate=0.3)
+    else:
+        plant = tc.linearize(tc.Model(structure), rest)
+        given |= {"max_force_density": 1.1 * float(plant.force_density.max()), "R": 1e-3}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        mpc = tc.MPC(plant, **given)
+    r, rng, times = plant.degrees_of_freedom, np.random.default_rng(0), []
+    size = 0.003 if by == "winches" else 0.01
+    transition = expm(demo.SAMPLE * np.block([[plant.A, plant.B], [np.zeros((plant.B.shape[1],
+                      sum(plant.B.shape)))]]))  # fmt: skip
+    for start in range(4):
+        mpc.reset()
+        state = size * rng.normal(size=2 * r)
+        for k in range(60):
+            nodes = plant.to_nodes(state[:r])
+            speeds = (plant.basis @ state[r:]).reshape(nodes.shape, order="F")
+            began = process_time()
+            command = mpc.command(demo.SAMPLE * k, nodes, speeds)
+            times.append(process_time() - began)
+            if command.status != "ok":
+                raise SystemExit(f"a program was not solved: {command}")
+            off = command.value - plant.equilibrium_input
+            state = (transition @ np.concatenate([state, off]))[: 2 * r]
+        if start == 0:
+            times.clear()  # warms up
+    return times
 
 
 def scene(push, target, duration):
@@ -99,11 +178,11 @@ def run(mpc, measured, rebuilt):
     mpc.reset()
     times = []
     for moment in measured:
-        began = perf_counter()
+        began = process_time()
         if rebuilt:
             mpc._solver = mpc.law.solver()
         command = mpc.command(*moment)
-        times.append(perf_counter() - began)
+        times.append(process_time() - began)
         if command.status != "ok":
             raise SystemExit(f"a program was not solved: {command.status}")
     return np.array(times)

@@ -159,7 +159,6 @@ def nonlinear_of_rest_length():
         sample_time=SAMPLE,
         max_force_density=60.0,
         reference=ramp(),
-        solver="daqp",
         winches=WINCHES,
         max_tension=50.0,
         outputs=[tc.OutputLimit(height_row(), low=0.8, penalty=100.0)],
@@ -174,7 +173,6 @@ def nonlinear():
         sample_time=SAMPLE,
         max_force_density=80.0,
         reference=ramp(),
-        solver="daqp",
         max_change=10.0,
         iterations=2,
     )
@@ -188,7 +186,6 @@ def nonlinear_with_load():
         sample_time=SAMPLE,
         max_force_density=80.0,
         reference=ramp(),
-        solver="daqp",
         load_gain=0.1,
         tracked=height_row(),
         outputs=[tc.OutputLimit(height_row(), low=0.6, penalty=100.0)],

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 _FORMS = ("auto", "condensed", "sparse")
 
 # Up to so many unknown inputs the dense form is the cheaper one: tests/benchmarks/mpc_step.py.
-_LARGEST_CONDENSED: dict[type[QPSolver], int] = {DAQPSolver: 3000}
+_LARGEST_CONDENSED: dict[type[QPSolver], int] = {DAQPSolver: 2000}
 _LARGEST_OF_OTHERS = 600
 
 # A reference is farther than the linear plant holds where its loop comes to rest off by more than

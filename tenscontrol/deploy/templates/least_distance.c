@@ -1,12 +1,8 @@
 
 /* ---- the quadratic program: min 1/2 |x|^2 + q'x + violations, low <= M x <= high ---- */
 
-#include "controller_active_set.h"
-
 /* Values from here on are no numbers of a program. */
 #define LARGEST 1e20
-
-static int iterations; /* changes of the active set in the last solve */
 
 #define MOST ACTIVE_SET_MOST(ROWS, UNKNOWNS, SOFT)
 
@@ -58,22 +54,6 @@ static int fault_of_data(void)
         if (!(program.low[i] < LARGEST) || !(program.high[i] > -LARGEST))
             return CONTROLLER_BAD_DATA;
     return CONTROLLER_OK;
-}
-
-static int reason_of(int status)
-{
-    switch (status) {
-    case ACTIVE_SET_SOLVED:
-        return CONTROLLER_OK;
-    case ACTIVE_SET_INFEASIBLE:
-        return CONTROLLER_INFEASIBLE;
-    case ACTIVE_SET_OUT_OF_ITERATIONS:
-        return CONTROLLER_OUT_OF_ITERATIONS;
-    case ACTIVE_SET_INACCURATE:
-        return CONTROLLER_INACCURATE;
-    default:
-        return CONTROLLER_BAD_DATA;
-    }
 }
 
 /* Solve for program.q, .low and .high; the answer is in program.x and the rows of it if it is OK. */

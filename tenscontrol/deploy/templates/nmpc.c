@@ -2,7 +2,6 @@
 /* ---- nonlinear model predictive control by real-time iterations ---- */
 
 #define STAGES_WIDE /* no instructions but those that the compiler is told of */
-#include "controller_active_set.h"
 #include "controller_stages.h"
 
 /* Places in a row of the table over time. */
@@ -15,8 +14,6 @@
 
 #define ROWS (HORIZON * (CONTROLLER_COMMANDS * (CHANGES ? 2 : 1) + LIMITED))
 #define MOST ACTIVE_SET_MOST(ROWS, PLANNED, SOFT)
-
-static int iterations; /* changes of the active set in the last sample */
 
 /* The program along the plan, and its memory. */
 static struct {
@@ -198,22 +195,6 @@ static void linearize(void)
 #endif
     memory.prepared = stages_program_prepare(&program.stages, memory.offset, A, B, NULL, limited, E,
                                              G, F);
-}
-
-static int reason_of(int status)
-{
-    switch (status) {
-    case ACTIVE_SET_SOLVED:
-        return CONTROLLER_OK;
-    case ACTIVE_SET_INFEASIBLE:
-        return CONTROLLER_INFEASIBLE;
-    case ACTIVE_SET_OUT_OF_ITERATIONS:
-        return CONTROLLER_OUT_OF_ITERATIONS;
-    case ACTIVE_SET_INACCURATE:
-        return CONTROLLER_INACCURATE;
-    default:
-        return CONTROLLER_BAD_DATA;
-    }
 }
 
 /* Solve the program for what is measured. */

@@ -12,7 +12,7 @@ from tenscontrol.control.status import Status
 from tenscontrol.validation import FloatArray
 
 if TYPE_CHECKING:
-    from scipy.sparse import csc_array, csc_matrix
+    from scipy.sparse import csc_array, csc_matrix, csr_array
 
 # Every status that PIQP can return, by its name.
 _STATUS = {
@@ -50,6 +50,8 @@ class PIQPSolver(QPSolver):
         _piqp()
         self._made_of = P, A.copy(), tolerance, max_iterations
         self._shape, self._nonzeros = A.shape, A.nnz
+        self._order = _by_stages(P, A)
+        self._place = np.argsort(self._order)
         self.reset()
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -70,6 +72,8 @@ class PIQPSolver(QPSolver):
 
     def _set_up(self, equal: np.ndarray) -> None:
         """Split the rows into equations, bounds of unknowns and the rest."""
+        from scipy.sparse import csc_array
+
         A = self._made_of[1]
         rows, columns = self._shape
         column = np.repeat(np.arange(columns), np.diff(A.indptr))
@@ -78,22 +82,24 @@ class PIQPSolver(QPSolver):
         mine = np.flatnonzero(alone[A.indices] & (A.data != 0))
         _, first = np.unique(column[mine], return_index=True)
         self._by_bound = mine[first]
-        self._bounds, self._bounded = A.indices[self._by_bound], column[self._by_bound]
+        self._bounds = A.indices[self._by_bound]
+        self._bounded = self._place[column[self._by_bound]]
         is_bound = np.zeros(rows, bool)
         is_bound[self._bounds] = True
         self._equal = equal
         self._equations = np.flatnonzero(equal)
         self._others = np.flatnonzero(~equal & ~is_bound)
-        self._parts = [self._part(A, part) for part in (self._equations, self._others)]
+        numbers = csc_array((np.arange(1.0, A.nnz + 1), A.indices, A.indptr), shape=A.shape)
+        in_order = numbers.tocsr()[:, self._order]
+        self._parts = [self._part(in_order, part) for part in (self._equations, self._others)]
         self._solver = None
 
     @staticmethod
-    def _part(A: csc_array, rows: np.ndarray) -> tuple[csc_matrix, np.ndarray]:
-        """Return some rows of A, and where their values come from."""
-        from scipy.sparse import csc_array, csc_matrix
+    def _part(numbers: csr_array, rows: np.ndarray) -> tuple[csc_matrix, np.ndarray]:
+        """Return some rows of A, and where their values come from: A with numbers as its values."""
+        from scipy.sparse import csc_matrix
 
-        numbers = csc_array((np.arange(1.0, A.nnz + 1), A.indices, A.indptr), shape=A.shape)
-        part = csc_matrix(numbers.tocsr()[rows].tocsc())
+        part = csc_matrix(numbers[rows].tocsc())
         part.sort_indices()
         return part, part.data.astype(np.int64) - 1
 
@@ -122,8 +128,8 @@ class PIQPSolver(QPSolver):
         least[self._bounded] = np.minimum(low, high)
         most[self._bounded] = np.maximum(low, high)
         given = {
-            "c": q, "b": l[self._equations], "h_l": l[self._others], "h_u": u[self._others],
-            "x_l": least, "x_u": most,
+            "c": q[self._order], "b": l[self._equations], "h_l": l[self._others],
+            "h_u": u[self._others], "x_l": least, "x_u": most,
         }  # fmt: skip
         if self._changed or self._solver is None:
             for part, source in self._parts:
@@ -138,7 +144,7 @@ class PIQPSolver(QPSolver):
         y[self._equations] = result.y
         y[self._others] = result.z_u - result.z_l
         y[self._bounds] = (result.z_bu - result.z_bl)[self._bounded] / factor
-        return QPSolution(status, np.array(result.x), y, result.info.iter)
+        return QPSolution(status, np.array(result.x)[self._place], y, result.info.iter)
 
     def _run(self, given: dict[str, Any]) -> Status:
         from scipy.sparse import csc_matrix
@@ -152,11 +158,22 @@ class PIQPSolver(QPSolver):
             settings.eps_abs = settings.eps_rel = tolerance
             settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = tolerance
             settings.max_iter = max_iterations
-            self._solver.setup(csc_matrix(P), **given)
+            in_order = csc_matrix(P.tocsc()[self._order][:, self._order])
+            in_order.sort_indices()
+            self._solver.setup(in_order, **given)
         else:
             self._solver.update(**given)
         self._changed = False
         return _STATUS[self._solver.solve().name]
+
+
+def _by_stages(P: csc_array, A: csc_array) -> np.ndarray:
+    """Return the order of the unknowns in which those that meet in a row are near each other."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    met = csr_array(abs(P) + abs(A).T @ abs(A))
+    return np.asarray(reverse_cuthill_mckee(met, symmetric_mode=True), dtype=np.int64)
 
 
 def _piqp() -> Any:
