@@ -162,7 +162,7 @@ class NMPC(PredictiveController):
         Programs solved in a sample at most; fewer if the plan has converged.
     machine_code : bool
         Compile the derivatives and the solver, where there is a C compiler: the same numbers but
-        for round-off, sooner. Libraries are kept for the next run.
+        for round-off, sooner. Libraries are kept for the next run, and serve every horizon.
     **settings
         Horizon and sample time, and bounds, weights, limits and solver, as keyword arguments of
         :class:`MPCSettings`. Limits are on what is predicted, linearized along the plan. Where the
