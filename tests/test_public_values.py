@@ -58,6 +58,7 @@ def values(tmp_path_factory):
     )
     height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
     target = tc.shape_target(model, height, force_density=17.3205)
+    grown = tc.accuracy.growth([prism], last="structure")
     found = [
         height,
         tc.Twist(0.1, top=[0, 1, 2], bottom=[3, 4, 5]),
@@ -97,6 +98,8 @@ def values(tmp_path_factory):
         run.choice,
         run.work,
         run.health,
+        grown,
+        grown.rows[0],
         tc.simulate_many(
             model,
             0.01,

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -202,7 +203,7 @@ def growth(
         raise ValueError("structures is empty, expected at least one")
     seconds = positive_number("seconds", seconds, "s")
     memory = positive_number("memory", memory, "bytes")
-    stops = list(STOPS)[: list(STOPS).index(choice("last", last, STOPS)) + 1]
+    stops = list(_STOPS)[: list(_STOPS).index(choice("last", last, _STOPS)) + 1]
     rows: list[StopCost] = []
     _Road(makers[0]).warm_up(stops)
     _forget_peak()
@@ -233,7 +234,7 @@ class _Road:
         self._made["rest"] = prestress(prism_tower(2), _LEVEL)
         for stop in ("linearize", "reduce", "20 modes", "simulate", "LQR", "LQR step"):
             if stop in stops:
-                STOPS[stop].run(self)
+                _STOPS[stop].run(self)
 
     @property
     def members(self) -> int:
@@ -298,27 +299,29 @@ class _Stop(NamedTuple):
 
 
 # What is done, in order.
-STOPS = {
-    "structure": _Stop(_Road.structure),
-    "prestress search": _Stop(_Road.search),
-    "prestress check": _Stop(_Road.check, "rest"),
-    "stability": _Stop(_Road.stability, "rest"),
-    "linearize": _Stop(_Road.linearize, "rest"),
-    "20 modes": _Stop(_Road.modes, "plant"),
-    "simulate": _Stop(_Road.simulate, "plant"),
-    "reduce": _Stop(_Road.reduce, "plant"),
-    "LQR": _Stop(_Road.design, "reduced"),
-    "LQR step": _Stop(lambda road: road.command("LQR"), "LQR"),
-    "MPC": _Stop(_Road.predict, "reduced"),
-    "MPC step": _Stop(lambda road: road.command("MPC"), "MPC"),
-}
+_STOPS = MappingProxyType(
+    {
+        "structure": _Stop(_Road.structure),
+        "prestress search": _Stop(_Road.search),
+        "prestress check": _Stop(_Road.check, "rest"),
+        "stability": _Stop(_Road.stability, "rest"),
+        "linearize": _Stop(_Road.linearize, "rest"),
+        "20 modes": _Stop(_Road.modes, "plant"),
+        "simulate": _Stop(_Road.simulate, "plant"),
+        "reduce": _Stop(_Road.reduce, "plant"),
+        "LQR": _Stop(_Road.design, "reduced"),
+        "LQR step": _Stop(lambda road: road.command("LQR"), "LQR"),
+        "MPC": _Stop(_Road.predict, "reduced"),
+        "MPC step": _Stop(lambda road: road.command("MPC"), "MPC"),
+    }
+)
 
 
 def _measured(
     road: _Road, stop: str, rows: Sequence[StopCost], base: float, budget: tuple[float, float]
 ) -> StopCost:
     """Run a stop and return what it costs, or why it is not run."""
-    run, needs = STOPS[stop]
+    run, needs = _STOPS[stop]
     if road.lacks(needs):
         return StopCost(stop, road.members, NOT_KNOWN, NOT_KNOWN, "needs an earlier stop")
     if stop != "structure":

@@ -28,7 +28,6 @@ from tenscontrol.dynamics.evaluator import (
     exclusive,
     solving,
 )
-from tenscontrol.dynamics.forms import C_EXPORT, C_HEAD, external_interface
 from tenscontrol.dynamics.gravity import weights
 from tenscontrol.dynamics.machine_code import (
     Compiled,
@@ -52,8 +51,6 @@ from tenscontrol.dynamics.tangent import (
 
 __all__ = [
     "BUILDING",
-    "C_EXPORT",
-    "C_HEAD",
     "KINDS",
     "ColumnEvaluator",
     "Compiled",
@@ -88,7 +85,6 @@ __all__ = [
     "coordinates",
     "evaluate_columns",
     "exclusive",
-    "external_interface",
     "normal_basis",
     "pack_state",
     "polynomial_at",

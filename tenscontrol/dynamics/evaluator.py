@@ -256,10 +256,6 @@ class Evaluator:
         """Pickle the function; the memory is made anew."""
         return Evaluator, (self._function,)
 
-    def columns(self, i: int) -> int:
-        """Return how many columns an input has."""
-        return int(self._function.size2_in(i))
-
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Evaluate and return one array per output: a vector, or a matrix in Fortran order."""
         with self._in_use:
@@ -279,13 +275,18 @@ class SharedEvaluator:
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Evaluate and return new arrays, as `Evaluator` does."""
+        with self.outputs(*arguments) as outputs:
+            return [output.copy() for output in outputs]
+
+    @contextmanager
+    def outputs(self, *arguments: Any) -> Iterator[list[FloatArray]]:
+        """Evaluate and yield arrays that no other call overwrites meanwhile."""
         try:
             evaluator = self._idle.pop()
         except IndexError:
             evaluator = Evaluator(self._function)
-        found = [output.copy() for output in evaluator(*arguments)]
+        yield evaluator(*arguments)
         self._idle.append(evaluator)
-        return found
 
 
 class ColumnEvaluator:

@@ -8,7 +8,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator, SharedEvaluator, compiled_source, compiler
+from tenscontrol.dynamics import Equation, SharedEvaluator, compiled_source, compiler
 from tenscontrol.integrate.dop853_loop import loop_source
 from tenscontrol.integrate.events import (
     POLISHES,
@@ -100,12 +100,11 @@ class DOP853(Integrator):
         self._held: FloatArray | None = None  # input for which it was found
         by = compiler() if machine_code else None
         built = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
-        chunk, start, self._largest, self._turns, self.back_end = built
-        self._chunk, self._start = Evaluator(chunk), Evaluator(start)
+        self._chunk, self._start, self._largest, self._turns, self.back_end = built
 
     def _build(
         self, project: bool, machine_code: bool
-    ) -> tuple[ca.Function, ca.Function, SharedEvaluator | None, int, str]:
+    ) -> tuple[SharedEvaluator, SharedEvaluator, SharedEvaluator | None, int, str]:
         """Return many turns, taut and slope at the start, what finds the largest frequency.
 
         Then how many turns, and the back end.
@@ -123,7 +122,8 @@ class DOP853(Integrator):
         taut = taut_strings(equation, x, u)
         start = ca.Function("start", [x, u], [taut, equation.slope(x, u, taut)])
         chunk, largest = functions
-        return chunk, start, None if largest is None else SharedEvaluator(largest), most, back_end
+        by = None if largest is None else SharedEvaluator(largest)
+        return SharedEvaluator(chunk), SharedEvaluator(start), by, most, back_end
 
     def advance(
         self,
@@ -142,7 +142,7 @@ class DOP853(Integrator):
             self._frequency = largest_frequency(self._equation, state, held, self._largest)
             self._held = of_strings.copy()
         scale = state_scale(self._equation, state, held, self._frequency)
-        taut, slope = (part.copy() for part in self._start(state, held))
+        taut, slope = self._start(state, held)
         step = _first_step(slope, scale, duration)
         carried = np.concatenate([state, slope, taut, [0.0, step], np.zeros(len(_CARRIED) - 2)])
         spacing = duration / outputs
@@ -150,16 +150,16 @@ class DOP853(Integrator):
         states = np.empty((n, outputs))
         longest = min(_STABLE / max(self._frequency, 1e-300), duration)
         given = np.concatenate([held, [duration, spacing, longest], self.tolerance * scale])
-        if (columns := self._chunk.columns(1)) > 1:
-            given = np.tile(given[:, None], (1, columns))
+        if self._largest is None and self._turns > 1:  # a column for each turn of the graph
+            given = np.tile(given[:, None], (1, self._turns))
         done, told = 0, dict.fromkeys(_CARRIED, 0.0)
         try:
             while told["time"] < duration:
                 check()
-                after, recorded = self._chunk(carried, given)
-                carried = after.reshape(len(carried), -1, order="F")[:, -1].copy()
-                recorded = recorded.reshape(-1, self._turns, order="F")
-                done = _interpolate(recorded, times[:-1], states, done)
+                with self._chunk.outputs(carried, given) as (after, recorded):
+                    carried = after.reshape(len(carried), -1, order="F")[:, -1].copy()
+                    recorded = recorded.reshape(-1, self._turns, order="F")
+                    done = _interpolate(recorded, times[:-1], states, done)
                 told = dict(zip(_CARRIED, carried[2 * n + switches :].tolist(), strict=True))
                 if told["stuck"]:
                     raise IntegrationError(

@@ -11,7 +11,7 @@ from typing import Any
 
 import casadi as ca
 
-from tenscontrol.dynamics import C_EXPORT, C_HEAD, external_interface
+from tenscontrol.dynamics.forms import C_EXPORT, C_HEAD, external_interface
 
 # Names of numbers in z that another constant has.
 _NUMBERS = {"switches": "SWITCHED"}

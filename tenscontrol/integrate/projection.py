@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ColumnEvaluator, Equation, kernel
+from tenscontrol.dynamics import Equation, evaluate_columns, kernel
 from tenscontrol.integrate.multipliers import Coupled
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
@@ -65,14 +65,13 @@ class Projector:
     """Makes the bar lengths of states exact, one a column, if wanted and there are bars."""
 
     def __init__(self, equation: Equation, wanted: bool) -> None:
-        exact = projection(equation) if wanted else None
-        self._exact = None if exact is None else ColumnEvaluator(exact)
+        self._exact = projection(equation) if wanted else None
 
     def __call__(self, states: FloatArray) -> FloatArray:
         """Return states of shape (states, count), up to the first that is too far off."""
         if self._exact is None:
             return states
-        exact = self._exact(states)[0]
+        exact = evaluate_columns(self._exact, states)[0]
         good = np.isfinite(exact).all(axis=0)
         return exact if good.all() else exact[:, : int(good.argmin())]
 

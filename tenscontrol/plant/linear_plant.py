@@ -220,6 +220,10 @@ class LinearPlant:
 
     @cached_property
     def _pole_sizes(self) -> FloatArray:
+        if is_undamped(self):
+            r = self.degrees_of_freedom
+            squares = squared_frequencies(-self.A[r:, :r])[0]
+            return np.sqrt(np.abs(np.repeat(squares, 2)))
         return np.asarray(np.abs(np.linalg.eigvals(self.A)))
 
     @cached_property

@@ -197,7 +197,7 @@ class Balance:
 
         Entries without a target are free. None if there is none. By a primal-dual interior point
         (Mehrotra 1992, doi:10.1137/0802028), one sparse factorization an iteration, and then with
-        the bounds that it ends at as equations, exact to round-off.
+        the bounds that it ends at as equations: exact to round-off where that set is right.
         """
         program = _Program.of(self, target, lower, upper)
         x, y = np.zeros(self.rows.shape[1]), np.zeros(len(self.values))

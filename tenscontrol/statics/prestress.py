@@ -53,6 +53,9 @@ _RANK_TOLERANCE = 1e-9
 # How far below the largest least force density strings may be, so that there is a choice.
 _BELOW = 1e-6
 
+# A linear program of many strings finds bounds that can be kept to this part.
+_CLOSE = 1e-7
+
 # Force densities below this fraction of the largest are zero.
 _ROUND_OFF = 1e-12
 
@@ -226,6 +229,8 @@ def prestress(
         If an argument does not fit; if a given γ is negative or does not
         balance (the message says by how much and where); if no γ within the bounds balances (the
         message names the strings that cannot be taut, or the largest level that can be had).
+    ArithmeticError
+        If a large structure has such γ, and they are not found.
 
     Notes
     -----
@@ -554,6 +559,11 @@ def _infeasible(
             f"strings {listed(stuck)} cannot be taut while no other is in compression: in this "
             "shape no state of self-stress with γ ≥ 0 has them taut. Change the shape or the "
             "strings, or give 0 for them in min_force_density, an array"
+        )
+    if at_level is not None and at_level.balance is not None and share > 1 - _CLOSE:
+        raise ArithmeticError(
+            "the quadratic program of the prestress did not converge, though force densities "
+            "within the bounds balance, or nearly so; give other bounds or another level"
         )
     unbounded = np.full(count, np.inf)
     wider = (at_level or every).largest_share(low, unbounded)

@@ -180,13 +180,9 @@ def tangent_stiffness(
 
 
 def _lowest(
-    structure: Structure,
-    geometric: csc_array,
-    material: csc_array,
-    gross: csc_array,
-    out: FloatArray,
-    count: int,
-) -> tuple[FloatArray, FloatArray, bool]:
+    structure: Structure, geometric: csc_array, material: csc_array, gross: csc_array,
+    out: FloatArray, count: int,
+) -> tuple[FloatArray, FloatArray, bool]:  # fmt: skip
     """Return the lowest eigenvalues on the motions that keep bar lengths, across those left out.
 
     With their vectors, and whether all eigenvalues are positive.
@@ -216,9 +212,11 @@ def _lowest(
         right = np.concatenate([across(vector.ravel()), np.zeros(len(bars))])
         return across(factors.solve(right)[:f])
 
-    start = inverse(np.cos(np.arange(1.0, f + 1) ** 2))  # any
     # Some more, so that none of several equal ones is missed.
     more = min(count + _MORE, f - len(bars) - out.shape[1], f - 1)
+    if more < 1:
+        return np.zeros(0), np.zeros((f, 0)), True
+    start = inverse(np.cos(np.arange(1.0, f + 1) ** 2))  # any
     operator = LinearOperator((f, f), matvec=inverse, dtype=float)
     _, vectors = eigsh(operator, more, which="LA", v0=start, ncv=min(f, 2 * more + 20))
     vectors = np.linalg.qr(vectors)[0]

@@ -1,10 +1,11 @@
 """A step of NMPC at two states of the source tree: whole, its feedback, and without a compiler.
 
-Run: ``python -m tests.benchmarks.nmpc_commits OLD NEW``, from the root of the repository. OLD and
-NEW are folders with the package, or commits, which are checked out for the run. Each has a process
-of its own, and they take turns: one closed loop of the problem of ``nmpc_step``, from the same
-start. Times are those of the processor; the command is timed where the caller prepared before.
-Printed are medians, their ratios, and the closed-loop costs, which must agree.
+Run: ``python -m tests.benchmarks.nmpc_commits --old COMMIT``, from the root of the repository, for
+a comparison with the tree as it is; ``--new`` names another one. Both are folders with the package,
+or commits, which are checked out for the run. Each has a process of its own, and they take turns:
+one closed loop of the problem of ``nmpc_step``, from the same start. Times are those of the
+processor; the command is timed where the caller prepared before. Printed are medians, their ratios,
+and how far the closed-loop costs are apart.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
 
+from tests.benchmarks.command_line import options
+
 STARTS = 8
-KINDS = {"machine code": True, "no compiler": False}
+KINDS = {"compiled": True, "interpreted": False}
 
 # Runs in either tree: only what both have.
 LOOPS = """
@@ -37,7 +40,8 @@ Q, R, _ = nmpc.weights
 print(nmpc.back_end, flush=True)
 for line in sys.stdin:
     rng = np.random.default_rng(int(line))
-    z, cost, times = np.r_[0.05 * rng.normal(size=9), 0.25 * rng.normal(size=9)], 0.0, []
+    off = 0.04 * rng.normal(size=(3, 6)), 0.2 * rng.normal(size=(3, 6))
+    z, cost, times = plant.measure(prism.nodes + off[0], off[1]), 0.0, []
     nmpc.reset()
     for k in range(25):
         motion = plant.to_nodes(z[:9]), plant.to_velocities(z[:9], z[9:])
@@ -92,14 +96,13 @@ class Tree:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = sys.argv[1:] if arguments is None else list(arguments)
-    if len(given) not in (2, 3):
-        raise SystemExit("expected OLD NEW [STARTS]: folders with the package, or commits")
-    starts = int(given[2]) if len(given) == 3 else STARTS
-    with checked_out(given[0]) as old, checked_out(given[1]) as new:
-        for kind, machine_code in KINDS.items():
-            trees = [Tree(folder, machine_code) for folder in (old, new)]
-            for seed in range(starts):
+    given = options(
+        __doc__, arguments, old="766c567", new=".", starts=STARTS, back_ends=tuple(KINDS)
+    )
+    with checked_out(given.old) as old, checked_out(given.new) as new:
+        for kind in given.back_ends:
+            trees = [Tree(folder, KINDS[kind]) for folder in (old, new)]
+            for seed in range(given.starts):
                 for tree in trees if seed % 2 else reversed(trees):
                     tree.run(seed)
             for tree in trees:

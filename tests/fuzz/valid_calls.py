@@ -78,12 +78,14 @@ RESULTS = {
     "accuracy.ConvergedMotion",
     "accuracy.ConvergenceOrder",
     "accuracy.Drift",
+    "accuracy.Growth",
     "accuracy.LongRun",
     "accuracy.Measurement",
     "accuracy.Predictability",
     "accuracy.Ratios",
     "accuracy.Solution",
     "accuracy.StabilityMap",
+    "accuracy.StopCost",
     "accuracy.WorkPrecision",
     "actuation.RestLengths",
     "actuation.MotorRecord",
@@ -398,6 +400,11 @@ def drift():
 
 
 @cache
+def grown():
+    return tc.accuracy.growth([tc.prism()], last="prestress search")
+
+
+@cache
 def predicted():
     return tc.predictability(case(), outputs=10)
 
@@ -581,7 +588,11 @@ call(
     "prestress, bounds",
     lambda: {"structure": prism(), "min_force_density": 5.0, "max_force_density": np.full(9, 80.0)},
 )
-call("statics.Prestress.tangent_stiffness", lambda: {"stiffness": np.full(9, 100.0)}, rest)
+call(
+    "statics.Prestress.tangent_stiffness",
+    lambda: {"stiffness": np.full(9, 100.0), "count": 2},
+    rest,
+)
 call("prestress, array", lambda: {"structure": prism(), "force_density": gamma()})
 call("statics.equilibrium_matrix", lambda: {"structure": prism(), "nodes": nodes()})
 call(
@@ -819,7 +830,7 @@ call(
 )
 call("modes", lambda: {"plant": plant(), "count": 2})
 call("reduce", lambda: {"plant": plant(), "modes": [3, 4]})
-call("controllability", lambda: {"plant": plant()})
+call("controllability", lambda: {"plant": plant(), "count": 3})
 call("energy_weights", lambda: {"plant": plant(), "by_mode": True})
 call(
     "equilibrium",
@@ -1392,6 +1403,21 @@ call(
     },
     share=0.1,
 )
+call(
+    "accuracy.growth",
+    lambda: {
+        "structures": [prism()],
+        "seconds": 1.0,
+        "memory": 1e9,
+        "last": "structure",
+        "progress": False,
+    },
+    share=0.1,
+)
+call("accuracy.Growth.of", lambda: {"stop": "structure"}, grown)
+call("accuracy.Growth.exponent", lambda: {"stop": "structure", "quantity": "memory"}, grown)
+call("accuracy.Growth.table", on=grown)
+call("accuracy.Growth.to_csv", lambda: {"path": scratch("growth.csv")}, grown)
 call("accuracy.LongRun.of", lambda: {"name": drift().drifts[0].name}, drift)
 call("accuracy.LongRun.table", on=drift)
 call(
@@ -1611,6 +1637,11 @@ call(
         "ax": flat(),
         "references": {"r": np.zeros(3)},
     },
+    share=0.2,
+)
+call(
+    "plot.growth",
+    lambda: {"result": grown(), "quantity": "memory", "ax": flat()},
     share=0.2,
 )
 call("plot.long_run", lambda: {"result": drift(), "ax": flat()}, share=0.2)

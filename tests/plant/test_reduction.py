@@ -66,6 +66,17 @@ def test_a_large_plant_has_sparse_matrices_alone():
     assert len(tc.modes(plant, count=3)) == 3
 
 
+@pytest.mark.parametrize("held", ["force_density", "rest_length"])
+def test_margins_of_the_lowest_modes_are_those_of_all(held):
+    plant = tower(6, held)
+    every, some = tc.controllability(plant), tc.controllability(plant, count=12)
+    kept = len(some.pole) - 1  # the last may be one of a pair
+    assert some.unreachable == 0
+    assert kept >= 5
+    np.testing.assert_allclose(some.margin[:kept], every.margin[:kept], rtol=1e-6)
+    np.testing.assert_allclose(some.pole[:kept], every.pole[:kept], atol=1e-8)
+
+
 # ---- plants in a few modes ----
 
 

@@ -1,7 +1,6 @@
 """Model predictive control, linear and nonlinear."""
 
 from tenscontrol.control.mpc.constraints import OutputLimit, clearance
-from tenscontrol.control.mpc.least_distance import STAGES_TOLERANCE, stages_data
 from tenscontrol.control.mpc.linear import MPC, Condensed, MPCLaw, MPCStatistics
 from tenscontrol.control.mpc.nonlinear import CONVERGED, NMPC, NMPCStatistics
 from tenscontrol.control.mpc.problem import MPCProblem, StageData, StageJacobians
@@ -18,6 +17,7 @@ from tenscontrol.control.mpc.solvers import (
     stages_source,
 )
 from tenscontrol.control.mpc.sparse import Sparse
+from tenscontrol.control.mpc.stages import STAGES_TOLERANCE, stages_data
 
 __all__ = [
     "CONVERGED",

@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import LoadObserver
-from tenscontrol.control.mpc.least_distance import LeastDistance, LeastDistanceArrays
 from tenscontrol.control.mpc.problem import MPCProblem, Pair, StageData, Subproblem, Triple
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
 from tenscontrol.control.mpc.settings import (
@@ -25,6 +24,7 @@ from tenscontrol.control.mpc.settings import (
 )
 from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
+from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.validation import FloatArray, frozen, instance, number, truth, whole_number
@@ -161,8 +161,8 @@ class NMPC(PredictiveController):
     iterations : int
         Programs solved in a sample at most; fewer if the plan has converged.
     machine_code : bool
-        Compile the derivatives, where there is a C compiler: the same numbers, sooner. The
-        library is kept for the next run; the first time it takes some ten seconds.
+        Compile the derivatives and the solver, where there is a C compiler: the same numbers but
+        for round-off, sooner. Libraries are kept for the next run.
     **settings
         Horizon and sample time, and bounds, weights, limits and solver, as keyword arguments of
         :class:`MPCSettings`. Limits are on what is predicted, linearized along the plan. Where the
@@ -257,10 +257,7 @@ class NMPC(PredictiveController):
 
     @property
     def solver(self) -> str:
-        """What solves its programs: ``"daqp"``, ``"osqp"``, ``"piqp"`` or the name of a class.
-
-        ``"stages"`` is the compiled active set along the stages, which "auto" takes.
-        """
+        """What solves its programs: ``"stages"``, a name of ``solver=``, or that of a class."""
         return self._plan.program.solver_name
 
     @property

@@ -148,7 +148,8 @@ class MPCSettings:
     solver : {"auto", "daqp", "osqp", "piqp"} or subclass of QPSolver
         What solves the quadratic programs. DAQP, an active set, is exact to round-off, and the
         fastest where a program is dense; OSQP (ADMM, to the tolerance) where it is sparse and
-        large. "auto" takes the one or the other by the form of the program; see the attribute
+        large. "auto" takes the one or the other by the form of the program, and for NMPC an active
+        set along the stages of the horizon, by DAQP where nothing is compiled; see the attribute
         ``solver`` of a controller. PIQP, an interior point for sparse programs, needs the extra
         ``tenscontrol[piqp]``, and is never taken unless named.
 

@@ -51,7 +51,10 @@ def test_converged_plan_is_the_optimum_that_ipopt_finds():
     # Limits of γ are soft, and IPOPT's problem has none: none may matter.
     rng, size = np.random.default_rng(0), 1 / stiffness
     oracle = IpoptNMPC(nmpc, tolerance=1e-6, hessian="limited-memory")
-    nodes = nodes_of(plant, np.r_[size * rng.normal(size=9), 0.02 * rng.normal(size=9)])
+    state = plant.measure(
+        plant.nodes + size * rng.normal(size=(3, 6)), 0.02 * rng.normal(size=(3, 6))
+    )
+    nodes = nodes_of(plant, state)
     stands = plant.rest_length + size * rng.normal(size=9)
     for each in (nmpc, oracle):
         each.applied(stands)

@@ -9,7 +9,6 @@ import pytest
 
 import tenscontrol as tc
 from tenscontrol.control import NMPC, Status
-from tenscontrol.control.mpc.least_distance import LeastDistance, LeastDistanceArrays
 from tenscontrol.control.mpc.problem import (
     MPCProblem,
     Rows,
@@ -17,6 +16,7 @@ from tenscontrol.control.mpc.problem import (
     StageJacobians,
     Subproblem,
 )
+from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
 from tenscontrol.dynamics.machine_code import compiler
 
 SAMPLE = 0.02

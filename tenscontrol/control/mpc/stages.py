@@ -26,7 +26,7 @@ from tenscontrol.control.mpc.problem import (
     Triple,
     applied,
 )
-from tenscontrol.control.mpc.solvers.c_source import active_set_source, stages_source
+from tenscontrol.control.mpc.solvers import active_set_source, least_distance, stages_source
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import compiled_library
 from tenscontrol.validation import FloatArray, IntArray
@@ -179,7 +179,7 @@ class LeastDistance(Subproblem):
         self._states[:], self._inputs[:] = states, inputs
         parts = [motion.offset, *motion.slopes, *[None] * (3 - len(motion.slopes))]
         parts += [None] * 4 if rows is None else [rows.offset, *rows.slopes]
-        kept = [None if part is None else np.ascontiguousarray(part) for part in parts]
+        kept = [None if part is None else np.ascontiguousarray(part, float) for part in parts]
         addresses = [None if part is None else _address(part) for part in kept]
         return bool(self._prepare(self._program, *addresses))
 
@@ -194,19 +194,13 @@ class LeastDistance(Subproblem):
                 return SubproblemSolution(Status.OUT_OF_TIME, 0, None)
             stop = _Stop(lambda _: perf_counter() >= deadline)
         given = state, acting, data.reference, data.input_reference, data.drift, previous
-        kept = [np.ascontiguousarray(part) for part in given]
+        kept = [np.ascontiguousarray(part, float) for part in given]
         status = self._solve(self._program, *map(_address, kept), stop)
         plan = None
         if status == 0:
             inputs = np.concatenate([acting[None], self._inputs[1:] + self._input_moves])
             plan = self._states + self._moves, inputs
         return SubproblemSolution(_STATUS[status], self._count(self._program), plan)
-
-
-# Bits of a row in DAQP, its exit flags of a solution, and those of what else may come.
-_SOFT = 8
-_SOLVED = {1, 2}
-_FAILED = {-1: Status.INFEASIBLE, -4: Status.OUT_OF_ITERATIONS, -7: Status.OUT_OF_TIME}
 
 
 @final
@@ -360,19 +354,16 @@ class LeastDistanceArrays(Subproblem):
         feedforward = self._feedforward(data, gap)
         z, u = self._simulated(first, -feedforward, gap)
         middle = self._limits(z, u)
-        low, high = (
-            [(self._bounds[0] - inputs[1:]) / level],
-            [(self._bounds[1] - inputs[1:]) / level],
-        )
+        lower, upper = ([(bound - inputs[1:]) / level] for bound in self._bounds)
         if problem.change is not None:
             change = np.diff(inputs, axis=0)
             change[0] = inputs[1] - previous
-            low.append((-problem.change - change) / level)
-            high.append((problem.change - change) / level)
+            lower.append((-problem.change - change) / level)
+            upper.append((problem.change - change) / level)
         if self._limited:
-            low.append(self._row_bounds[0] - self._values)
-            high.append(self._row_bounds[1] - self._values)
-        bounds = np.hstack(low) - middle, np.hstack(high) - middle
+            lower.append(self._row_bounds[0] - self._values)
+            upper.append(self._row_bounds[1] - self._values)
+        bounds = np.hstack(lower) - middle, np.hstack(upper) - middle
         if not (np.isfinite(middle).all() and np.isfinite(feedforward).all()):
             return SubproblemSolution(Status.BAD_DATA, 0, None)
         x, values, work = np.zeros((N, a)), np.zeros(self._price.shape), 0
@@ -382,7 +373,10 @@ class LeastDistanceArrays(Subproblem):
             if perf_counter() >= deadline:
                 return SubproblemSolution(Status.OUT_OF_TIME, work, None)
             if len(rows):
-                status, multipliers, iterations = self._restricted(rows, matrix, bounds, deadline)
+                low, high, price = (part.flat[rows] for part in (*bounds, self._price))
+                status, multipliers, iterations = least_distance(
+                    matrix, low, high, price, STAGES_TOLERANCE, self._max_iterations, deadline
+                )
                 work += iterations
                 if status is not Status.OK:
                     return SubproblemSolution(status, work, None)
@@ -417,31 +411,3 @@ class LeastDistanceArrays(Subproblem):
             both = self._closed[k].T @ np.concatenate([slope[k] + tail, effort[k]])
             tail, found[k] = both[:n], both[n:]
         return found
-
-    def _restricted(
-        self, rows: IntArray, matrix: FloatArray, bounds: Pair, deadline: float
-    ) -> tuple[Status, FloatArray, int]:
-        """Solve with these rows alone: status, their multipliers, and iterations."""
-        import daqp
-
-        # In the span of the rows, which has few directions.
-        factor = np.asarray(np.linalg.qr(matrix.T, mode="r"))
-        price = self._price.flat[rows]
-        soft = np.isfinite(price)
-        low, high = (bound.flat[rows] for bound in bounds)
-        if (low > high).any():
-            return Status.INFEASIBLE, np.zeros(0), 0
-        model, size = daqp.Model(), len(factor)
-        sense = np.where(soft, _SOFT, 0).astype(np.intc)
-        model.setup(np.eye(size), np.zeros(size), factor.T.copy(), high, low, sense)
-        limit = 0.0 if deadline == np.inf else max(deadline - perf_counter(), 1e-9)
-        model.settings = {
-            "primal_tol": 0.1 * STAGES_TOLERANCE, "dual_tol": 1e-12, "time_limit": limit,
-            "iter_limit": self._max_iterations + 1,
-        }  # fmt: skip
-        if soft.any():
-            weight, softness = np.where(soft, price, 0.0), np.where(soft, 1 / price, 0.0)
-            model.soft_weights(softness, softness, weight, weight)
-        _, _, flag, info = model.solve()
-        status = Status.OK if flag in _SOLVED else _FAILED.get(flag, Status.UNSOLVED)
-        return status, info["lam"], info["iterations"]
