@@ -289,10 +289,8 @@ class _Runner:
             if state is None or first is None:
                 self.choice = Choice("auto", "tolerance", how.tolerance, "no run can begin", "none")
                 return
-            held = scene.held_inputs(first, first + 1, span.coefficients, span.time)[0]
-            chosen = choose(
-                equation, state, held[: equation.inputs], scene.duration, how.tolerance, how.step
-            )
+            held = scene.held_inputs(first, first + 1, span, parameters=False)[0]
+            chosen = choose(equation, state, held, scene.duration, how.tolerance, how.step)
             method = METHODS[chosen.method]
         elif how.step is not None:
             chosen = Choice(method.name, "step", how.step, "asked for")
@@ -409,7 +407,7 @@ class _Runner:
         for span in self.spans:
             if not len(at) or self._stop.value:
                 break
-            held = self.scene.held_inputs(first, last, span.coefficients, span.time)
+            held = self.scene.held_inputs(first, last, span, self._shares)
             held = held[at - first] if len(held) > 1 else held
             advance = self._in_lanes if self._lanes is not None else self._one_by_one
             kept, ended = advance(at, states, held, span)
@@ -458,11 +456,6 @@ class _Runner:
 
         for i, run in enumerate(at.tolist()):
             integrator, u = self._of_run(run), held[i if len(held) > 1 else 0]
-            if not self._shares:
-                u = u[
-                    : len(u)
-                    - sum(self.scene.given[name].shape[1] for name in self.scene.parameters)
-                ]
             try:
                 report(0.0)
                 found = integrator.advance(states[i], u, span.length, span.outputs, report)
