@@ -14,6 +14,7 @@ from tenscontrol.dynamics.equation import (
     pack_state,
     smooth_equation,
     unpack_states,
+    weights,
 )
 from tenscontrol.dynamics.evaluator import (
     BUILDING,
@@ -28,7 +29,6 @@ from tenscontrol.dynamics.evaluator import (
     exclusive,
     solving,
 )
-from tenscontrol.dynamics.gravity import weights
 from tenscontrol.dynamics.machine_code import (
     Compiled,
     Compiler,

@@ -14,7 +14,7 @@ from tenscontrol.dynamics.evaluator import Prepared, builds
 from tenscontrol.dynamics.kernel import Masses
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure, free_coordinates
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, float_array
 
 #: How the functions of an equation can be built.
 FORMS = ("flat", "mapped", "loops")
@@ -242,6 +242,39 @@ def unpack_states(structure: Structure, states: FloatArray) -> tuple[FloatArray,
     nodes[structure.free_rows], velocities[structure.free_rows] = np.split(states, 2)
     shape = (n, d, -1)
     return nodes.reshape(shape).swapaxes(0, 1), velocities.reshape(shape).swapaxes(0, 1)
+
+
+def gravity_vector(gravity: object, dimension: int) -> FloatArray:
+    """Return the acceleration of free fall, m/s², shape (d,), from what a user gives."""
+    vector = float_array("gravity", gravity)
+    if vector.ndim == 0:
+        if vector < 0:
+            raise ValueError(
+                f"gravity is {vector:g} m/s², expected at least 0: a number is the size of an "
+                f"acceleration that points down. Give {-vector:g}, or a vector"
+            )
+        return np.append(np.zeros(dimension - 1), -float(vector))
+    if vector.shape != (dimension,):
+        raise ValueError(
+            f"gravity has shape {vector.shape}, expected () or ({dimension},): m/s² downward, or a "
+            "vector"
+        )
+    return vector
+
+
+def weights(
+    structure: Structure, gravity: FloatArray, bar_mass: FloatArray, point_mass: FloatArray
+) -> FloatArray:
+    """Return the weights at the nodes, N, shape (…, d, n): half a bar's at each of its ends.
+
+    Of masses of shape (…, β) and (…, n), kg, and a fall of shape (…, d), m/s².
+    """
+    runs = np.broadcast_shapes(gravity.shape[:-1], bar_mass.shape[:-1], point_mass.shape[:-1])
+    mass = np.broadcast_to(point_mass, (*runs, point_mass.shape[-1])).copy()
+    halves = np.broadcast_to(bar_mass[..., None] / 2, (*runs, len(structure.bars), 2))
+    places: Any = (..., structure.bars)
+    np.add.at(mass, places, halves)
+    return np.asarray(gravity[..., None] * mass[..., None, :])
 
 
 @builds

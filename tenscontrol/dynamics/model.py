@@ -11,10 +11,16 @@ import numpy as np
 
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.contact_laws import ContactLaw, Contacts, checked_grounds
-from tenscontrol.dynamics.equation import FORMS, Equation, InputLayout, in_time
+from tenscontrol.dynamics.equation import (
+    FORMS,
+    Equation,
+    InputLayout,
+    gravity_vector,
+    in_time,
+    weights,
+)
 from tenscontrol.dynamics.evaluator import Prepared, built
 from tenscontrol.dynamics.forms import loops_functions, mapped_functions, members_alone
-from tenscontrol.dynamics.gravity import gravity_vector, weights
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import Structure, node_mass

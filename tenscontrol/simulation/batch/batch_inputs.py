@@ -228,18 +228,17 @@ class BatchInputs:
             fine &= (along > _NO_LENGTH * longest).all(axis=1)
         return fine
 
-    def held_inputs(
-        self, first: int, last: int, coefficients: FloatArray, time: float | None
-    ) -> FloatArray:
+    def held_inputs(self, first: int, last: int, span: InputSpan, parameters: bool) -> FloatArray:
         """Return u of some runs, shape (1 or runs, inputs), from what all have in common.
 
-        ``coefficients`` are those of :meth:`pieces`; ``time`` is None where u is held.
+        ``parameters`` says whether those that vary are among them.
         """
+        coefficients, time = span.coefficients, span.time
         own = [] if self.held is not None else [(0, self.input)]
         if "load" in self.given:
             own.append((len(self.model.structure.strings), "load"))
         place = len(coefficients)
-        for name in self.parameters:
+        for name in self.parameters if parameters else ():
             own.append((place, name))
             place += self.given[name].shape[1]
         parts = [(start, self.some(name, first, last)) for start, name in own]

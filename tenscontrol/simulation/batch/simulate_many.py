@@ -274,7 +274,7 @@ class _Runner:
         self.completed = np.zeros(scene.count, dtype=bool)
         self.end_time, self.messages = np.zeros(scene.count), dict[int, str]()
         self.switches, self.unlocated = (np.zeros(scene.count, dtype=int) for _ in range(2))
-        self._threads = local()
+        self._threads, self._has_no_memory = local(), False
         self._prepare()
 
     def _prepare(self) -> None:
@@ -289,10 +289,8 @@ class _Runner:
             if state is None or first is None:
                 self.choice = Choice("auto", "tolerance", how.tolerance, "no run can begin", "none")
                 return
-            held = scene.held_inputs(first, first + 1, span.coefficients, span.time)[0]
-            chosen = choose(
-                equation, state, held[: equation.inputs], scene.duration, how.tolerance, how.step
-            )
+            held = scene.held_inputs(first, first + 1, span, parameters=False)[0]
+            chosen = choose(equation, state, held, scene.duration, how.tolerance, how.step)
             method = METHODS[chosen.method]
         elif how.step is not None:
             chosen = Choice(method.name, "step", how.step, "asked for")
@@ -311,8 +309,8 @@ class _Runner:
         self._project = how.project if method.drifts or how.method is not None else None
         self.choice = chosen
         steps = isinstance(method.make, type) and issubclass(method.make, FixedStep)
-        self._steps = steps
         self._shares = not scene.parameters or (steps and self._can_share(equation))
+        self._has_no_memory = steps and self._shares
         self._lanes = None
         if self._shares:
             shared = self._equation(scene.model, "auto", tuple(scene.parameters))
@@ -406,10 +404,12 @@ class _Runner:
         at = np.setdiff1d(np.arange(first, last), list(refused))
         states = states[at - first]
         column = 1
+        if not self._has_no_memory:
+            self._threads.__dict__.pop("made", None)
         for span in self.spans:
             if not len(at) or self._stop.value:
                 break
-            held = self.scene.held_inputs(first, last, span.coefficients, span.time)
+            held = self.scene.held_inputs(first, last, span, self._shares)
             held = held[at - first] if len(held) > 1 else held
             advance = self._in_lanes if self._lanes is not None else self._one_by_one
             kept, ended = advance(at, states, held, span)
@@ -458,11 +458,6 @@ class _Runner:
 
         for i, run in enumerate(at.tolist()):
             integrator, u = self._of_run(run), held[i if len(held) > 1 else 0]
-            if not self._shares:
-                u = u[
-                    : len(u)
-                    - sum(self.scene.given[name].shape[1] for name in self.scene.parameters)
-                ]
             try:
                 report(0.0)
                 found = integrator.advance(states[i], u, span.length, span.outputs, report)
@@ -478,22 +473,27 @@ class _Runner:
         return kept, ended
 
     def _of_run(self, run: int) -> Integrator:
-        """Return the integrator of a run: of a model of its own, or that of all.
+        """Return the integrator of a run: the same in all its spans, as it may remember.
 
         One with fixed steps has no memory, and serves all runs of a thread.
         """
+        key = -1 if self._has_no_memory else run
+        made: dict[int, Integrator] = self._threads.__dict__.setdefault("made", {})
+        if key not in made:
+            if len(self.spans) == 1:
+                made.clear()
+            made[key] = self._made_for(run)
+        return made[key]
+
+    def _made_for(self, run: int) -> Integrator:
+        """Return a new integrator: of the equation that all share, or of the run's own."""
         code = self.how.machine_code
-        if not self._shares:
-            equation = self._equation(self.scene.model_of(run), "auto", ())
-            if self._method.differentiates and equation.form == "loops":
-                equation = self._equation(self.scene.model_of(run), "mapped", ())
-            return self._integrator(equation, code)
-        if not self._steps:
+        if self._shares:
             return self._integrator(self._shared, code)
-        if not hasattr(self._threads, "integrator"):
-            self._threads.integrator = self._integrator(self._shared, code)
-        found: Integrator = self._threads.integrator
-        return found
+        equation = self._equation(self.scene.model_of(run), "auto", ())
+        if self._method.differentiates and equation.form == "loops":
+            equation = self._equation(self.scene.model_of(run), "mapped", ())
+        return self._integrator(equation, code)
 
     def _end(self, run: int, time: float, why: str) -> None:
         self.end_time[run] = time
