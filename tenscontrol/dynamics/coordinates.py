@@ -513,8 +513,7 @@ class Coordinates:
     @cached_property
     def _shares(self) -> FloatArray:
         """Shares of the nodes in the mass, shape (n, 1)."""
-        shares = np.asarray(self._mass.sum(axis=1), dtype=float).reshape(-1, 1)
-        return np.asarray(shares / self._mass.sum())
+        return np.asarray(self._mass.sum(axis=1)).reshape(-1, 1) / float(self._mass.sum())
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray]:
