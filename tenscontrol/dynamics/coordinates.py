@@ -513,7 +513,7 @@ class Coordinates:
     @cached_property
     def _shares(self) -> FloatArray:
         """Shares of the nodes in the mass, shape (n, 1)."""
-        return np.asarray(np.atleast_2d(self._mass.sum(axis=1)).T / self._mass.sum())
+        return np.asarray(self._mass.sum(axis=1)).reshape(-1, 1) / float(self._mass.sum())
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray]:

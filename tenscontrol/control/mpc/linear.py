@@ -144,23 +144,9 @@ class MPCLaw(PredictiveLaw):
         previous_within_bounds: FloatArray,
     ) -> Triple:
         """Return q, l and u of the program, from the measured state and what actuators hold."""
-        first = self._first_state(data, state, previous_input)
+        first = self.first_state(data, state, previous_input)
         previous = previous_within_bounds - data.origin[0]
         return self.form.vectors(first, data, previous)
-
-    def unlimited_inputs(
-        self,
-        data: StageData,
-        state: FloatArray,
-        previous_input: FloatArray,
-        previous_within_bounds: FloatArray,
-    ) -> FloatArray | None:
-        """Return the inputs of least cost, shape (N, α), if they are asked for and keep limits."""
-        if self.unlimited is None:
-            return None
-        first = self._first_state(data, state, previous_input)
-        plan = self.unlimited.plan(first, data, previous_within_bounds - data.origin[0])
-        return None if plan is None else data.origin + plan
 
     def inputs(
         self,
@@ -171,7 +157,7 @@ class MPCLaw(PredictiveLaw):
         samples: int | None = None,
     ) -> FloatArray:
         """Return the inputs that a solution of the program plans, shape (N, α), or the first."""
-        first = self._first_state(data, state, previous_input)
+        first = self.first_state(data, state, previous_input)
         return data.origin[:samples] + self.form.inputs(x, first, data, samples)
 
     def free_response(
@@ -182,7 +168,7 @@ class MPCLaw(PredictiveLaw):
         free = self.design.sampled.free_response(state, before, data.origin[0])
         return free + data.drift[0, : len(state)]
 
-    def _first_state(
+    def first_state(
         self, data: StageData, state: FloatArray, previous_input: FloatArray
     ) -> FloatArray:
         """Return z_0 of the program: ``[z; v_before]`` where inputs are ramps."""
@@ -581,7 +567,10 @@ class MPC(PredictiveController):
         free = law.free_response(data, state, previous)
         if observer is not None:
             observer.expect(free)
-        plan = law.unlimited_inputs(data, state, previous, self._previous_within_bounds)
+        plan = None
+        if law.unlimited is not None:
+            start = law.first_state(data, state, previous)
+            plan = law.unlimited.plan(start, data, self._previous_within_bounds)
         if plan is not None:
             self._iterations.append(0)
             self._solved, self._planned = None, clipped(plan, self._low, self._high)

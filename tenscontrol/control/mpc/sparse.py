@@ -362,8 +362,8 @@ class Unlimited:
         )
 
     def plan(self, state: FloatArray, data: StageData, previous: FloatArray) -> FloatArray | None:
-        """Return the inputs, shape (N, α), from z_0 and v_{−1}; None if a limit is in the way."""
-        problem, N = self._problem, self._problem.length
+        """Return the inputs u, (N, α), from z_0 and u_{−1}; None if a limit is in the way."""
+        problem, N, previous = self._problem, self._problem.length, previous - data.origin[0]
         if data.input_reference.any():
             return None
         P, slope = problem.terminal_weight, -problem.terminal_weight @ data.reference[-1]
@@ -379,7 +379,7 @@ class Unlimited:
             if not self._allows(k, v, data, previous, state, after):
                 return None
             state, previous = after, v
-        return plan
+        return data.origin + plan
 
     def _allows(
         self, k: int, v: FloatArray, data: StageData, before: FloatArray, state: FloatArray,
