@@ -21,7 +21,6 @@ from tenscontrol.structure import (
     bar_rows,
     block_mass,
     left_by_supports,
-    nearest_turn,
     refuse_wrong_bar_lengths,
     rigid_basis,
     rigid_motions,
@@ -398,12 +397,8 @@ class Coordinates:
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
-        return np.asarray(nodes @ self._shares)
-
-    @cached_property
-    def _shares(self) -> FloatArray:
-        """Shares of the nodes in the mass, shape (n, 1)."""
-        return np.asarray(self._mass.sum(axis=1, keepdims=True) / self._mass.sum())
+        weights = self._mass.sum(axis=1)
+        return np.asarray(nodes @ weights / weights.sum())[:, None]
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray]:
@@ -412,9 +407,14 @@ class Coordinates:
         return centre, (self.nodes - centre) @ self._mass
 
     def _alignment(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what lays the shape over the reference: then nothing is left of a rigid motion."""
+        """Return what lays the shape over the reference, nearest in the metric of kinetic energy.
+
+        Kabsch 1976, doi:10.1107/S0567739476001873: then nothing is left of a rigid motion.
+        """
         centre = self._centre(nodes)
-        return nearest_turn(self._reference[1] @ (nodes - centre).T), centre
+        U, _, Vt = np.linalg.svd(self._reference[1] @ (nodes - centre).T)
+        U[:, -1] *= np.linalg.det(U @ Vt)
+        return U @ Vt, centre
 
     def _along_supports(
         self, nodes: FloatArray, velocities: FloatArray
