@@ -4,7 +4,7 @@ Error against run time
 
 A prism is let go with slack strings. Every method integrates it at several settings,
 and SciPy and MuJoCo beside. Errors are distances from a reference that two codes
-agree on. Run times are of the integration alone, here with nothing compiled.
+agree on. Run times are of a second call, whole, here with nothing compiled.
 """
 
 import matplotlib.pyplot as plt

@@ -103,9 +103,6 @@ from .control import (
 from .control import (
     clearance as clearance,
 )
-from .control import (
-    lqr as lqr,
-)
 from .deploy import (
     generate_c as generate_c,
 )
@@ -130,9 +127,6 @@ from .estimation import (
 from .estimation import (
     Sensors as Sensors,
 )
-from .estimation import (
-    kalman as kalman,
-)
 from .plant import (
     OperatingPoint as OperatingPoint,
 )
@@ -153,6 +147,9 @@ from .plant import (
 )
 from .plant import (
     modes as modes,
+)
+from .plant import (
+    reduce as reduce,
 )
 from .robustness import (
     ClosedLoopCase as ClosedLoopCase,
@@ -207,6 +204,9 @@ from .simulation import (
 )
 from .simulation import (
     simulate as simulate,
+)
+from .simulation import (
+    simulate_many as simulate_many,
 )
 from .statics import (
     prestress as prestress,
@@ -271,20 +271,20 @@ __all__ = [
     "energy_weights",
     "equilibrium",
     "generate_c",
-    "kalman",
     "linearize",
     "load_scene",
     "long_run",
-    "lqr",
     "modes",
     "net",
     "predictability",
     "prestress",
     "prism",
     "prism_tower",
+    "reduce",
     "shape_path",
     "shape_target",
     "simulate",
+    "simulate_many",
     "skin",
     "stability_map",
     "subdivide",

@@ -17,6 +17,7 @@ from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
 
 if TYPE_CHECKING:
     from tenscontrol.accuracy import Peer
+    from tenscontrol.scene import Scene
     from tenscontrol.simulation import Trajectory
 
 
@@ -125,6 +126,9 @@ def _accuracy(options: argparse.Namespace) -> None:
     from tenscontrol.scene import load_scene
 
     scene = load_scene(options.scene)
+    if options.growth:
+        _growth(scene, options)
+        return
     names = None if options.methods is None else options.methods.split(",")
     try:
         found = work_precision(
@@ -160,6 +164,22 @@ def _accuracy(options: argparse.Namespace) -> None:
         from tenscontrol import plot
 
         _save(plot.work_precision(found).ax.figure, folder / "accuracy.png", files)
+
+
+def _growth(scene: Scene, options: argparse.Namespace) -> None:
+    """Measure the stops of the road on towers of growing size, and on the structure of a scene."""
+    from tenscontrol import plot
+    from tenscontrol.accuracy import growth
+
+    budget = {"seconds": options.seconds, "memory": 1e9 * options.memory}
+    own = growth([scene.structure], **budget)
+    found = growth(**budget, progress=True)
+    folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
+    with finishing():
+        saved = found.to_csv(folder / "growth.csv")
+    print(f"{options.scene}\n{own.table()}\n\ntowers of prisms\n{found.table()}\n{saved}")
+    for quantity, name in (("seconds", "growth.png"), ("memory", "growth_memory.png")):
+        _save(plot.growth(found, quantity).ax.figure, folder / name)
 
 
 def _peers() -> list[Peer]:
@@ -244,6 +264,24 @@ def _parser() -> argparse.ArgumentParser:
         "--machine-code",
         action="store_true",
         help="compile our own methods, if there is a compiler",
+    )
+    accuracy.add_argument(
+        "--growth",
+        action="store_true",
+        help="measure time and memory of each stop from structure to control instead, on the "
+        "structure of the scene and on towers of 12 to 100,788 members: growth.csv, growth.png",
+    )
+    accuracy.add_argument(
+        "--seconds",
+        type=float,
+        default=60.0,
+        help="with --growth: most processor time of a stop, s (default: %(default)s)",
+    )
+    accuracy.add_argument(
+        "--memory",
+        type=float,
+        default=4.0,
+        help="with --growth: most memory of a stop, GB (default: %(default)s)",
     )
     printed = accuracy.add_mutually_exclusive_group()
     printed.add_argument("--csv", action="store_true", help="print CSV instead of the table")

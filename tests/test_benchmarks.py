@@ -26,7 +26,7 @@ def needs(package, extra):
 
 def test_every_benchmark_is_tested():
     there = {path.stem for path in BENCHMARKS.glob("*.py") if not path.stem.startswith("test_")}
-    there -= {"__init__", "command_line"}
+    there -= {"__init__", "command_line", "jax_peers"}
     assert there == {name.removeprefix("test_") for name in globals() if name[:5] == "test_"} - {
         "every_benchmark_is_tested"
     }
@@ -101,6 +101,16 @@ def test_oracle_agreement(printed, monkeypatch, tmp_path):
     assert row(text, "motions")[0] < 1e-10
 
 
+def test_growth(printed):
+    text = printed("growth", "--stages 1 2 --whole 2 --last linearize")
+    assert len(row(text, "prestress search")) == 2  # no exponent of so short times
+    for what in ("prestress at a level", "prestress, all taut", "bars of a given γ"):
+        assert row(text, f"     2  {what}")[0] < 1e-8
+    assert row(text, "     2  counts and verdicts")[0] == 0.0
+    for what in ("20 lowest stiffnesses", "20 lowest modes"):
+        assert row(text, f"     2  {what}")[0] < 1e-8
+
+
 @needs_compiler
 def test_member_cost(printed, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -125,6 +135,17 @@ def test_simulation(printed):
         assert "MuJoCo is not installed" in text
     else:
         assert row(text, "MuJoCo RK4, step 1e-3")[0] < 1e-5
+
+
+@needs_compiler
+@needs("jax", "bench")
+def test_batch(printed, monkeypatch):
+    module = import_module("tests.benchmarks.batch")
+    monkeypatch.setattr(module, "_OURS", ("rk4",))
+    monkeypatch.setattr(module, "STEPS", (0.0125,))
+    text = printed("batch", "--runs 5 --duration 0.1 --repeats 1")
+    for label in ("tenscontrol rk4", "NumPy RK4", "JAX vmap, matrices"):
+        assert row(text, label)[1] < 1e-3
 
 
 def test_ground_drop(printed):
@@ -250,6 +271,12 @@ def test_nmpc_step(printed, nothing_compiled):
     assert abs(cost["MPC, linear"] - 1.0) > 1e-2
 
 
+def test_nmpc_commits(printed):
+    text = printed("nmpc_commits", "--old . --starts 1 --back_ends interpreted")
+    assert "interpreted: virtual machine and virtual machine, 24 samples each" in text
+    assert "closed-loop costs agree to 0.0e+00" in text
+
+
 @needs_compiler
 @pytest.mark.skipif(which("size") is None, reason="there is no program size")
 def test_deploy(printed):
@@ -304,6 +331,15 @@ def test_error_against_time(printed):
     assert re.findall(r"^1e-0[389]  +(\S+)", text, re.M)[1:] == ["rattle6", "–"]
 
 
+@needs("jax", "jax")
+def test_thrown_ball(printed):
+    text = printed("thrown_ball", "--plain --all --duration 0.5 --settings 2 --repeats 1")
+    assert "order 8, tolerance 1e-13" in text
+    for name, most in (("dop853", 1e-5), ("jax rk4", 1e-3), ("rattle6", 1e-2)):
+        first, last = (row(text, f"{name} ", k)[1] for k in range(2))
+        assert last < min(first, most)
+
+
 def test_morph(printed, nothing_compiled):
     text = printed("morph", "1000 --plants 1 --rate 1")
     stiffness, pieces, height, twist, node, gamma, tension, rate, *_ = row(text, " ")
@@ -314,3 +350,10 @@ def test_morph(printed, nothing_compiled):
     assert tension < 45.0
     assert "{'ok': 135}" in text
     assert "out of range" not in text
+
+
+def test_reduced_control(printed):
+    text = printed("reduced_control", "--stages 5 --loop 8 --duration 2")
+    assert float(re.search(r"^ +5 +\d+ .* (\S+)$", text, re.M)[1]) < 1e-8
+    for law in ("LQR", "MPC"):
+        assert row(text, law)[2] == pytest.approx(1, abs=0.05)

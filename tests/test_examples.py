@@ -22,6 +22,7 @@ def test_every_example_is_tested():
     tested = {
         "plot_accuracy_error_against_time.py",
         "plot_accuracy_form.py",
+        "plot_accuracy_growth.py",
         "plot_accuracy_long_run.py",
         "plot_accuracy_order.py",
         "plot_accuracy_stability.py",
@@ -40,6 +41,7 @@ def test_every_example_is_tested():
         "plot_control_t_bar.py",
         "plot_ground_lander.py",
         "plot_ground_rolling.py",
+        "plot_ground_thrown_prisms.py",
         "plot_library.py",
         "plot_paper_skin.py",
         "plot_paper_string_mass.py",
@@ -69,6 +71,12 @@ def test_ground_lander():
         assert values[least] > 0.9 * height / found["LENGTH"]
     assert list(found["best"].values()) == sorted(found["best"].values())
     assert found["error"] < 1e-4
+
+
+def test_ground_thrown_prisms():
+    found = run("plot_ground_thrown_prisms.py")
+    assert found["batch"].completed.all()
+    assert 0 < found["toppled"].sum() < 200
 
 
 def test_ground_rolling():
@@ -280,6 +288,13 @@ def test_accuracy_stability():
         np.testing.assert_allclose(stability.step, stability.bound, rtol=0.02)
     assert found["run"].health.energy_error < 1e-6
     assert found["chosen"].choice.method == "energy_momentum"
+
+
+def test_accuracy_growth():
+    found = run("plot_accuracy_growth.py")["found"]
+    assert found.members.tolist() == [12, 84, 324, 996, 3348]
+    assert [row.note for row in found.rows if row.note] == []
+    assert found.stops[-1] == "reduce"
 
 
 def test_accuracy_long_run():

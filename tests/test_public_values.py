@@ -58,6 +58,7 @@ def values(tmp_path_factory):
     )
     height = tc.Height(0.9, top=[0, 1, 2], bottom=[3, 4, 5])
     target = tc.shape_target(model, height, force_density=17.3205)
+    grown = tc.accuracy.growth([prism], last="structure")
     found = [
         height,
         tc.Twist(0.1, top=[0, 1, 2], bottom=[3, 4, 5]),
@@ -83,6 +84,8 @@ def values(tmp_path_factory):
         rest.tangent_stiffness(100.0),
         plant,
         plant.coordinates,
+        plant.sparse,
+        tc.reduce(plant, modes=2),
         tc.modes(plant),
         tc.controllability(plant),
         run,
@@ -95,6 +98,16 @@ def values(tmp_path_factory):
         run.choice,
         run.work,
         run.health,
+        grown,
+        grown.rows[0],
+        tc.simulate_many(
+            model,
+            0.01,
+            rest_length=start.rest_length,
+            vary={"gravity": [0.0, 1.0]},
+            step=0.01,
+            machine_code=False,
+        ),
         tc.HealthLimits(),
         tc.Profile([0.0, 1.0], np.ones((9, 2))),
         tc.CutString(string=3, time=1.0),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from statistics import median
-from time import perf_counter
+from time import process_time
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -21,7 +22,8 @@ from tenscontrol.dynamics import (
     pack_state,
     unpack_states,
 )
-from tenscontrol.integrate import METHODS, IntegrationError, Method, Work
+from tenscontrol.integrate import METHODS, Method, Work
+from tenscontrol.simulation import AccuracyWarning, SimulationError, Trajectory, simulate
 from tenscontrol.validation import FloatArray, choice, items, positive_number
 
 # Steps by the fastest rate of the case, and tolerances, from coarse to fine.
@@ -187,9 +189,11 @@ class Measurement:
     relative_error : float
         ``error`` by the size of the structure.
     time : float
-        Median time of the integration alone, s.
+        Median processor time of a run as a user calls it the second time, s: of our methods all of
+        :func:`simulate`, with its checks and its trajectory; of a peer the call that integrates.
     build_time : float
-        What it took once, before: building, compiling, first call, s.
+        What it took once, before: building, compiling, first call, s of the processor. A compiler
+        is a process of its own, and not counted.
     repeats : int
         Runs of which ``time`` is the median.
     evaluations, steps, rejections, switches : int or None
@@ -242,34 +246,36 @@ class Bench:
 
     def own(self, method: Method, setting: float) -> Measurement:
         """Return what one of our methods gives at a setting."""
-        case, outputs = self._case, len(self._reference.time)
+        case = self._case
         row = Measurement(method.name, False, method.setting, setting)
-        began = perf_counter()
+        options: dict[str, Any] = {method.setting: setting, case.input: case.value}
+
+        def run() -> Trajectory:
+            with warnings.catch_warnings(action="ignore", category=AccuracyWarning):
+                return simulate(
+                    case.model, case.duration, case.nodes, case.velocities,
+                    external_force=case.external_force, method=method,
+                    output_step=case.duration / len(self._reference.time),
+                    machine_code=self._machine_code, **options,
+                )  # fmt: skip
+
         try:
-            integrator = method.integrator(
-                case.equation(method.differentiates),
-                setting,
-                machine_code=self._machine_code,
-            )
-            built = perf_counter() - began
-            span, timing = self._timed(
-                lambda: integrator.advance(case.state, case.value, case.duration, outputs), built
-            )
-        except IntegrationError as error:
-            return replace(row, **_counts(error.span.work), failure=str(error))
+            found, timing = self._timed(run, 0.0)
+        except SimulationError as error:
+            return replace(row, **_counts(error.trajectory.work), failure=str(error))
         except (ValueError, ArithmeticError) as error:
             return replace(row, failure=str(error))
-        row = replace(row, **timing, **_counts(span.work), back_end=integrator.back_end)
-        nodes, velocities = unpack_states(case.structure, span.states)
+        row = replace(row, **timing, **_counts(found.work), back_end=found.choice.back_end)
+        nodes, velocities = (part[:, :, 1:] for part in (found.nodes, found.velocities))
         return self._judged(row, nodes, velocities, self._reference.nodes)
 
     def peer(self, peer: Peer, setting: float, finest: float) -> Measurement:
         """Return what another package gives at a setting, of which ``finest`` is the finest run."""
         row = Measurement(peer.name, True, "setting", setting)
-        began = perf_counter()
+        began = process_time()
         try:
             run = peer.prepare(self._case, setting, self._reference.time)
-            solution, timing = self._timed(run, perf_counter() - began)
+            solution, timing = self._timed(run, process_time() - began)
         except (ValueError, ArithmeticError, RuntimeError) as error:
             return replace(row, failure=str(error))
         row = replace(row, **timing, evaluations=solution.evaluations or None)
@@ -290,14 +296,14 @@ class Bench:
 
     def _timed(self, run: Callable[[], Result], built: float) -> tuple[Result, dict[str, Any]]:
         """Return what a run returns, with its median time and what came before the first."""
-        began = perf_counter()
+        began = process_time()
         result = run()
-        first = perf_counter() - began
+        first = process_time() - began
         times: list[float] = []
         while len(times) < self._repeats and first + sum(times) < _PATIENCE:
-            began = perf_counter()
+            began = process_time()
             run()
-            times.append(perf_counter() - began)
+            times.append(process_time() - began)
         typical = median(times) if times else first
         build = built + max(first - typical, 0.0)  # the first run fills what is filled once
         return result, {"time": typical, "build_time": build, "repeats": max(len(times), 1)}

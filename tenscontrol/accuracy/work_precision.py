@@ -44,7 +44,7 @@ from tenscontrol.validation import (
 _RESOLVED = 3.0
 
 _HEAD = (
-    "method", "setting", "error m", "of size", "at end m", "time s", "build s", "evals", "steps",
+    "method", "setting", "error m", "of size", "at end m", "time s", "building s", "evals", "steps",
     "rejected", "switches", "energy", "momentum", "angular", "bars m",
 )  # fmt: skip
 
@@ -336,7 +336,8 @@ def work_precision(
     Errors are distances of nodes from a reference whose own error is estimated. First a
     perturbation of the start is followed: where it grows so much that round-off alone would make
     errors of ``finest``, the comparison ends before, and the result says so. Run times are medians
-    and of the integration alone; building and compiling come before and are given beside.
+    of the processor's, of what a user calls a second time: all of :func:`simulate`, with checks and
+    trajectory. What is built the first time is given beside, as ``building``.
 
     Parameters
     ----------

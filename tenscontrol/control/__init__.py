@@ -22,9 +22,6 @@ from tenscontrol.control.mpc import (
 )
 from tenscontrol.control.status import UNSOLVED, Command, ControlWarning, Fallback, Status
 
-#: The name of :class:`LQR` in 0.1.
-lqr = LQR
-
 __all__ = [
     "LQR",
     "MPC",
@@ -50,5 +47,4 @@ __all__ = [
     "as_controller",
     "clearance",
     "held_loop",
-    "lqr",
 ]

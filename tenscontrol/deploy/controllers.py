@@ -1,16 +1,16 @@
 """Numbers of a law in C code: LQR, linear MPC, nonlinear MPC.
 
 The vectors of the program of linear MPC are affine in the state, the previous input, the same
-within bounds, and the estimated load; the planned inputs also in the solution. Their matrices are
+within bounds, and the estimated load; so are the planned inputs. Their matrices are
 read from the controller, by one evaluation a column. Their values at zero depend on time alone and
 become a table with a row a sample. In nonlinear MPC the motion over a sample, the limited rows and
-their derivatives are CasADi functions; the program gives the places of their values in its matrix.
+their derivatives are CasADi functions; the program along the stages is that of Python.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil, floor
 
 import casadi as ca
@@ -21,19 +21,25 @@ from tenscontrol.control.mpc import (
     CONVERGED,
     NEWTON_STEPS,
     RK4,
-    START_RHO,
+    STAGES_TOLERANCE,
+    Condensed,
     MPCLaw,
     MPCProblem,
-    OSQPSolver,
-    QPSolver,
-    Sparse,
     StageData,
-    StageJacobians,
+    active_set_source,
+    stages_data,
+    stages_source,
 )
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.validation import FloatArray
 
 # Maps read from a controller must agree with it at any other point, to this fraction.
 _AGREEMENT = 1e-9
+
+# Violations that the C code takes for round-off, in units of a row.
+_TOLERANCE = 1e-11
+
+# Unknown inputs that a condensed program may have.
+_MOST_UNKNOWNS = 5000
 
 # Numbers that a table may have: some hundred megabytes of C text.
 _LARGEST = 5_000_000
@@ -47,10 +53,10 @@ class LawCode:
     constants: dict[str, int | float]  # of the preprocessor
     arrays: dict[str, np.ndarray]  # of one or two dimensions
     matrices: dict[str, FloatArray]  # written without their zeros
-    program: OSQPSolver | None = None  # before its first solve
     # Number of the first sample, and what depends on time alone, shape (K, m), a row a sample.
     table: tuple[int, FloatArray] | None = None
     functions: dict[str, ca.Function] = field(default_factory=dict)  # besides the measurement
+    headers: dict[str, str] = field(default_factory=dict)  # texts of C that it includes
 
 
 def lqr_code(controller: LQR) -> LawCode:
@@ -67,26 +73,79 @@ def lqr_code(controller: LQR) -> LawCode:
     return LawCode(("lqr.c",), {"RAMP": ramp}, {}, matrices)
 
 
+class _LeastDistance:
+    """The condensed program of a law, its rows stage by stage, violations as prices of rows.
+
+    ``low`` and ``high`` are the rows with the two bounds of each; a soft row that is bounded on
+    both sides stands in the program twice.
+    """
+
+    def __init__(self, problem: MPCProblem) -> None:
+        N, a, rows = problem.length, problem.input_matrix.shape[1], problem.rows
+        self.unknowns = count = problem.input_count
+        if count > _MOST_UNKNOWNS:
+            raise ValueError(
+                f"controller plans {count} inputs, and its program is condensed, so dense, in C "
+                f"code; expected at most {_MOST_UNKNOWNS}. Take a shorter horizon"
+            )
+        self.form = Condensed(problem)
+        soft = 0 if rows is None else len(rows.soft)
+        widths = [a] * (1 if problem.change is None else 2)
+        widths.append(0 if rows is None else len(rows.scale) - soft)
+        # The last rows are the bounds of violations.
+        limits = np.arange(self.form.A.shape[0] - N * soft)
+        sign = self.form.A[:, count:].sum(axis=1)[limits]
+        above, below = limits[sign < 0], limits[sign > 0]
+        parts = np.split(limits[sign == 0], N * np.cumsum(widths)[:-1])
+        self.low, self.high = (
+            np.hstack([*(part.reshape(N, -1) for part in parts), soft_rows.reshape(N, -1)])
+            for soft_rows in (below if len(below) else above, above if len(above) else below)
+        )
+        self.width = sum(widths) + soft  # rows of a stage
+        self.price = np.full((N, self.width), np.inf)
+        self.price[:, self.width - soft :] = self.form.P.diagonal()[count:].reshape(N, -1)
+
+    def response(self) -> FloatArray:
+        """Return what inputs, the first of all last, do to the rows of a stage; it is the same."""
+        by_row = self.form.A[:, : self.unknowns].tocsr()
+        N, width = len(self.low), self.width
+        found: FloatArray = by_row[self.low[-1]].toarray()
+        for k, rows in enumerate(self.low):
+            moved = np.zeros((width, self.unknowns))
+            moved[:, : (k + 1) * self.unknowns // N] = found[:, (N - 1 - k) * self.unknowns // N :]
+            error = float(np.abs(by_row[rows].toarray() - moved).max())
+            if not error <= _AGREEMENT * max(1.0, float(np.abs(found).max())):
+                raise ValueError(
+                    f"controller has a program whose stage {k} is not like the last (off by "
+                    f"{error:.1e}), so it cannot be written as C code"
+                )
+        return found
+
+
 class _Reader:
     """Reads the maps of a law, at any time and for any load."""
 
-    def __init__(self, law: MPCLaw) -> None:
-        self._law = law
+    def __init__(self, law: MPCLaw, program: _LeastDistance) -> None:
+        self._law, self._program = replace(law, form=program.form), program
         s, a = law.plant.B.shape
         self.loads = 0 if law.load is None else law.plant.degrees_of_freedom
-        self.rows, self.unknowns = law.form.A.shape
         # Of state, previous input, the same within bounds, and load.
         self.sizes = s, a, a, self.loads
 
     def vectors(self, time: float, given: FloatArray) -> FloatArray:
-        """Return q, l and u, end to end, for what is given."""
+        """Return q and both bounds, end to end, for what is given."""
         z, previous, bounded, load = self._split(given, *self.sizes)
-        return np.concatenate(self._law.vectors(self._stage_data(time, load), z, previous, bounded))
+        q, low, high = self._law.vectors(self._stage_data(time, load), z, previous, bounded)
+        program = self._program
+        return np.concatenate([
+            q[: program.unknowns], low[program.low.ravel()], high[program.high.ravel()]
+        ])  # fmt: skip
 
-    def inputs(self, time: float, known: FloatArray) -> FloatArray:
-        """Return the planned inputs for solution and what is given."""
-        x, z, previous, _, load = self._split(known, self.unknowns, *self.sizes)
-        return self._law.inputs(x, self._stage_data(time, load), z, previous).ravel()
+    def inputs(self, time: float, given: FloatArray) -> FloatArray:
+        """Return the planned inputs for what is given, where the solution is zero."""
+        z, previous, _, load = self._split(given, *self.sizes)
+        nothing = np.zeros(self._program.form.A.shape[1])
+        return self._law.inputs(nothing, self._stage_data(time, load), z, previous).ravel()
 
     def free_response(self, time: float, given: FloatArray) -> FloatArray:
         """Return the state a sample later without the input to come, for what is given."""
@@ -98,7 +157,7 @@ class _Reader:
         point = np.zeros(sum(self.sizes))
         parts = [
             self.vectors(time, point),
-            self.inputs(time, np.zeros(self.unknowns + len(point))),
+            self.inputs(time, point),
             self._stage_data(time, np.zeros(self.loads)).previous_origin,
         ]
         if self.loads:
@@ -114,12 +173,13 @@ class _Reader:
 
 
 def mpc_code(controller: MPC) -> LawCode:
-    """Return the code of a linear MPC."""
+    """Return the code of a linear MPC, whose program is condensed whatever its form in Python."""
     law = controller.law
     _refuse_time_limit(law.settings.longest_time)
-    reader = _Reader(law)
-    unknowns, rows = reader.unknowns, reader.rows
     problem, sampled = law.design.problem, law.design.sampled
+    program = _LeastDistance(problem)
+    reader = _Reader(law, program)
+    unknowns, rows = program.unknowns, program.low.size
     first, table = _time_table(law.path.span, law.settings.sample_time, problem.length, reader.row)
     times = first * law.settings.sample_time, (first + len(table) - 1) * law.settings.sample_time
     given = sum(reader.sizes)
@@ -129,31 +189,28 @@ def mpc_code(controller: MPC) -> LawCode:
     moved = np.where(np.isfinite(offset[unknowns : unknowns + rows])[:, None], low, high)
     matrices = {
         "vectors": np.vstack([slope[:unknowns], moved]),
-        "inputs": _read(reader.inputs, unknowns + given, times)[1],
+        "inputs": _read(reader.inputs, given, times)[1],
     }
     if law.load is not None:
         matrices["free_response"] = _read(reader.free_response, given, times)[1]
         matrices["by_input"] = sampled.by_input
         matrices["load_gain"] = law.load.gain
-    x, y = law.form.shifted(np.arange(1.0, unknowns + 1), np.arange(1.0, rows + 1))
-    arrays = {"source_of_x": x.astype(np.int64) - 1, "source_of_y": y.astype(np.int64) - 1}
     constants: dict[str, int | float] = {
         "UNKNOWNS": unknowns,
         "ROWS": rows,
-        "PLANNED": problem.input_count,
+        "SOFT": int(np.isfinite(program.price).sum()),
+        "STAGE_ROWS": program.width,
+        "STAGE_INPUTS": unknowns // problem.length,
+        "PLANNED": unknowns,
         "LOADS": reader.loads,
-        "FIRST_RHO": START_RHO,
+        "LEVEL": float(problem.level),
+        "ITERATIONS": law.settings.max_iterations,
+        "TOLERANCE": _TOLERANCE,
     }
-    templates = "program.c", "time_table.c", "mpc.c"
-    # A new program: that of the controller may be in the middle of a run.
-    return LawCode(
-        templates,
-        constants,
-        arrays,
-        matrices,
-        _osqp(law.solved_by("osqp").solver()),
-        (first, table),
-    )
+    arrays = {"price": program.price.ravel(), "response": program.response()}
+    templates = "program.c", "least_distance.c", "time_table.c", "mpc.c"
+    headers = {"active_set": active_set_source()}
+    return LawCode(templates, constants, arrays, matrices, (first, table), headers=headers)
 
 
 def _read(
@@ -179,7 +236,7 @@ def _read(
 
 
 def nmpc_code(controller: NMPC) -> LawCode:
-    """Return the code of a nonlinear MPC."""
+    """Return the code of a nonlinear MPC, which solves its program along the stages."""
     law = controller.law
     _refuse_time_limit(law.settings.longest_time)
     problem, model = law.problem, law.model
@@ -189,37 +246,19 @@ def nmpc_code(controller: NMPC) -> LawCode:
             "steps, which are not written as C code: give a shorter step and winches that jump, "
             "or take MPC, whose prediction is linear"
         )
-    N, (s, a) = problem.length, problem.input_matrix.shape
-    p = 0 if problem.rows is None else len(problem.rows.scale)
-    # A new program: that of the controller may be in the middle of a run.
-    program = law.subproblem()
-    fixed = program.A.data.copy()
-    still = _flat(N, s, s, a), None if p == 0 else _flat(N, p, s, a, s)
-    program.linearize(*still)
-    nothing = np.zeros(s), law.stage_data(np.zeros((N, s)), np.zeros((N, a)))
+    sizes, data = stages_data(problem, law.row_bounds, law.settings.max_iterations, law.bounds)
+    N, _, _, p, _, changes, soft, most = sizes
 
     def row(time: float) -> FloatArray:
-        reference, origin = law.targets(time)
-        q, _, _ = program.vectors(nothing[0], law.stage_data(reference, origin), np.zeros(a))
-        return np.concatenate([q, reference.ravel(), origin.ravel()])
+        return np.concatenate([part.ravel() for part in law.targets(time)])
 
-    first, table = _time_table(law.path.span, law.settings.sample_time, N, row)
-    low, high = program.vectors(*nothing, np.zeros(a))[1:]
-    slopes = np.zeros((len(low), a))
-    # Rows of a change are bounded on both sides, and move alike; no others move.
-    bounded = np.isfinite(low)
-    for i, unit in enumerate(np.eye(a)):
-        slopes[bounded, i] = program.vectors(*nothing, unit)[1][bounded] - low[bounded]
-    source, factor = _places(program, fixed, (N, s, a, p))
-    limit_of_row, limit_scale = _limits(program, problem)
-    x, y = program.shifted(np.arange(1.0, program.A.shape[1] + 1), np.arange(1.0, len(low) + 1))
     functions = {
         "advance": model.discretization.sampled,
         "linearize": model.discretization.linearized,
     }
     if model.limited is not None:
         functions["limited"] = model.limited
-    matrices = {"by_previous_input": slopes, "feedback": -problem.feedback}
+    matrices = {"feedback": -problem.feedback}
     loads = 0
     if law.load is not None:
         loads = len(law.load.gain)
@@ -229,86 +268,33 @@ def nmpc_code(controller: NMPC) -> LawCode:
             "load_response": law.load.response,
             "load_shift": law.load.shift,
             "load_effort": law.load.effort,
-        } | _gradients(program, problem)
+        }
+    names = (
+        "state_weight", "input_weight", "terminal_weight", "limit_scale", "largest_change",
+        "", "", "limit_low", "limit_high", "price",
+    )  # fmt: skip
     return LawCode(
         templates=("program.c", "time_table.c", "nmpc.c"),
         constants={
-            "UNKNOWNS": program.A.shape[1],
-            "ROWS": program.A.shape[0],
-            "ENTRIES": len(fixed),
             "HORIZON": N,
             "PLANNED": problem.input_count,
             "LIMITED": p,
+            "CHANGES": changes,
+            "SOFT": soft,
             "LOADS": loads,
             "NEWTON_STEPS": NEWTON_STEPS,
             "LEVEL": float(problem.level),
             "ROUNDS": law.rounds,
             "CONVERGED": CONVERGED,
-            "FIRST_RHO": START_RHO,
+            "ITERATIONS": most,
+            "TOLERANCE": STAGES_TOLERANCE,
         },
-        arrays={
-            "unit": program.units,
-            "first_low": low,
-            "first_high": high,
-            "source_of_entry": source,
-            "entry": factor,
-            "limit_of_row": limit_of_row,
-            "limit_scale": limit_scale,
-            "source_of_x": x.astype(np.int64) - 1,
-            "source_of_y": y.astype(np.int64) - 1,
-        },
+        arrays={name: part.ravel() for name, part in zip(names, data, strict=False) if name},
         matrices=matrices,
-        program=_osqp(law.solved_by("osqp").solver(law.subproblem())),
-        table=(first, table),
+        table=_time_table(law.path.span, law.settings.sample_time, N, row),
         functions=functions,
+        headers={"active_set": active_set_source(), "stages": stages_source()},
     )
-
-
-def _flat(N: int, values: int, *arguments: int) -> StageJacobians:
-    """Return the tangents of functions that are zero."""
-    return StageJacobians(np.zeros((N, values)), tuple(np.zeros((N, j, values)) for j in arguments))
-
-
-def _places(
-    program: Sparse, fixed: FloatArray, sizes: tuple[int, int, int, int]
-) -> tuple[IntArray, FloatArray]:
-    """Return which slope each entry of the matrix is, −1 for none, and its factor or its value.
-
-    Slopes are numbered as the C code has them: all A_k, then all B_k, E_k, G_k and F_k, by columns.
-    """
-    N, s, a, p = sizes
-    starts = np.cumsum([0, N * s * s, N * s * a, N * p * s, N * p * a])
-    source, factor = np.full(len(fixed), -1), fixed.copy()
-    motion, parts = program.motion_indices, program.row_indices
-    for begin, slots in [
-        *zip(starts[:2], motion, strict=True),
-        *((begin, slots) for part in parts for begin, slots in zip(starts[2:], part, strict=True)),
-    ]:
-        source[slots.index], factor[slots.index] = begin + slots.source, slots.factor
-    return source, factor
-
-
-def _gradients(program: Sparse, problem: MPCProblem) -> dict[str, FloatArray]:
-    """Return what references and origins of a sample do to q: that is −P times them, in units."""
-    N, (s, a) = problem.length, problem.input_matrix.shape
-    starts = {"by_reference": 0, "by_last": (N - 1) * s, "by_origin": N * s}
-    found = {}
-    for name, start in starts.items():
-        unit = np.full(a, problem.level) if name == "by_origin" else program.units
-        found[name] = -program.P[start:, start:][: len(unit), : len(unit)].toarray() / unit
-    return found
-
-
-def _limits(program: Sparse, problem: MPCProblem) -> tuple[IntArray, FloatArray]:
-    """Return which of the N p limited values each row bounds, −1 for none, and its unit."""
-    count, N, rows = program.A.shape[0], problem.length, problem.rows
-    limit, unit = np.full(count, -1), np.ones(count)
-    for places, start in program.limits.parts:
-        assert rows is not None  # there are parts
-        found = N * len(program.units) + start + np.arange(N * len(places))
-        limit[found] = (len(rows.scale) * np.arange(N)[:, None] + places).ravel()
-        unit[found] = np.tile(rows.scale[places], N)
-    return limit, unit
 
 
 def _time_table(
@@ -336,13 +322,3 @@ def _refuse_time_limit(limit: float) -> None:
             f"controller has time_limit={limit:g} s, and C code without an operating system has no "
             "clock: make it without, and limit the work by max_iterations"
         )
-
-
-def _osqp(solver: QPSolver) -> OSQPSolver:
-    """Return the solver of a controller, or raise where C code cannot be written."""
-    if not isinstance(solver, OSQPSolver):
-        raise ValueError(
-            f"controller solves its programs by {type(solver).__name__}, and C code is written for "
-            "OSQP: make it with solver='osqp'"
-        )
-    return solver

@@ -18,7 +18,7 @@ from tenscontrol.plant import LinearPlant
 from tenscontrol.validation import FloatArray, file_path, frozen
 
 # Names of functions and headers that a controller may not have.
-_TAKEN = {"main", "osqp", "casadi", "qdldl", "math", "string", "stdio"}
+_TAKEN = {"main", "active_set", "stages", "casadi", "math", "string", "stdio"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,10 +134,12 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
 
     Notes
     -----
-    The quadratic program is solved by the code that OSQP generates (Banjac et
-    al. 2017, doi:10.1109/CDC.2017.8263928), with the settings of the controller;
-    the reduced state is found by code that CasADi generates. A reference that
-    moves is put into a table, a row a sample, and time is rounded to a whole sample.
+    The quadratic program is solved exactly, by a dual active-set method (Goldfarb & Idnani
+    1983, doi:10.1007/BF02591962), condensed for MPC and along the stages of the horizon for
+    NMPC, whatever solves it in Python: commands are equal to round-off where that is exact too,
+    and to its tolerance otherwise. ``max_iterations`` limits changes of the active set. The
+    reduced state is found by code that CasADi generates. A reference that moves is put into a
+    table, a row a sample, and time is rounded to a whole sample.
 
     Examples
     --------

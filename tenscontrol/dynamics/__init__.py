@@ -7,8 +7,14 @@ from tenscontrol.dynamics.contact_laws import (
     HertzGround,
     SmoothGround,
 )
-from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates, normal_basis
-from tenscontrol.dynamics.equation import Equation, InputLayout, smooth_equation
+from tenscontrol.dynamics.coordinates import KINDS, Coordinates, coordinates
+from tenscontrol.dynamics.equation import (
+    Equation,
+    InputLayout,
+    pack_state,
+    smooth_equation,
+    unpack_states,
+)
 from tenscontrol.dynamics.evaluator import (
     BUILDING,
     ColumnEvaluator,
@@ -22,17 +28,26 @@ from tenscontrol.dynamics.evaluator import (
     exclusive,
     solving,
 )
+from tenscontrol.dynamics.gravity import weights
 from tenscontrol.dynamics.machine_code import (
     Compiled,
     Compiler,
     CompilerError,
     compiled,
     compiled_library,
+    compiled_source,
     compiler,
 )
-from tenscontrol.dynamics.model import Model, pack_state, unpack_states
+from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.profile import Pieces, Profile, as_pieces, polynomial_at
 from tenscontrol.dynamics.string_laws import ElasticStrings, LinearStrings, StringLaw
+from tenscontrol.dynamics.tangent import (
+    Tangent,
+    normal_basis,
+    refuse_large,
+    string_stretch,
+    tangent,
+)
 
 __all__ = [
     "BUILDING",
@@ -59,11 +74,13 @@ __all__ = [
     "SharedEvaluator",
     "SmoothGround",
     "StringLaw",
+    "Tangent",
     "as_pieces",
     "builds",
     "built",
     "compiled",
     "compiled_library",
+    "compiled_source",
     "compiler",
     "coordinates",
     "evaluate_columns",
@@ -71,7 +88,11 @@ __all__ = [
     "normal_basis",
     "pack_state",
     "polynomial_at",
+    "refuse_large",
     "smooth_equation",
     "solving",
+    "string_stretch",
+    "tangent",
     "unpack_states",
+    "weights",
 ]

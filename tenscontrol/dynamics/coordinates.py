@@ -6,15 +6,24 @@ reduced ones the mass matrix is the identity.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import kernel
 from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.tangent import (
+    Complement,
+    bar_basis,
+    momenta,
+    motions_kept,
+    moved_as_one,
+    normal_basis,
+    refuse_large,
+)
 from tenscontrol.structure import (
     Block,
     Structure,
@@ -35,6 +44,9 @@ from tenscontrol.validation import (
     shaped,
 )
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 # Directions whose singular value is below this fraction of the largest do not exist.
 _RANK_TOLERANCE = 1e-9
 
@@ -44,6 +56,9 @@ _MOST, _STEPS, _EXACT = 30, 6, 1e-10
 
 # A shape is laid over the reference when the next step is below this part of its size.
 _LAID = 1e-15
+
+# Entries up to which a dense matrix multiplies as fast as a sparse one.
+_SMALL = 4_000_000
 
 KINDS = ("nodes", "minimal", "internal")
 
@@ -63,20 +78,89 @@ class Coordinates:
         Reference shape, m.
     basis : ndarray, shape (d n, r)
         T: a displacement is ``vec(δN) = T q``. In reduced coordinates
-        ``Tᵀ M T = I``, so that q has the unit m √kg. Rows that supports hold are zero.
+        ``Tᵀ M T = I``, so that q has the unit m √kg. Rows that supports hold are zero. Made when
+        it is first asked for, and refused where it has more than 64 million entries.
+    sparse_basis : csr_array, shape (d n, m)
+        That of the nodes, or of the minimal coordinates y: ``T = sparse_basis @ H``, ``q = Hᵀ y``.
     """
 
     structure: Structure
     kind: str
     nodes: FloatArray
-    basis: FloatArray
-    _projection: FloatArray  # (r, d n): q = projection @ vec(δN)
-    _mass: FloatArray  # (n, n): M_s
+    sparse_basis: csr_array
+    _momenta: csr_array  # (m, d n): y = momenta @ vec(δN)
+    _mass: csr_array  # (n, n): M_s
+    _inside: Complement | FloatArray | None = None  # H, (m, r); None for all of y
+    # F, G, rows: δN is less by F G δN[rows], what feet move as one body, and on them it is zero.
+    _feet: tuple[FloatArray, FloatArray, IntArray] | None = None
 
     @property
     def count(self) -> int:
         """Number r of coordinates."""
-        return int(self.basis.shape[1])
+        held = self.sparse_basis if self._inside is None else self._inside
+        return int(held.shape[1])
+
+    @cached_property
+    def basis(self) -> FloatArray:
+        """T, shape (d n, r)."""
+        refuse_large("the basis", (self.nodes.size, self.count))
+        return frozen(self.from_sparse(self.sparse_basis.T).T)
+
+    @cached_property
+    def _projection(self) -> FloatArray:
+        """Shape (r, d n): ``q = projection @ vec(δN)``."""
+        refuse_large("the projection", (self.count, self.nodes.size))
+        found = self.from_sparse(self._momenta)
+        if self._feet is not None:
+            fields, from_feet, rows = self._feet
+            found[:, rows] = 0.0
+            found[:, rows] -= (found @ fields) @ from_feet
+        return frozen(found)
+
+    def from_sparse(self, values: Any) -> FloatArray:
+        """Return q = Hᵀ y, shape (r,) or (r, k), of coordinates y of the sparse basis.
+
+        Parameters
+        ----------
+        values : ndarray or csr_array, shape (m,) or (m, k)
+        """
+        if isinstance(self._inside, np.ndarray):
+            return np.asarray((values.T @ self._inside).T)
+        dense = values.toarray() if hasattr(values, "toarray") else np.array(values)
+        return dense if self._inside is None else self._inside.transposed(dense)
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether they are all of the minimal coordinates y but for motions as one body."""
+        return self.kind != "nodes" and not isinstance(self._inside, np.ndarray)
+
+    def within(self, inside: FloatArray) -> Coordinates:
+        """Return fewer coordinates p, ``q = inside @ p``, with orthonormal columns, shape (r, k).
+
+        Parameters
+        ----------
+        inside : ndarray, shape (r, k)
+        """
+        of_minimal = inside if self._inside is None else self._inside @ inside
+        return replace(self, _inside=frozen(np.asarray(of_minimal)))
+
+    @cached_property
+    def rigid(self) -> FloatArray:
+        """Orthonormal basis, in y, of the motions as one body that supports leave, shape (m, k)."""
+        found = self._inside
+        if not isinstance(found, Complement):
+            left = left_by_supports(self.structure, rigid_motions(self.nodes))
+            found = Complement(self._momenta @ left)
+        return frozen(found.outside)
+
+    def to_sparse(self, q: FloatArray) -> FloatArray:
+        """Return y = H q, shape (m,) or (m, k).
+
+        Parameters
+        ----------
+        q : ndarray, shape (r,) or (r, k)
+        """
+        return np.asarray(q if self._inside is None else self._inside @ q)
 
     def project(self, displacements: object) -> FloatArray:
         """Return the coordinates of node displacements, ``q = Tᵀ M vec(δN)``.
@@ -96,13 +180,38 @@ class Coordinates:
             If an entry is not a finite number, or the shape does not fit.
         """
         fields = float_array("displacements", displacements)
-        rows = self._projection.shape[1]
+        rows = self.nodes.size
         if fields.ndim not in (1, 2) or fields.shape[0] != rows:
             raise ValueError(
                 f"displacements has shape {fields.shape}, expected ({rows},) or ({rows}, k): "
                 f"{', '.join('xyz'[: self.structure.dimension])} node by node"
             )
-        return np.asarray(self._projection @ fields)
+        return self._from_nodes(fields)
+
+    def _from_nodes(self, fields: FloatArray) -> FloatArray:
+        if self._is_small:
+            return np.asarray(self._projection @ fields)
+        if self._feet is not None:
+            motions, from_feet, held = self._feet
+            fields = fields - motions @ (from_feet @ fields[held])
+            fields[held] = 0.0
+        return self.from_sparse(self._momenta @ fields)
+
+    @cached_property
+    def _is_small(self) -> bool:
+        """Whether a dense matrix is as fast as the sparse one."""
+        return self.nodes.size * self.count <= _SMALL or not self.count
+
+    def displacements(self, q: FloatArray) -> FloatArray:
+        """Return ``vec(δN) = T q``, m, shape (d n,) or (d n, k).
+
+        Parameters
+        ----------
+        q : ndarray, shape (r,) or (r, k)
+        """
+        if self._is_small:
+            return np.asarray(self.basis @ q)
+        return np.asarray(self.sparse_basis @ self.to_sparse(q))
 
     def measure(self, nodes: object, velocities: object) -> FloatArray:
         """Return the reduced state ``z = [q; q̇]`` of a motion.
@@ -135,7 +244,7 @@ class Coordinates:
         if self.kind == "internal":
             nodes, velocities = self.laid_over(nodes, velocities)
         motion = np.stack([(nodes - self.nodes).T, velocities.T]).reshape(2, -1)
-        return np.asarray((motion @ self._projection.T).ravel())
+        return np.asarray(self._from_nodes(motion.T).T.ravel())
 
     def laid_over(self, nodes: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See :meth:`measure`: nodes, m, and velocities, m/s, laid over the reference."""
@@ -169,7 +278,7 @@ class Coordinates:
             cannot keep their lengths.
         """
         q = shaped("q", q, (self.count,), f"one per {self.kind} coordinate")
-        nodes = self.nodes + self._columns(self.basis @ q)
+        nodes = self.nodes + self._columns(self.displacements(q))
         if self.kind == "nodes":
             return nodes
         alone, axes = self._alone
@@ -207,7 +316,7 @@ class Coordinates:
         """
         shape = self.to_nodes(q)
         rates = shaped("rates", rates, (self.count,), f"one per {self.kind} coordinate")
-        velocities = self._columns(self.basis @ rates)
+        velocities = self._columns(self.displacements(rates))
         if self.kind == "nodes":
             return velocities
         alone, axes = self._alone
@@ -222,23 +331,33 @@ class Coordinates:
             velocities = self._columns(flat)
         return velocities
 
-    def expressions(self, z: Any, near: Any = None) -> tuple[Any, Any]:
-        """Return expressions of node positions and velocities, shape (d, n), of ``[q; q̇]``, SX.
+    def displaced(self, z: Any) -> tuple[Any, Any]:
+        """Return expressions of positions and velocities, (d n, 1), as the basis alone says, SX.
+
+        Parameters
+        ----------
+        z : casadi.SX, shape (2r, 1)
+        """
+        r = self.count
+        T = ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
+        return ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(T, z[:r]), ca.mtimes(T, z[r:])
+
+    def kept_lengths(self, places: Any, rates: Any, near: Any = None) -> tuple[Any, Any]:
+        """Return expressions of positions and velocities, shape (d, n), with exact bar lengths.
 
         As :meth:`to_nodes` and :meth:`to_velocities`; no numbers where those raise.
 
         Parameters
         ----------
-        z : casadi.SX, shape (2r, 1)
+        places, rates : casadi.SX, shape (d n, 1)
+            What :meth:`displaced` returns.
         near : casadi.SX, optional
             Symbol for :meth:`hidden`, to be put in later: expressions and their first derivatives
             are then exact, and much shorter where bars share nodes.
         """
-        structure, r = self.structure, self.count
+        structure = self.structure
         shape = structure.nodes.shape
-        T = ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
-        N = ca.SX(ca.DM(self.nodes) + ca.reshape(ca.mtimes(T, z[:r]), *shape))
-        V = ca.SX(ca.reshape(ca.mtimes(T, z[r:]), *shape))
+        N, V = (ca.SX(ca.reshape(part, *shape)) for part in (places, rates))
         share = structure.end_share
         for bar, column in zip(*self._alone[:1], self._alone[1].T, strict=True):
             start, end = structure.bars[bar].tolist()
@@ -254,38 +373,35 @@ class Coordinates:
                 V[:, node] += part * rate * axis
         if not self._normals:
             return N, V
-        parts = ca.vertsplit(self.hidden(z) if near is None else near, self._hidden_parts)
-        for i, (block, _) in enumerate(self._normals):
-            rows = block.rows.tolist()
-            places, speeds = ca.vec(N), ca.vec(V)
-            there, displaced, faster = parts[3 * i : 3 * i + 3]
-            places[rows] += displaced
+        hidden = self.hidden(places, rates) if near is None else near
+        for block, _ in self._normals:
+            rows, count = block.rows.tolist(), len(block.rows)
+            whole, speeds = ca.vec(N), ca.vec(V)
+            there, displaced, faster = (hidden[k * count : (k + 1) * count] for k in range(3))
+            hidden = hidden[3 * count :]
+            whole[rows] += displaced
             speeds[rows] += faster
             if near is not None:
                 # Nothing is left of lengths to correct, but of their derivatives.
                 step = self._normal_step(block)
-                _, excess, _ = self._lengths(ca.reshape(places, *shape), block)
-                places[rows] -= step(there, excess)
-                J, _, _ = self._lengths(ca.reshape(places, *shape), block)
+                _, excess, _ = self._lengths(ca.reshape(whole, *shape), block)
+                whole[rows] -= step(there, excess)
+                J, _, _ = self._lengths(ca.reshape(whole, *shape), block)
                 speeds[rows] -= step(there, ca.mtimes(J, speeds[rows]))
-            N, V = ca.reshape(places, *shape), ca.reshape(speeds, *shape)
+            N, V = ca.reshape(whole, *shape), ca.reshape(speeds, *shape)
         return N, V
 
-    def hidden(self, z: Any) -> Any:
+    def hidden(self, places: Any, rates: Any) -> Any:
         """Return what keeps the lengths of bars that share nodes, SX: empty where none do.
 
         For each block its places, and the displacements and velocities in its normal space, m and
-        m/s, of ``[q; q̇]``. By a fixed number of Newton's steps; no numbers where these do not lead
-        to the bar lengths.
+        m/s. By a fixed number of Newton's steps; no numbers where these do not lead to the lengths.
 
         Parameters
         ----------
-        z : casadi.SX, shape (2r, 1)
+        places, rates : casadi.SX, shape (d n, 1)
         """
-        r, shape, found = self.count, self.structure.nodes.shape, [ca.SX(0, 1)]
-        T = ca.sparsify(ca.DM(np.where(np.abs(self.basis) > 1e-14, self.basis, 0.0)))
-        moved = ca.DM(self.nodes.ravel(order="F")) + ca.mtimes(T, z[:r])
-        rates = ca.mtimes(T, z[r:])
+        shape, moved, found = self.structure.nodes.shape, places, [ca.SX(0, 1)]
         for block, _ in self._normals:
             places, rows, step = ca.SX(moved), block.rows.tolist(), self._normal_step(block)
             for _ in range(_STEPS):
@@ -297,16 +413,10 @@ class Coordinates:
             found += [there, there - moved[rows], speeds]
         return ca.vertcat(*found)
 
-    @cached_property
-    def _hidden_parts(self) -> list[int]:
-        """Where the parts of :meth:`hidden` begin, and its size."""
-        sizes = [len(block.rows) for block, _ in self._normals for _ in range(3)]
-        return [sum(sizes[:i]) for i in range(len(sizes) + 1)]
-
     @property
     def hidden_size(self) -> int:
         """Number of entries of :meth:`hidden`."""
-        return self._hidden_parts[-1]
+        return 3 * sum(len(block.rows) for block, _ in self._normals)
 
     def _lengths(self, N: Any, block: Block) -> tuple[Any, Any, Any]:
         """Return J and half the excess of squared lengths of a block, and the worst part, SX."""
@@ -397,8 +507,12 @@ class Coordinates:
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
-        weights = self._mass.sum(axis=1)
-        return np.asarray(nodes @ weights / weights.sum())[:, None]
+        return np.asarray(nodes @ self._shares)
+
+    @cached_property
+    def _shares(self) -> FloatArray:
+        """Shares of the nodes in the mass, shape (n, 1)."""
+        return np.asarray(self._mass.sum(axis=1)).reshape(-1, 1) / self._mass.sum()
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray]:
@@ -426,17 +540,17 @@ class Coordinates:
         of the reference, which is the same unless they change their direction, as on two slides.
         """
         held, turn = self.structure.fixed_rows, np.eye(len(nodes))
-        own = _momenta(self._mass, left_by_supports(self.structure, rigid_motions(self.nodes))).T
+        own = momenta(self._mass, left_by_supports(self.structure, rigid_motions(self.nodes))).T
         for nearest in (True, False):
             for _ in range(_MOST):
                 fields, off = rigid_motions(nodes), (nodes - self.nodes).ravel(order="F")
                 back = np.linalg.lstsq(fields[held], -off[held], _RANK_TOLERANCE)[0]
-                left = _kept(fields, held)
+                left = motions_kept(fields, held)
                 moves = fields @ left
-                momenta = _momenta(self._mass, moves).T if nearest else own
-                wanted = -momenta @ (off + fields @ back)
-                move = back + left @ np.linalg.lstsq(momenta @ moves, wanted, _RANK_TOLERANCE)[0]
-                nodes, step = _moved_as_one(nodes, move)
+                along = momenta(self._mass, moves).T if nearest else own
+                wanted = -along @ (off + fields @ back)
+                move = back + left @ np.linalg.lstsq(along @ moves, wanted, _RANK_TOLERANCE)[0]
+                nodes, step = moved_as_one(nodes, move)
                 turn = step @ turn
                 if np.abs(fields @ move).max() <= _LAID * np.abs(nodes).max():
                     break
@@ -476,125 +590,15 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
     choice("kind", kind, KINDS)
     refuse_wrong_bar_lengths("nodes", structure, N)
-    mass = model.mass_matrix()
+    from scipy.sparse import csr_array, eye_array, kron
+
+    mass, inside = model.mass_matrix(), None
     if kind == "nodes":
-        basis = np.eye(N.size)[:, structure.free_rows]
-        projection = basis.T
+        basis = csr_array(eye_array(N.size, format="csc")[:, structure.free_rows])
+        to_minimal = csr_array(basis.T)
     else:
         basis = bar_basis(structure, N)
-        projection = _momenta(mass, basis).T
+        to_minimal = csr_array(basis.T @ kron(mass, eye_array(structure.dimension), format="csr"))
         if kind == "internal":
-            rigid = projection @ left_by_supports(structure, rigid_motions(N))
-            inside = _complement(rigid)
-            basis, projection = basis @ inside, inside.T @ projection
-    return Coordinates(
-        structure, kind, frozen(N), frozen(basis), frozen(projection), frozen(mass.toarray())
-    )
-
-
-def bar_basis(structure: Structure, nodes: FloatArray) -> FloatArray:
-    """Return the mass-orthonormal basis of motions that keep bar lengths, shape (d n, r).
-
-    In closed form for bars on their own, in space three translations ``e/√m`` and two rotations in
-    which the ends move by ``∓ t √(3/m)`` across the bar; for a bar that swings about a fixed end
-    the rotations ``t √(3/m)`` of the other; translations ``e/√m_s`` for a string node. For each
-    block the null space of its constraints in the metric of its mass.
-    """
-    d = structure.dimension
-    parts: list[tuple[IntArray, FloatArray]] = []
-    for i in structure.free_bars:
-        ends = structure.bars[i]
-        mass = structure.bar_mass[i]
-        across = _across(nodes[:, ends[1]] - nodes[:, ends[0]]) * np.sqrt(3 / mass)
-        shift = np.eye(d) / np.sqrt(mass)
-        both = np.vstack([np.hstack([shift, part]) for part in (-across, across)])
-        parts.append((_rows(ends, d), both))
-    for i, (hinge, tip) in zip(
-        structure.swinging_bars, structure.hinged_pairs.tolist(), strict=True
-    ):
-        across = _across(nodes[:, tip] - nodes[:, hinge]) * np.sqrt(3 / structure.bar_mass[i])
-        parts.append((_rows(np.array([tip]), d), across))
-    for point, mass in zip(structure.string_nodes, structure.string_node_mass, strict=True):
-        rows = np.intersect1d(_rows(np.array([point]), d), structure.free_rows)
-        parts.append((rows, np.eye(len(rows)) / np.sqrt(mass)))
-    for block in structure.blocks:
-        # y = Lᵀ δ has the identity for a mass, where M = L Lᵀ.
-        L = np.linalg.cholesky(block_mass(structure, block).toarray())
-        constraints = _scaled_rows(structure, block, nodes, L)
-        whole = np.linalg.qr(constraints.T, mode="complete")[0]
-        parts.append((block.rows, np.linalg.solve(L.T, whole[:, len(constraints) :])))
-    basis = np.zeros((nodes.size, sum(part.shape[1] for _, part in parts)))
-    column = 0
-    for rows, part in parts:
-        basis[rows, column : column + part.shape[1]] = part
-        column += part.shape[1]
-    return basis
-
-
-def _kept(fields: FloatArray, held: IntArray) -> FloatArray:
-    """Return the combinations of motions as one body, shape (k, ·), that move no held row."""
-    from scipy.linalg import null_space
-
-    size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)
-    return np.asarray(null_space(fields[held] / size, _RANK_TOLERANCE) / size[:, None])
-
-
-def _moved_as_one(nodes: FloatArray, move: Any) -> tuple[FloatArray, FloatArray]:
-    """Return nodes after a screw, of the rates of :func:`rigid_motions`, and its turn."""
-    from scipy.linalg import expm
-
-    d = len(nodes)
-    spin = np.concatenate([np.zeros(3), move[d:]])[-3:]  # in the plane about z alone
-    screw = np.zeros((d + 1, d + 1))
-    screw[:d, :d], screw[:d, d] = np.cross(spin, np.eye(3)).T[:d, :d], move[:d]
-    whole, centre = expm(screw), nodes.mean(axis=1, keepdims=True)
-    return whole[:d, :d] @ (nodes - centre) + whole[:d, d:] + centre, whole[:d, :d]
-
-
-def normal_basis(structure: Structure, block: Block, nodes: FloatArray) -> FloatArray:
-    """Return displacements of a block's rows along its bars' forces, shape (r, c), 1/m.
-
-    ``Z = M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹``: J Z = I, and Z is orthogonal in M to what keeps the lengths.
-    """
-    L = np.linalg.cholesky(block_mass(structure, block).toarray())
-    constraints = _scaled_rows(structure, block, nodes, L)
-    scale = np.linalg.norm(bar_rows(structure, block.independent, nodes).toarray(), axis=1)
-    return np.asarray(np.linalg.solve(L.T, np.linalg.pinv(constraints)) / scale)
-
-
-def _scaled_rows(structure: Structure, block: Block, nodes: FloatArray, L: Any) -> FloatArray:
-    """Return ``J L⁻ᵀ``, rows of J of length one, of a block, or refuse a dead centre."""
-    J = bar_rows(structure, block.independent, nodes).toarray()
-    J = J[:, block.rows] / np.linalg.norm(J, axis=1, keepdims=True)
-    rows = np.linalg.solve(L, J.T).T
-    sizes = np.linalg.svd(rows, compute_uv=False)
-    if sizes.size and sizes.min() <= _RANK_TOLERANCE * sizes.max():
-        raise ValueError(
-            f"in nodes, bars {sorted(block.bars.tolist())}, which are joined to one another, are "
-            "in a dead centre: their lengths do not determine their motion. Change the nodes a "
-            "little"
-        )
-    return np.asarray(rows)
-
-
-def _rows(nodes: IntArray, dimension: int) -> IntArray:
-    """Return the rows of vec(N) of some nodes."""
-    return np.asarray((dimension * nodes[:, None] + np.arange(dimension)).ravel())
-
-
-def _across(vector: FloatArray) -> FloatArray:
-    """Return orthonormal directions across a vector, shape (d, d − 1)."""
-    return np.asarray(np.linalg.svd(vector[None, :])[2][1:].T)
-
-
-def _momenta(mass: object, basis: FloatArray) -> FloatArray:
-    """Return M T: the mass matrix acts alike on x, y and z."""
-    n = mass.shape[0]  # type: ignore[attr-defined]
-    return np.asarray(mass @ basis.reshape(n, -1)).reshape(basis.shape)  # type: ignore[operator]
-
-
-def _complement(vectors: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of what is orthogonal to the columns."""
-    U, sizes, _ = np.linalg.svd(vectors)
-    rank = int(np.count_nonzero(sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)))
-    return np.asarray(U[:, rank:])
+            inside = Complement(to_minimal @ left_by_supports(structure, rigid_motions(N)))
+    return Coordinates(structure, kind, frozen(N), basis, to_minimal, mass, inside)

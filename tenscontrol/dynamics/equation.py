@@ -11,8 +11,9 @@ import numpy as np
 
 from tenscontrol.dynamics.contact_laws import Contacts
 from tenscontrol.dynamics.evaluator import Prepared, builds
+from tenscontrol.dynamics.kernel import Masses
 from tenscontrol.dynamics.string_laws import StringLaw
-from tenscontrol.structure import Structure
+from tenscontrol.structure import Structure, free_coordinates
 from tenscontrol.validation import FloatArray
 
 #: How the functions of an equation can be built.
@@ -23,8 +24,9 @@ FORMS = ("flat", "mapped", "loops")
 class InputLayout:
     """What the input u of an equation holds: values that are held, or polynomials in time.
 
-    The values are those of the strings, then the load on all nodes, then what supports and the
-    bars on them are displaced by, node by node, where these are inputs. Of degree 0 they are u.
+    The values are those of the strings, then the load on all nodes, parameters of the model, and
+    what supports and the bars on them are displaced by, node by node, where these are inputs. Of
+    degree 0 they are u.
     Above, u holds their coefficients of power 0, of power 1, and so on, and in the end the time at
     which they are taken, s.
 
@@ -34,17 +36,20 @@ class InputLayout:
         Numbers of values.
     degree : int
         Of the polynomials.
+    parameters : tuple of (str, int)
+        Names and numbers of entries: fields of the string law, ``"bar_mass"``, ``"point_mass"``.
     """
 
     strings: int
     load: int = 0
     offset: int = 0
     degree: int = 0
+    parameters: tuple[tuple[str, int], ...] = ()
 
     @property
     def count(self) -> int:
         """Number of values."""
-        return self.strings + self.load + self.offset
+        return self.strings + self.load + sum(size for _, size in self.parameters) + self.offset
 
     @property
     def size(self) -> int:
@@ -64,6 +69,14 @@ class InputLayout:
             factor = float(np.prod(np.arange(k - order + 1, k + 1)))
             value = value * u[-1] + factor * u[k * self.count : (k + 1) * self.count]
         return value
+
+    def columns(self, u: Any) -> dict[str, Any]:
+        """Return the expressions of the parameters that are inputs, by name."""
+        found, start = {}, self.strings + self.load
+        for name, size in self.parameters:
+            found[name] = self.values(u)[start : start + size]
+            start += size
+        return found
 
     def packed(self, coefficients: FloatArray, time: float) -> FloatArray:
         """Return u of coefficients of ascending powers, shape (count, degree + 1), at a time."""
@@ -185,6 +198,17 @@ class Equation:
         """
         return self.layout.ahead(u, time)
 
+    def masses(self, u: Any) -> Masses | None:
+        """Return the expressions of the masses, or None where they are the structure's.
+
+        Parameters
+        ----------
+        u : casadi.SX or MX, shape (inputs, 1)
+        """
+        if self.structure is None:
+            return None
+        return Masses.of(self.structure, self.layout.columns(u))
+
     def of_strings(self, u: Any) -> Any:
         """Return the expression of the rest lengths, or force densities, at the time of u.
 
@@ -203,6 +227,21 @@ class Equation:
     def _kinked_slope(self) -> ca.Function:
         x, u = self.symbol("x", self.states), self.symbol("u", self.inputs)
         return ca.Function("kinked", [x, u], [self.slope(x, u, self.gap(x, u)[0] > 0)])
+
+
+def pack_state(structure: Structure, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
+    """Return ``x = [vec(N); vec(Ṅ)]`` of what is free, from two arrays of shape (d, n)."""
+    return np.concatenate([free_coordinates(structure, part) for part in (nodes, velocities)])
+
+
+def unpack_states(structure: Structure, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return all nodes and velocities, shape (d, n, T) each, from states, one a column."""
+    d, n = structure.nodes.shape
+    nodes, velocities = np.zeros((2, n * d, states.shape[1]))
+    nodes[:] = structure.nodes.ravel(order="F")[:, None]
+    nodes[structure.free_rows], velocities[structure.free_rows] = np.split(states, 2)
+    shape = (n, d, -1)
+    return nodes.reshape(shape).swapaxes(0, 1), velocities.reshape(shape).swapaxes(0, 1)
 
 
 @builds

@@ -275,13 +275,18 @@ class SharedEvaluator:
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Evaluate and return new arrays, as `Evaluator` does."""
+        with self.outputs(*arguments) as outputs:
+            return [output.copy() for output in outputs]
+
+    @contextmanager
+    def outputs(self, *arguments: Any) -> Iterator[list[FloatArray]]:
+        """Evaluate and yield arrays that no other call overwrites meanwhile."""
         try:
             evaluator = self._idle.pop()
         except IndexError:
             evaluator = Evaluator(self._function)
-        found = [output.copy() for output in evaluator(*arguments)]
+        yield evaluator(*arguments)
         self._idle.append(evaluator)
-        return found
 
 
 class ColumnEvaluator:
@@ -313,9 +318,20 @@ class ColumnEvaluator:
         return results
 
 
+# Of each function, evaluators that no thread uses at the moment.
+_IDLE = Prepared()
+
+
 def evaluate_columns(function: ca.Function, *columns: FloatArray) -> list[FloatArray]:
     """Evaluate a function of column vectors at T of them; see :class:`ColumnEvaluator`."""
-    return ColumnEvaluator(function)(*columns)
+    _, idle = _IDLE.get(function, lambda: (function, deque[ColumnEvaluator]()))
+    try:
+        evaluator = idle.pop()
+    except IndexError:
+        evaluator = ColumnEvaluator(function)
+    found = evaluator(*columns)
+    idle.append(evaluator)
+    return found
 
 
 def _dense(sparsity: ca.Sparsity) -> FloatArray:

@@ -15,7 +15,7 @@ Sign convention::
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -28,6 +28,22 @@ _NO_LENGTH = 1e-12
 
 # CasADi expressions carry no types of their own.
 Symbolic = Any
+
+
+class Masses(NamedTuple):
+    """Masses as expressions, where they are an input, kg; never of bars that share nodes."""
+
+    bar_mass: Symbolic  # (β, 1)
+    point_mass: Symbolic  # (n, 1)
+
+    @classmethod
+    def of(cls, structure: Structure, given: dict[str, Symbolic]) -> Masses | None:
+        """Return the masses with those that are given; None where that is none."""
+        if not given.keys() & set(cls._fields):
+            return None
+        return cls(
+            *(given.get(name, ca.SX(ca.DM(getattr(structure, name)))) for name in cls._fields)
+        )
 
 
 def all_nodes(structure: Structure, free: Symbolic, fixed: FloatArray | None = None) -> Symbolic:
@@ -179,22 +195,24 @@ def bar_force_density(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbol
     return lam
 
 
-def accelerations(structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic) -> Symbolic:
+def accelerations(
+    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic, masses: Masses | None = None
+) -> Symbolic:
     """Return N̈, shape (d, n), m/s², from eq. (7); what supports hold is left empty.
 
-    M_s is inverted in closed form, but for the blocks.
+    M_s is inverted in closed form, but for the blocks. Masses are the structure's if not given.
     """
     Ndd = type(N)(*structure.nodes.shape)
     if len(structure.free_bars):
         start, end = structure.bars[structure.free_bars].T.tolist()
-        Ndd[:, start], Ndd[:, end], _ = _free_bars(structure, N, Nd, F)
+        Ndd[:, start], Ndd[:, end], _ = _free_bars(structure, N, Nd, F, masses)
     if len(structure.swinging_bars):
         tip = structure.hinged_pairs[:, 1].tolist()
-        Ndd[:, tip], _ = _swinging_bars(structure, N, Nd, F)
+        Ndd[:, tip], _ = _swinging_bars(structure, N, Nd, F, masses)
     if len(structure.string_nodes):
         # No string nodes, no block: a scene pays only for what it has.
         points = structure.string_nodes.tolist()
-        Ndd[:, points] = point_acceleration(F[:, points], _row(structure.string_node_mass))
+        Ndd[:, points] = point_acceleration(F[:, points], string_node_mass(structure, masses))
     if structure.blocks:
         every = coupled_block(structure)
         Ndd[every.rows.tolist()], _ = block_motion(structure, every, N, Nd, F)
@@ -405,7 +423,7 @@ def free_bar(
     f = end - start
     lam = -(mass / 12 * dots(Bd, Bd) + dots(B, f) / 2) / dots(B, B)
     half = scale_columns(f, 3 / mass) + scale_columns(B, 6 / mass * lam)
-    centre = scale_columns(start + end, 1 / mass)
+    centre = scale_columns(start + end, reciprocal(mass))
     return centre - half, centre + half, lam
 
 
@@ -423,23 +441,41 @@ def swinging_bar(
 
 def point_acceleration(force: Symbolic, mass: Symbolic) -> Symbolic:
     """Return the acceleration of point masses, m/s², shape (d, k)."""
-    return scale_columns(force, 1 / mass)
+    return scale_columns(force, reciprocal(mass))
+
+
+def reciprocal(mass: Symbolic) -> Symbolic:
+    """Return 1/m, to be multiplied by: the same bits whether masses are numbers or an input."""
+    # CasADi makes a quotient of a product with 1/m.
+    return 0.5 * (2 / mass) if isinstance(mass, ca.SX) and not mass.is_constant() else 1 / mass
+
+
+def bar_mass(structure: Structure, bars: IntArray, masses: Masses | None = None) -> Symbolic:
+    """Return the masses of some bars, kg, a row."""
+    return _row(structure.bar_mass[bars]) if masses is None else masses.bar_mass[bars.tolist()].T
+
+
+def string_node_mass(structure: Structure, masses: Masses | None = None) -> Symbolic:
+    """Return the masses of the string nodes, kg, a row."""
+    if masses is None:
+        return _row(structure.string_node_mass)
+    return masses.point_mass[structure.string_nodes.tolist()].T
 
 
 def _free_bars(
-    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic
+    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic, masses: Masses | None = None
 ) -> tuple[Symbolic, Symbolic, Symbolic]:
     bars = structure.bars[structure.free_bars]
     start, end = (F[:, nodes] for nodes in bars.T.tolist())
-    mass = _row(structure.bar_mass[structure.free_bars])
+    mass = bar_mass(structure, structure.free_bars, masses)
     return free_bar(differences(N, bars), differences(Nd, bars), start, end, mass)
 
 
 def _swinging_bars(
-    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic
+    structure: Structure, N: Symbolic, Nd: Symbolic, F: Symbolic, masses: Masses | None = None
 ) -> tuple[Symbolic, Symbolic]:
     bars = structure.hinged_pairs
-    tip, mass = F[:, bars[:, 1].tolist()], _row(structure.bar_mass[structure.swinging_bars])
+    tip, mass = F[:, bars[:, 1].tolist()], bar_mass(structure, structure.swinging_bars, masses)
     return swinging_bar(differences(N, bars), differences(Nd, bars), tip, mass)
 
 

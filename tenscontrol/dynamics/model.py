@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -13,13 +14,13 @@ from tenscontrol.dynamics.contact_laws import ContactLaw, Contacts, checked_grou
 from tenscontrol.dynamics.equation import FORMS, Equation, InputLayout, in_time
 from tenscontrol.dynamics.evaluator import Prepared, built
 from tenscontrol.dynamics.forms import loops_functions, mapped_functions, members_alone
+from tenscontrol.dynamics.gravity import gravity_vector, weights
 from tenscontrol.dynamics.machine_code import compiler
 from tenscontrol.dynamics.string_laws import StringLaw
-from tenscontrol.structure import Structure, free_coordinates, node_mass
+from tenscontrol.structure import Structure, node_mass
 from tenscontrol.validation import (
     FloatArray,
     choice,
-    float_array,
     frozen,
     instance,
     shaped,
@@ -114,7 +115,7 @@ class Model:
                 raise ValueError("strings is given, but the structure has none; leave it out")
             strings = strings.for_count(len(structure.strings))
         shape = structure.nodes.shape
-        constant = np.zeros(shape)
+        load, fall = np.zeros(shape), np.zeros(shape[0])
         takes_load = False
         if external_force is None or isinstance(external_force, bool | np.bool_):
             meaning = "whether the functions take a load W; or a built-in load, shape (d, n)"
@@ -122,15 +123,17 @@ class Model:
                 "external_force", external_force, meaning
             )
         else:
-            constant += shaped("external_force", external_force, shape, "one force per node, N")
+            load += shaped("external_force", external_force, shape, "one force per node, N")
         if gravity is not None:
-            constant += _weights(structure, _gravity_vector(gravity, structure.dimension))
+            fall = gravity_vector(gravity, structure.dimension)
         self._structure = structure
         self._strings = strings
         laws = checked_grounds(ground, structure)
         self._contacts = Contacts.of(structure, laws) if laws else None
         self._external_force = takes_load
-        self._constant_force = frozen(constant)
+        masses = structure.bar_mass, structure.point_mass
+        self._constant_force = frozen(load + weights(structure, fall, *masses))
+        self._load, self._gravity = frozen(load), frozen(fall)
         self._prepared = Prepared()
 
     @property
@@ -162,6 +165,16 @@ class Model:
     def constant_force(self) -> FloatArray:
         """Weights and built-in load on the nodes, N, shape (d, n), all nodes."""
         return self._constant_force
+
+    @property
+    def gravity(self) -> FloatArray:
+        """Acceleration of free fall, m/s², shape (d,); zero if none was given."""
+        return self._gravity
+
+    @property
+    def built_in_load(self) -> FloatArray:
+        """The load that was built in, N, shape (d, n), without weights."""
+        return self._load
 
     @property
     def prepared(self) -> Prepared:
@@ -263,6 +276,7 @@ class Model:
         degree: int = 0,
         load_input: bool = False,
         offset_input: bool = False,
+        parameters: Sequence[str] = (),
     ) -> Equation:
         """Return the state equation for an integrator, for fixed slack and taut strings.
 
@@ -285,6 +299,9 @@ class Model:
             Whether the load on all nodes, N, is a further input, in place of all others; and
             the displacement of nodes with their supports, m, which strings see.
             See :class:`InputLayout`.
+        parameters : sequence of str
+            Further inputs, a number a string, bar or node: parameters of the string law by name,
+            and unless bars share nodes ``"bar_mass"`` and ``"point_mass"``. The form is "flat".
 
         Raises
         ------
@@ -300,6 +317,8 @@ class Model:
         if external_force is not None:
             meaning = "one force per node, N"
             load = load + shaped("external_force", external_force, load.shape, meaning)
+        sizes = self._parameter_sizes(parameters, law)
+        form = "flat" if sizes else form
         if form == "auto":
             small = self._prepared.get("small", lambda: _is_small(self._structure))
             form = "flat" if small else "mapped" if compiler() is None else "loops"
@@ -308,8 +327,9 @@ class Model:
         truth("offset_input", offset_input, "whether supports move")
         entries = self._structure.nodes.size
         layout = InputLayout(
-            len(self._structure.strings), entries * load_input, entries * offset_input, degree
-        )
+            len(self._structure.strings), entries * load_input, entries * offset_input, degree,
+            sizes,
+        )  # fmt: skip
         if load_input:
             load = np.zeros_like(load)
 
@@ -321,7 +341,7 @@ class Model:
             functions = make(self._structure, law, load, layout, contacts)
             symbol = ca.SX.sym if form == "flat" else ca.MX.sym
             slope, gap, force = in_time(functions, layout, law is not None, symbol)
-            damped = law is not None and law.is_damped
+            damped = law is not None and (law.is_damped or "damping" in parameters)
             damped |= contacts is not None and contacts.is_velocity_dependent
             constant = frozen(load) if load.any() else None
             return Equation(
@@ -332,6 +352,15 @@ class Model:
         by = compiler() if form == "loops" else None
         return self._prepared.get(("equation", input, load.tobytes(), form, layout, by), build)
 
+    def _parameter_sizes(
+        self, names: Sequence[str], law: StringLaw | None
+    ) -> tuple[tuple[str, int], ...]:
+        structure = self._structure
+        known = {"bar_mass": len(structure.bars), "point_mass": structure.nodes.shape[1]}
+        known = {} if structure.blocks else known
+        known |= {each.name: len(structure.strings) for each in (fields(law) if law else ())}
+        return tuple((choice("parameters", name, known), known[name]) for name in names)
+
     def _flat_functions(
         self, structure: Structure, law: StringLaw | None, load: FloatArray, layout: InputLayout,
         contacts: Contacts | None,
@@ -341,9 +370,14 @@ class Model:
         s["load"] = ca.sparsify(ca.DM(load)) if load.any() else None
         u = s["gamma"] if law is None else s["rest_length"]
         given = u
+        own = {name: ca.SX.sym(name, size) for name, size in layout.parameters}
         if layout.load:
             s["load"] = ca.SX.sym("load", *structure.nodes.shape)
             given = ca.vertcat(given, ca.vec(s["load"]))
+        if own:
+            given, s["masses"] = ca.vertcat(given, *own.values()), kernel.Masses.of(structure, own)
+            if law is not None:
+                law = law.with_parameters({f.name: getattr(law, f.name) for f in fields(law)} | own)
         if layout.offset:
             # Strings see where nodes are; bars only where they are beside their supports.
             offsets = [ca.SX.sym(name, *structure.nodes.shape) for name in ("offset", "rate")]
@@ -526,7 +560,9 @@ class Model:
 
     def _ndd(self, s: dict[str, Any], gamma: Any) -> Any:
         forces = self._forces(s, gamma)
-        Ndd = kernel.accelerations(self._structure, s["nodes"], s["velocities"], forces)
+        Ndd = kernel.accelerations(
+            self._structure, s["nodes"], s["velocities"], forces, s.get("masses")
+        )
         return ca.densify(Ndd[:, self._structure.free.tolist()])
 
     def _xdot(self, s: dict[str, Any], gamma: Any) -> Any:
@@ -551,46 +587,7 @@ class Model:
         return self._strings
 
 
-def pack_state(structure: Structure, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
-    """Return ``x = [vec(N); vec(Ṅ)]`` of what is free, from two arrays of shape (d, n)."""
-    return np.concatenate([free_coordinates(structure, part) for part in (nodes, velocities)])
-
-
-def unpack_states(structure: Structure, states: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return all nodes and velocities, shape (d, n, T) each, from states, one a column."""
-    d, n = structure.nodes.shape
-    nodes, velocities = np.zeros((2, n * d, states.shape[1]))
-    nodes[:] = structure.nodes.ravel(order="F")[:, None]
-    nodes[structure.free_rows], velocities[structure.free_rows] = np.split(states, 2)
-    shape = (n, d, -1)
-    return nodes.reshape(shape).swapaxes(0, 1), velocities.reshape(shape).swapaxes(0, 1)
-
-
 def _is_small(structure: Structure) -> bool:
     """Whether every member is written out, by what members cost."""
     members = len(structure.bars) + len(structure.strings)
     return members <= LARGEST_FLAT >= members_alone(structure)
-
-
-def _gravity_vector(gravity: object, dimension: int) -> FloatArray:
-    vector = float_array("gravity", gravity)
-    if vector.ndim == 0:
-        if vector < 0:
-            raise ValueError(
-                f"gravity is {vector:g} m/s², expected at least 0: a number is the size of an "
-                f"acceleration that points down. Give {-vector:g}, or a vector"
-            )
-        return np.append(np.zeros(dimension - 1), -float(vector))
-    if vector.shape != (dimension,):
-        raise ValueError(
-            f"gravity has shape {vector.shape}, expected () or ({dimension},): m/s² downward, or a "
-            "vector"
-        )
-    return vector
-
-
-def _weights(structure: Structure, gravity: FloatArray) -> FloatArray:
-    """Return the weights at the nodes, N, shape (d, n): half a bar's at each of its ends."""
-    mass = structure.point_mass.copy()
-    np.add.at(mass, structure.bars, structure.bar_mass[:, None] / 2)
-    return np.asarray(np.outer(gravity, mass))

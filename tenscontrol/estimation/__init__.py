@@ -3,7 +3,4 @@
 from tenscontrol.estimation.kalman_filter import Estimate, FilterStatistics, KalmanFilter
 from tenscontrol.estimation.sensors import KINDS, Sensors
 
-#: The name of :class:`KalmanFilter` in 0.1.
-kalman = KalmanFilter
-
-__all__ = ["KINDS", "Estimate", "FilterStatistics", "KalmanFilter", "Sensors", "kalman"]
+__all__ = ["KINDS", "Estimate", "FilterStatistics", "KalmanFilter", "Sensors"]

@@ -137,18 +137,8 @@ def _observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
 
 def _restricted(plant: LinearPlant, keep: FloatArray) -> LinearPlant:
     """Return the plant on the space of orthonormal columns of its coordinates, shape (r, k)."""
-    frame = plant.coordinates
-    twice = np.kron(np.eye(2), keep)
-    projection = keep.T @ frame.project(np.eye(plant.nodes.size))
-    return replace(
-        plant,
-        coordinates=replace(
-            frame, basis=frozen(frame.basis @ keep), _projection=frozen(projection)
-        ),
-        A=frozen(twice.T @ plant.A @ twice),
-        B=frozen(twice.T @ plant.B),
-        drift=frozen(twice.T @ plant.drift),
-    )
+    within = plant.coordinates.within(keep)
+    return replace(plant, coordinates=within, A=None, B=None, drift=None)
 
 
 def unseen(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> UnseenStates:

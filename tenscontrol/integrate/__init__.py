@@ -3,7 +3,7 @@
 from tenscontrol.integrate.cvodes import CVODES, is_expandable, jacobian_weight, state_jacobian
 from tenscontrol.integrate.dop853 import DOP853
 from tenscontrol.integrate.energy_momentum import EnergyMomentum
-from tenscontrol.integrate.fixed_step import RK4
+from tenscontrol.integrate.fixed_step import RK4, FixedStep, not_finite
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -15,6 +15,7 @@ from tenscontrol.integrate.integrator import (
     largest_frequency,
     state_scale,
 )
+from tenscontrol.integrate.lanes import Lanes
 from tenscontrol.integrate.methods import METHODS, Choice, Method, choose, method_of
 from tenscontrol.integrate.projection import Projector
 from tenscontrol.integrate.rattle import Rattle, Rattle4, Rattle6, splitting
@@ -26,9 +27,11 @@ __all__ = [
     "RK4",
     "Choice",
     "EnergyMomentum",
+    "FixedStep",
     "IntegrationError",
     "IntegrationInterrupt",
     "Integrator",
+    "Lanes",
     "Method",
     "Projector",
     "Rattle",
@@ -43,6 +46,7 @@ __all__ = [
     "jacobian_weight",
     "largest_frequency",
     "method_of",
+    "not_finite",
     "splitting",
     "state_jacobian",
     "state_scale",

@@ -8,8 +8,17 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import Equation, Evaluator, compiler
-from tenscontrol.integrate.events import crossing, landing, taut_strings
+from tenscontrol.dynamics import Equation, SharedEvaluator, compiled_source, compiler
+from tenscontrol.integrate.dop853_loop import loop_source
+from tenscontrol.integrate.events import (
+    POLISHES,
+    crossing,
+    distance,
+    landing,
+    search,
+    switching,
+    taut_strings,
+)
 from tenscontrol.integrate.integrator import (
     IntegrationError,
     IntegrationInterrupt,
@@ -18,8 +27,8 @@ from tenscontrol.integrate.integrator import (
     Span,
     Work,
     checked_tolerance,
-    in_machine_code,
     largest_frequency,
+    power_iteration,
     state_scale,
 )
 from tenscontrol.integrate.projection import NOT_RIGID, Projector, projection
@@ -32,8 +41,8 @@ _STAGES, _MORE_STAGES = 12, 3
 # Coefficients of the interpolant.
 _POWERS = 7
 
-# Turns (steps tried) per call into CasADi, and the most numbers that they may record.
-_TURNS = 32
+# Turns (steps tried) per call, interpreted and compiled, and the most numbers that they may record.
+_TURNS, _COMPILED_TURNS = 32, 256
 _MOST_RECORDED = 4e6
 
 # How the step follows the error: by a factor 0.9 error^(-1/8) within these bounds.
@@ -44,6 +53,9 @@ _SHORTEST = 10 * np.finfo(float).eps
 
 # A longer step, times the largest frequency, makes round-off grow, which no error estimate sees.
 _STABLE = 4.0
+
+# What ending late at a switch may change of velocities, as part of what a step may err.
+_LATE = 0.01
 
 # Switches in a row without any time between them, at most.
 _MOST_STALLS = 50
@@ -88,21 +100,30 @@ class DOP853(Integrator):
         self._held: FloatArray | None = None  # input for which it was found
         by = compiler() if machine_code else None
         built = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
-        chunk, start, self._turns, self.back_end = built
-        self._chunk, self._start = Evaluator(chunk), Evaluator(start)
+        self._chunk, self._start, self._largest, self._turns, self.back_end = built
 
     def _build(
         self, project: bool, machine_code: bool
-    ) -> tuple[ca.Function, ca.Function, int, str]:
-        """Return many turns, taut and slope at the start, how many turns, and the back end."""
+    ) -> tuple[SharedEvaluator, SharedEvaluator, SharedEvaluator | None, int, str]:
+        """Return many turns, taut and slope at the start, what finds the largest frequency.
+
+        Then how many turns, and the back end.
+        """
         equation = self._equation
-        count = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _TURNS))
-        turns = _Turn(equation, project).function().mapaccum(count)
-        chunk, back_end = in_machine_code(equation, turns, machine_code)
+        most = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _COMPILED_TURNS))
+        functions: tuple[ca.Function | None, ...] = ()
+        back_end = "machine code for the forces"
+        if equation.form != "loops":
+            functions, back_end = _compiled_turns(equation, project, most, machine_code)
+        if not functions:
+            most = min(most, _TURNS)
+            functions = _Turn(equation, project).function().mapaccum(most), None
         x, u, _, _ = equation.symbols(ca.MX)
         taut = taut_strings(equation, x, u)
         start = ca.Function("start", [x, u], [taut, equation.slope(x, u, taut)])
-        return chunk, start, count, back_end
+        chunk, largest = functions
+        by = None if largest is None else SharedEvaluator(largest)
+        return SharedEvaluator(chunk), SharedEvaluator(start), by, most, back_end
 
     def advance(
         self,
@@ -118,10 +139,10 @@ class DOP853(Integrator):
         before, of_strings = self._held, held[: self._equation.layout.strings]
         # The frequency is found again only where an input has changed by more than a fifth.
         if before is None or (np.abs(of_strings - before) > 0.2 * np.abs(before)).any():
-            self._frequency = largest_frequency(self._equation, state, held)
+            self._frequency = largest_frequency(self._equation, state, held, self._largest)
             self._held = of_strings.copy()
         scale = state_scale(self._equation, state, held, self._frequency)
-        taut, slope = (part.copy() for part in self._start(state, held))
+        taut, slope = self._start(state, held)
         step = _first_step(slope, scale, duration)
         carried = np.concatenate([state, slope, taut, [0.0, step], np.zeros(len(_CARRIED) - 2)])
         spacing = duration / outputs
@@ -129,15 +150,16 @@ class DOP853(Integrator):
         states = np.empty((n, outputs))
         longest = min(_STABLE / max(self._frequency, 1e-300), duration)
         given = np.concatenate([held, [duration, spacing, longest], self.tolerance * scale])
-        given = np.tile(given[:, None], (1, self._turns)) if self._turns > 1 else given
+        if self._largest is None and self._turns > 1:  # a column for each turn of the graph
+            given = np.tile(given[:, None], (1, self._turns))
         done, told = 0, dict.fromkeys(_CARRIED, 0.0)
         try:
             while told["time"] < duration:
                 check()
-                after, recorded = self._chunk(carried, given)
-                carried = after.reshape(-1, self._turns, order="F")[:, -1].copy()
-                recorded = recorded.reshape(-1, self._turns, order="F")
-                done = _interpolate(recorded, times[:-1], states, done)
+                with self._chunk.outputs(carried, given) as (after, recorded):
+                    carried = after.reshape(len(carried), -1, order="F")[:, -1].copy()
+                    recorded = recorded.reshape(-1, self._turns, order="F")
+                    done = _interpolate(recorded, times[:-1], states, done)
                 told = dict(zip(_CARRIED, carried[2 * n + switches :].tolist(), strict=True))
                 if told["stuck"]:
                     raise IntegrationError(
@@ -161,15 +183,49 @@ class DOP853(Integrator):
             raise IntegrationInterrupt(told["time"], reached) from None
 
 
+def _compiled_turns(
+    equation: Equation, project: bool, count: int, wanted: bool
+) -> tuple[tuple[ca.Function, ...], str]:
+    """Return so many turns of the loop in C, and what finds the largest frequency; or nothing.
+
+    That is where it is not wanted, or there is no compiler.
+    """
+    if not wanted or compiler() is None:
+        return (), "virtual machine"
+    exact = projection(equation) if project else None
+    functions = [equation.slope, *([] if exact is None else [exact])]
+    if equation.switches:
+        functions += [each(equation) for each in (crossing, search, distance, switching)]
+    functions.append(power_iteration(equation))
+    n = equation.states
+    sizes = {
+        "STATES": n, "INPUTS": equation.inputs, "SWITCHES": equation.switches,
+        "DEGREE": equation.layout.degree, "TURNS": count, "RECORD": 2 + n * (1 + _POWERS),
+        "POLISHES": POLISHES, "MOST_STALLS": _MOST_STALLS,
+    }  # fmt: skip
+    numbers = {
+        "SAFETY": _SAFETY, "LEAST": _LEAST, "MOST": _MOST, "ORDER": _ORDER, "STABLE": _STABLE,
+        "SHORTEST": _SHORTEST, "TWICE_LATE": 2 * _LATE, "MORE": 1 + 1e-14,
+    }  # fmt: skip
+    source = loop_source(functions, sizes, numbers, _CARRIED, _coefficients())
+    return compiled_source(source, ("turns", "largest")), "machine code"
+
+
+def _coefficients() -> Any:
+    from scipy.integrate import DOP853
+
+    return DOP853
+
+
 def _work(told: dict[str, float]) -> Work:
     tries, landings = round(told["tries"]), round(told["landings"])
     return Work(
         steps=tries - round(told["rejections"]),
         rejections=round(told["rejections"]),
         evaluations=1
+        # A landing takes a new start.
         + _STAGES * (tries + round(told["approaches"]))
-        # A landing takes two slopes for its interpolant, its last step again, and a new start.
-        + (_STAGES + 3) * landings
+        + landings
         + _MORE_STAGES * round(told["interpolants"]),
         switches=round(told["switches"]),
     )
@@ -188,7 +244,7 @@ def _interpolate(recorded: FloatArray, times: FloatArray, states: FloatArray, do
     within = recorded[:, np.minimum(np.searchsorted(ends, now), len(ends) - 1)]
     part = (now - within[0]) / within[1]
     value = np.zeros((n, len(now)))
-    for i, rows in enumerate(np.split(within[2 + n :], _POWERS)[::-1]):
+    for i, rows in enumerate(within[2 + n :].reshape(_POWERS, n, len(now))[::-1]):
         value = (value + rows) * (part if i % 2 == 0 else 1 - part)
     states[:, done:reached] = value + within[2 : 2 + n]
     return reached
@@ -277,10 +333,13 @@ class _Turn:
 
     def _cut(self) -> ca.Function:
         x, f, taut = self._carried[:3]
-        land = landing(self._method.plain(), self._equation)
-        u = self._input
-        _, taut2, taken, switched, tries = land(x, taut, u, self._h, self._x1)
-        x2, f2, _, K2 = self._tried(x, f, u, taut, taken, self._scale)
+        n, u = self._equation.states, self._input
+        land = landing(self._method.trial(), self._equation)
+        # What ending late may change of velocities, as part of what a step may err; see landing().
+        allowed = 2 * _LATE * self._scale[n - 1] * (self._longest / _STABLE) ** 2
+        y, y1 = ca.vertcat(x, f), ca.vertcat(self._x1, self._f1, ca.vec(self._K))
+        y2, taut2, taken, switched, tries = land(y, taut, u, self._h, y1, f, self._f1, allowed)
+        x2, f2, K2 = y2[:n], y2[n : 2 * n], ca.reshape(y2[2 * n :], n, _STAGES + 1)
         time = self._after(taken)
         # Strings that switch again and again while no time passes.
         stalled = taken < _SHORTEST * self._duration
@@ -354,11 +413,9 @@ class _DormandPrince:
     """One step of the method for fixed ``taut``, as CasADi functions."""
 
     def __init__(self, equation: Equation, project: bool = False) -> None:
-        from scipy.integrate import DOP853  # holds the coefficients
-
         self._equation = equation
         self._project = projection(equation) if project else None
-        self._method = DOP853
+        self._method = _coefficients()
         x, *rest = equation.symbols(ca.MX)
         self._inputs = [x, ca.MX.sym("f", x.shape), *rest]
 
@@ -376,12 +433,15 @@ class _DormandPrince:
         _, _, u, _, h = self._inputs
         return self._equation.ahead(u, part * h)
 
-    def plain(self) -> ca.Function:
-        """Return ``(x, u, taut, h) -> x1``: the step alone."""
+    def trial(self) -> ca.Function:
+        """Return ``([x; f], u, taut, h) -> [x1; f1; K]``: the step alone, without its error."""
         x, _, u, taut, h = self._inputs
-        stages = ca.Function("stages", self._inputs, [self._stages()[0]])
-        x1 = stages(x, self._equation.slope(x, u, taut), u, taut, h)
-        return ca.Function("dop853", [x, u, taut, h], [x1])
+        x1, slopes = self._stages()
+        f1 = self._equation.slope(x1, self._at(1.0), taut)
+        stages = ca.Function("stages", self._inputs, [ca.vertcat(x1, f1, *slopes, f1)])
+        y = ca.MX.sym("y", 2 * x.shape[0])
+        end = stages(*ca.vertsplit(y, x.shape[0]), u, taut, h)
+        return ca.Function("trial", [y, u, taut, h], [end])
 
     def tried(self) -> ca.Function:
         """Return ``(x, f, u, taut, h, scale) -> (x1, f1, error, K)``.

@@ -36,20 +36,24 @@ BAND = 1e-11
 # O(h⁵), so each true step gains several digits.
 _SAMPLES = 6
 _ZOOMS = 2
-_POLISHES = 4
+POLISHES = 4
+
+# How late steps of a method without error control end at a switch, as part of the length of the
+# string: the force is wrong by the square of it. And at most, as part of the step.
+LATE, _MOST_LATE = 1e-9, 1e-3
 
 # With ground: a node that dips in by δ at the acceleration a stays √(8δ/a), a small part of a long
 # step. Each zoom finds dips of a ninth of the depth.
 _ZOOMS_ON_GROUND = 7
 
 # Substeps that one step may be cut into; the rest is then taken whole, and counted.
-_SUBSTEPS = 8
+SUBSTEPS = 8
 
 # Instructions of the room up to which it is written out for each sample.
 _MOST_WRITTEN = 1000
 
 # What is left of a step below this part of it is round-off.
-_REST = 1e-13
+REST = 1e-13
 
 # Steps to a crossing, which is next to zero where a string starts on the border of slack.
 _MOST_HALVINGS = 5000
@@ -68,7 +72,7 @@ def located(step: ca.Function, equation: Equation) -> ca.Function:
     The step ``(x, u, taut, h) -> x1`` is for fixed ``taut``; counts are those of :data:`COUNTS`.
     """
     x, taut, u, h, x1 = _symbols(equation)
-    attempt, land = _attempt(step, equation), landing(step, equation)
+    attempt, land = _attempt(step, equation), _landing_of(step, equation)
     uncut = ca.Function("uncut", [x, taut, u, h, x1], [x1, taut, _count(tries=1)])
     x2, taut2, taken, switched, tries = land(x, taut, u, h, x1)
     counts = _count(tries=1 + tries, landings=1, switches=switched)
@@ -116,46 +120,125 @@ def crossing(equation: Equation) -> ca.Function:
     return ca.Function("crossing", [x, x1, u, taut, h], [found])
 
 
-def landing(step: ca.Function, equation: Equation) -> ca.Function:
-    """Return ``(x, taut, u, h, x1) -> (x2, taut2, taken, switched, tries)``: up to a switch.
+def landing(step: ca.Function, equation: Equation, least: float = 0.0) -> ca.Function:
+    """Return ``(y, taut, u, h, y1, xd, xd1, allowed) -> (y2, taut2, taken, switched, tries)``.
 
-    The first switch of a step is sought on the quintic interpolant of positions, velocities and
-    accelerations at both ends, then approached by true steps. Where there is
-    none after all, the step is returned as it was.
+    It leads up to the first switch of a step ``(y, u, taut, h) -> y1``, whose y and y1 begin with
+    the states at its ends, of slopes xd and xd1, and may carry more. The switch is sought on the
+    quintic interpolant of positions, velocities and accelerations at both ends, then approached by
+    true steps; as a rule by one. Where there is none after all, y2 is y1.
+
+    A step that ends past the border by δ, where the gap shrinks at r, leaves an impulse of δ²/2r
+    times the stiffness, as a force that does not depend on velocities is continuous there. So it
+    ends past the border by at most ``√(allowed r)``, or the part ``least`` of the length of the
+    string if that is more, and never before it. Other forces jump: at most :data:`BAND` then.
     """
+    n = equation.states
+    _, taut, u, h, _ = _symbols(equation)
+    sizes = {"y": step.size1_in(0), "y1": step.size1_out(0), "xd": n, "xd1": n, "allowed": 1}
+    y, y1, xd, xd1, allowed = (ca.MX.sym(name, size) for name, size in sizes.items())
+    found, part, speed, aim, chosen, leaving = search(equation, least)(
+        y[:n], taut, u, h, y1[:n], xd, xd1, allowed
+    )
+    # Where there is none, no step is taken.
+    begin = ca.vertcat(part, 0, ca.if_else(found, 0, aim), speed, ca.logic_not(found), y1)
+    given = (y, taut, u, h, chosen, aim)
+    reached = _approach(step, equation).fold(POLISHES)(
+        begin, *(ca.repmat(each, 1, POLISHES) for each in given)
+    )
+    part, steps, end = reached[1], reached[4], reached[5:]
+    taut2, switched = switching(equation)(end[:n], equation.ahead(u, part * h), taut, leaving)
+    outputs = [
+        end,
+        ca.if_else(found, taut2, taut),
+        ca.if_else(found, part * h, h),
+        ca.if_else(found, switched, 0),
+        ca.if_else(found, steps, 0),
+    ]
+    return ca.Function("landing", [y, taut, u, h, y1, xd, xd1, allowed], outputs)
+
+
+def search(equation: Equation, least: float = 0.0) -> ca.Function:
+    """Return what finds the first switch of a step on its interpolant; see :func:`landing`.
+
+    ``(x, taut, u, h, x1, xd, xd1, allowed) -> (found, part, speed, aim, chosen, leaving)``: whether
+    there is one; at which part of the step; the slope of the gap along the step; the gap to end at;
+    the strings whose mean gap that is, and those on their way out, 1 or 0 each.
+    """
+    n = equation.states
     x, taut, u, h, x1 = _symbols(equation)
-    inside_step, room = _interpolant(equation), _room(equation)
-    zoom = _zoom(room, equation)
-    ends = [x, equation.slope(x, u, taut), x1, equation.slope(x1, equation.ahead(u, h), taut), h]
-    within = [inside_step(*ends), u, taut, h]
+    xd, xd1, allowed = (ca.MX.sym(name, size) for name, size in (("xd", n), ("e", n), ("a", 1)))
+    zoom, first_out = zoom_in(equation), switch_on_interpolant(equation, least)
+    within = [interpolant(equation)(x, xd, x1, xd1, h), u, taut, h]
     low, high, found = ca.MX(0), ca.MX(1), ca.MX(0)
-    for _ in range(_ZOOMS if equation.contacts is None else _ZOOMS_ON_GROUND):
+    for _ in range(zooms(equation)):
         low, high, found = zoom(*within, low, high)
+    names = [x, taut, u, h, x1, xd, xd1, allowed]
+    outputs = [found, *first_out(*within, low, high, found, allowed)]
+    return ca.Function("search", names, [ca.densify(each) for each in outputs])
+
+
+def zooms(equation: Equation) -> int:
+    """Return how often :func:`search` zooms in."""
+    return _ZOOMS if equation.contacts is None else _ZOOMS_ON_GROUND
+
+
+def switch_on_interpolant(equation: Equation, least: float = LATE) -> ca.Function:
+    """Return ``(coefficients, u, taut, h, low, high, found, allowed) -> (part, …)`` of `search`."""
+    _, taut, u, h, _ = _symbols(equation)
+    coefficients = ca.MX.sym("coefficients", equation.states // 2, 6)
+    low, high, found, allowed = (ca.MX.sym(name) for name in ("low", "high", "found", "allowed"))
+    room, within = _room(equation), [coefficients, u, taut, h]
     inside, outside = room(*within, low), room(*within, high)
     # The string that is out first, by the secants; several, where they go out together.
-    band = 0.5 * BAND * equation.gap_scale(u)
-    near, start = ca.mmin(band), ca.fmax(inside, 0)
+    scale = equation.gap_scale(u)
+    near, size = ca.mmin(0.5 * BAND * scale), ca.mmin(scale)
+    start = ca.fmax(inside, 0)
     first = ca.mmin(ca.if_else(outside < 0, start / ca.if_else(outside < 0, start - outside, 1), 1))
     out = ca.logic_and(outside < 0, inside + first * (outside - inside) <= near)
     chosen = ca.if_else(found, out, outside <= ca.mmin(outside) + near)
-    before, after = (ca.dot(chosen, value) / ca.sum1(chosen) for value in (inside, outside))
+    # Their mean gap, and where it is to end.
+    edge = BAND * size
+    before, after = (ca.dot(chosen, value) / ca.sum1(chosen) - edge for value in (inside, outside))
     speed = (after - before) / (high - low)
-    reached = _approach(step, equation).fold(_POLISHES)(
-        ca.vertcat(low - before / speed, low, before, speed, 0, x1),
-        *(ca.repmat(a, 1, _POLISHES) for a in (x, taut, u, h, chosen)),
-    )
-    part, steps, end = reached[1], reached[4], reached[5:]
-    # Whatever else has reached the border and is on its way out switches with it.
-    at_border = (2 * taut - 1) * equation.gap(end, equation.ahead(u, part * h))[0] <= band
-    switch = ca.logic_and(at_border, outside < inside)
-    outputs = [
-        ca.if_else(found, end, x1),
-        ca.if_else(found, ca.fabs(taut - switch), taut),
-        ca.if_else(found, part * h, h),
-        ca.if_else(found, ca.sum1(switch), 0),
-        steps,
-    ]
-    return ca.Function("landing", [x, taut, u, h, x1], outputs)
+    late = ca.fmin(ca.sqrt(allowed * ca.fabs(speed) / h), _MOST_LATE * ca.fabs(speed))
+    late = ca.fmax(late, least * size) if not equation.velocity_dependent else 0
+    aim = ca.fmax(-ca.fmax(late, 0.8 * BAND * size), after) / 2
+    # One step of the secant method on the interpolant.
+    guess = ca.fmin(ca.fmax(low + (aim - before) / speed, low), high)
+    there = ca.dot(chosen, room(*within, guess)) / ca.sum1(chosen) - edge
+    secant = (there - before) / ca.if_else(guess > low, guess - low, 1)
+    speed = ca.if_else(ca.logic_and(guess > low, secant < 0), secant, speed)
+    part = guess + (aim - there) / speed
+    outputs = [part, speed, aim, chosen, outside < inside]
+    names = [*within, low, high, found, allowed]
+    return ca.Function("first_out", names, [ca.densify(each) for each in outputs])
+
+
+def distance(equation: Equation) -> ca.Function:
+    """Return ``(x, u, taut, chosen) -> gap``: the mean gap of strings, positive before a switch."""
+    x, u, taut, _ = equation.symbols()
+    chosen = equation.symbol("chosen", equation.switches)
+    gap = (2 * taut - 1) * equation.gap(x, u)[0]
+    return ca.Function("distance", [x, u, taut, chosen], [ca.dot(chosen, gap) / ca.sum1(chosen)])
+
+
+def switching(equation: Equation) -> ca.Function:
+    """Return ``(x, u, taut, leaving) -> (taut2, switched)``: what has reached the border."""
+    x, u, taut, _ = equation.symbols()
+    leaving = equation.symbol("leaving", equation.switches)
+    gap, band = (2 * taut - 1) * equation.gap(x, u)[0], 0.5 * BAND * equation.gap_scale(u)
+    switch = ca.logic_and(gap <= band, leaving)
+    outputs = [ca.densify(ca.fabs(taut - switch)), ca.densify(ca.sum1(switch))]
+    return ca.Function("switching", [x, u, taut, leaving], outputs)
+
+
+def _landing_of(step: ca.Function, equation: Equation) -> ca.Function:
+    """Return ``(x, taut, u, h, x1) -> (x2, …)``: :func:`landing` for a step of x alone."""
+    x, taut, u, h, x1 = _symbols(equation)
+    ends = equation.slope(x, u, taut), equation.slope(x1, equation.ahead(u, h), taut)
+    land = landing(step, equation, LATE)
+    return ca.Function("landing_of", [x, taut, u, h, x1], list(land(x, taut, u, h, x1, *ends, 0)))
 
 
 def _attempt(step: ca.Function, equation: Equation) -> ca.Function:
@@ -165,7 +248,7 @@ def _attempt(step: ca.Function, equation: Equation) -> ca.Function:
     return ca.Function("attempt", [x, taut, u, h], [end, crossing(equation)(x, end, u, taut, h)])
 
 
-def _interpolant(equation: Equation) -> ca.Function:
+def interpolant(equation: Equation) -> ca.Function:
     """Return ``(x, xd, x1, xd1, h) -> coefficients`` of the positions inside a step.
 
     They belong to the polynomial of degree 5 with the positions, velocities and
@@ -197,12 +280,13 @@ def _room(equation: Equation) -> ca.Function:
     return ca.Function("room", [coefficients, u, taut, h, s], [room])
 
 
-def _zoom(room: ca.Function, equation: Equation) -> ca.Function:
+def zoom_in(equation: Equation) -> ca.Function:
     """Return ``(coefficients, u, taut, h, low, high) -> (low, high, found)``.
 
     The least room is sampled at equal parts of the bracket, and the bracket closes in on the
     samples next to the first that is negative; where none is, on the lowest.
     """
+    room = _room(equation)
     written = equation.form == "flat" and room.n_instructions() <= _MOST_WRITTEN
     symbols: Any = ca.SX if written else ca.MX  # a call, not written out six times for compilers
     within = [symbols.sym(room.name_in(i), room.sparsity_in(i)) for i in range(4)]
@@ -226,27 +310,40 @@ def _approach(step: ca.Function, equation: Equation) -> ca.Function:
     """Return one true step towards the switch by the secant method, for ``fold``.
 
     The state is the part of the step to take next, the part last taken, the
-    room there, its slope along the step, how many steps were taken, and where
-    the last one led. Once that is the border, nothing more is done.
+    gap there, its slope along the step, how many steps were taken, and where
+    the last one led. Once that is past the border, by twice the aim at most, nothing more is done.
     """
-    x, taut, u, h, _ = _symbols(equation)
-    state = ca.MX.sym("state", 5 + equation.states)
-    chosen = ca.MX.sym("chosen", equation.switches)
+    n = equation.states
+    _, taut, u, h, _ = _symbols(equation)
+    y = ca.MX.sym("y", step.size1_in(0))
+    state = ca.MX.sym("state", 5 + step.size1_out(0))
+    chosen, aim = ca.MX.sym("chosen", equation.switches), ca.MX.sym("aim")
     wanted, before, gap_before, speed, taken = (state[i] for i in range(5))
-    # A string that only grazes the border has no slope to follow.
-    part = ca.fmin(ca.fmax(ca.if_else(speed < 0, wanted, 0), 0), 1)
-    end = step(x, u, taut, part * h)
-    room = (2 * taut - 1) * equation.gap(end, equation.ahead(u, part * h))[0]
-    gap = ca.dot(chosen, room) / ca.sum1(chosen)
+    part = part_to_try(wanted, speed)
+    end = step(y, u, taut, part * h)
+    gap = distance(equation)(end[:n], equation.ahead(u, part * h), taut, chosen)
+    wanted, speed = corrected(part, gap, before, gap_before, speed, taken, aim)
+    inputs = [state, y, taut, u, h, chosen, aim]
+    again = ca.vertcat(wanted, part, gap, speed, taken + 1, end)
+    choose = where_needed(ca.Function("again", inputs, [again]))
+    far = ca.logic_or(taken == 0, ca.fabs(gap_before - aim) > ca.fabs(aim))
+    return ca.Function("approach", inputs, [choose(far, *inputs)])
+
+
+def part_to_try(wanted: Any, speed: Any) -> Any:
+    """Return the part of a step to take; without a slope, as of a string that grazes, none."""
+    return ca.fmin(ca.fmax(ca.if_else(speed < 0, wanted, 0), 0), 1)
+
+
+def corrected(
+    part: Any, gap: Any, before: Any, gap_before: Any, speed: Any, taken: Any, aim: Any
+) -> tuple[Any, Any]:
+    """Return the part wanted next and the slope, by the secant method, from the last two gaps."""
     # Closer than this, the difference is round-off.
-    apart = ca.fabs(part - before) > 1e-6
+    apart = ca.logic_and(taken > 0, ca.fabs(part - before) > 1e-6)
     secant = (gap - gap_before) / ca.if_else(apart, part - before, 1)
     speed = ca.if_else(ca.logic_and(apart, secant < 0), secant, speed)
-    inputs = [state, x, taut, u, h, chosen]
-    again = ca.vertcat(part - gap / speed, part, gap, speed, taken + 1, end)
-    choose = where_needed(ca.Function("again", inputs, [again]))
-    far = ca.logic_or(taken == 0, ca.fabs(gap_before) > 0.4 * BAND * ca.mmin(equation.gap_scale(u)))
-    return ca.Function("approach", inputs, [choose(far, *inputs)])
+    return part + (aim - gap) / speed, speed
 
 
 def _substep(attempt: ca.Function, land: ca.Function, equation: Equation) -> ca.Function:
@@ -270,7 +367,7 @@ def _substep(attempt: ca.Function, land: ca.Function, equation: Equation) -> ca.
     state, held = ca.MX.sym("state", going.size1_out(0)), ca.MX.sym("held", equation.inputs + 1)
     parts = _split(state, equation)
     choose = ca.Function.if_else("choose", going, done)
-    some = parts[2] > _REST * held[-1]
+    some = parts[2] > REST * held[-1]
     x, taut, left, counts = parts
     now = equation.ahead(held[:-1], held[-1] - left)
     return ca.Function("substep", [state, held], [choose(some, x, taut, left, counts, now)])
@@ -288,12 +385,12 @@ def _finish(step: ca.Function, substep: ca.Function, equation: Equation) -> ca.F
     more = counts + _count(tries=1, unlocated=1)
     pulling = taut_strings(equation, end, equation.ahead(u, h))
     whole = ca.Function("whole", [state, held], [ca.vertcat(end, pulling, 0, more)])
-    rest = _SUBSTEPS - 1
+    rest = SUBSTEPS - 1
     cut_up = substep.fold(rest)(state, ca.repmat(held, 1, rest))
 
     def followed(by: ca.Function, after: Any) -> Any:
         """Return what follows a state of substeps where time is left."""
-        return where_needed(by)(_split(after, equation)[2] > _REST * h, after, held)
+        return where_needed(by)(_split(after, equation)[2] > REST * h, after, held)
 
     several = ca.Function("several", [state, held], [followed(whole, cut_up)])
     return ca.Function("finish", [state, held], [followed(several, substep(state, held))])

@@ -75,8 +75,7 @@ class FixedStep(Integrator):
 
     def _build(self, project: bool, machine_code: bool) -> _Steps:
         equation = self._equation
-        one = self.step_function(equation)
-        step = _carried(projected(one, equation) if project else one, equation)
+        step = _carried(self.smooth_step(project), equation)
         block, back_end = in_machine_code(equation, _block(step), machine_code)
         size = int(step.size1_in(0))
         many = int(np.clip(_MOST_NUMBERS / (_BLOCK * size), 1, _MANY))
@@ -84,6 +83,11 @@ class FixedStep(Integrator):
         taut = ca.Function("taut", [x, u], [taut_strings(equation, x, u)])
         blocks = block if many == 1 else block.mapaccum(many)
         return _Steps(block, blocks, taut, size, many, back_end)
+
+    def smooth_step(self, project: bool) -> ca.Function:
+        """Return :meth:`step_function`, followed by a projection if that is wanted."""
+        one = self.step_function(self._equation)
+        return projected(one, self._equation) if project else one
 
     @abstractmethod
     def step_function(self, equation: Equation) -> ca.Function:
@@ -104,8 +108,7 @@ class FixedStep(Integrator):
     ) -> Span:
         """See :meth:`Integrator.advance`."""
         state, held, duration, outputs = self._checked(state, held, duration, outputs, report)
-        # The small allowance lets 0.02/0.001 be 20 steps, whatever round-off says.
-        inner = max(1, ceil(duration / outputs / self.step - 1e-9))
+        inner = self.steps_between(duration, outputs)
         total = outputs * inner
         step = duration / total
         n, switches = self._equation.states, self._equation.switches
@@ -138,10 +141,11 @@ class FixedStep(Integrator):
                     # Once not finite, never finite again: the good states come first.
                     fine = int(np.isfinite(result).all(axis=0).sum())
                     good = done + fine
-                    work = self._work(good, result[:, fine - 1] if fine else np.zeros(len(COUNTS)))
+                    work = self.work_of(
+                        good, result[:, fine - 1] if fine else np.zeros(len(COUNTS))
+                    )
                     raise IntegrationError(
-                        f"the state is no longer finite between {step * good:.6g} s and "
-                        f"{step * (good + 1):.6g} s; try a step below {step:g} s",
+                        not_finite(good, step),
                         step * good,
                         Span(states[:, : good // inner], work),
                     )
@@ -150,11 +154,17 @@ class FixedStep(Integrator):
                 if report is not None:
                     report(step * done)
         except KeyboardInterrupt:
-            reached = Span(states[:, : done // inner], self._work(done, carried))
+            reached = Span(states[:, : done // inner], self.work_of(done, carried))
             raise IntegrationInterrupt(step * done, reached) from None
-        return Span(states, self._work(total, carried))
+        return Span(states, self.work_of(total, carried))
 
-    def _work(self, steps: int, carried: FloatArray) -> Work:
+    def steps_between(self, duration: float, outputs: int) -> int:
+        """Return the number of steps from one of so many states that are kept to the next."""
+        # The small allowance lets 0.02/0.001 be 20 steps, whatever round-off says.
+        return max(1, ceil(duration / outputs / self.step - 1e-9))
+
+    def work_of(self, steps: int, carried: FloatArray) -> Work:
+        """Return the work of so many steps, from what was carried, which ends in the counts."""
         if not self._equation.switches:
             return Work(steps=steps, evaluations=self.evaluations_per_step * steps)
         tries, landings, switches, unlocated = (round(c) for c in carried[-len(COUNTS) :])
@@ -182,6 +192,14 @@ class RK4(FixedStep):
         k3 = equation.slope(x + h / 2 * k2, half, taut)
         k4 = equation.slope(x + h * k3, end, taut)
         return ca.Function("rk4", [x, u, taut, h], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+
+
+def not_finite(good: int, step: float) -> str:
+    """Return what is said of a motion that ended after so many good steps."""
+    return (
+        f"the state is no longer finite between {step * good:.6g} s and "
+        f"{step * (good + 1):.6g} s; try a step below {step:g} s"
+    )
 
 
 def _block(step: ca.Function) -> ca.Function:

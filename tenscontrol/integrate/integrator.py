@@ -11,7 +11,7 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ContactLaw, Equation, Evaluator, compiled
+from tenscontrol.dynamics import ContactLaw, Equation, SharedEvaluator, compiled
 from tenscontrol.structure import node_mass
 from tenscontrol.validation import (
     LARGEST,
@@ -256,8 +256,10 @@ def state_scale(
     if structure is None or force is None:
         return 1 + np.abs(state)
     q, v = np.split(state, 2)
-    taut = (np.array(equation.gap(state, held)[0]) > 0).astype(float)
-    forces = np.abs(np.array(force(q, v, held, taut))).max(initial=0.0)
+    gap = _shared(equation, "gap", lambda: equation.gap)(state, held)[0]
+    forces = np.abs(_shared(equation, "force", lambda: force)(q, v, held, gap > 0)[0]).max(
+        initial=0.0
+    )
     nodes = structure.nodes
     members = np.vstack([structure.bars, structure.segments])
     size = np.linalg.norm(nodes[:, members[:, 1]] - nodes[:, members[:, 0]], axis=0).max()
@@ -267,34 +269,47 @@ def state_scale(
     return np.repeat([size, max(speeds) or size], len(q))
 
 
-def largest_frequency(equation: Equation, state: FloatArray, held: FloatArray) -> float:
+def largest_frequency(
+    equation: Equation, state: FloatArray, held: FloatArray, by: SharedEvaluator | None = None
+) -> float:
     """Return the largest frequency of small motions about a state with all strings taut, rad/s.
 
     By power iteration on the derivative of the accelerations with respect to
     the positions: its largest eigenvalue is -ω². It is 0 for an equation that is no structure's.
-    The ground is left out: see :func:`contact_frequency`.
+    The ground is left out: see :func:`contact_frequency`. It is found ``by`` what evaluates
+    :func:`power_iteration`, if an integrator has compiled that.
     """
     if equation.structure is None:
         return 0.0
     n = equation.states // 2
-    q, v = np.split(state, 2)
-    size = float(np.abs(q - q.mean()).max()) or 1.0
-    slope, taut = Evaluator(equation.slope), _strings_alone(equation)
+    size = float(np.abs(state[:n] - state[:n].mean()).max()) or 1.0
+    square = by or _shared(equation, "frequency", lambda: power_iteration(equation))
+    vector = np.random.default_rng(0).standard_normal(n)
+    given = (state, held, _strings_alone(equation), _DIFFERENCE * size, vector)
+    return float(np.sqrt(square(*given)[0][0]))
 
-    def moved(direction: FloatArray) -> FloatArray:
-        x = np.concatenate([q + _DIFFERENCE * size * direction, v])
-        return slope(x, held, taut)[0][n:].copy()
 
-    vector: FloatArray = np.random.default_rng(0).standard_normal(n)
-    square = 0.0
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(_POWER_ITERATIONS):
-            vector = vector / np.linalg.norm(vector)
-            vector = (moved(vector) - moved(-vector)) / (2 * _DIFFERENCE * size)
-            square = float(np.linalg.norm(vector))
-            if not np.isfinite(square) or square == 0.0:
-                break
-        return float(np.sqrt(square))
+def power_iteration(equation: Equation) -> ca.Function:
+    """Return ``(x, u, taut, difference, vector) -> square`` of the largest frequency."""
+    n = equation.states // 2
+    x, u, taut, difference = equation.symbols(ca.MX)
+    slope, vector = equation.slope, ca.MX.sym("vector", n)
+    size = ca.norm_2(vector)
+    change = difference * vector / ca.if_else(size > 0, size, 1)
+    q, v = x[:n], x[n:]
+    ends = [slope(ca.vertcat(q + sign * change, v), u, taut)[n:] for sign in (1, -1)]
+    again = ca.Function(
+        "again", [vector, x, u, taut, difference], [(ends[0] - ends[1]) / (2 * difference)]
+    )
+    given = (x, u, taut, difference)
+    columns = [ca.repmat(each, 1, _POWER_ITERATIONS) for each in given]
+    end = again.fold(_POWER_ITERATIONS)(vector, *columns)
+    return ca.Function("frequency", [*given, vector], [ca.norm_2(end)])
+
+
+def _shared(equation: Equation, name: str, build: Callable[[], ca.Function]) -> SharedEvaluator:
+    """Return what evaluates a function of an equation, kept with it."""
+    return equation.prepared.get(("evaluates", name), lambda: SharedEvaluator(build()))
 
 
 def contact_frequency(equation: Equation, state: FloatArray, held: FloatArray) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ColumnEvaluator, Equation, kernel
+from tenscontrol.dynamics import Equation, evaluate_columns, kernel
 from tenscontrol.integrate.multipliers import Coupled
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray
@@ -65,14 +65,13 @@ class Projector:
     """Makes the bar lengths of states exact, one a column, if wanted and there are bars."""
 
     def __init__(self, equation: Equation, wanted: bool) -> None:
-        exact = projection(equation) if wanted else None
-        self._exact = None if exact is None else ColumnEvaluator(exact)
+        self._exact = projection(equation) if wanted else None
 
     def __call__(self, states: FloatArray) -> FloatArray:
         """Return states of shape (states, count), up to the first that is too far off."""
         if self._exact is None:
             return states
-        exact = self._exact(states)[0]
+        exact = evaluate_columns(self._exact, states)[0]
         good = np.isfinite(exact).all(axis=0)
         return exact if good.all() else exact[:, : int(good.argmin())]
 
@@ -105,7 +104,7 @@ class Bodies:
         Positions of string nodes along the axes in which they are on rollers, m.
     """
 
-    def __init__(self, structure: Structure) -> None:
+    def __init__(self, structure: Structure, masses: kernel.Masses | None = None) -> None:
         d = self.dimension = structure.dimension
         nothing = np.zeros(0, dtype=np.int64)
         nodes = np.setdiff1d(structure.free, [i for block in structure.blocks for i in block.nodes])
@@ -134,12 +133,13 @@ class Bodies:
             self._start + self._end + self._tip + self._string_nodes, kind="stable"
         ).tolist()
         self.hinges = ca.DM(structure.nodes[:, hinge])
-        mass, hinged_mass = structure.bar_mass[free], structure.bar_mass[swinging]
+        mass = kernel.bar_mass(structure, free, masses)
+        hinged_mass = kernel.bar_mass(structure, swinging, masses)
         self.length = _row(structure.bar_length[np.concatenate([free, swinging])])
         # Of points; and by which the difference of the end forces, or the force on the tip, moves
         # a vector.
-        self.point_mass = _row(np.concatenate([mass, structure.string_node_mass]))
-        self.vector_mass = _row(np.concatenate([mass / 6, hinged_mass / 3]))
+        self.point_mass = ca.horzcat(mass, kernel.string_node_mass(structure, masses))
+        self.vector_mass = ca.horzcat(mass / 6, hinged_mass / 3)
 
     def columns(self, entries: kernel.Symbolic, held: kernel.Symbolic = 0) -> kernel.Symbolic:
         """Return columns, shape (d, ·), of what is free; what is not is :attr:`held`, or zero."""
@@ -191,8 +191,8 @@ class Bodies:
         """
         points, vectors = self.resultants(forces)
         return (
-            kernel.scale_columns(points, 1 / self.point_mass),
-            kernel.scale_columns(vectors, 1 / self.vector_mass),
+            kernel.scale_columns(points, kernel.reciprocal(self.point_mass)),
+            kernel.scale_columns(vectors, kernel.reciprocal(self.vector_mass)),
         )
 
 

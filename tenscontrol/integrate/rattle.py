@@ -234,7 +234,8 @@ def rattle_step(
     if equation.structure.blocks:
         return _coupled(equation, steps, tableau)
     x, u, taut, h = equation.symbols(symbols)
-    motion = _Motion(Bodies(equation.structure), force, taut, tableau)
+    bodies = Bodies(equation.structure, equation.masses(u))
+    motion = _Motion(bodies, force, taut, tableau)
     if called:
         return _called(equation, motion, steps, x, u, h)
     state = motion.start(x)

@@ -18,6 +18,7 @@ from tenscontrol.plant.linear_plant import (
     SHORTEST,
     LinearPlant,
     Sampled,
+    SparsePlant,
     acceleration_response,
     input_bounds,
     largest_change,
@@ -25,18 +26,22 @@ from tenscontrol.plant.linear_plant import (
     state_units,
 )
 from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coordinates, linearize
-from tenscontrol.plant.modes import Modes, modes, modes_of
+from tenscontrol.plant.modes import Modes, ReducedPlant, modes, modes_of, reduce
 from tenscontrol.plant.reduced_dynamics import (
     acceleration_slopes,
     checked_tracked,
+    exact_motion,
     explicit_substeps,
+    linked_accelerations,
     near_symbol,
     reduced_acceleration,
     reduced_motion,
     refuse_lost_place,
     sampled_dynamics,
+    sampled_motion,
     settled,
     tracked_motion,
+    with_jacobian,
 )
 from tenscontrol.plant.reference import (
     STRINGS_MOVE_NO_CENTRE,
@@ -76,10 +81,12 @@ __all__ = [
     "Modes",
     "OperatingPoint",
     "Preview",
+    "ReducedPlant",
     "Reference",
     "ReferencePreview",
     "Sampled",
     "SmoothReference",
+    "SparsePlant",
     "Stance",
     "StanceContacts",
     "StringMap",
@@ -94,6 +101,7 @@ __all__ = [
     "convex_hull",
     "energy_weights",
     "equilibrium",
+    "exact_motion",
     "explicit_substeps",
     "filter_riccati",
     "held_value",
@@ -102,6 +110,7 @@ __all__ = [
     "largest_change",
     "left_spaces",
     "linearize",
+    "linked_accelerations",
     "model_input",
     "modes",
     "modes_of",
@@ -109,6 +118,7 @@ __all__ = [
     "near_symbol",
     "own_modes",
     "reached_states",
+    "reduce",
     "reduced_acceleration",
     "reduced_motion",
     "reduced_shape",
@@ -120,6 +130,7 @@ __all__ = [
     "riccati_residual",
     "sampled",
     "sampled_dynamics",
+    "sampled_motion",
     "set_down",
     "settled",
     "state_units",
@@ -130,4 +141,5 @@ __all__ = [
     "tracked_motion",
     "unreached_modes",
     "warn_of_left_alone",
+    "with_jacobian",
 ]

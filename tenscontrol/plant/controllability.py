@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,9 @@ from tenscontrol.plant.linear_plant import (
     squared_frequencies,
     state_units,
 )
-from tenscontrol.plant.modes import Modes, modes_of
+from tenscontrol.plant.modes import Modes, modes_of, reduce
 from tenscontrol.plant.string_outputs import to_commanded_strings
-from tenscontrol.validation import FloatArray, freeze_arrays, frozen, instance
+from tenscontrol.validation import FloatArray, freeze_arrays, frozen, instance, whole_number
 
 # A direction or margin below this fraction of its surroundings does not exist.
 _TOLERANCE = 1e-9
@@ -85,12 +85,16 @@ class Controllability:
         return "\n".join(lines)
 
 
-def controllability(plant: LinearPlant) -> Controllability:
-    """Test whether the inputs reach every mode.
+def controllability(plant: LinearPlant, count: int | None = None) -> Controllability:
+    """Test whether the inputs reach every mode, or each of the lowest.
 
     Parameters
     ----------
     plant : LinearPlant
+    count : int, optional
+        How many modes, those of the lowest frequencies, of a large plant: that of
+        :func:`reduce`. The states that are counted are theirs; margins are over the largest
+        acceleration of any motion all the same. All modes if not given.
 
     Returns
     -------
@@ -98,8 +102,8 @@ def controllability(plant: LinearPlant) -> Controllability:
 
     Raises
     ------
-    TypeError
-        If ``plant`` is not a linear plant.
+    TypeError, ValueError
+        If ``plant`` is not a linear plant, or ``count`` is not one of its numbers of modes.
 
     Notes
     -----
@@ -121,6 +125,8 @@ def controllability(plant: LinearPlant) -> Controllability:
        0.0000  +15.3523j      0.649
     """
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    if count is not None:
+        return _of_lowest(plant, whole_number("count", count, 1, plant.degrees_of_freedom))
     found = reached_states(plant)
     order = np.argsort(np.abs(found.pole), kind="stable")
     return Controllability(
@@ -129,6 +135,21 @@ def controllability(plant: LinearPlant) -> Controllability:
         unreachable=len(plant.A) - found.count,
         unreached=unreached_modes(plant),
     )
+
+
+def _of_lowest(plant: LinearPlant, count: int) -> Controllability:
+    """Return what is reached of the lowest modes, by margins as of the whole plant."""
+    from scipy.sparse.linalg import svds
+
+    small: LinearPlant = reduce(plant, count)
+    found = controllability(small)
+    if plant.sparse is None or found.unreachable == len(small.A):
+        return found
+    by_input = plant.sparse.by_input
+    start = np.ones(min(by_input.shape))
+    largest = svds(by_input, 1, v0=start, return_singular_vectors=False)[0]
+    share = float(np.linalg.norm(small.B, 2)) / float(largest)
+    return replace(found, margin=frozen(share * found.margin))
 
 
 @dataclass(frozen=True, eq=False)

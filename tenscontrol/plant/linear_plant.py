@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from itertools import pairwise
-from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar, overload
 
 import numpy as np
 
 from tenscontrol.actuation import Winches
-from tenscontrol.dynamics import Coordinates, Model, Prepared
+from tenscontrol.dynamics import Coordinates, Model, Prepared, refuse_large
 from tenscontrol.structure import Structure, to_segments
 from tenscontrol.validation import (
     FloatArray,
@@ -25,6 +25,7 @@ from tenscontrol.validation import (
 
 if TYPE_CHECKING:
     import control
+    from scipy.sparse import csr_array
 
 _Arguments = ParamSpec("_Arguments")
 _Value = TypeVar("_Value")
@@ -55,6 +56,63 @@ INPUTS = ("force_density", "rest_length")
 SHORTEST = 0.01
 
 
+class _Made:
+    """An array of a record that is made when it is first asked for, or given."""
+
+    def __init__(self, make: Callable[[LinearPlant], FloatArray]) -> None:
+        self._make = make
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __set__(self, plant: LinearPlant, value: FloatArray | None) -> None:
+        plant.__dict__[self._name] = value
+
+    @overload
+    def __get__(self, plant: None, owner: type) -> None: ...
+    @overload
+    def __get__(self, plant: LinearPlant, owner: type) -> FloatArray: ...
+    def __get__(self, plant: LinearPlant | None, owner: type) -> FloatArray | None:
+        if plant is None:
+            return None  # the default
+        found: FloatArray | None = plant.__dict__[self._name]
+        if found is None:
+            found = plant.__dict__[self._name] = frozen(self._make(plant))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class SparsePlant:
+    """A linearized structure ``ÿ + D ẏ + K y = E v + f`` in coordinates y in which it is sparse.
+
+    ``y`` are the minimal coordinates, or the nodes of a plant in ``"nodes"`` coordinates: nodes
+    move by ``vec(δN) = plant.coordinates.sparse_basis @ y``. The mass is the identity.
+
+    Attributes
+    ----------
+    stiffness, damping : csr_array, shape (m, m)
+        K, 1/s², and D, 1/s.
+    by_input : csr_array, shape (m, α)
+        E.
+    drift : ndarray, shape (m,)
+        f: zero at an equilibrium up to round-off.
+    """
+
+    stiffness: csr_array
+    damping: csr_array
+    by_input: csr_array
+    drift: FloatArray
+
+    def __post_init__(self) -> None:
+        for matrix in (self.stiffness, self.damping, self.by_input):
+            matrix.data.flags.writeable = False
+
+
+def norm(matrix: csr_array) -> float:
+    """Return Frobenius' norm of a sparse matrix."""
+    return float(np.linalg.norm(matrix.data))
+
+
 @dataclass(frozen=True, eq=False)
 class LinearPlant:
     """A linearized structure ``ż = A z + B v + drift``.
@@ -72,8 +130,13 @@ class LinearPlant:
         ``"force_density"`` or ``"rest_length"``.
     A : ndarray, shape (2r, 2r)
     B : ndarray, shape (2r, α)
+        Both are made when they are first asked for, and refused where A has more than 64 million
+        entries, 4,000 coordinates: large structures have :attr:`sparse`.
     drift : ndarray, shape (2r,)
         Zero at an equilibrium up to round-off.
+    sparse : SparsePlant or None
+        The same in second-order form, in coordinates in which it is sparse. None for a plant that
+        was given another A or B.
     commanded : Structure
         The structure whose strings are the inputs: that of the model, or its
         parent after :func:`command_parents`.
@@ -94,15 +157,20 @@ class LinearPlant:
     model: Model
     coordinates: Coordinates
     input: str
-    A: FloatArray
-    B: FloatArray
-    drift: FloatArray
+    sparse: SparsePlant | None
     commanded: Structure
     force_density: FloatArray
     rest_length: FloatArray | None
     external_force: FloatArray
     invariance_residual: float
     feet: IntArray = field(default_factory=lambda: frozen(np.zeros(0, np.int64)))
+    A: _Made = _Made(lambda plant: _dense_A(plant))
+    B: _Made = _Made(lambda plant: _dense_B(plant))
+    drift: _Made = _Made(lambda plant: _dense_drift(plant))
+
+    def __post_init__(self) -> None:
+        if self.__dict__["A"] is not None or self.__dict__["B"] is not None:
+            object.__setattr__(self, "sparse", None)
 
     @property
     def nodes(self) -> FloatArray:
@@ -152,6 +220,10 @@ class LinearPlant:
 
     @cached_property
     def _pole_sizes(self) -> FloatArray:
+        if is_undamped(self):
+            r = self.degrees_of_freedom
+            squares = squared_frequencies(-self.A[r:, :r])[0]
+            return np.sqrt(np.abs(np.repeat(squares, 2)))
         return np.asarray(np.abs(np.linalg.eigvals(self.A)))
 
     @cached_property
@@ -287,6 +359,38 @@ class LinearPlant:
         )
 
 
+def _dense_A(plant: LinearPlant) -> FloatArray:  # noqa: N802
+    r, system, turned = (
+        plant.degrees_of_freedom,
+        _second_order(plant),
+        plant.coordinates.from_sparse,
+    )
+    refuse_large("A", (2 * r, 2 * r))
+    A = np.zeros((2 * r, 2 * r))
+    A[:r, r:] = np.eye(r)
+    A[r:, :r] = -turned(turned(system.stiffness).T).T
+    if system.damping.nnz:
+        A[r:, r:] = -turned(turned(system.damping).T).T
+    return A
+
+
+def _dense_B(plant: LinearPlant) -> FloatArray:  # noqa: N802
+    by_input = _second_order(plant).by_input
+    refuse_large("B", (2 * plant.degrees_of_freedom, by_input.shape[1]))
+    moved = plant.coordinates.from_sparse(by_input)
+    return np.vstack([np.zeros_like(moved), moved])
+
+
+def _dense_drift(plant: LinearPlant) -> FloatArray:
+    moved = plant.coordinates.from_sparse(_second_order(plant).drift)
+    return np.concatenate([np.zeros_like(moved), moved])
+
+
+def _second_order(plant: LinearPlant) -> SparsePlant:
+    assert plant.sparse is not None  # else A, B and drift were given
+    return plant.sparse
+
+
 def state_units(plant: LinearPlant) -> tuple[FloatArray, float]:
     """Return units of the state, shape (s,), and of the input: of one speed and acceleration."""
     r = plant.degrees_of_freedom
@@ -379,11 +483,12 @@ def zero_order_hold(
     """Return Φ, Γ and d of ``z⁺ = Φ z + Γ v + d``, exact for v held over a sample."""
     from scipy.linalg import expm
 
-    states, inputs = B.shape
-    exponent = np.zeros((states + inputs + 1, states + inputs + 1))
-    exponent[:states, :states] = plant.A
-    exponent[:states, states:-1] = B
-    exponent[:states, -1] = plant.drift
+    states = len(B)
+    # What is held over a sample; of more inputs than states, accelerations and speeds.
+    held = np.column_stack([B, plant.drift])
+    pushed = held if held.shape[1] <= states else np.eye(states)
+    exponent = np.zeros((states + pushed.shape[1],) * 2)
+    exponent[:states, :states], exponent[:states, states:] = plant.A, pushed
     turned, grown = sample_time * plant.spectral_radius, np.full((states, len(exponent)), np.nan)
     if turned <= _MOST_RADIANS:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -393,7 +498,8 @@ def zero_order_hold(
             f"sample_time is {sample_time:g} s, in which the plant turns by up to {turned:.3g} rad "
             f"or moves beyond all numbers; expected at most {_MOST_RADIANS:g} rad: digits are lost"
         )
-    return grown[:, :states], grown[:, states:-1], grown[:, -1]
+    moved = grown[:, states:] if pushed is held else grown[:, states:] @ held
+    return grown[:, :states], moved[:, :-1], moved[:, -1]
 
 
 def is_undamped(plant: LinearPlant) -> bool:

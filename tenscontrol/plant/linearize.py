@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import KINDS, Model, StringLaw, pack_state
+from tenscontrol.dynamics import (
+    KINDS,
+    Coordinates,
+    Model,
+    StringLaw,
+    Tangent,
+    refuse_large,
+    tangent,
+)
 from tenscontrol.dynamics import coordinates as frame_of
-from tenscontrol.plant.linear_plant import INPUTS, LinearPlant, load_arguments
+from tenscontrol.plant.linear_plant import INPUTS, LinearPlant, SparsePlant, norm
 from tenscontrol.plant.stance import Stance, standing_model
 from tenscontrol.plant.string_outputs import to_model_strings
 from tenscontrol.statics import Prestress, null_space
 from tenscontrol.structure import (
     Structure,
     is_movable,
-    left_by_supports,
     refuse_moved_supports,
     refuse_strings_without_length,
     refuse_wrong_bar_lengths,
@@ -41,6 +47,7 @@ from tenscontrol.validation import (
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+    from scipy.sparse import csr_array
 
 # Unbalanced force relative to the largest string force: far above round-off,
 # far below a force density that is off by any amount one would care about.
@@ -54,6 +61,9 @@ _NO_STIFFNESS, _ROUND_OFF = 1e-12, 1e-6
 
 # Force densities may differ by this part of the largest from those of given rest lengths.
 _LAW_TOLERANCE = 1e-6
+
+# Coordinates up to which dense matrices are made at once.
+_USUAL = 300
 
 # Asking for the linear model of a string this close to slack is asking for a kink.
 _SLACK_TOLERANCE = 1e-9
@@ -216,13 +226,13 @@ def linearize(
             "the model has no string law, so the rest length is no input; "
             "build it as Model(structure, strings=LinearStrings(stiffness=...))"
         )
+    held = gamma if input == "force_density" else wound
+    here = tangent(model, nodes, input, held, load)
     if require_equilibrium:
-        _refuse_unbalanced(model, nodes, gamma, load)
+        _refuse_unbalanced(here, gamma)
     if wound is not None and input == "rest_length":
         _refuse_kink(model, gamma, wound / length)
-    held = gamma if input == "force_density" else wound
-    xdot, A_x, B_x = _derivatives(model, input, nodes, held, load)
-    plant = _reduced(model, input, nodes, coordinates, (xdot, A_x, B_x), gamma, wound, load)
+    plant = _reduced(model, input, coordinates, here, nodes, gamma, wound, load)
     if require_equilibrium and plant.invariance_residual > _INVARIANCE_TOLERANCE:
         raise ValueError(
             f"coordinates={coordinates!r} leave out motions that take part: "
@@ -309,6 +319,8 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
     >>> plant.B.shape, tc.plant.command_parents(plant).B.shape
     ((72, 18), (72, 9))
     """
+    from scipy.sparse import csr_array
+
     instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
     structure = plant.model.structure
     parent = structure.parent
@@ -332,9 +344,13 @@ def command_parents(plant: LinearPlant) -> LinearPlant:
             "string: linearize with input='rest_length'"
         )
     spread = to_segments(structure, plant.input, np.eye(len(parent.strings))).T
+    of_parent: dict[str, Any] = {"B": frozen(plant.B @ spread)}
+    if plant.sparse is not None:
+        by_input = csr_array(plant.sparse.by_input @ csr_array(spread))
+        of_parent = {"sparse": replace(plant.sparse, by_input=by_input), "A": None, "B": None}
     return replace(
         plant,
-        B=frozen(plant.B @ spread),
+        **of_parent,
         commanded=parent,
         force_density=frozen(gamma),
         rest_length=None if rest_length is None else frozen(rest_length),
@@ -346,86 +362,82 @@ def _on_feet(plant: LinearPlant, feet: IntArray) -> LinearPlant:
 
     What feet move as one body is taken from all nodes, and what is left of it, from the feet.
     """
-    structure, frame = plant.model.structure, plant.coordinates
-    d, n = plant.nodes.shape
+    structure, d = plant.model.structure, len(plant.nodes)
     rows = (d * feet[:, None] + np.arange(d)).ravel()
     supports = np.setdiff1d(structure.fixed_rows, rows)
     fields = rigid_motions(plant.nodes)
     if len(supports):
         fields = fields @ null_space(fields[supports])
-    relative = np.eye(d * n)
-    relative[:, rows] -= fields @ np.linalg.pinv(fields[rows])
-    relative[rows] = 0.0
-    measured = replace(frame, _projection=frozen(frame.project(relative)))
-    return replace(plant, coordinates=measured, feet=frozen(feet))
+    relative = fields, np.linalg.pinv(fields[rows]), rows
+    measured = replace(plant.coordinates, _feet=relative)
+    return replace(plant, coordinates=measured, feet=frozen(feet), A=None, B=None, drift=None)
 
 
 def _reduced(
     model: Model,
     input: str,
-    nodes: FloatArray,
     kind: str,
-    derivatives: tuple[FloatArray, FloatArray, FloatArray],
+    at: Tangent,
+    nodes: FloatArray,
     gamma: FloatArray,
     rest_length: FloatArray | None,
     load: FloatArray,
 ) -> LinearPlant:
-    xdot, A_x, B_x = derivatives
-    frame = frame_of(model, nodes, kind)
-    rows = model.structure.free_rows
-    T, P = frame.basis[rows], frame.project(np.eye(nodes.size))[:, rows]
-    half, r = len(rows), frame.count
-    A = np.zeros((2 * r, 2 * r))
-    A[:r, r:] = np.eye(r)
-    by_shape, by_speed = A_x[half:, :half] @ T, A_x[half:, half:] @ T
+    """Return the plant of forces and their derivatives in coordinates."""
+    from scipy.sparse import csr_array
+
+    frame, free = frame_of(model, nodes, kind), model.structure.free_rows
+    if kind == "nodes":  # bars need not keep their lengths
+        refuse_large("the stiffness of all nodes", (len(free), len(free)))
+        bent, inputs = at.curvature[:, free].toarray(), at.by_input.toarray()
+        stiffness, damping, by_input = (
+            csr_array(at.accelerations(forces, turned))
+            for forces, turned in (
+                (at.stiffness[:, free].toarray(), bent),
+                (at.damping[:, free].toarray(), 0 * bent),
+                (inputs, np.zeros((len(bent), inputs.shape[1]))),
+            )
+        )
+        drift = at.acceleration[free]
+    else:
+        T = frame.sparse_basis
+        stiffness, damping = (csr_array(T.T @ part @ T) for part in (at.stiffness, at.damping))
+        by_input, drift = csr_array(T.T @ at.by_input), T.T @ at.force
     # Where force densities are held, shapes may meet no stiffness at all but round-off.
-    held = float(np.linalg.norm(B_x[half:]) * np.linalg.norm(gamma)) / float(np.ptp(nodes))
-    if np.linalg.norm(by_shape) <= _NO_STIFFNESS * held * np.linalg.norm(T):
-        by_shape = np.zeros_like(by_shape)
-    A[r:, :r], A[r:, r:] = P @ by_shape, P @ by_speed
-    outside = max(
-        float(np.linalg.norm(T @ (P @ part) - part)) / max(float(np.linalg.norm(part)), least)
-        for part, least in ((by_shape, _ROUND_OFF * held + 1e-300), (by_speed, 1e-300))
-    )
-    if kind == "internal":
-        # Motions as one body that are left out must meet no stiffness: a load may give them some.
-        rigid = left_by_supports(model.structure, rigid_motions(nodes))[rows]
-        met = float(np.linalg.norm(A_x[half:, :half] @ rigid))
-        size = max(float(np.linalg.norm(A_x[half:, :half])), _ROUND_OFF * held)
-        outside = max(outside, met / max(size * float(np.linalg.norm(rigid)), 1e-300))
-    return LinearPlant(
+    held = norm(by_input) * float(np.linalg.norm(gamma)) / float(np.ptp(nodes))
+    if norm(stiffness) <= _NO_STIFFNESS * held:
+        stiffness = csr_array(stiffness.shape)
+    plant = LinearPlant(
         model=model,
         coordinates=frame,
         input=input,
-        A=frozen(A),
-        B=frozen(np.vstack([np.zeros((r, B_x.shape[1])), P @ B_x[half:]])),
-        drift=frozen(np.concatenate([np.zeros(r), P @ xdot[half:]])),
+        sparse=SparsePlant(stiffness, damping, by_input, frozen(drift)),
         commanded=model.structure,
         force_density=frozen(gamma),
         rest_length=None if rest_length is None else frozen(rest_length),
         external_force=frozen(load),
-        invariance_residual=outside,
+        invariance_residual=_left_out(frame, stiffness, damping, _ROUND_OFF * held),
     )
+    if frame.count <= _USUAL:  # made now, not at the first use
+        for name in ("A", "B", "drift", "basis"):
+            getattr(plant, name)
+        frame.project(np.zeros(nodes.size))
+    return plant
 
 
-def _derivatives(
-    model: Model, held: str, nodes: FloatArray, value: FloatArray | None, load: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return ẋ, ∂ẋ/∂x and ∂ẋ/∂u by algorithmic differentiation of the model."""
-    function = model.prepared.get(("derivatives", held), lambda: _derivative_function(model, held))
-    state = pack_state(model.structure, nodes, np.zeros_like(nodes))
-    values = function(state, value, *load_arguments(model, load))
-    drift, A, B = (np.array(part.full()) for part in values)
-    return drift.ravel(), A, B
-
-
-def _derivative_function(model: Model, held: str) -> ca.Function:
-    """Return ``(x, u[, W]) -> (xdot, A, B)``."""
-    equation = model.state_equation(held)
-    inputs = [ca.SX.sym(f"a{i}", equation.sparsity_in(i)) for i in range(equation.n_in())]
-    xdot = equation(*inputs)
-    derivatives = [ca.jacobian(xdot, each) for each in inputs[:2]]
-    return ca.Function("derivatives", inputs, [xdot, *derivatives])
+def _left_out(frame: Coordinates, stiffness: csr_array, damping: csr_array, least: float) -> float:
+    """Return what motions as one body, which internal coordinates leave out, meet and are given."""
+    if frame.kind != "internal":
+        return 0.0
+    R, found = frame.rigid, [0.0]
+    for matrix, size in ((stiffness, least), (damping, 0.0)):
+        size = max(norm(matrix), size, 1e-300)
+        # Of accelerations by changes of shape, and by the motions themselves: as loads may give.
+        given = (matrix.T @ R).T
+        given = given - (given @ R) @ R.T
+        found.append(float(np.linalg.norm(given)) / size)
+        found.append(float(np.linalg.norm(matrix @ R)) / size if matrix is stiffness else 0.0)
+    return max(found)
 
 
 def _checked_point(
@@ -466,23 +478,18 @@ def _refuse_other_structure(ours: Structure, theirs: Structure) -> None:
             )
 
 
-def _refuse_unbalanced(
-    model: Model, nodes: FloatArray, gamma: FloatArray, load: FloatArray
-) -> None:
-    structure, free = model.structure, model.structure.free
-    still = np.zeros((structure.dimension, len(free)))
-    found = model.acceleration(nodes[:, free], still, gamma, *load_arguments(model, load))
-    mass = model.mass_matrix().toarray()[np.ix_(free, free)]
-    forces = np.array(found) @ mass
-    for node, axis in structure.rollers:  # what a roller holds is in balance
-        forces["xyz".index(axis), free == node] = 0.0
-    unbalanced = np.linalg.norm(forces, axis=0)
-    strings = model.structure.string_length(nodes)
-    scale = max(float((gamma * strings).max(initial=0.0)), float(np.abs(load).max()))
+def _refuse_unbalanced(at: Tangent, gamma: FloatArray) -> None:
+    structure = at.structure
+    d = structure.dimension
+    # What a roller holds is in balance.
+    left = np.zeros(at.force.size)
+    left[structure.free_rows] = (at.mass @ at.acceleration)[structure.free_rows]
+    unbalanced = np.linalg.norm(left.reshape(-1, d), axis=1)
+    scale = max(float((gamma * at.string_length).max(initial=0.0)), float(np.abs(at.load).max()))
     if unbalanced.max() > _EQUILIBRIUM_TOLERANCE * scale:
         worst = int(unbalanced.argmax())
         raise ValueError(
-            f"not an equilibrium: node {free[worst]} is left with an unbalanced force of "
+            f"not an equilibrium: node {worst} is left with an unbalanced force of "
             f"{unbalanced[worst]:.3g} N, expected less than "
             f"{_EQUILIBRIUM_TOLERANCE * scale:.1e} N. Start from prestress(...), or pass "
             "require_equilibrium=False to get a plant that drifts"

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.dynamics import normal_basis
+from tenscontrol.dynamics import normal_basis, string_stretch
 from tenscontrol.plant.linear_plant import (
     LinearPlant,
     clusters,
     is_undamped,
+    norm,
     squared_frequencies,
 )
 from tenscontrol.plant.linearize import in_coordinates
 from tenscontrol.structure import affine_motions, left_by_supports, rigid_motions
-from tenscontrol.validation import FloatArray, IntArray, frozen, instance
+from tenscontrol.validation import (
+    FloatArray,
+    IntArray,
+    float_array,
+    frozen,
+    indices,
+    instance,
+    whole_number,
+)
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array, csr_array
 
 # Singular values below this fraction of the largest are zero.
 _ZERO = 1e-11
@@ -25,6 +38,16 @@ _KEPT = 1e-9
 
 # A mode is named after a kind of motion that has at least this share of its kinetic energy.
 _SHARE = 0.95
+
+# Of the lowest modes, more are found than asked for, so that equal ones are not torn apart. The
+# shift from zero, and the ω² that are lost in round-off, as parts of the stiffness.
+_MORE, _SHIFT, _LOST = 4, 1e-15, 1e-16
+
+# A stiffness this far from symmetric, relative to its size, is not that of a rest.
+_ROUND = 1e-9
+
+# Parts of the stretch of a motion that strings resist weakly, and of a shape that is in mechanisms.
+_WEAK, _PART = 1e-7, 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +104,8 @@ class Modes:
         )
 
 
-def modes(plant: LinearPlant) -> Modes:
-    """Return the modes of a linear plant.
+def modes(plant: LinearPlant, count: int | None = None) -> Modes:
+    """Return the modes of a linear plant, or the lowest of them.
 
     Motions that meet neither stiffness nor damping are set apart first, so
     that their zero frequencies are exact. Where several modes share a
@@ -92,6 +115,9 @@ def modes(plant: LinearPlant) -> Modes:
     Parameters
     ----------
     plant : LinearPlant
+    count : int, optional
+        How many, those of the smallest poles; all if not given. A few of a large structure cost
+        work and memory that grow with its members, all of them with the cube of their number.
 
     Returns
     -------
@@ -100,7 +126,16 @@ def modes(plant: LinearPlant) -> Modes:
     Raises
     ------
     TypeError, ValueError
-        If ``plant`` is not a linear plant, or has no coordinates.
+        If ``plant`` is not a linear plant, or has no coordinates, or ``count`` is not a positive
+        whole number; or if all modes are asked for of a plant of more than 4,000 coordinates.
+
+    Notes
+    -----
+    The lowest modes are found by Lanczos' method on the inverse of the sparse stiffness (ARPACK;
+    Lehoucq, Sorensen & Yang 1998), shifted by little from zero. Damping is not approximated: the
+    poles of a damped plant are those of ``s² + s D + K``, by Arnoldi's method on its inverse.
+    Squared frequencies have an error of round-off of the largest: those below 1e-16 of it are
+    zero.
 
     Examples
     --------
@@ -126,11 +161,14 @@ def modes(plant: LinearPlant) -> Modes:
             "'minimal' coordinates hold the motions as one body"
         )
     r = plant.degrees_of_freedom
+    if count is not None:
+        found = lowest(plant, whole_number("count", count, 1, r))
+        return _cut(modes(plant) if found is None else _in_order(plant, *found), count)
     stiffness, friction = -plant.A[r:, :r], -plant.A[r:, r:]
     if plant.coordinates.kind == "nodes":
         poles, vectors, labels = _node_modes(plant)
     elif is_undamped(plant):
-        poles, vectors, labels = _undamped(stiffness, _kinds(plant))
+        poles, vectors, labels = _undamped(*squared_frequencies(stiffness), _kinds(plant))
     else:
         poles, vectors, labels = _general(stiffness, friction, _kinds(plant))
     return _in_order(plant, poles, vectors, labels)
@@ -138,8 +176,104 @@ def modes(plant: LinearPlant) -> Modes:
 
 def modes_of(plant: LinearPlant, poles: np.ndarray, vectors: np.ndarray) -> Modes:
     """Return modes of a plant, of poles and displacements q, (r, k), with their labels."""
-    kinds = _kinds(plant) if len(poles) else {}
+    kinds = _kinds(plant, vectors) if len(poles) else {}
     return _in_order(plant, poles, vectors, [_label(vector, kinds) for vector in vectors.T])
+
+
+def _cut(whole: Modes, count: int) -> Modes:
+    """Return the first modes."""
+    names = ("frequency", "damping", "pole", "shape")
+    parts = {name: frozen(np.array(getattr(whole, name)[..., :count])) for name in names}
+    return Modes(**parts, label=whole.label[:count])
+
+
+def lowest(plant: LinearPlant, count: int) -> tuple[np.ndarray, np.ndarray, list[str]] | None:
+    """Return a few more than the lowest poles, Im s ≥ 0, shapes q and labels, from sparse matrices.
+
+    None where it is easier to find all of them.
+    """
+    from scipy.sparse import csc_array
+
+    system, frame = plant.sparse, plant.coordinates
+    more = count + _MORE
+    if system is None or not frame.is_sparse or 4 * more > plant.degrees_of_freedom:
+        return None
+    K, D = csc_array(system.stiffness), csc_array(system.damping)
+    top = float(abs(K).sum(axis=0).max())
+    # What moves the structure as one body is known, unless the ground or a load resists it.
+    rigid = frame.rigid
+    parts = (part for part in (K, D) if part.nnz)
+    if any(np.abs(part @ rigid).max(initial=0.0) > _ZERO * abs(part).max() for part in parts):
+        rigid = rigid[:, :0]
+    still = rigid if frame.kind == "minimal" else rigid[:, :0]
+    undamped = not D.nnz and norm(K - K.T) <= _ROUND * norm(K)
+    if undamped:
+        values, vectors = _slowest(K, rigid, more, top)
+        vectors = np.hstack([still, vectors])
+        found = frame.from_sparse(vectors)
+        values = np.concatenate([np.zeros(still.shape[1]), values])
+        order = np.argsort(values, kind="stable")
+        return _undamped(values[order], found[:, order], _kinds(plant, found))
+    poles, vectors = _slowest_damped(K, D, rigid, more, top)
+    found = frame.from_sparse(np.hstack([still, vectors]))
+    kinds = _kinds(plant, found)
+    poles = np.concatenate([np.zeros(still.shape[1]), poles])
+    return poles, found, [_label(shape, kinds) for shape in found.T]
+
+
+def _slowest(
+    K: csc_array, rigid: FloatArray, count: int, top: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the least ω² by size and orthonormal modes of ``ÿ + K y = 0``, without the rigid."""
+    from scipy.sparse import eye_array
+    from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+    size, shift = len(rigid), _SHIFT * top
+    factors = splu(K + shift * eye_array(size, format="csc"), permc_spec="MMD_AT_PLUS_A")
+
+    def kept(y: FloatArray) -> FloatArray:
+        return np.asarray(y - rigid @ (rigid.T @ y))
+
+    inverse = LinearOperator(K.shape, lambda y: kept(factors.solve(kept(y))), dtype=float)
+    start = kept(np.random.default_rng(0).normal(size=size))
+    vectors = eigsh(K, count, sigma=-shift, OPinv=inverse, v0=start)[1]
+    vectors = np.linalg.qr(vectors)[0]
+    values, turn = np.linalg.eigh(vectors.T @ (K @ vectors))
+    values[np.abs(values) < _LOST * top] = 0.0
+    return values, vectors @ turn
+
+
+def _slowest_damped(
+    K: csc_array, D: csc_array, rigid: FloatArray, count: int, top: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the poles of least size, Im s ≥ 0, and shapes of ``ÿ + D ẏ + K y = 0``."""
+    from scipy.sparse import block_array, eye_array
+    from scipy.sparse.linalg import LinearOperator, eigs, splu
+
+    m, shift = len(rigid), float(np.sqrt(_SHIFT * top))
+    eye = eye_array(m, format="csc")
+    factors = splu(K + shift * D + shift**2 * eye, permc_spec="MMD_AT_PLUS_A")
+
+    def kept(y: FloatArray) -> FloatArray:
+        return np.asarray(y - rigid @ (rigid.T @ y))
+
+    def solve(z: FloatArray) -> FloatArray:
+        f, g = kept(z[:m]), kept(z[m:])
+        y = kept(factors.solve(-(g + D @ f + shift * f)))
+        return np.concatenate([y, f + shift * y])
+
+    A = block_array([[None, eye], [-K, -D]], format="csc")
+    inverse = LinearOperator(A.shape, solve, dtype=float)
+    start = np.tile(kept(np.random.default_rng(0).normal(size=m)), 2)
+    poles, vectors = eigs(A, 2 * count, sigma=shift, OPinv=inverse, v0=start)
+    poles[np.abs(poles) ** 2 < _LOST * top] = 0.0
+    still, keep = poles == 0, (poles != 0) & (poles.imag >= 0)
+    # What meets neither stiffness nor damping has one shape, but two poles.
+    parts = np.hstack([vectors[:m, still].real, vectors[:m, still].imag])
+    U, sizes, _ = np.linalg.svd(parts, full_matrices=False)
+    zero = U[:, sizes > _KEPT**0.5 * sizes.max(initial=0.0)]
+    shapes = vectors[:m, keep] / np.linalg.norm(vectors[:m, keep], axis=0)
+    return np.concatenate([np.zeros(zero.shape[1]), poles[keep]]), np.hstack([zero, shapes])
 
 
 def _in_order(
@@ -150,7 +284,8 @@ def _in_order(
     poles, vectors = poles[order], vectors[:, order]
     size = np.abs(poles)
     d, n = plant.nodes.shape
-    shape = (plant.basis @ vectors).reshape(n, d, len(order)).swapaxes(0, 1)
+    moved = plant.coordinates.displacements(vectors)
+    shape = moved.reshape(n, d, len(order)).swapaxes(0, 1)
     shape = shape / np.linalg.norm(shape, axis=0).max(axis=0, initial=0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         damping = np.where(size > 0, -poles.real / size, 0.0)
@@ -168,25 +303,52 @@ def _rank(labels: list[str]) -> IntArray:
     return np.array([names.index(label) for label in labels], dtype=np.int64)
 
 
-def _kinds(plant: LinearPlant) -> dict[str, FloatArray]:
-    """Return orthonormal bases of the rigid, affine and mechanism motions in q."""
+def _kinds(plant: LinearPlant, found: np.ndarray | None = None) -> dict[str, FloatArray]:
+    """Return orthonormal bases of the rigid, affine and mechanism motions in q.
+
+    Of mechanisms, if shapes q are given, as many as these have a part in.
+    """
     structure, nodes = plant.model.structure, plant.nodes
-    S = structure.string_vectors(nodes)
-    along = S / np.maximum(np.linalg.norm(S, axis=0), 1e-300)
-    each = _stretch(structure.segments, along, plant.basis)
-    stretch = np.zeros((len(structure.strings), each.shape[1]))
-    np.add.at(stretch, structure.segment_string, each)
     bar_axes = structure.bar_vectors(nodes) / structure.bar_length
-    bar_stretch = _stretch(structure.bars, bar_axes, plant.basis)
     rigid, affine = rigid_motions(nodes), affine_motions(nodes)
     # Affine motions count only as far as they keep supports and bar lengths, and loads in balance.
     kept = [affine[structure.fixed_rows], _stretch(structure.bars, bar_axes, affine)]
     unhurt = affine @ _null(np.vstack([*kept, _turned_loads(plant)]), _KEPT)
+    stretch = string_stretch(structure, nodes)
+    if found is not None and plant.coordinates.is_sparse:
+        mechanism = _in_mechanisms(plant, stretch, found)
+    else:
+        bar_stretch = _stretch(structure.bars, bar_axes, plant.basis)
+        mechanism = _null(np.vstack([stretch @ plant.basis, bar_stretch]))
     return {
         "rigid": _span(plant, left_by_supports(structure, rigid), rigid),
         "affine": _span(plant, unhurt, affine),
-        "mechanism": _null(np.vstack([stretch, bar_stretch])),
+        "mechanism": mechanism,
     }
+
+
+def _in_mechanisms(plant: LinearPlant, stretch: csr_array, found: np.ndarray) -> FloatArray:
+    """Return an orthonormal basis, in q, of the mechanisms that shapes q have a part in.
+
+    What strings resist but weakly is left by the projection, and then told apart by its stretch.
+    """
+    from scipy.sparse import eye_array
+    from scipy.sparse.linalg import splu
+
+    frame = plant.coordinates
+    S = stretch @ frame.sparse_basis
+    largest = float(np.sqrt((S.T @ S).trace() / max(S.shape[1], 1)))
+    if largest == 0.0:
+        return np.eye(plant.degrees_of_freedom)
+    squared = (S.T @ S) / (_WEAK * largest) ** 2
+    factors = splu((eye_array(S.shape[1]) + squared).tocsc(), permc_spec="MMD_AT_PLUS_A")
+    shapes = np.hstack([found.real, found.imag]) if np.iscomplexobj(found) else found
+    parts = factors.solve(frame.to_sparse(shapes))
+    sizes = np.linalg.norm(parts, axis=0)
+    parts = parts[:, sizes > _PART]
+    parts = parts[:, np.linalg.norm(S @ parts, axis=0) <= _KEPT * largest]
+    U, sizes, _ = np.linalg.svd(frame.from_sparse(parts), full_matrices=False)
+    return np.asarray(U[:, sizes > _PART])
 
 
 def _turned_loads(plant: LinearPlant) -> FloatArray:
@@ -213,10 +375,9 @@ def _stretch(pairs: IntArray, axes: FloatArray, fields: FloatArray) -> FloatArra
 
 
 def _undamped(
-    stiffness: FloatArray, kinds: dict[str, FloatArray]
+    values: FloatArray, vectors: FloatArray, kinds: dict[str, FloatArray]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Modes of q̈ + K q = 0 with symmetric K: real shapes, sorted within equal frequencies."""
-    values, vectors = squared_frequencies(stiffness)
+    """Modes of q̈ + K q = 0 of ω², ascending: real shapes, sorted within equal frequencies."""
     labels: list[str] = []
     for first, last in clusters(values):
         vectors[:, first:last], found = _unmixed(vectors[:, first:last], kinds)
@@ -306,5 +467,134 @@ def _span(plant: LinearPlant, fields: FloatArray, every: FloatArray) -> FloatArr
 
 
 def _null(matrix: FloatArray, tolerance: float = _ZERO) -> FloatArray:
+    if len(matrix) > matrix.shape[1]:
+        matrix = np.asarray(np.linalg.qr(matrix, mode="r"))
     _, sizes, Vt = np.linalg.svd(matrix)
     return np.asarray(Vt[int(np.count_nonzero(sizes > tolerance * sizes.max(initial=0.0))) :].T)
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedPlant(LinearPlant):
+    """A linear plant in a few of its modes. Made by :func:`reduce`; controllers take it as any.
+
+    Attributes
+    ----------
+    whole : LinearPlant
+        The plant that was reduced.
+    model, coordinates, input, A, B, drift, commanded, force_density, rest_length : as of it
+    external_force, invariance_residual, feet, sparse : as of it
+    """
+
+    whole: LinearPlant = field(kw_only=True)
+
+    def __repr__(self) -> str:
+        whole = repr(self.whole).removeprefix("LinearPlant(")
+        return f"ReducedPlant({self.degrees_of_freedom} of {whole}"
+
+    @property
+    def dropped(self) -> float:
+        """Share of the displacements by constant inputs that the modes left out have, 0 to 1.
+
+        Root mean square of all: what the reduced plant does not see of slow commands. 1 where the
+        whole plant does not resist all of its motions.
+        """
+        small: LinearPlant = self
+        whole, r, own = self.whole, self.whole.degrees_of_freedom, self.degrees_of_freedom
+        stiffness = -whole.A[r:, :r]
+        if np.linalg.cond(stiffness) > 1 / _ZERO:
+            return 1.0
+        full = whole.basis @ np.linalg.solve(stiffness, whole.B[r:])
+        kept = small.basis @ np.linalg.solve(-small.A[own:, :own], small.B[own:])
+        return float(np.linalg.norm(full - kept) / max(float(np.linalg.norm(full)), 1e-300))
+
+    @property
+    def error_bound(self) -> float:
+        """Most that node displacements differ from the whole plant's, m per unit of the inputs.
+
+        In the H∞ norm, root sums of squares of both over all time: at most twice the sum of the
+        Hankel singular values of the difference of the two plants (Glover 1984). Infinite where
+        anything that differs is not damped: driven at its frequency, it grows without end.
+        """
+        from scipy.linalg import block_diag, solve_continuous_lyapunov
+
+        small: LinearPlant = self
+        whole = self.whole
+        A, B = block_diag(whole.A, small.A), np.vstack([whole.B, small.B])
+        C = np.hstack([whole.basis, 0 * whole.basis, -small.basis, 0 * small.basis])
+        if np.linalg.eigvals(A).real.max() > -_ZERO * whole.spectral_radius:
+            return float("inf")
+        reached = solve_continuous_lyapunov(A, -B @ B.T)
+        seen = solve_continuous_lyapunov(A.T, -C.T @ C)
+        squares = np.linalg.eigvals(reached @ seen).real
+        return 2 * float(np.sqrt(np.maximum(squares, 0.0)).sum())
+
+
+def reduce(plant: LinearPlant, modes: object = 20) -> ReducedPlant:
+    """Return a linear plant in a few of its modes, to design controllers and filters on.
+
+    The coordinates are those modes, of unit mass, and the state is measured of the whole structure:
+    modes that are left out do not show in it. Laws designed on it run on the whole model.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    modes : int or array_like of int
+        How many of the lowest, or their indices in :func:`modes` of the plant.
+
+    Returns
+    -------
+    ReducedPlant
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``plant`` is not a linear plant in ``"internal"`` or ``"minimal"`` coordinates, or has no
+        such modes.
+
+    Notes
+    -----
+    Modal truncation. The modes are those of the stiffness; of the damping, what acts between modes
+    that are kept stays, and what acts between them and the others is left out. Without damping the
+    plants differ by the modes left out alone: inputs drive these as well (spillover), so keep what
+    lies below the bandwidth of a controller. There is no static correction: it changes outputs, and
+    laws feed back states. :attr:`~ReducedPlant.dropped` says what it would be, and
+    :attr:`~ReducedPlant.error_bound` bounds all of the error of damped plants.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> tower = tc.prism_tower(stages=4)
+    >>> model = tc.Model(tower, strings=tc.LinearStrings(stiffness=1e3))
+    >>> plant = tc.linearize(model, tc.prestress(tower, min_force_density=5), input="rest_length")
+    >>> small = tc.reduce(plant, modes=6)
+    >>> small
+    ReducedPlant(6 of 54 internal coordinates, input rest_length, 72 inputs)
+    """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    if plant.coordinates.kind == "nodes":
+        raise ValueError(
+            "plant is in 'nodes' coordinates, in which bars change their lengths; expected "
+            "'internal' or 'minimal': in_coordinates(plant, 'internal')"
+        )
+    if plant.sparse is None:
+        raise ValueError("plant has other A and B than linearize made, or is reduced already")
+    r, still = plant.degrees_of_freedom, 0 * plant.sparse.damping
+    still.eliminate_zeros()
+    undamped = replace(plant, sparse=replace(plant.sparse, damping=still), A=None, B=None)
+    if isinstance(modes, int | np.integer):
+        chosen = np.arange(whole_number("modes", modes, 1, r))
+    else:
+        chosen = indices("modes", np.atleast_1d(float_array("modes", modes)), r, "modes of plant")
+        if not len(chosen) or len(np.unique(chosen)) < len(chosen):
+            raise ValueError(f"modes is {chosen.tolist()}, expected different indices of modes")
+    d, n = plant.nodes.shape
+    shape = all_modes(undamped, int(chosen.max()) + 1).shape[..., chosen]
+    q = plant.coordinates.project(shape.swapaxes(0, 1).reshape(d * n, -1))
+    q, turn = np.linalg.qr(q)
+    within = plant.coordinates.within(q * np.sign(np.diag(turn)))
+    small = replace(plant, coordinates=within, A=None, B=None, drift=None)
+    kept = {each.name: getattr(small, each.name) for each in fields(small)}
+    return ReducedPlant(**kept, whole=plant)
+
+
+all_modes = modes  # `reduce` has an argument of this name

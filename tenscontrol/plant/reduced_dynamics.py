@@ -112,12 +112,11 @@ def refuse_lost_place(plant: LinearPlant) -> None:
 
 
 @kept
-def sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Function, ca.Function]:
-    """Return ``(z, u) -> z⁺`` over a sample, and ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
+def sampled_motion(plant: LinearPlant, sample_time: float) -> ca.Function:
+    """Return ``(z, u) -> z⁺`` over a sample.
 
-    Nonlinear, by RK4 in steps that resolve the fastest vibration, and the derivatives of these
-    steps; :func:`sampled` is the exact counterpart of the linear plant. A ValueError says so where
-    the steps would be too many.
+    Nonlinear, by RK4 in steps that resolve the fastest vibration; :func:`sampled` is the exact
+    counterpart of the linear plant. A ValueError says so where the steps would be too many.
     """
     count = explicit_substeps(plant, sample_time)
     if count > _MOST_SUBSTEPS:
@@ -127,15 +126,27 @@ def sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Functio
             f"{_MOST_SUBSTEPS}; give a shorter sample_time, or take what predicts by the linear "
             "plant"
         )
-    s, a = plant.B.shape
-    motion, linearized = _rk4(plant, sample_time / count)
+    motion = _rk4_step(plant, sample_time / count)
+    if count == 1:
+        return motion
+    z, u = (ca.MX.sym(name, size) for name, size in zip("zu", plant.B.shape, strict=True))
+    return ca.Function("motion", [z, u], [motion.fold(count)(z, ca.repmat(u, 1, count))])
+
+
+@kept
+def sampled_dynamics(plant: LinearPlant, sample_time: float) -> tuple[ca.Function, ca.Function]:
+    """Return :func:`sampled_motion`, and ``(z, u) -> (z⁺, ∂z⁺/∂z, ∂z⁺/∂u)``, dense.
+
+    The derivatives are those of the steps of RK4.
+    """
+    motion, count = sampled_motion(plant, sample_time), explicit_substeps(plant, sample_time)
+    linearized = _linearized_rk4_step(plant, sample_time / count)
     if count > 1:
+        s, a = plant.B.shape
         z, u = ca.MX.sym("z", s), ca.MX.sym("u", a)
-        held = ca.repmat(u, 1, count)
-        motion = ca.Function("motion", [z, u], [motion.fold(count)(z, held)])
         chain = _chained(linearized).fold(count)
         start = ca.horzcat(z, ca.DM.eye(s), ca.DM.zeros(s, a))
-        end = chain(ca.densify(start), held)
+        end = chain(ca.densify(start), ca.repmat(u, 1, count))
         columns = end[:, 0], end[:, 1 : 1 + s], end[:, 1 + s :]
         linearized = ca.Function("linearized", [z, u], list(columns))
     return motion, linearized
@@ -197,27 +208,37 @@ def _slopes_under(law: ContactLaw, load: float) -> tuple[float, float]:
     return float(by_depth), float(by_rate)
 
 
-def _rk4(plant: LinearPlant, h: float) -> tuple[ca.Function, ca.Function]:
-    """Return a step of the classic Runge-Kutta method, and the same with its derivatives."""
+def _rk4_stages(h: float) -> list[tuple[float, float]]:
+    """Return weight, and how far ahead, s, of each stage of the classic Runge-Kutta method."""
+    return [(1.0, 0.0), (2.0, 0.5 * h), (2.0, 0.5 * h), (1.0, h)]
+
+
+def _rk4_step(plant: LinearPlant, h: float) -> ca.Function:
     r, (s, a) = plant.degrees_of_freedom, plant.B.shape
     acceleration = reduced_acceleration(plant, taut=False)
-    derivatives = acceleration_slopes(plant, taut=False)
     z, u = ca.MX.sym("z", s), ca.MX.sym("u", a)
-    stages = list(zip((1.0, 2.0, 2.0, 1.0), (0.0, 0.5 * h, 0.5 * h, h), strict=True))
     slope, end = ca.DM.zeros(s), z
-    for weight, ahead in stages:
+    for weight, ahead in _rk4_stages(h):
         at = z + ahead * slope
         slope = ca.vertcat(at[r:], acceleration(at, u))
         end += h / 6 * weight * slope
-    motion = ca.Function("motion", [z, u], [end])
+    return ca.Function("motion", [z, u], [end])
 
-    # The same, and the derivatives of speeds and accelerations by q, q̇ and u side by side. What
-    # starts as the identity is put in its place, not multiplied out.
+
+def _linearized_rk4_step(plant: LinearPlant, h: float) -> ca.Function:
+    """Return the step with its derivatives.
+
+    Those of speeds and accelerations by q, q̇ and u stand side by side. What starts as the identity
+    is put in its place, not multiplied out.
+    """
+    r, (s, a) = plant.degrees_of_freedom, plant.B.shape
+    derivatives = acceleration_slopes(plant, taut=False)
+    z, u = ca.MX.sym("z", s), ca.MX.sym("u", a)
     one, beside = ca.DM.eye(r), ca.DM.zeros(r, a)
     start = ca.horzcat(ca.DM.zeros(r, r), one, beside)  # of the speed at the start
     slope, end, total, rates = ca.DM.zeros(s), z, ca.horzcat(one, ca.DM.zeros(r, r + a)), start
     speeds, accelerations = start, None
-    for weight, ahead in stages:
+    for weight, ahead in _rk4_stages(h):
         at = z + ahead * slope
         qdd, by_q, by_v, by_u = derivatives(at, u)
         by_all = ca.horzcat(by_q, by_v, by_u)
@@ -237,7 +258,7 @@ def _rk4(plant: LinearPlant, h: float) -> tuple[ca.Function, ca.Function]:
         rates += h / 6 * weight * accelerations
     whole = ca.vertcat(total, rates)
     parts = [end, ca.densify(whole[:, :s]), ca.densify(whole[:, s:])]
-    return motion, ca.Function("linearized", [z, u], parts)
+    return ca.Function("linearized", [z, u], parts)
 
 
 def _chained(linearized: ca.Function) -> ca.Function:
@@ -262,6 +283,68 @@ def acceleration_slopes(plant: LinearPlant, *, taut: bool) -> ca.Function:
     return ca.Function("derivatives", [z, u], parts)
 
 
+@kept
+def linked_accelerations(
+    plant: LinearPlant, *, taut: bool
+) -> tuple[ca.Function, tuple[ca.Sparsity, ...]]:
+    """Return accelerations of nodes and the Jacobians of three maps, and the patterns of these.
+
+    Of the maps from what the basis displaces to shapes with exact bar lengths, on to forces, and on
+    to accelerations, each has a sparse Jacobian, so that its code grows with the members.
+
+    The function is ``(n, ṅ, u) -> (N̈, entries of ∂N̈/∂(N, Ṅ, F), of ∂F/∂(N, Ṅ, u) and of
+    ∂(N, Ṅ)/∂(n, ṅ))``: n and ṅ as the basis displaces nodes, N̈ where supports leave them free.
+    """
+    refuse_lost_place(plant)
+    structure, size = plant.model.structure, plant.nodes.size
+    n, rates, u = (ca.SX.sym(x, k) for x, k in (("n", size), ("r", size), ("u", plant.B.shape[1])))
+    N, V, F = (ca.SX.sym(name, *structure.nodes.shape) for name in "NVF")
+    moved = ca.vec(kernel.accelerations(structure, N, V, F))[structure.free_rows.tolist()]
+    accelerated = with_jacobian(moved, N, V, F)
+    forced = with_jacobian(ca.vec(_forces(plant, N, V, u, taut)), N, V, u)
+    there, velocities, by_n = exact_motion(plant, n, rates)
+    force, by_N = forced(there, velocities, u)
+    moved, by_F = accelerated(there, velocities, ca.reshape(force, *N.shape))
+    jacobians = by_F, by_N, by_n
+    entries = [ca.densify(part.nz[:]) for part in jacobians]
+    function = ca.Function("linked", [n, rates, u], [ca.densify(moved), *entries])
+    return function, tuple(part.sparsity() for part in jacobians)
+
+
+def exact_motion(plant: LinearPlant, n: Any, rates: Any) -> tuple[Any, Any, Any]:
+    """Return N, Ṅ and ∂(N, Ṅ)/∂(n, ṅ), sparse, of what the basis displaces, columns, SX."""
+    frame, near = plant.coordinates, near_symbol(plant)
+    at, moving = (ca.SX.sym("at", *part.shape) for part in (n, rates))
+    value = ca.vertcat(*map(ca.vec, frame.kept_lengths(at, moving, near)))
+    parts = ca.cse([value, ca.jacobian(value, ca.vertcat(at, moving))])
+    exact = ca.Function("exact", [at, moving, near], parts)
+    motion, jacobian = exact(n, rates, frame.hidden(n, rates))
+    N, V = (ca.reshape(part, *plant.nodes.shape) for part in ca.vertsplit(motion, n.numel()))
+    return N, V, jacobian
+
+
+def with_jacobian(value: Any, *arguments: Any) -> ca.Function:
+    """Return the function of a column, dense, and its Jacobian, sparse, by all arguments, SX."""
+    value = ca.densify(value)
+    jacobian = ca.jacobian(value, ca.vertcat(*map(ca.vec, arguments)))
+    return ca.Function("link", list(arguments), ca.cse([value, jacobian]))
+
+
+def _forces(plant: LinearPlant, N: Any, V: Any, u: Any, taut: bool) -> Any:
+    """Return the forces on all nodes, N, shape (d, n), of a motion of all nodes and an input."""
+    model, structure = plant.model, plant.model.structure
+    gamma, law = model_input(plant, u), model.strings
+    if plant.input == "rest_length" and taut:
+        gamma = string_forces(plant, plant.input, N, V, gamma)[0]
+    elif plant.input == "rest_length":
+        assert law is not None  # a rest length is held
+        length, rate = (row.T for row in kernel.string_motion(structure, N, V))
+        gamma = law.symbolic_force_density(length, gamma, rate)
+    load = plant.external_force if model.has_external_force else model.constant_force
+    forces = kernel.node_forces(structure, N, gamma, ca.sparsify(ca.DM(load)))
+    return forces if model.contacts is None else forces + model.contacts.forces(N, V)
+
+
 def near_symbol(plant: LinearPlant) -> Any:
     """Return a symbol for ``near`` in :func:`reduced_motion`, empty where bars share no nodes."""
     return ca.SX.sym("near", plant.coordinates.hidden_size)
@@ -271,10 +354,12 @@ def settled(plant: LinearPlant, z: Any, near: Any, parts: list[Any]) -> list[Any
     """Return expressions, or their first derivatives, in z alone: the symbol near put in."""
     if near.numel() == 0:
         return parts
-    there = plant.coordinates.hidden(z[: len(plant.A)])
+    frame = plant.coordinates
+    there = frame.hidden(*frame.displaced(z[: len(plant.A)]))
     return list(ca.substitute(parts, [near], [there]))
 
 
 def reduced_motion(plant: LinearPlant, z: Any, near: Any = None) -> tuple[Any, Any]:
     """Return expressions of node positions and velocities, shape (d, n), of a state z (SX)."""
-    return plant.coordinates.expressions(z, near)
+    frame = plant.coordinates
+    return frame.kept_lengths(*frame.displaced(z), near)

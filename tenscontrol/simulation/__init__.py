@@ -1,20 +1,20 @@
 """Open- and closed-loop simulation."""
 
+from tenscontrol.simulation.batch import Batch, simulate_many
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
+from tenscontrol.simulation.health import AccuracyWarning, Health, HealthLimits
 from tenscontrol.simulation.loop import SimulationError
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.simulation.simulate import checked_load, initial_state, simulate
 from tenscontrol.simulation.trajectory import (
-    AccuracyWarning,
     ControlRecord,
-    Health,
-    HealthLimits,
     Trajectory,
 )
 
 __all__ = [
     "AccuracyWarning",
+    "Batch",
     "ContactRecord",
     "ControlRecord",
     "CutString",
@@ -30,4 +30,5 @@ __all__ = [
     "checked_load",
     "initial_state",
     "simulate",
+    "simulate_many",
 ]

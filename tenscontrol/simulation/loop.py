@@ -14,7 +14,6 @@ from tenscontrol.dynamics import (
     Model,
     Pieces,
     as_pieces,
-    evaluate_columns,
     polynomial_at,
     unpack_states,
 )
@@ -33,13 +32,16 @@ from tenscontrol.integrate import (
 from tenscontrol.interrupt import finishing
 from tenscontrol.simulation.contacts import Segments, record_contacts
 from tenscontrol.simulation.faults import Faults
-from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
+from tenscontrol.simulation.trajectory import ControlRecord, Quantities, Trajectory
 from tenscontrol.structure import Structure, carried_by_supports, node_mass
 from tenscontrol.validation import FloatArray, frozen, positive_number
 
 # Intervals that are integrated again: those in which velocities change most, others spread over
 # the motion, and the largest part of it that they may be.
 _VIOLENT, _SPREAD, _SHARE = 4, 16, 0.25
+
+# States that are turned into nodes and velocities in one go.
+_BLOCK = 128
 
 # These intervals may miss the worst of the motion.
 _SAFETY = 2.0
@@ -234,8 +236,9 @@ class Loop:
             return
         energy = "potential_energy" if self.input == "force_density" else "elastic_energy"
         inputs = np.column_stack([before, after])
-        N, V = (np.repeat(part, 2, axis=2) for part in self._motion(state))
-        (stored,) = self._evaluated(energy, np.column_stack([state, state]), N, V, inputs)
+        motion = (np.repeat(part, 2, axis=2) for part in self._motion(state))
+        found = Quantities(self.model, self.offset is not None, inputs)
+        (stored,) = found.of(energy, *motion, inputs)
         self.lost_energy += float(stored[0, 0] - stored[0, 1])
 
     def _run_span(
@@ -330,15 +333,6 @@ class Loop:
         parts = self._moved(states, offset, rate)
         return np.vstack([part.reshape(-1, states.shape[1], order="F") for part in parts])
 
-    def _evaluated(
-        self, name: str, states: FloatArray, N: FloatArray, V: FloatArray, *inputs: FloatArray
-    ) -> list[FloatArray]:
-        """Return a function of the model: of states, or where supports move, of all nodes."""
-        if self.offset is None:
-            return evaluate_columns(getattr(self.model, name), states, *inputs)
-        every = np.vstack([part.reshape(-1, states.shape[1], order="F") for part in (N, V)])
-        return evaluate_columns(self.model.of_all_nodes(name), every, *inputs)
-
     def stopped(self, why: str) -> SimulationError:
         """Return the error of a motion that cannot go on, with the motion up to now."""
         reason = f"stopped at {self.now:.6g} s of motion: {why}"
@@ -401,47 +395,42 @@ class Loop:
         model, structure = self.model, self.model.structure
         control = None if self.record is None else self.record()
         spans = self.spans
-        time, states = (np.hstack([getattr(s, part) for s in spans]) for part in ("time", "states"))
+        time = np.concatenate([s.time for s in spans])
         released = np.repeat([s.released for s in spans], [len(s.time) for s in spans])
-        inputs = np.hstack([s.values(self._strings) for s in spans])
         error = None
         if stopped is None and self.choice.setting == "tolerance":
             # Each step may err by the tolerance, and errors add up.
             error = self.choice.value * self.work.steps
         elif stopped is None:
             step = self.choice.value
+            states = np.hstack([s.states for s in spans])
             error = step_doubling_error(
                 self.integrator, step, structure, time, states, self._interval
             )
-        offset = rate = None
-        if self.offset is not None:
-            offset, rate = (np.hstack([s.values(self._offsets, i) for s in spans]) for i in (0, 1))
-        nodes, velocities = self._moved(states, offset, rate)
-        at = states, nodes, velocities
-        if self.input == "force_density":
-            force_density, rest_length = inputs, None
-            (potential,) = self._evaluated("potential_energy", *at, inputs)
-        else:
-            (force_density,) = self._evaluated("string_force_density", *at, inputs)
-            rest_length = frozen(inputs)
-            (potential,) = self._evaluated("elastic_energy", *at, inputs)
-        (kinetic,) = self._evaluated("kinetic_energy", *at)
+            del states  # before as much memory is taken again
+        nodes, velocities = self._all_motion()
+        inputs = self._all_values(self._strings)
+        quantities = Quantities(model, self.offset is not None, inputs)
+        known: dict[str, FloatArray | list[FloatArray]] = {}
         contacts = None
         if model.contacts is not None:
             segments = self.segments()
+            (kinetic,) = quantities.of("kinetic_energy", nodes, velocities)
+            known["kinetic_energy"] = kinetic[0]
             contacts = record_contacts(segments, nodes, velocities, float(kinetic.max()))
-            potential = potential + contacts.stored_energy.sum(axis=0)
+            quantities = replace(quantities, stored=contacts.stored_energy.sum(axis=0))
         if self._given is not None:
-            loads = np.hstack([s.values(self._loads) for s in spans])
+            loads = self._all_values(self._loads)
             if self.offset is not None:  # without the inertia that is a load beside the offset
-                loads += self._mass @ np.hstack([s.values(self._offsets, 2) for s in spans])
+                loads = loads + self._mass @ self._all_values(self._offsets, 2)
             loaded = bool(loads.any())
-            potential = potential - (loads * nodes.reshape(loads.shape, order="F")).sum(axis=0)
+            quantities = replace(quantities, load=loads)
         elif loaded := not isinstance(self.load, Pieces) and bool(self.load.any()):
-            potential = potential - np.einsum("in,int->t", self.load, nodes)
-        linear, angular = self._evaluated("momentum", *at)
+            quantities = replace(quantities, load=self.load)
         free = not len(structure.fixed_rows)
         if contacts is not None and free and not isinstance(self.load, Pieces):
+            momenta = quantities.of("momentum", nodes, velocities)
+            known["_momenta"], linear = momenta, momenta[0]
             given = contacts.impulse.sum(axis=1) + np.outer(self.load.sum(axis=1), time - time[0])
             off = linear - linear[:, :1] - given
             contacts = replace(contacts, impulse_error=float(np.abs(off).max()))
@@ -451,21 +440,13 @@ class Loop:
                 reach = float(model.mass_matrix().sum() * np.ptp(structure.nodes, axis=1).max())
                 error += _BY_CENTRE * float(np.abs(moved).max(initial=0.0)) / reach
         weight = float(model.constant_force[-1].sum())
-        bars = nodes[:, structure.bars[:, 1]] - nodes[:, structure.bars[:, 0]]
-        stretch = np.linalg.norm(bars, axis=0) - structure.bar_length[:, None]
         undamped = model.strings is not None and not model.strings.is_damped
-        return Trajectory(
+        run = Trajectory(
             structure=structure,
             time=frozen(time),
-            nodes=frozen(nodes),
-            velocities=frozen(velocities),
-            force_density=frozen(force_density),
-            rest_length=rest_length,
-            kinetic_energy=frozen(kinetic[0]),
-            potential_energy=frozen(potential[0]),
-            momentum=frozen(linear),
-            angular_momentum=frozen(angular),
-            bar_length_error=frozen(stretch),
+            nodes=nodes,
+            velocities=velocities,
+            rest_length=inputs if self.input == "rest_length" else None,
             choice=self.choice,
             work=self.work,
             conserves_energy=control is None
@@ -481,7 +462,43 @@ class Loop:
             contacts=contacts,
             faults=self.faults.listed,
             note=self.note,
+            _quantities=quantities,
         )
+        vars(run).update(known)
+        return run
+
+    def _all_values(self, rows: slice, order: int = 0) -> FloatArray:
+        """Return some of the inputs at all times kept, or their rates, read-only."""
+        held = [s.coefficients[rows] for s in self.spans]
+        if not order and all(
+            not each[:, 1:].any() and np.array_equal(each[:, 0], held[0][:, 0]) for each in held
+        ):  # one column, read at all times
+            count = sum(len(s.time) for s in self.spans)
+            return np.broadcast_to(frozen(held[0][:, :1]), (len(held[0]), count))
+        values = np.hstack([s.values(rows, order) for s in self.spans])
+        values.setflags(write=False)
+        return values
+
+    def _all_motion(self) -> tuple[FloatArray, FloatArray]:
+        """Return nodes and velocities at all times kept, read-only; built block by block."""
+        d, n = self.model.structure.nodes.shape
+        shape = d, n, sum(len(s.time) for s in self.spans)
+        nodes, velocities = np.empty(shape), np.empty(shape)
+        place = 0
+        for span in self.spans:
+            for first in range(0, len(span.time), _BLOCK):
+                some = slice(first, first + _BLOCK)
+                offset = rate = None
+                if self.offset is not None:
+                    within, rows = span.time[some] - span.origin, span.coefficients[self._offsets]
+                    offset, rate = (polynomial_at(rows, within, order) for order in (0, 1))
+                N, V = self._moved(span.states[:, some], offset, rate)
+                there = slice(place, place + N.shape[2])
+                nodes[:, :, there], velocities[:, :, there] = N, V
+                place = there.stop
+        for part in (nodes, velocities):
+            part.setflags(write=False)
+        return nodes, velocities
 
 
 def support_offset(model: Model, value: object, start: float, end: float) -> Pieces:

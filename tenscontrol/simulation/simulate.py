@@ -19,8 +19,9 @@ from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
+from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
 from tenscontrol.simulation.loop import Loop, SimulationError, support_offset
-from tenscontrol.simulation.trajectory import AccuracyWarning, HealthLimits, Trajectory
+from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import (
     carried_by_supports,
     refuse_moved_supports,
@@ -294,14 +295,14 @@ def simulate(
         span = now, now + duration
         held = None
         if controller is None:
-            held = _inputs(model, rest_length, force_density, *span)
+            held = checked_inputs(model, rest_length, force_density, *span)
         offset = None
         if support_motion is not None:
             offset = support_offset(model, support_motion, *span)
         loop = Loop(
             model,
             input=what,
-            load=_load(model, external_force, *span),
+            load=load_in_time(model, external_force, *span),
             duration=duration,
             method=method,
             tolerance=tolerance,
@@ -363,13 +364,14 @@ def simulate(
 
 def _check(run: Trajectory, limits: HealthLimits) -> None:
     """Warn or raise where the motion passes a limit."""
-    passed = limits.passed(run.health)
+    health = run.health_of(limits.names)
+    passed = limits.passed(health)
     if not passed:
         return
     finer = "a smaller tolerance" if run.step is None else f"a step below {run.step:g} s"
     text = "; ".join(passed)
     # How deep nodes sink, and a fall, are no errors of the integration.
-    if replace(limits, penetration=None, fall=None).passed(run.health):
+    if replace(limits, penetration=None, fall=None).passed(health):
         text += f": the motion may not be accurate. Try {finer}"
     if limits.action == "raise":
         raise SimulationError(text, run)
@@ -424,18 +426,18 @@ def _degree(held: Pieces | None, what: str, winches: object) -> int:
     return winches.degree if what == "rest_length" and isinstance(winches, Winches) else 0
 
 
-def _changes(value: object) -> bool:
+def changes_in_time(value: object) -> bool:
     """Return whether an argument may change in time."""
     return isinstance(value, Profile) or callable(value)
 
 
-def _inputs(
+def checked_inputs(
     model: Model, rest_length: object, force_density: object, start: float, end: float
 ) -> Pieces:
     """Return what is held, or changes: the one of the two that is not None, checked."""
     name = "rest_length" if force_density is None else "force_density"
     value = rest_length if force_density is None else force_density
-    if not _changes(value):
+    if not changes_in_time(value):
         return Pieces.constant(held_value(model, rest_length, force_density))
     shape = (len(model.structure.strings),)
     pieces = as_pieces(name, value, shape, "one per string", start, end)
@@ -450,9 +452,11 @@ def _inputs(
     return pieces
 
 
-def _load(model: Model, external_force: object, start: float, end: float) -> FloatArray | Pieces:
+def load_in_time(
+    model: Model, external_force: object, start: float, end: float
+) -> FloatArray | Pieces:
     """Return all that acts on the nodes from outside, N, shape (d, n), or in time."""
-    if not (model.has_external_force and _changes(external_force)):
+    if not (model.has_external_force and changes_in_time(external_force)):
         return checked_load(model, external_force)
     shape = model.structure.nodes.shape
     pieces = as_pieces("external_force", external_force, shape, "one force per node", start, end)

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, fields
+from collections.abc import Container
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from tenscontrol.actuation import MotorRecord
 from tenscontrol.control import UNSOLVED, Fallback, Status
-from tenscontrol.dynamics import ContactLaw
+from tenscontrol.dynamics import ContactLaw, Model, evaluate_columns
 from tenscontrol.integrate import Choice, Work
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import Fault
+from tenscontrol.simulation.health import Health
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, choice, instance, positive_number
+from tenscontrol.validation import FloatArray
 
 # A run ends away from its reference: by this part of the size, with errors in the last third above
 # this part of those before, if it lasts so many radians of the slowest vibration. Or
@@ -203,148 +207,71 @@ class ControlRecord:
         return dict(Counter(fallback for fallback in self.fallback if fallback is not None))
 
 
-# Limits on what is no error of the integration, and what to do.
-_PHYSICAL = {
-    "penetration": ", as part of the size: give the ground more stiffness",
-    "fall": " sizes below z = 0: Model(..., ground=Ground(...)) would stop it",
-}
+# Times at which functions of the model are evaluated in one go: few enough that what they need of a
+# large structure stays small.
+_BLOCK = 128
 
 
-class AccuracyWarning(RuntimeWarning):
-    """A motion that is not accurate, or not what was meant."""
-
-
-@dataclass(frozen=True)
-class Health:
-    """Figures that tell whether to trust a motion. Made by :attr:`Trajectory.health`.
+@dataclass(frozen=True, eq=False)
+class Quantities:
+    """What energies, momenta and force densities of a motion are evaluated from, when asked for.
 
     Attributes
     ----------
-    energy_error : float or None
-        Largest change of the energy since the start, as part of the largest
-        kinetic energy; what cut strings stored and what was lost at the ground are allowed for.
-        None where the energy may change: strings are damped, or a controller acts.
-    momentum_change, angular_momentum_change : float or None
-        Largest change, as part of the largest momentum that the kinetic energy
-        could give; None where supports, loads or the ground may change it.
-    bar_length_error : float
-        Largest change of the length of a bar, as part of its length.
-    position_error : float or None
-        Estimate of the error of the nodes at the end, as part of the size of
-        the structure: see :attr:`Trajectory.position_error`.
-    work : Work
-        Steps, rejections, evaluations and switches.
-    penetration : float or None
-        Largest depth of a node in the ground, as part of the size; None without ground, as all
-        that follows but the last.
-    damping_work, friction_work : float or None
-        Energy lost at the ground by damping and by friction, J.
-    impulse, impulse_error : float or None
-        Largest impulse of the ground on a node, N s; and by how much those of the ground and of
-        loads miss the momentum, as part of the largest; None with supports or varying loads.
-    fall : float or None
-        Sizes that the mean of the nodes is below z = 0, y = 0 in the plane, at the end; None for
-        less than one, or where ground or a support stops a fall.
+    model : Model
+    moved : bool
+        Whether supports move: functions are then those of all nodes.
+    inputs : ndarray, shape (α, T)
+        Rest lengths or force densities.
+    load : ndarray, shape (d, n), or (d n, T) where it changes, node by node; or None
+        N.
+    stored : ndarray, shape (T,), or None
+        What the ground stores, J.
     """
 
-    energy_error: float | None
-    momentum_change: float | None
-    angular_momentum_change: float | None
-    bar_length_error: float
-    position_error: float | None
-    work: Work
-    penetration: float | None = None
-    damping_work: float | None = None
-    friction_work: float | None = None
-    impulse: float | None = None
-    impulse_error: float | None = None
-    fall: float | None = None
+    model: Model
+    moved: bool
+    inputs: FloatArray
+    load: FloatArray | None = None
+    stored: FloatArray | None = None
+
+    def of(
+        self, name: str, nodes: FloatArray, velocities: FloatArray, *more: FloatArray
+    ) -> list[FloatArray]:
+        """Return a function of the model at all times, read-only: one array an output."""
+        model, count = self.model, nodes.shape[2]
+        rows = slice(None) if self.moved else model.structure.free_rows
+        function = model.of_all_nodes(name) if self.moved else getattr(model, name)
+
+        def within(first: int) -> list[FloatArray]:
+            some = slice(first, first + _BLOCK)
+            moving = [_by_node(part[:, :, some])[rows] for part in (nodes, velocities)]
+            return evaluate_columns(function, np.vstack(moving), *(each[:, some] for each in more))
+
+        parts = zip(*(within(first) for first in range(0, count, _BLOCK)), strict=True)
+        return [_read_only(np.hstack(part)) for part in parts]
 
 
-@dataclass(frozen=True)
-class HealthLimits:
-    """Limits on the figures of :class:`Health`, in their units; None for no limit.
+# What a trajectory evaluates when it is first read.
+_EVALUATED = ("force_density", "kinetic_energy", "potential_energy", "_momenta", "bar_length_error")
 
-    Parameters
-    ----------
-    energy_error : float, optional
-        As part of the largest kinetic energy.
-    momentum_change, angular_momentum_change, impulse_error : float, optional
-        As part of the largest momentum that the kinetic energy could give.
-    bar_length_error : float, optional
-        As part of the length.
-    position_error, penetration, fall : float, optional
-        As part of the size of the structure.
-    steps, evaluations, switches : float, optional
-        Counts.
-    action : {"warn", "raise"}
-        What happens where a limit is passed: an :class:`AccuracyWarning`, or a
-        :class:`SimulationError` that carries the motion.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If a limit is not positive, or ``action`` is another word.
+def _by_node(part: FloatArray) -> FloatArray:
+    """Return shape (d n, T), node by node, of (d, n, T)."""
+    return part.swapaxes(0, 1).reshape(-1, part.shape[2])
 
-    Examples
-    --------
-    >>> import tenscontrol as tc
-    >>> model = tc.Model(tc.prism())
-    >>> limits = tc.HealthLimits(bar_length_error=1e-9, action="raise")
-    >>> run = tc.simulate(model, 1.0, force_density=[17.3205] * 6 + [9.0] * 3, limits=limits)
-    >>> run.health.bar_length_error < 1e-9
-    True
-    """
 
-    energy_error: float | None = 0.05
-    momentum_change: float | None = None
-    angular_momentum_change: float | None = None
-    bar_length_error: float | None = 1e-3
-    position_error: float | None = 0.1
-    steps: float | None = None
-    evaluations: float | None = None
-    switches: float | None = None
-    action: str = "warn"
-    penetration: float | None = 0.25
-    fall: float | None = None
-    impulse_error: float | None = None
-
-    def __post_init__(self) -> None:
-        choice("action", self.action, ("warn", "raise"))
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name != "action" and value is not None:
-                positive_number(field.name, value, "a limit; None for none")
-
-    def passed(self, health: Health) -> list[str]:
-        """Return a sentence for each limit that is passed.
-
-        Parameters
-        ----------
-        health : Health
-
-        Returns
-        -------
-        list of str
-        """
-        instance("health", health, Health, "health of a trajectory")
-        found = []
-        for field in fields(self):
-            limit = getattr(self, field.name)
-            if field.name == "action" or limit is None:
-                continue
-            source = health if hasattr(health, field.name) else health.work
-            value = getattr(source, field.name)
-            if value is not None and value > limit:
-                what = field.name.replace("_", " ")
-                why = _PHYSICAL.get(field.name, "")
-                found.append(f"{what} {value:.2g} is above its limit {limit:g}{why}")
-        return found
+def _read_only(array: FloatArray) -> FloatArray:
+    array.setflags(write=False)
+    return array
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """A simulated motion. Made by :func:`simulate`.
+
+    Energies, momenta, force densities and bar-length errors are evaluated when they are first read,
+    and kept.
 
     Attributes
     ----------
@@ -353,20 +280,9 @@ class Trajectory:
         s, from 0, or from the end of the run that it goes on from.
     nodes, velocities : ndarray, shape (d, n, T)
         m and m/s, in space (d = 3) or in the plane (d = 2).
-    force_density : ndarray, shape (α, T)
-        γ that acts at the end of the step to each time, N/m.
     rest_length : ndarray, shape (α, T), or None
         Rest lengths, m; None where γ was held. A string that is cut has one of a
         million sizes of the structure.
-    kinetic_energy, potential_energy : ndarray, shape (T,)
-        J. The potential energy is ½ Σ γ l² where γ is held, the elastic
-        energy of the strings where rest lengths are, less ``tr(Wᵀ N)`` where
-        weights or a load act, with what is held and the load at the time. It jumps where a
-        controller changes its command, and falls where a string is cut.
-    momentum, angular_momentum : ndarray, shape (3, T)
-        kg m/s, and kg m²/s about the origin. In the plane (2, T) and (1, T).
-    bar_length_error : ndarray, shape (β, T)
-        Current length less true length of each bar, m.
     choice : Choice
         The integration method, its step or tolerance, and why it was chosen.
     work : Work
@@ -402,13 +318,7 @@ class Trajectory:
     time: FloatArray
     nodes: FloatArray
     velocities: FloatArray
-    force_density: FloatArray
     rest_length: FloatArray | None
-    kinetic_energy: FloatArray
-    potential_energy: FloatArray
-    momentum: FloatArray
-    angular_momentum: FloatArray
-    bar_length_error: FloatArray
     choice: Choice
     work: Work
     conserves_energy: bool
@@ -422,6 +332,7 @@ class Trajectory:
     ground: tuple[ContactLaw, ...] = ()
     contacts: ContactRecord | None = None
     falls: bool = False
+    _quantities: Quantities | None = field(default=None, repr=False)
 
     @property
     def method(self) -> str:
@@ -443,27 +354,115 @@ class Trajectory:
         """Number of evaluations of the right-hand side."""
         return self.work.evaluations
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle and copy with all that has not been evaluated yet, and without the model."""
+        for name in _EVALUATED:
+            getattr(self, name)
+        return vars(self) | {"_quantities": None}
+
+    @property
+    def _of_model(self) -> Quantities:
+        assert self._quantities is not None  # a copy without it has all values
+        return self._quantities
+
+    @cached_property
+    def force_density(self) -> FloatArray:
+        """γ that acts at the end of the step to each time, N/m, shape (α, T)."""
+        if self.rest_length is None:
+            return self._of_model.inputs
+        return self._evaluated("string_force_density", self._of_model.inputs)[0]
+
+    @cached_property
+    def kinetic_energy(self) -> FloatArray:
+        """½ tr(Ṅ M_s Ṅᵀ), J, shape (T,)."""
+        energy: FloatArray = self._evaluated("kinetic_energy")[0][0]
+        return energy
+
+    @cached_property
+    def potential_energy(self) -> FloatArray:
+        """J, shape (T,).
+
+        It is ½ Σ γ l² where γ is held, the elastic energy of the strings where rest lengths are,
+        less ``tr(Wᵀ N)`` where weights or a load act, with what is held and the load at the time.
+        It jumps where a controller changes its command, and falls where a string is cut.
+        """
+        name = "potential_energy" if self.rest_length is None else "elastic_energy"
+        quantities = self._of_model
+        energy = self._evaluated(name, quantities.inputs)[0][0]
+        if quantities.stored is not None:
+            energy = energy + quantities.stored
+        if quantities.load is not None:
+            fixed = quantities.load.shape == self.nodes.shape[:2]
+            energy = energy - (
+                np.einsum("in,int->t", quantities.load, self.nodes)
+                if fixed
+                else (quantities.load * _by_node(self.nodes)).sum(axis=0)
+            )
+        return _read_only(energy)
+
+    @property
+    def momentum(self) -> FloatArray:
+        """Linear momentum, kg m/s, shape (3, T); in the plane (2, T)."""
+        return self._momenta[0]
+
+    @property
+    def angular_momentum(self) -> FloatArray:
+        """Angular momentum about the origin, kg m²/s, shape (3, T); in the plane (1, T)."""
+        return self._momenta[1]
+
+    @cached_property
+    def _momenta(self) -> list[FloatArray]:
+        return self._evaluated("momentum")
+
+    @cached_property
+    def bar_length_error(self) -> FloatArray:
+        """Current length less true length of each bar, m, shape (β, T)."""
+        start, end = self.structure.bars.T
+        error = np.empty((len(start), len(self.time)))
+        for first in range(0, len(self.time), _BLOCK):
+            some = slice(first, first + _BLOCK)
+            bars = self.nodes[:, end, some] - self.nodes[:, start, some]
+            error[:, some] = np.linalg.norm(bars, axis=0)
+        error -= self.structure.bar_length[:, None]
+        return _read_only(error)
+
+    def _evaluated(self, name: str, *more: FloatArray) -> list[FloatArray]:
+        return self._of_model.of(name, self.nodes, self.velocities, *more)
+
     @property
     def health(self) -> Health:
         """Figures that tell whether to trust the motion."""
-        # What was lost is no error.
-        balance = self.energy + self.released_energy + self.lost_energy
-        moved = float(np.abs(balance - balance[0]).max())
-        # Near rest hardly any energy is kinetic: a millionth of all is then the measure.
-        scale = max(float(self.kinetic_energy.max()), 1e-6 * float(np.abs(self.energy).max()))
-        changes: list[float | None] = [None, None]
-        if self.conserves_momentum:
-            changes = [
-                _share(float(np.abs(part - part[:, :1]).max()), largest)
-                for part, largest in zip(
-                    (self.momentum, self.angular_momentum), self._largest_momenta(), strict=True
-                )
-            ]
+        return self.health_of([field.name for field in fields(Health)])
+
+    def health_of(self, names: Container[str]) -> Health:
+        """Return some figures of :attr:`health`, None for those that are left out.
+
+        Parameters
+        ----------
+        names : collection of str
+            Fields of :class:`Health` to find, of those that take an evaluation of the model;
+            the others are always there.
+        """
+        energy: float | None = None
+        if self.conserves_energy and "energy_error" in names:
+            # What was lost is no error.
+            balance = self.energy + self.released_energy + self.lost_energy
+            moved = float(np.abs(balance - balance[0]).max())
+            # Near rest hardly any energy is kinetic: a millionth of all is then the measure.
+            least = 1e-6 * float(np.abs(self.energy).max())
+            energy = _share(moved, max(float(self.kinetic_energy.max()), least))
+        changes: dict[str, float | None] = {}
+        parts = ("momentum", "angular_momentum")
+        for i, part in enumerate(parts):
+            if self.conserves_momentum and f"{part}_change" in names:
+                values, largest = getattr(self, part), self._largest_momenta()[i]
+                off = float(np.abs(values - values[:, :1]).max())
+                changes[f"{part}_change"] = _share(off, largest)
         stretch = np.abs(self.bar_length_error) / self.structure.bar_length[:, None]
         return Health(
-            energy_error=_share(moved, scale) if self.conserves_energy else None,
-            momentum_change=changes[0],
-            angular_momentum_change=changes[1],
+            energy_error=energy,
+            momentum_change=changes.get("momentum_change"),
+            angular_momentum_change=changes.get("angular_momentum_change"),
             bar_length_error=float(stretch.max(initial=0.0)),
             position_error=self.position_error,
             work=self.work,

@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.structure import Structure, is_movable
+from tenscontrol.statics.inertia import held_factors, nearly_null
+from tenscontrol.structure import Structure, is_movable, left_by_supports, rigid_motions
 from tenscontrol.validation import FloatArray, instance, refuse_memory
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+    from scipy.sparse import csc_array, csr_array
 
 # Singular values below this fraction of the largest count as zero: far above round-off, far below
 # what a real member contributes.
 _RANK_TOLERANCE = 1e-9
+
+# A matrix of no more entries is decomposed whole, by singular values, faster than by its zeros.
+_FEW = 100_000
+
+# Added where dependent members would make a least-squares problem singular, and singular values of
+# motions that are fitted once more, without squares.
+_REGULAR, _NEAR = 1e-13, 1e-5
+
+# The same for the least of many solutions, and its iterations.
+_GIVE, _REFINEMENTS = 1e-6, 100
+
+# Power iterations for the largest singular value.
+_POWERS = 20
 
 # A segment shorter than this part of its string has no direction to pull in.
 _NO_LENGTH = 1e-12
@@ -59,24 +74,27 @@ def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray
     """
     instance("structure", structure, Structure, "make one by Structure(...) or prism(...)")
     N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
+    count = len(structure.strings) + len(structure.bars)
+    size = f"structure has {N.shape[1]} nodes and {count} members"
+    refuse_memory(size, N.size * count, "numbers in its equilibrium matrix", 8)
+    return np.asarray(sparse_equilibrium_matrix(structure, N).toarray())
+
+
+def sparse_equilibrium_matrix(structure: Structure, nodes: FloatArray) -> csc_array:
+    """Return the equilibrium matrix, sparse."""
+    from scipy.sparse import csc_array
+
     alpha, beta = len(structure.strings), len(structure.bars)
-    d, n = N.shape
-    size = f"structure has {n} nodes and {alpha + beta} members"
-    refuse_memory(size, N.size * (alpha + beta), "numbers in its equilibrium matrix", 8)
-    E = np.zeros((n, d, alpha + beta))
+    d, n = nodes.shape
     # A string pulls its ends together, a bar pushes them apart.
-    pulls = -structure.string_vectors(N) * segment_share(structure, N)
-    vectors = np.hstack([pulls, structure.bar_vectors(N)]).T
-    start, end = np.vstack([structure.segments, structure.bars]).T
+    pulls = -structure.string_vectors(nodes) * segment_share(structure, nodes)
+    vectors = np.hstack([pulls, structure.bar_vectors(nodes)]).T
+    rows = d * np.vstack([structure.segments, structure.bars])[:, :, None] + np.arange(d)
+    values = np.stack([vectors, -vectors], axis=1)
     members = np.concatenate([structure.segment_string, alpha + np.arange(beta)])
-    if structure.has_clusters:  # a string may have several segments at a node
-        axes = np.arange(d)
-        np.add.at(E, (start[:, None], axes, members[:, None]), vectors)
-        np.add.at(E, (end[:, None], axes, members[:, None]), -vectors)
-    else:
-        E[start, :, members] += vectors
-        E[end, :, members] -= vectors
-    return E.reshape(-1, alpha + beta)
+    columns = np.broadcast_to(members[:, None, None], rows.shape)
+    # A clustered string may have several segments at a node: they are added.
+    return csc_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=(d * n, alpha + beta))
 
 
 def segment_share(structure: Structure, nodes: FloatArray) -> FloatArray:
@@ -91,7 +109,7 @@ def segment_share(structure: Structure, nodes: FloatArray) -> FloatArray:
 
 def null_space(matrix: FloatArray, rank: int | None = None) -> FloatArray:
     """Return an orthonormal basis of the null space, shape (columns, nullity)."""
-    _, sizes, Vt = np.linalg.svd(matrix)
+    _, sizes, Vt = np.linalg.svd(matrix, full_matrices=len(matrix) < matrix.shape[1])
     return np.asarray(Vt[matrix_rank(sizes) if rank is None else rank :].T)
 
 
@@ -138,38 +156,113 @@ def affine_picture(structure: Structure) -> csr_array:
     return csr_array((values[kept], columns[kept], ends), shape=(len(rows), len(rows)))
 
 
-def member_basis(
-    picture: csr_array, E: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return U, sizes and Vᵀ of columns of the equilibrium matrix, and the lengths of columns.
+def rigid_picture(structure: Structure, picture: csr_array) -> FloatArray:
+    """Return an orthonormal basis, shape (f, ·), of the motions as one body in the picture."""
+    # A motion v of the shape is (P Pᵀ)⁻¹ P v in the picture, where motions are well apart.
+    axes = picture_axes(structure)[0]
+    body = rigid_motions(axes @ structure.nodes)
+    body = np.einsum("ij,nik->njk", axes, body.reshape(-1, len(axes), body.shape[1]))
+    body = left_by_supports(structure, body.reshape(structure.nodes.size, -1))
+    pictured = (picture @ body[structure.free_rows]) / picture.multiply(picture).sum(axis=1)[
+        :, None
+    ]
+    pictured /= np.maximum(np.linalg.norm(pictured, axis=0), np.finfo(float).tiny)
+    pictured, extents, _ = np.linalg.svd(pictured, full_matrices=False)
+    return np.asarray(pictured[:, extents > _RANK_TOLERANCE * extents.max(initial=0.0)])
 
-    E has the rows of the free coordinates. The rank is the same in every affine picture of the
-    shape, so it is counted in one that is as long in all directions, with members of length 1.
-    """
-    pictured = picture @ E
-    length = np.linalg.norm(pictured, axis=0)
+
+def pictured_members(picture: csr_array, E: csc_array) -> tuple[csc_array, FloatArray]:
+    """Return ``P E`` with columns of length 1, or 0, and the lengths that they had, or 1."""
+    from scipy.sparse import csc_array, diags_array
+
+    pictured = csc_array(picture @ E)
+    length = np.sqrt(pictured.multiply(pictured).sum(axis=0))
     length = np.where(length > 0, length, 1.0)
-    U, sizes, Vt = np.linalg.svd(pictured / length)
-    return U, sizes, Vt, length
+    return csc_array(pictured @ diags_array(1 / length)), length
+
+
+def is_small(E: csc_array) -> bool:
+    """Return whether a matrix is decomposed whole."""
+    return bool(E.shape[0] * E.shape[1] <= _FEW)
 
 
 @dataclass(frozen=True, eq=False)
-class MemberForces:
-    """Force densities of the k movable members, strings first: ``particular + states @ x``.
+class KeptLengths:
+    """Motions of the affine picture that keep the lengths of members, to first order.
 
-    Members between two fixed nodes are part of the support, and fixed nodes take any force.
+    The rank of the equilibrium matrix is the same in every affine picture of the shape, so it is
+    counted in one that is as long in all directions, with members of length 1.
     """
 
-    live: np.ndarray  # (α + β,), which members are movable
-    matrix: FloatArray  # (f, k), E of these members and the free coordinates
-    sizes: FloatArray  # its singular values, in the picture
-    states: FloatArray  # (k, ·), orthonormal states of self-stress
-    particular: FloatArray  # (k,), the least γ and λ that balance the load best
+    motions: FloatArray  # (f, ·), orthonormal; those as one body are among them
+    least: float  # the least singular value that counts, part of the largest
+    lost: float  # the largest that does not
 
     @property
     def rank(self) -> int:
-        """Rank of the matrix."""
-        return int(self.matrix.shape[1] - self.states.shape[1])
+        """Rank of the equilibrium matrix of the members."""
+        return int(self.motions.shape[0] - self.motions.shape[1])
+
+
+def kept_lengths(structure: Structure, picture: csr_array, E: csc_array) -> KeptLengths:
+    """Return the motions that keep lengths, of E with the rows of the free coordinates.
+
+    A large matrix is not decomposed: the pivots of ``E Eᵀ`` show where motions may be, inverse
+    iteration finds them, and how much they change lengths decides.
+    """
+    pictured, _ = pictured_members(picture, E)
+    if is_small(E):
+        U, sizes, _ = np.linalg.svd(pictured.toarray())
+        rank = matrix_rank(sizes)
+        part = sizes / sizes.max(initial=np.finfo(float).tiny)
+        least = float(part[:rank].min(initial=1.0))
+        return KeptLengths(U[:, rank:], least, float(part[rank:].max(initial=0.0)))
+    body = rigid_picture(structure, picture)
+    squares = (pictured @ pictured.T).tocsc()
+    largest = squares.diagonal().max()
+    found = nearly_null(held_factors(squares, body, _RANK_TOLERANCE**2 * largest))
+    found, part = _by_lengths(pictured, body, found)
+    near = part < _NEAR
+    if near.any():
+        again, exact = _by_lengths(pictured, body, _fitted(pictured, found[:, near]))
+        found, part = again, np.concatenate([exact, part[~near]])
+    count = np.count_nonzero(part <= _RANK_TOLERANCE)
+    part.sort()
+    return KeptLengths(
+        np.hstack([body, found[:, :count]]),
+        float(part[count:].min(initial=1.0)),
+        float(part[:count].max(initial=0.0)),
+    )
+
+
+def _by_lengths(
+    pictured: csc_array, body: FloatArray, motions: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return orthonormal motions without those as one body, and how much each changes lengths.
+
+    Ascending, as parts of the largest singular value.
+    """
+    for _ in range(2):
+        motions = np.linalg.qr(motions - body @ (body.T @ motions))[0]
+    rates = pictured.T @ motions
+    _, found, Vt = np.linalg.svd(rates, full_matrices=len(rates) < rates.shape[1])
+    sizes = np.zeros(len(Vt))
+    sizes[: len(found)] = found
+    vector = np.cos(np.arange(1.0, len(motions) + 1) ** 2)  # any
+    for _ in range(_POWERS):
+        vector = pictured @ (pictured.T @ (vector / np.linalg.norm(vector)))
+    return motions @ Vt[::-1].T, sizes[::-1] / np.sqrt(np.linalg.norm(vector))
+
+
+def _fitted(pictured: csc_array, motions: FloatArray) -> FloatArray:
+    """Return what is left of motions when a least-squares fit by columns is taken away."""
+    from scipy.sparse import block_array, eye_array
+    from scipy.sparse.linalg import splu
+
+    count, k = pictured.shape
+    saddle = [[eye_array(count), pictured], [pictured.T, -_REGULAR * eye_array(k)]]
+    right = np.vstack([motions, np.zeros((k, motions.shape[1]))])
+    return np.asarray(splu(block_array(saddle, format="csc")).solve(right)[:count])
 
 
 def movable_members(structure: Structure) -> np.ndarray:
@@ -179,17 +272,90 @@ def movable_members(structure: Structure) -> np.ndarray:
     return np.concatenate([strings, is_movable(structure, structure.bars)])
 
 
+@dataclass(frozen=True, eq=False)
+class MemberForces:
+    """Force densities of the k movable members, strings first: ``particular + states @ x``.
+
+    Members between two fixed nodes are part of the support, and fixed nodes take any force.
+    """
+
+    structure: Structure
+    live: np.ndarray  # (α + β,), which members are movable
+    matrix: csc_array  # (f, k), E of these members and the free coordinates
+    load: FloatArray  # (f,)
+
+    @cached_property
+    def _whole(self) -> tuple[FloatArray, FloatArray, float]:
+        """States, particular and the least singular value, by the decomposition of all of E."""
+        rows, count = self.matrix.shape
+        size = f"structure has {rows} free coordinates and {count} members"
+        refuse_memory(size, (rows + count) ** 2, "numbers in E and its singular vectors", 8)
+        picture = affine_picture(self.structure)
+        pictured, length = pictured_members(picture, self.matrix)
+        U, sizes, Vt = np.linalg.svd(pictured.toarray())
+        rank = matrix_rank(sizes)
+        states = np.linalg.qr(Vt[rank:].T / length[:, None])[0]
+        balance = (U[:, :rank].T @ (picture @ self.load)) / sizes[:rank]
+        particular = Vt[:rank].T @ balance / length
+        particular -= states @ (states.T @ particular)
+        return states, particular, float(sizes[-1] / sizes[0]) if len(sizes) else 1.0
+
+    @property
+    def states(self) -> FloatArray:
+        """Orthonormal states of self-stress, shape (k, ·), not sparse."""
+        return self._whole[0]
+
+    @property
+    def particular(self) -> FloatArray:
+        """The least γ and λ that balance the load best, shape (k,)."""
+        if is_small(self.matrix):
+            return self._whole[1]
+        return least_norm(self.matrix, self.load, _REGULAR)
+
+    @cached_property
+    def kept(self) -> KeptLengths:
+        """The motions that keep all lengths."""
+        return kept_lengths(self.structure, affine_picture(self.structure), self.matrix)
+
+    @property
+    def rank(self) -> int:
+        """Rank of the matrix."""
+        if is_small(self.matrix):
+            return int(self.matrix.shape[1] - self.states.shape[1])
+        return self.kept.rank
+
+    @property
+    def least(self) -> float:
+        """Least singular value that counts, part of the largest."""
+        return self._whole[2] if is_small(self.matrix) else self.kept.least
+
+
+def least_norm(matrix: csc_array, right: FloatArray, give: float = _GIVE) -> FloatArray:
+    """Return the least x that solves ``A x = b`` best, A sparse, by iterated regularization.
+
+    Singular values below the square root of ``give`` take many iterations; with less of it, x is
+    less exact where columns are dependent.
+    """
+    from scipy.sparse import block_array, eye_array
+    from scipy.sparse.linalg import splu
+
+    rows, columns = matrix.shape
+    size = np.sqrt(matrix.multiply(matrix).sum(axis=0).max(initial=0.0)) or 1.0
+    A, x, before = matrix / size, np.zeros(columns), np.inf
+    saddle = [[eye_array(rows), A], [A.T, -give * eye_array(columns)]]
+    factors = splu(block_array(saddle, format="csc"))
+    for _ in range(_REFINEMENTS):
+        left = np.concatenate([right - A @ x, np.zeros(columns)])
+        change = factors.solve(left)[rows:]
+        most = float(np.abs(change).max(initial=0.0))
+        if most >= before:
+            break
+        x, before = x + change, most
+    return np.asarray(x / size)
+
+
 def member_forces(structure: Structure, load: FloatArray) -> MemberForces:
     """Return the force densities that balance a load on the free coordinates, shape (f,)."""
     live = movable_members(structure)
-    rows, count = len(structure.free_rows), int(live.sum())
-    size = f"structure has {rows} free coordinates and {count} members"
-    refuse_memory(size, (rows + count) ** 2, "numbers in E and its singular vectors", 8)
-    E = equilibrium_matrix(structure)[structure.free_rows][:, live]
-    picture = affine_picture(structure)
-    U, sizes, Vt, length = member_basis(picture, E)
-    rank = matrix_rank(sizes)
-    states = np.linalg.qr(Vt[rank:].T / length[:, None])[0]
-    particular = Vt[:rank].T @ ((U[:, :rank].T @ (picture @ load)) / sizes[:rank]) / length
-    particular -= states @ (states.T @ particular)
-    return MemberForces(live, E, sizes, states, particular)
+    E = sparse_equilibrium_matrix(structure, structure.nodes).tocsr()[structure.free_rows]
+    return MemberForces(structure, live, E.tocsc()[:, live], load)

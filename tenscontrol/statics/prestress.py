@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tenscontrol.statics.equilibrium_matrix import MemberForces, member_forces
-from tenscontrol.statics.least_distance import can_be_positive, largest_share, nearest_between
+from tenscontrol.statics.equilibrium_matrix import (
+    MemberForces,
+    is_small,
+    least_norm,
+    member_forces,
+)
+from tenscontrol.statics.least_distance import (
+    Balance,
+    can_be_positive,
+    largest_share,
+    nearest_between,
+)
 from tenscontrol.statics.stability import (
     Stability,
     TangentStiffness,
@@ -32,12 +43,18 @@ from tenscontrol.validation import (
     whole_number,
 )
 
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
+
 # Singular values below this fraction of the largest count as zero: far above
 # round-off, far below what a real member contributes.
 _RANK_TOLERANCE = 1e-9
 
 # How far below the largest least force density strings may be, so that there is a choice.
 _BELOW = 1e-6
+
+# A linear program of many strings finds bounds that can be kept to this part.
+_CLOSE = 1e-7
 
 # Force densities below this fraction of the largest are zero.
 _ROUND_OFF = 1e-12
@@ -116,7 +133,7 @@ class Prestress:
         """Whether it is stable at any level of prestress; see :class:`Stability`."""
         return self.stability.is_super_stable
 
-    def tangent_stiffness(self, stiffness: object) -> TangentStiffness:
+    def tangent_stiffness(self, stiffness: object, count: int | None = None) -> TangentStiffness:
         """Return the stiffness of the structure with strings of this stiffness, rest lengths held.
 
         It decides whether the structure stays where it is when it is pushed.
@@ -126,6 +143,9 @@ class Prestress:
         stiffness : float or array_like, shape (α,)
             dT/dL of each string, N/m: k of linear strings, EA/l0 of elastic ones. What has no force
             here (γ = 0) is taken as slack, and adds none.
+        count : int, optional
+            How many eigenvalues, the lowest: of a large structure they take time and memory in
+            proportion to its members. All if not given, which takes the cube and the square.
 
         Returns
         -------
@@ -134,7 +154,7 @@ class Prestress:
         Raises
         ------
         TypeError, ValueError
-            If ``stiffness`` does not fit or is not positive.
+            If ``stiffness`` does not fit or is not positive, or ``count`` is below 1.
 
         Examples
         --------
@@ -147,9 +167,11 @@ class Prestress:
         """
         k = per_member("stiffness", stiffness, len(self.force_density), "string")
         positive("stiffness", k, "stiffness in N/m")
+        if count is not None:
+            whole_number("count", count, least=1)
         return tangent_stiffness(
             self.structure, self.force_density, self.bar_force_density, k,
-            self._is_loaded,
+            self._is_loaded, count,
         )  # fmt: skip
 
     def __repr__(self) -> str:
@@ -207,6 +229,8 @@ def prestress(
         If an argument does not fit; if a given γ is negative or does not
         balance (the message says by how much and where); if no γ within the bounds balances (the
         message names the strings that cannot be taut, or the largest level that can be had).
+    ArithmeticError
+        If a large structure has such γ, and they are not found.
 
     Notes
     -----
@@ -296,19 +320,22 @@ def _found(
     w = free_coordinates(structure, load)
     forces = member_forces(structure, w)
     strings = np.flatnonzero(forces.live[: len(low)])
-    D, offset, gamma, most = forces.states, forces.particular, low, high
+    gamma, most = low, high
     low, high = low[strings], high[strings]
     count = len(strings)
-    _refuse_unbalanced(
-        structure, forces.matrix, offset, w, "no member forces balance external_force",
-        "In this shape the load meets a mechanism; equilibrium(model, ...) lets the shape give",
-    )  # fmt: skip
+    if w.any():
+        _refuse_unbalanced(
+            structure, forces.matrix, forces.particular, w,
+            "no member forces balance external_force",
+            "In this shape the load meets a mechanism; equilibrium(model, ...) lets the shape give",
+        )  # fmt: skip
     if count == 0:
         raise ValueError(
             "all strings run between fixed nodes, so that no force of theirs moves anything"
         )
+    every = BalancedForces.of(forces)
     if as_high:
-        least = largest_share(D[:count], offset[:count], np.ones(count), high, None)
+        least = every.largest_share(np.ones(count), high, None)
         if least <= _ROUND_OFF * high.max():
             raise ValueError(_infeasible(forces, strings, np.ones(count), high, bool(w.any())))
         low = np.full(count, (1 - _BELOW) * least)
@@ -320,15 +347,13 @@ def _found(
             "balances that; give a positive number, or a force_density"
         )
     if level is not None:
-        kept = _at_level(structure, D, offset, strings, level, reference)
+        kept = every.at_level(_reference(structure, strings, reference), level)
         if kept is None:
             raise ValueError(_infeasible(forces, strings, low, high, bool(w.any())))
-        D, offset = kept
-    target = np.full(count, goal)
-    x = nearest_between(D[:count], offset[:count], target, low, high)
-    if x is None:
-        raise ValueError(_infeasible(forces, strings, low, high, bool(w.any()), (D, offset)))
-    densities = np.asarray(offset + D @ x)
+        every = kept
+    densities = every.nearest(np.full(count, goal), low, high)
+    if densities is None:
+        raise ValueError(_infeasible(forces, strings, low, high, bool(w.any()), every))
     # What round-off leaves below zero is zero; the residual is checked afterwards.
     found = densities[:count]
     found[found < _ROUND_OFF * np.abs(densities).max()] = 0.0
@@ -340,14 +365,8 @@ def _found(
     return _at_rest(structure, forces, gamma, densities, load)
 
 
-def _at_level(
-    structure: Structure, states: FloatArray, particular: FloatArray, strings: IntArray,
-    level: float, reference: str | None,
-) -> tuple[FloatArray, FloatArray] | None:  # fmt: skip
-    """Return directions and offset of the force densities whose reference has the mean ``level``.
-
-    None if no state of self-stress changes that mean.
-    """
+def _reference(structure: Structure, strings: IntArray, reference: str | None) -> IntArray:
+    """Return which of some strings are of the reference group."""
     groups = dict.fromkeys(structure.string_groups)
     group = next(iter(groups)) if reference is None else choice("reference", reference, groups)
     chosen = np.flatnonzero(np.isin(strings, structure.strings_in(group)))
@@ -356,12 +375,60 @@ def _at_level(
             f"reference is {group!r}, whose strings all run between fixed nodes: no force of "
             "theirs moves anything; give a group with a free end as reference"
         )
-    mean = states[chosen].mean(axis=0)
-    weight = float(np.linalg.norm(mean))
-    if weight < _ROUND_OFF:
-        return None
-    start = mean * (level - particular[chosen].mean()) / weight**2
-    return states @ np.linalg.svd(mean[None, :])[2][1:].T, particular + states @ start
+    return chosen
+
+
+@dataclass(frozen=True, eq=False)
+class BalancedForces:
+    """All force densities ``D x + o`` that balance, those of strings first.
+
+    Few are given by directions D; many by sparse equations of x, with D = 1 and o = 0.
+    """
+
+    directions: FloatArray  # D, (k, ·)
+    offset: FloatArray  # o, (k,)
+    balance: Balance | None
+
+    @classmethod
+    def of(cls, forces: MemberForces) -> BalancedForces:
+        """Return those of movable members."""
+        if is_small(forces.matrix):
+            return cls(forces.states, forces.particular, None)
+        from scipy.sparse import eye_array
+
+        k = forces.matrix.shape[1]
+        return cls(eye_array(k).tocsr(), np.zeros(k), Balance(forces.matrix.tocsr(), forces.load))
+
+    def at_level(self, chosen: IntArray, level: float) -> BalancedForces | None:
+        """Return those in which the chosen strings have the mean ``level``.
+
+        None if no state of self-stress changes that mean.
+        """
+        if self.balance is not None:
+            row = np.zeros(len(self.offset))
+            row[chosen] = 1 / len(chosen)
+            return replace(self, balance=self.balance.joined(row, level))
+        states, particular = self.directions, self.offset
+        mean = states[chosen].mean(axis=0)
+        weight = float(np.linalg.norm(mean))
+        if weight < _ROUND_OFF:
+            return None
+        start = mean * (level - particular[chosen].mean()) / weight**2
+        directions = states @ np.linalg.svd(mean[None, :])[2][1:].T
+        return BalancedForces(directions, particular + states @ start, None)
+
+    def nearest(self, target: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray | None:
+        """Return those whose γ are nearest to a target within bounds, or None if none are."""
+        if self.balance is not None:
+            return self.balance.nearest(target, low, high)
+        D, offset, count = self.directions, self.offset, len(target)
+        x = nearest_between(D[:count], offset[:count], target, low, high)
+        return None if x is None else np.asarray(offset + D @ x)
+
+    def largest_share(self, low: FloatArray, high: FloatArray, most: float | None = 1) -> float:
+        """Return the largest part of the least γ, at most ``most``, that they can have."""
+        D, offset = self.directions[: len(low)], self.offset[: len(low)]
+        return largest_share(D, offset, low, high, most, self.balance)
 
 
 def balanced(
@@ -382,6 +449,9 @@ def _least_bars(forces: MemberForces, gamma: FloatArray, w: FloatArray) -> Float
     """Return the least λ of movable bars that balance γ of movable strings best."""
     count = len(gamma)
     pushes, load = forces.matrix[:, count:], w - forces.matrix[:, :count] @ gamma
+    if not is_small(forces.matrix):
+        return least_norm(pushes, load)
+    pushes = pushes.toarray()
     length = np.linalg.norm(pushes, axis=0)
     length = length[length > 0]
     ratio = length.min() / length.max() if len(length) else 1.0
@@ -402,7 +472,7 @@ def _at_rest(
         bar_force_density=frozen(every[alpha:]),
         external_force=frozen(load),
         residual=float(np.abs(E @ densities - w).max(initial=0.0)),
-        self_stress_states=forces.states.shape[1],
+        self_stress_states=E.shape[1] - forces.rank,
         mechanisms=len(w) - rigid_basis(structure).shape[1] - forces.rank,
     )
 
@@ -457,19 +527,18 @@ def prism_force_density(
 
 def _infeasible(
     forces: MemberForces, strings: IntArray, low: FloatArray, high: FloatArray, loaded: bool,
-    at_level: tuple[FloatArray, FloatArray] | None = None,
+    at_level: BalancedForces | None = None,
 ) -> str:  # fmt: skip
     """Say why no force densities were found."""
-    states, sizes, count = forces.states, forces.sizes, len(strings)
-    if states.shape[1] == 0 and not loaded:
-        smallest = sizes[-1] / sizes[0]
+    states, count = forces.matrix.shape[1] - forces.rank, len(strings)
+    if states == 0 and not loaded:
         return (
             "the structure has no state of self-stress in this shape: no force densities balance. "
-            f"The smallest singular value of its equilibrium matrix is {smallest:.1e} of the "
+            f"The smallest singular value of its equilibrium matrix is {forces.least:.1e} of the "
             f"largest, against {_RANK_TOLERANCE:.0e} for a state of self-stress; if it is small, "
             "give the nodes with more digits"
         )
-    if states.shape[1] == 0:
+    if states == 0:
         gamma = forces.particular[:count]
         i = int((gamma - low).argmin()) if (gamma < low).any() else int((gamma - high).argmax())
         return (
@@ -477,9 +546,12 @@ def _infeasible(
             f"alone determines the forces: string {strings[i]} would get γ = {gamma[i]:.6g} N/m, "
             f"expected {low[i]:g} to {high[i]:g} N/m. Change the load, the shape or the bounds"
         )
-    D, offset = (states, forces.particular) if at_level is None else at_level
-    share = largest_share(D[:count], offset[:count], low, high)
-    can = can_be_positive(states[:count], np.zeros(count))
+    every = BalancedForces.of(forces)
+    share = (at_level or every).largest_share(low, high)
+    free = (
+        None if every.balance is None else replace(every.balance, values=0 * every.balance.values)
+    )
+    can = can_be_positive(every.directions[:count], np.zeros(count), free)
     stuck = strings[~can & (low > 0)] if can is not None else strings
     what = "external_force with" if loaded else "the structure with"
     if not loaded and len(stuck):
@@ -488,8 +560,14 @@ def _infeasible(
             "shape no state of self-stress with γ ≥ 0 has them taut. Change the shape or the "
             "strings, or give 0 for them in min_force_density, an array"
         )
+    if at_level is not None and at_level.balance is not None and share > 1 - _CLOSE:
+        raise ArithmeticError(
+            "the quadratic program of the prestress did not converge, though force densities "
+            "within the bounds balance, or nearly so; give other bounds or another level"
+        )
     unbounded = np.full(count, np.inf)
-    if share < 1 and largest_share(D[:count], offset[:count], low, unbounded) >= 1 - _ROUND_OFF:
+    wider = (at_level or every).largest_share(low, unbounded)
+    if share < 1 and wider >= 1 - _ROUND_OFF:
         level = f"; with it, all strings can have {share:.4g} times the least that is asked for"
         return (
             "max_force_density is too low: without it, there are force densities that balance"
@@ -499,7 +577,7 @@ def _infeasible(
     which = f" (strings {listed(slack)} cannot be taut)" if len(slack) else ""
     return (
         f"no force densities γ ≥ 0 balance {what} the reference strings at the wanted level, "
-        f"within the bounds: each of the {states.shape[1]} states of self-stress needs a string in "
+        f"within the bounds: each of the {states} states of self-stress needs a string in "
         f"compression, or leaves the reference strings slack{which}. Change the shape, the "
         "strings, the reference or the bounds"
     )
@@ -512,12 +590,12 @@ def listed(members: IntArray) -> str:
 
 
 def _refuse_unbalanced(
-    structure: Structure, E: FloatArray, densities: FloatArray, w: FloatArray,
+    structure: Structure, E: csc_array, densities: FloatArray, w: FloatArray,
     what: str, hint: str, least: float = 0.0,
 ) -> None:  # fmt: skip
     d, n = structure.nodes.shape
     size = np.sqrt(np.bincount(structure.free_rows // d, (E @ densities - w) ** 2, minlength=n))
-    scale = max([least, *(float(np.abs(x).max(initial=0.0)) for x in (E * densities, w))])
+    scale = max([least, abs(E * densities).max(), np.abs(w).max(initial=0.0)])
     if size.max() > _RESIDUAL_TOLERANCE * scale:
         worst = int(size.argmax())
         raise ValueError(

@@ -3,27 +3,45 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tenscontrol.statics.equilibrium_matrix import (
     affine_picture,
-    equilibrium_matrix,
-    matrix_rank,
-    member_basis,
+    is_small,
+    kept_lengths,
     null_space,
     picture_axes,
     principal_axes,
+    rigid_picture,
     segment_share,
+    sparse_equilibrium_matrix,
 )
-from tenscontrol.structure import Structure, left_by_supports, rigid_motions
-from tenscontrol.validation import FloatArray, IntArray, frozen, instance, shaped
+from tenscontrol.statics.inertia import factorized, held_factors, nearly_null
+from tenscontrol.structure import Structure, bar_rows
+from tenscontrol.validation import FloatArray, IntArray, frozen, instance, refuse_memory, shaped
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array, csr_array
 
 _TOLERANCE = 1e-9
 
 # Stiffness below this part of that of all members together, signs left out, is none; or below what
 # is counted as no length change at all, where the nodes have fewer digits.
 _STIFF, _DIGITS = 1e-13, 10.0
+
+# Eigenvalues next to zero are found from here.
+_ASIDE = 1e-4
+
+# More eigenvalues than are asked for.
+_MORE = 6
+
+# Pivots of this size are round-off.
+_NO_PIVOT = 1e-11
+
+# Stiffness of bars, parts of the largest stiffness, in whose place rigid ones are.
+_RIGID = 1e4
 
 # What is left of a sum that cancels.
 _ROUND_OFF = 1e-12
@@ -105,15 +123,14 @@ def stability(
     stiffness, gross = _geometric_stiffness(structure, force_density, bar_force_density)
     carrying = np.concatenate([taut, np.ones(len(structure.bars), bool)])
     flexes, floor = _left_free(structure, carrying, stiffness, gross, loaded)
-    energy = flexes.T @ stiffness @ flexes
-    has_force = bool(gross.max(initial=0.0) > 0)
-    is_stable = has_force and _is_positive(energy, floor * flexes.T @ gross @ flexes)
+    energy = flexes.T @ (stiffness @ flexes)
+    has_force = bool(gross.max() > 0)
+    is_stable = has_force and _is_positive(energy, floor * flexes.T @ (gross @ flexes))
     defects, is_definite = _stress_defects(structure, force_density, bar_force_density)
     if structure.has_clusters:
-        pulls = equilibrium_matrix(structure)[structure.free_rows][:, : len(taut)]
-        pulls = pulls * np.sqrt(force_density) / _lengths(structure)
-        squared = stiffness + pulls @ pulls.T
-        is_super = is_stable and _is_positive(squared + _TOLERANCE * gross, np.zeros_like(gross))
+        pulls = _pulls(structure, np.sqrt(force_density))
+        squared = stiffness + pulls @ pulls.T + _TOLERANCE * gross
+        is_super = is_stable and _is_definite(squared)
     else:
         axes, sizes = principal_axes(structure, _TOLERANCE)
         least = _least_defects(structure, axes / sizes)
@@ -126,26 +143,86 @@ def stability(
 
 def tangent_stiffness(
     structure: Structure, force_density: FloatArray, bar_force_density: FloatArray,
-    stiffness: FloatArray, loaded: bool,
+    stiffness: FloatArray, loaded: bool, count: int | None = None,
 ) -> TangentStiffness:  # fmt: skip
-    """Return the stiffness of a balanced γ, λ with strings of dT/dL, shape (α,), N/m."""
+    """Return the stiffness of a balanced γ, λ with strings of dT/dL, shape (α,), N/m.
+
+    The ``count`` lowest eigenvalues, or all.
+    """
     taut = _taut(structure, force_density)
-    matrix, gross = _geometric_stiffness(structure, force_density, bar_force_density, every=True)
-    pulls = equilibrium_matrix(structure)[structure.free_rows][:, : len(taut)][:, taut]
-    pulls = pulls * np.sqrt(stiffness[taut]) / _lengths(structure)[taut]
+    geometric, gross = _geometric_stiffness(structure, force_density, bar_force_density, every=True)
+    pulls = _pulls(structure, np.sqrt(np.where(taut, stiffness, 0.0)))
     material = pulls @ pulls.T
-    carrying = np.concatenate([np.zeros(len(taut), bool), np.ones(len(structure.bars), bool)])
-    motions, floor = _left_free(structure, carrying, matrix, gross, loaded)
-    matrix, gross = matrix + material, gross + material
-    reduced = motions.T @ matrix @ motions
-    values, vectors = np.linalg.eigh((reduced + reduced.T) / 2)
+    if count is None or is_small(geometric):
+        rows = geometric.shape[0]
+        hint = ". Give count, a number of lowest eigenvalues"
+        refuse_memory(f"structure has {rows} free coordinates", 3 * rows**2,
+                      "numbers in its stiffness and modes", 8, hint)  # fmt: skip
+        carrying = np.concatenate([np.zeros(len(taut), bool), np.ones(len(structure.bars), bool)])
+        motions, floor = _left_free(structure, carrying, geometric, gross, loaded)
+        reduced = motions.T @ ((geometric + material) @ motions)
+        values, vectors = np.linalg.eigh((reduced + reduced.T) / 2)
+        is_stable = _is_positive(reduced, floor * motions.T @ ((gross + material) @ motions))
+        values, vectors = values[:count], motions @ vectors[:, :count]
+    else:
+        picture = affine_picture(structure)
+        out = _unresisted(structure, picture, geometric, gross, loaded)
+        out = np.linalg.qr(picture.T @ out)[0]
+        values, vectors, is_stable = _lowest(
+            structure, geometric, material, gross + material, out, count
+        )
     modes = np.zeros((structure.nodes.size, len(values)))
-    modes[structure.free_rows] = motions @ vectors
+    modes[structure.free_rows] = vectors
     shape = (structure.nodes.shape[1], structure.dimension, len(values))
-    is_stable = _is_positive(reduced, floor * motions.T @ gross @ motions)
     return TangentStiffness(
         is_stable, frozen(values), frozen(modes.reshape(shape).swapaxes(0, 1).copy())
     )
+
+
+def _lowest(
+    structure: Structure, geometric: csc_array, material: csc_array, gross: csc_array,
+    out: FloatArray, count: int,
+) -> tuple[FloatArray, FloatArray, bool]:  # fmt: skip
+    """Return the lowest eigenvalues on the motions that keep bar lengths, across those left out.
+
+    With their vectors, and whether all eigenvalues are positive.
+    """
+    from scipy.sparse import block_array, diags_array, eye_array
+    from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+    matrix = (geometric + material).tocsc()
+    f, bars = matrix.shape[0], structure.kept_bars
+    J = bar_rows(structure, bars, structure.nodes)[:, structure.free_rows]
+    J = (diags_array(1 / np.sqrt(J.multiply(J).sum(axis=1))) @ J).tocsr()
+    size = float(gross.diagonal().max())
+    # Stiff bars in place of rigid ones: where all pivots are positive, all eigenvalues are.
+    stiff = held_factors((matrix + _RIGID * size * (J.T @ J)).tocsc(), out)
+    is_definite = stiff.is_semidefinite and stiff.pivots.min() > _NO_PIVOT
+    # Else the lowest are sought from below all of them, where the search takes longer.
+    below = 0.0 if is_definite else -2.0 * float(abs(geometric).sum(axis=1).max() or size)
+    shifted = matrix - below * eye_array(f)
+    if is_definite:
+        shifted = shifted + diags_array(size * stiff.held)
+    factors = splu(block_array([[shifted, J.T], [J, None]], format="csc"))
+
+    def across(vector: FloatArray) -> FloatArray:
+        return np.asarray(vector - out @ (out.T @ vector))
+
+    def inverse(vector: FloatArray) -> FloatArray:
+        right = np.concatenate([across(vector.ravel()), np.zeros(len(bars))])
+        return across(factors.solve(right)[:f])
+
+    # Some more, so that none of several equal ones is missed.
+    more = min(count + _MORE, f - len(bars) - out.shape[1], f - 1)
+    if more < 1:
+        return np.zeros(0), np.zeros((f, 0)), True
+    start = inverse(np.cos(np.arange(1.0, f + 1) ** 2))  # any
+    operator = LinearOperator((f, f), matvec=inverse, dtype=float)
+    _, vectors = eigsh(operator, more, which="LA", v0=start, ncv=min(f, 2 * more + 20))
+    vectors = np.linalg.qr(vectors)[0]
+    values, turn = np.linalg.eigh(vectors.T @ (matrix @ vectors))
+    floor = _STIFF * float(vectors[:, 0] @ (gross @ vectors[:, 0]))
+    return values[:count], (vectors @ turn)[:, :count], bool(is_definite or values[0] > floor)
 
 
 def _taut(structure: Structure, force_density: FloatArray) -> np.ndarray:
@@ -162,41 +239,49 @@ def _taut(structure: Structure, force_density: FloatArray) -> np.ndarray:
     return np.asarray(np.any(pulls, axis=0))
 
 
-def _lengths(structure: Structure) -> FloatArray:
-    """Return the string lengths, m, 1 for a string without length."""
+def _pulls(structure: Structure, weight: FloatArray) -> csc_array:
+    """Return ∇L of the strings for the free coordinates, times weights, shape (f, α)."""
+    from scipy.sparse import diags_array
+
     length = structure.string_length()
-    return np.where(length > 0, length, 1.0)
+    length = np.where(length > 0, length, 1.0)
+    E = sparse_equilibrium_matrix(structure, structure.nodes)[:, : len(length)]
+    return (E.tocsr()[structure.free_rows] @ diags_array(weight / length)).tocsc()
 
 
 def _geometric_stiffness(
     structure: Structure, gamma: FloatArray, lam: FloatArray, every: bool = False
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[csc_array, csc_array]:
     """Return Σ T ∇²L − Σ λ ∇²(b²/2), shape (f, f), and the sum of the same without signs, N/m.
 
     Only ``every`` string has that of L; others have that of L²/2, the same where lengths keep.
     """
-    rows, eye = structure.free_rows, np.eye(structure.dimension)
-    at = np.ix_(rows, rows)
-    stress = stress_matrix(structure, gamma, lam)
-    gross = np.kron(stress_matrix(structure, gamma, -np.abs(lam)), eye)[at]
-    matrix = np.kron(stress, eye)[at]
+    from scipy.sparse import csc_array, eye_array, kron
+
+    rows, eye = structure.free_rows, eye_array(structure.dimension)
+    matrix, gross = (
+        csc_array(kron(_sparse_stress(structure, gamma, each), eye, format="csr")[rows][:, rows])
+        for each in (lam, -np.abs(lam))
+    )
     if every or structure.has_clusters:
         # A segment that keeps its direction takes no part in ∇²L.
         vectors = structure.string_vectors(structure.nodes)
         length = np.linalg.norm(vectors, axis=0)
         share = gamma[structure.segment_string] * segment_share(structure, structure.nodes)
         along = vectors * np.sqrt(share) / np.where(length > 0, length, 1.0)
-        spread = np.zeros((structure.nodes.shape[1], structure.dimension, len(share)))
-        start, end = structure.segments.T
-        spread[start, :, np.arange(len(share))] = -along.T
-        spread[end, :, np.arange(len(share))] = along.T
-        spread = spread.reshape(structure.nodes.size, -1)[rows]
-        matrix = matrix - spread @ spread.T
-    return np.asarray(matrix), np.asarray(gross)
+        row = structure.dimension * structure.segments[:, :, None] + np.arange(structure.dimension)
+        column = np.broadcast_to(np.arange(len(share))[:, None, None], row.shape)
+        values = np.stack([-along.T, along.T], axis=1)
+        spread = csc_array(
+            (values.ravel(), (row.ravel(), column.ravel())),
+            shape=(structure.nodes.size, len(share)),
+        ).tocsr()[rows]
+        matrix = csc_array(matrix - spread @ spread.T)
+    return matrix, gross
 
 
 def _left_free(
-    structure: Structure, members: np.ndarray, stiffness: FloatArray, gross: FloatArray,
+    structure: Structure, members: np.ndarray, stiffness: csc_array, gross: csc_array,
     loaded: bool,
 ) -> tuple[FloatArray, float]:  # fmt: skip
     """Return a basis, shape (f, k), of the motions that keep the lengths of some members.
@@ -204,47 +289,96 @@ def _left_free(
     Motions as one body are left out where nothing resists them. The number is the least stiffness
     that is told from none, as a part of the gross one.
     """
-    rows, picture = structure.free_rows, affine_picture(structure)
-    U, sizes, _, _ = member_basis(picture, equilibrium_matrix(structure)[rows][:, members])
-    rank = matrix_rank(sizes)
-    lost = sizes[rank:].max(initial=0.0) / sizes.max(initial=1.0)
-    # A motion v of the shape is (P Pᵀ)⁻¹ P v in the picture, where motions are well apart.
-    axes = picture_axes(structure)[0]
-    body = rigid_motions(axes @ structure.nodes).reshape(
-        -1, len(axes), len(axes) * (len(axes) + 1) // 2
-    )
-    body = np.einsum("ij,nik->njk", axes, body).reshape(structure.nodes.size, -1)
-    body = left_by_supports(structure, body)[rows]
-    pictured = (picture @ body) / picture.multiply(picture).sum(axis=1)[:, None]
-    pictured /= np.maximum(np.linalg.norm(pictured, axis=0), np.finfo(float).tiny)
-    pictured, extents, _ = np.linalg.svd(pictured, full_matrices=False)
-    pictured = pictured[:, extents > _TOLERANCE * extents.max(initial=0.0)]
-    if loaded or structure.rollers:
-        resisted = stiffness @ np.linalg.qr(picture.T @ pictured)[0]
-        _, forces, Vt = np.linalg.svd(resisted)
-        pictured = pictured @ Vt[np.count_nonzero(forces > _TOLERANCE * gross.max()) :].T
-    free = U[:, rank:]
+    E = sparse_equilibrium_matrix(structure, structure.nodes).tocsr()[structure.free_rows]
+    picture = affine_picture(structure)
+    kept = kept_lengths(structure, picture, E.tocsc()[:, members])
+    pictured = _unresisted(structure, picture, stiffness, gross, loaded)
+    free = kept.motions
     free = free @ null_space(pictured.T @ free)
     # Orthonormal in the shape, and across the motions that are left out.
     basis, out = (np.linalg.qr(picture.T @ part)[0] for part in (free, pictured))
     basis = np.linalg.qr(basis - out @ (out.T @ basis))[0]
-    return basis, max(_STIFF, _DIGITS * float(lost))
+    return basis, max(_STIFF, _DIGITS * kept.lost)
+
+
+def _unresisted(
+    structure: Structure, picture: csc_array, stiffness: csc_array, gross: csc_array, loaded: bool
+) -> FloatArray:
+    """Return the motions as one body that nothing resists, orthonormal in the picture."""
+    pictured = rigid_picture(structure, picture)
+    if loaded or structure.rollers:
+        resisted = stiffness @ np.linalg.qr(picture.T @ pictured)[0]
+        _, forces, Vt = np.linalg.svd(resisted, full_matrices=len(resisted) < resisted.shape[1])
+        pictured = pictured @ Vt[np.count_nonzero(forces > _TOLERANCE * gross.max()) :].T
+    return pictured
 
 
 def _stress_defects(
     structure: Structure, gamma: FloatArray, lam: FloatArray
 ) -> tuple[list[int], bool]:
     """Return the rank defects of the stress matrix by axis, and whether it is semidefinite."""
-    stress = stress_matrix(structure, gamma, lam)
-    gross = stress_matrix(structure, gamma, -np.abs(lam)).diagonal()
+    from scipy.sparse import diags_array
+
+    stress = _sparse_stress(structure, gamma, lam)
+    gross = _sparse_stress(structure, gamma, -np.abs(lam)).diagonal()
     # A congruence keeps the signs of eigenvalues, and tells small ones from round-off.
     scale = np.abs(stress.diagonal())
     scale = np.where(scale > _ROUND_OFF * gross, scale, gross)
     scale = np.sqrt(np.where(scale > 0, scale, 1.0))
-    scaled = stress / np.outer(scale, scale)
-    values = [np.linalg.eigvalsh(scaled[np.ix_(free, free)]) for free in _free_by_axis(structure)]
-    defects = [int(np.count_nonzero(np.abs(found) <= _TOLERANCE)) for found in values]
-    return defects, all(found.min(initial=0.0) > -_TOLERANCE for found in values)
+    scaled = (diags_array(1 / scale) @ stress @ diags_array(1 / scale)).tocsr()
+    found = []
+    for free in _free_by_axis(structure):
+        part = scaled[free][:, free].tocsc()
+        if is_small(part):
+            values = np.linalg.eigvalsh(part.toarray())
+            defect = int(np.count_nonzero(np.abs(values) <= _TOLERANCE))
+            found.append((defect, bool(values.min(initial=0.0) > -_TOLERANCE)))
+        else:
+            found.append(_sparse_defect(part, _affine_fields(structure, free, scale)))
+    return [defect for defect, _ in found], all(is_definite for _, is_definite in found)
+
+
+def _affine_fields(structure: Structure, free: IntArray, scale: FloatArray) -> FloatArray:
+    """Return affine functions of the place that are zero at the other nodes, at the free ones."""
+    axes, sizes = principal_axes(structure, _TOLERANCE)
+    places = (axes / sizes).T @ (structure.nodes - structure.nodes.mean(axis=1, keepdims=True))
+    anchors = np.vstack([places, np.full(places.shape[1], places.shape[1] ** -0.5)])
+    held = np.delete(anchors, free, axis=1)
+    left = null_space(held.T) if held.size else np.eye(len(anchors))
+    return np.asarray(np.linalg.qr((left.T @ anchors)[:, free].T * scale[free, None])[0])
+
+
+def _sparse_defect(matrix: csc_array, fields: FloatArray) -> tuple[int, bool]:
+    """Return the rank defect of a stress matrix with a diagonal of 1, and if it is semidefinite.
+
+    Motions that it does not resist are among the fields, as a rule all.
+    """
+    _, forces, Vt = np.linalg.svd(matrix @ fields, full_matrices=False)
+    fields = fields @ Vt[np.count_nonzero(forces > _TOLERANCE) :].T
+    factors = held_factors(matrix, fields)
+    found = nearly_null(factors, 0)
+    found = np.linalg.qr(found - fields @ (fields.T @ found))[0]
+    values = np.linalg.eigvalsh(found.T @ (matrix @ found))
+    if factors.is_semidefinite and values.min(initial=0.0) > -_TOLERANCE:
+        return fields.shape[1] + int(np.count_nonzero(values <= _TOLERANCE)), True
+    return _near_zero(matrix, fields.shape[1]), False
+
+
+def _near_zero(matrix: csc_array, expected: int) -> int:
+    """Return how many eigenvalues of a symmetric matrix with a diagonal of 1 are zero."""
+    from scipy.sparse.linalg import eigsh
+
+    count, n = expected, matrix.shape[0]
+    while True:
+        count = 2 * count + 2
+        if count >= n:
+            values = np.linalg.eigvalsh(matrix.toarray())
+        else:
+            start = np.cos(np.arange(1.0, n + 1) ** 2)  # any
+            values = eigsh(matrix, count, sigma=_ASIDE, v0=start, return_eigenvectors=False)
+        zero = int(np.count_nonzero(np.abs(values) <= _TOLERANCE))
+        if zero < len(values) or count >= n:
+            return zero
 
 
 def _least_defects(structure: Structure, picture: FloatArray) -> list[int]:
@@ -309,16 +443,24 @@ def stress_matrix(
     gamma = shaped("force_density", force_density, (len(structure.strings),), "one per string")
     lam = shaped("bar_force_density", bar_force_density, (len(structure.bars),), "one per bar")
     n = structure.nodes.shape[1]
-    pairs = np.vstack([structure.segments, structure.bars])
+    refuse_memory(f"structure has {n} nodes", n**2, "numbers in its stress matrix", 8)
+    return np.asarray(_sparse_stress(structure, gamma, lam).toarray())
+
+
+def _sparse_stress(structure: Structure, gamma: FloatArray, lam: FloatArray) -> csr_array:
+    """Return the stress matrix, sparse."""
+    from scipy.sparse import csr_array
+
+    n = structure.nodes.shape[1]
+    start, end = np.vstack([structure.segments, structure.bars]).T
     share = segment_share(structure, structure.nodes)
     weights = np.concatenate([gamma[structure.segment_string] * share, -lam])
-    stress = np.zeros((n, n))
-    start, end = pairs[:, 0], pairs[:, 1]
-    np.add.at(stress, (start, start), weights)
-    np.add.at(stress, (end, end), weights)
-    np.add.at(stress, (start, end), -weights)
-    np.add.at(stress, (end, start), -weights)
-    return stress
+    rows, columns = (
+        np.concatenate([start, end, start, end]),
+        np.concatenate([start, end, end, start]),
+    )
+    values = np.concatenate([weights, weights, -weights, -weights])
+    return csr_array((values, (rows, columns)), shape=(n, n))
 
 
 def _affine_motions_keeping_length(
@@ -340,3 +482,10 @@ def _is_positive(matrix: FloatArray, floor: FloatArray) -> bool:
         return True
     values = np.linalg.eigvalsh((matrix + matrix.T - floor - floor.T) / 2)
     return bool(values[0] > len(values) * np.finfo(float).eps * np.abs(values).max())
+
+
+def _is_definite(matrix: csc_array) -> bool:
+    """Return whether a sparse matrix is positive definite beyond round-off."""
+    if is_small(matrix):
+        return _is_positive(matrix.toarray(), np.zeros(matrix.shape))
+    return bool(factorized(matrix.tocsc()).pivots.min() > _ROUND_OFF)

@@ -293,8 +293,23 @@ def block_mass(structure: Jointed, block: Block) -> csr_array:
     return mass[free][:, free]
 
 
+def _is_free_body(structure: Jointed, block: Block) -> bool:
+    """Return whether nothing holds the nodes, and bars leave them no motion but as one body."""
+    d, count = structure.dimension, len(block.nodes)
+    is_held = (
+        len(block.rows) < d * count or np.isin(structure.bars[block.bars], structure.fixed).any()
+    )
+    if is_held or len(block.rows) - len(block.independent) != d * (d + 1) // 2:
+        return False
+    centred = structure.nodes[:, block.nodes]
+    sizes = np.linalg.svd(centred - centred.mean(axis=1, keepdims=True), compute_uv=False)
+    return bool(sizes[d - 2] > _DOUBTFUL * sizes[0])  # nodes on a line turn about it unseen
+
+
 def _refuse_dead_centre(structure: Jointed, block: Block) -> None:
     """Raise if redundant bars are not so in a shape close by."""
+    if _is_free_body(structure, block):
+        return  # it moves as one body, however far
     rows, nodes = block.rows, structure.nodes
     J = bar_rows(structure, block.independent, nodes)[:, rows]
     motion = _admitted(J, np.cos(np.arange(1.0, len(rows) + 1) ** 2)[:, None])[:, 0]  # any one

@@ -1,8 +1,10 @@
 """Error against run time on the paper's example 1, beside MuJoCo, SciPy and CVODES.
 
 ``python -m tests.benchmarks.error_against_time [--plain] [--massive] [--all]``: a prism released
-with slack strings, 5 s, massless or with four massive segments a string. The tables are the run
-time of a peer over that of our fastest method, at errors that both reach. With ``--plain``
+with slack strings, 5 s, massless or with four massive segments a string. Times are of the
+processor: of our methods of a second ``tc.simulate``, whole, with its checks and its trajectory, of
+peers of their integration; what is built before is the column ``building``. The tables are the time
+of a peer over that of our fastest method, at errors that both reach. With ``--plain``
 nothing is compiled, with ``--all`` every run is told, with ``--settings 3`` each method has its
 three coarsest settings. Needs the extra ``bench``.
 """

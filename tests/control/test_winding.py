@@ -221,7 +221,9 @@ def test_the_regulator_knows_winches_that_wind():
     """One that takes them for winches that jump lets strings of 1e4 N/m go slack."""
     plant = plant_of(1e4)
     winches = tc.Winches(rate=0.5, substeps=20)
-    speeds = plant.to_velocities(np.zeros(9), 0.02 * np.random.default_rng(0).normal(size=9))
+    speeds = plant.to_velocities(
+        np.zeros(9), plant.basis.T @ (0.02 * np.random.default_rng(0).normal(size=18))
+    )
     least = []
     for law in (regulator(plant, 20), regulator(plant, 1)):
         run = tc.simulate(
@@ -231,7 +233,7 @@ def test_the_regulator_knows_winches_that_wind():
         least.append(run.force_density.min())
         if law.previous_input_gain is not None:
             end = plant.measure(run.nodes[:, :, -1], run.velocities[:, :, -1])
-            assert np.abs(end[:9]).max() < 1e-4
+            assert np.abs(end[:9]).max() < 2e-4
     assert least[0] > 14.0
     assert least[1] == 0.0
 

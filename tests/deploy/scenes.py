@@ -1,5 +1,6 @@
 """Controllers that become C code, and a controller that asks two for every command."""
 
+import warnings
 from functools import cache
 
 import numpy as np
@@ -107,7 +108,6 @@ def of_force_density(**options):
         sample_time=SAMPLE,
         max_force_density=80.0,
         reference=ramp(),
-        solver="osqp",
         **options,
     )
 
@@ -122,7 +122,6 @@ def of_rest_length():
         winches=WINCHES,
         max_tension=50.0,
         reference=ramp(),
-        solver="osqp",
     )
 
 
@@ -135,12 +134,11 @@ def winding():
         winches=WINDING,
         load_gain=0.1,
         reference=ramp(),
-        solver="osqp",
     )
 
 
 def with_load():
-    """An unknown load is estimated; the program is written the sparse way, changes are limited."""
+    """An unknown load is estimated, changes are limited, and so is the height."""
     return tc.MPC(
         plant("force_density"),
         horizon=6,
@@ -150,7 +148,6 @@ def with_load():
         tracked=height_row(),
         max_change=4.0,
         outputs=[tc.OutputLimit(height_row(), low=0.9, penalty=100.0)],
-        form="sparse",
     )
 
 
@@ -192,7 +189,6 @@ def nonlinear_with_load():
         load_gain=0.1,
         tracked=height_row(),
         outputs=[tc.OutputLimit(height_row(), low=0.6, penalty=100.0)],
-        max_iterations=100,
     )
 
 
@@ -223,9 +219,29 @@ def rolling():
 def sliding():
     """Winches of a planar arm with a slider and a clustered string."""
     winches = tc.Winches(rate=0.5, shortest=0.1)
-    return tc.MPC(
-        coupled_plant("arm"), horizon=4, sample_time=SAMPLE, winches=winches, solver="osqp"
-    )
+    return tc.MPC(coupled_plant("arm"), horizon=4, sample_time=SAMPLE, winches=winches)
+
+
+def tumbling(horizon=10):
+    """Winches of a ball of six bars, with soft limits on tension and γ."""
+    ball = tc.library.six_bar_ball(bar_length=1.0)
+    model = tc.Model(ball, strings=tc.LinearStrings(500.0, damping=1.0))
+    plant = tc.linearize(model, tc.prestress(ball, force_density=40.0), input="rest_length")
+    winches = tc.Winches(rate=0.5, shortest=0.05)
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of a mechanism
+        return tc.MPC(plant, horizon=horizon, sample_time=SAMPLE, winches=winches, max_tension=26.0)
+
+
+def shaken(pair, samples=SAMPLES):
+    """Run a pair on its nonlinear plant, that starts off its shape and moves."""
+    plant, r = pair.plant, pair.plant.degrees_of_freedom
+    q = np.r_[0.01, np.zeros(r - 1)]
+    velocities = plant.to_velocities(q, 0.1 * np.random.default_rng(0).normal(size=r))
+    return tc.simulate(
+        plant.model, samples * SAMPLE, plant.to_nodes(q), velocities=velocities, controller=pair,
+        winches=pair.one.law.settings.winches, rest_length=plant.rest_length,
+        input="rest_length",
+    )  # fmt: skip
 
 
 def closed_loop(pair, pull=0.0, samples=SAMPLES, **options):
@@ -245,7 +261,7 @@ def pair_of(controller, folder):
 
 
 def check(pair, solved=True):
-    """Same commands, statuses and numbers of iterations; bounds are kept."""
+    """Same commands and statuses; bounds are kept."""
     statuses = pair.statuses
     assert len(pair.answers) >= SAMPLES
     assert statuses[0] == statuses[1]
@@ -259,8 +275,5 @@ def check(pair, solved=True):
     low, high = pair.one.bounds
     assert (pair.commands[1] >= low).all()
     assert (pair.commands[1] <= high).all()
-    if isinstance(pair.one, tc.MPC | tc.NMPC):
-        solves = [count for k, count in enumerate(pair.iterations) if k not in spoilt]
-        np.testing.assert_array_equal(solves, pair.one.statistics.iterations)
     if solved:
         assert {statuses[0][k] for k in range(SAMPLES) if k not in spoilt} == {"ok"}

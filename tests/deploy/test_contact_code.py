@@ -23,7 +23,7 @@ def test_an_x_falls_lands_and_jumps_by_code(tmp_path):
     assert low.min() < -1e-3 < 0.05 < low[run.time > 0.6].max()  # it touched, and left again
     assert pair.statuses[0] == pair.statuses[1]
     assert pair.statuses[1].count("ok") == len(pair.answers) - 2
-    assert pair.error < 1e-8
+    assert pair.error < 1e-10
 
 
 def test_filters_are_not_written(tmp_path):

@@ -33,7 +33,7 @@ def test_unknown_load_is_estimated_alike(loaded):
 
 
 def test_motions_that_no_load_explains(loaded):
-    """Shaken so that programs are not solved, with actuators that do not hold what is commanded."""
+    """Shaken, with actuators that do not hold what is commanded."""
     plant, rng = loaded.plant, np.random.default_rng(0)
     loaded.reset()
     for k in range(60):
@@ -45,13 +45,8 @@ def test_motions_that_no_load_explains(loaded):
         if k % 7 == 0:
             loaded.applied(given.value + rng.uniform(0.0, 1.0, size=9))
     assert loaded.statuses[0] == loaded.statuses[1]
-    assert {
-        "ok",
-        "solved inaccurately: plan continued",
-        "solved inaccurately: equilibrium held",
-        "measurement not finite: plan continued",
-    } <= set(loaded.statuses[1])
-    assert loaded.error < 1e-8
+    assert {"ok", "measurement not finite: plan continued"} <= set(loaded.statuses[1])
+    assert loaded.error < 1e-10
 
 
 def test_no_load_is_told_from_a_motion_without_a_value(loaded):
@@ -70,7 +65,7 @@ def test_no_load_is_told_from_a_motion_without_a_value(loaded):
         if k == 3:
             np.testing.assert_array_equal(loaded.one.load, before)
     assert loaded.statuses == (["ok"] * 6,) * 2
-    assert loaded.error < 1e-8
+    assert loaded.error < 1e-10
 
 
 @pytest.fixture(scope="module")
@@ -80,13 +75,9 @@ def limited(tmp_path_factory):
 
 
 def test_limited_rows_and_winches(limited):
-    """In runs of four samples: programs of hundreds of iterations let round-off grow."""
     plant, rng = limited.plant, np.random.default_rng(3)
     limited.reset()
-    for k in range(60):
-        if k % 4 == 0:
-            limited.one.reset()
-            limited.other.reset()
+    for k in range(200):
         given = limited.command(
             k * scenes.SAMPLE,
             plant.to_nodes(0.003 * rng.normal(size=9)),
@@ -96,7 +87,8 @@ def test_limited_rows_and_winches(limited):
             limited.applied(given.value + 0.01 * rng.normal(size=9))
     assert limited.statuses[0] == limited.statuses[1]
     assert {"ok", "measurement not finite: plan continued"} <= set(limited.statuses[1])
-    assert limited.error < 1e-8
+    assert max(limited.iterations) > 10  # changes of the active set
+    assert limited.error < 1e-10
 
 
 def test_plan_that_ends_is_forgotten(limited):
@@ -110,4 +102,4 @@ def test_plan_that_ends_is_forgotten(limited):
     statuses = [status.split(": ")[-1] for status in limited.statuses[1]]
     assert statuses == [held, "ok", followed, followed, held, held, "ok"]
     assert limited.statuses[0] == limited.statuses[1]
-    assert limited.error < 1e-8
+    assert limited.error < 1e-10

@@ -79,20 +79,13 @@ def test_folder_with_something_in_it(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["mine.c"]
 
 
-@pytest.mark.parametrize("name", [None, "", "1st", "my controller", "a/b", "ä", "x" * 32, "main"])
+@pytest.mark.parametrize(
+    "name", [None, "", "1st", "my controller", "a/b", "ä", "x" * 32, "main", "stages"]
+)
 def test_name_that_is_none_in_c(name, tmp_path):
     with pytest.raises(ValueError, match=r"name is .*, (expected a letter|which is taken)"):
         tc.generate_c(regulator(), tmp_path / "code", name=name)
     assert not (tmp_path / "code").exists()
-
-
-def test_name_of_a_file_of_the_solver(tmp_path):
-    mpc = tc.MPC(
-        scenes.plant("force_density"), horizon=2, sample_time=scenes.SAMPLE, max_force_density=80.0
-    )
-    with pytest.raises(ValueError, match=r"name is 'kkt', but OSQP has a file 'kkt\.[ch]'"):
-        tc.generate_c(mpc, tmp_path, name="kkt")
-    assert not list(tmp_path.iterdir())
 
 
 def test_reference_too_long_for_a_table(tmp_path):

@@ -90,7 +90,7 @@ def test_expressions_are_the_maps(structure):
 
     coordinates = frame(structure, "minimal")
     z = ca.SX.sym("z", 2 * coordinates.count)
-    motion = ca.Function("motion", [z], list(coordinates.expressions(z)))
+    motion = ca.Function("motion", [z], list(coordinates.kept_lengths(*coordinates.displaced(z))))
     for size in (0.005, 0.015):
         q, rates = random_state(coordinates, 2, size)
         nodes, velocities = (np.array(part) for part in motion(np.r_[q, rates]))
@@ -106,7 +106,7 @@ def test_out_of_reach_is_refused_and_no_number():
     with pytest.raises(ValueError, match=r"bars \[0, 1, 2, 3\], which are joined"):
         coordinates.to_nodes([3.0])
     z = ca.SX.sym("z", 2)
-    nodes = ca.Function("nodes", [z], [coordinates.expressions(z)[0]])
+    nodes = ca.Function("nodes", [z], [coordinates.kept_lengths(*coordinates.displaced(z))[0]])
     assert np.isnan(np.array(nodes([3.0, 0.0]))).any()
 
 

@@ -78,12 +78,14 @@ RESULTS = {
     "accuracy.ConvergedMotion",
     "accuracy.ConvergenceOrder",
     "accuracy.Drift",
+    "accuracy.Growth",
     "accuracy.LongRun",
     "accuracy.Measurement",
     "accuracy.Predictability",
     "accuracy.Ratios",
     "accuracy.Solution",
     "accuracy.StabilityMap",
+    "accuracy.StopCost",
     "accuracy.WorkPrecision",
     "actuation.RestLengths",
     "actuation.MotorRecord",
@@ -112,6 +114,8 @@ RESULTS = {
     "plant.Controllability",
     "plant.LinearPlant",
     "plant.Modes",
+    "plant.ReducedPlant",
+    "plant.SparsePlant",
     "plant.Stance",
     "plant.StanceContacts",
     "plant.Tipping",
@@ -135,6 +139,7 @@ RESULTS = {
     "shape.TippingPath",
     "control.ControlWarning",
     "simulation.AccuracyWarning",
+    "simulation.Batch",
     "simulation.ContactRecord",
     "simulation.ControlRecord",
     "simulation.EstimateRecord",
@@ -209,8 +214,13 @@ WITHIN = {
     "plant.LinearPlant.refuse_long_sample_time",
     "dynamics.Coordinates.laid_over",
     "dynamics.Coordinates.state_of",
-    "dynamics.Coordinates.expressions",
+    "dynamics.Coordinates.displaced",
+    "dynamics.Coordinates.kept_lengths",
     "dynamics.Coordinates.hidden",
+    "dynamics.Coordinates.displacements",
+    "dynamics.Coordinates.from_sparse",
+    "dynamics.Coordinates.to_sparse",
+    "dynamics.Coordinates.within",
     "Height.miss",
     "NodesAt.miss",
     "PointAt.miss",
@@ -387,6 +397,11 @@ def stable():
 @cache
 def drift():
     return tc.long_run(case(), "rk4", 1e-3, steps=30, outputs=30)
+
+
+@cache
+def grown():
+    return tc.accuracy.growth([tc.prism()], last="prestress search")
 
 
 @cache
@@ -573,7 +588,11 @@ call(
     "prestress, bounds",
     lambda: {"structure": prism(), "min_force_density": 5.0, "max_force_density": np.full(9, 80.0)},
 )
-call("statics.Prestress.tangent_stiffness", lambda: {"stiffness": np.full(9, 100.0)}, rest)
+call(
+    "statics.Prestress.tangent_stiffness",
+    lambda: {"stiffness": np.full(9, 100.0), "count": 2},
+    rest,
+)
 call("prestress, array", lambda: {"structure": prism(), "force_density": gamma()})
 call("statics.equilibrium_matrix", lambda: {"structure": prism(), "nodes": nodes()})
 call(
@@ -809,8 +828,9 @@ call(
     lambda: {"model": loaded(), "at": tc.OperatingPoint(nodes(), gamma(), STILL)},
     share=0.3,
 )
-call("modes", lambda: {"plant": plant()})
-call("controllability", lambda: {"plant": plant()})
+call("modes", lambda: {"plant": plant(), "count": 2})
+call("reduce", lambda: {"plant": plant(), "modes": [3, 4]})
+call("controllability", lambda: {"plant": plant(), "count": 3})
 call("energy_weights", lambda: {"plant": plant(), "by_mode": True})
 call(
     "equilibrium",
@@ -1301,6 +1321,26 @@ call(
     },
 )
 call("HealthLimits.passed", lambda: {"health": run().health}, tc.HealthLimits)
+call(
+    "simulate_many",
+    lambda: {
+        "model": elastic(),
+        "duration": 0.01,
+        "nodes": nodes(),
+        "velocities": np.array([STILL, STILL]),
+        "rest_length": rest_length(),
+        "vary": {"stiffness": np.array([90.0, 100.0])},
+        "method": "rk4",
+        "step": 1e-3,
+        "output_step": 0.005,
+        "keep_nodes": [0, 2],
+        "project": True,
+        "machine_code": False,
+        "threads": 1,
+        "progress": False,
+    },
+    share=0.3,
+)
 call("simulation.Trajectory.summary", on=run)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("simulation.ContactRecord.summary", on=lambda: dropped_run().contacts)
@@ -1363,6 +1403,21 @@ call(
     },
     share=0.1,
 )
+call(
+    "accuracy.growth",
+    lambda: {
+        "structures": [prism()],
+        "seconds": 1.0,
+        "memory": 1e9,
+        "last": "structure",
+        "progress": False,
+    },
+    share=0.1,
+)
+call("accuracy.Growth.of", lambda: {"stop": "structure"}, grown)
+call("accuracy.Growth.exponent", lambda: {"stop": "structure", "quantity": "memory"}, grown)
+call("accuracy.Growth.table", on=grown)
+call("accuracy.Growth.to_csv", lambda: {"path": scratch("growth.csv")}, grown)
 call("accuracy.LongRun.of", lambda: {"name": drift().drifts[0].name}, drift)
 call("accuracy.LongRun.table", on=drift)
 call(
@@ -1582,6 +1637,11 @@ call(
         "ax": flat(),
         "references": {"r": np.zeros(3)},
     },
+    share=0.2,
+)
+call(
+    "plot.growth",
+    lambda: {"result": grown(), "quantity": "memory", "ax": flat()},
     share=0.2,
 )
 call("plot.long_run", lambda: {"result": drift(), "ax": flat()}, share=0.2)

@@ -64,3 +64,20 @@ def test_weights_of_any_size_are_symmetric_to_the_solver():
     half = np.random.default_rng(0).normal(size=(18, 18))
     law = tc.LQR(plant, Q=1e12 * half.T @ half, R=1e6, sample_time=0.02)
     assert abs(law.poles).max() < 1
+
+
+@pytest.mark.parametrize("discrete", [True, False])
+def test_a_tower_is_solved_as_by_the_pencil(discrete):
+    """By doubling, which takes a twentieth of the time there; SciPy's solver is the oracle."""
+    from scipy.linalg import solve_continuous_are, solve_discrete_are
+
+    tower = tc.prism_tower(4)
+    model = tc.Model(tower, strings=tc.LinearStrings(stiffness=1e3))
+    plant = tc.linearize(model, tc.prestress(tower, min_force_density=5.0), input="rest_length")
+    assert len(plant.A) > 100
+    Q, R = tc.energy_weights(plant, by_mode=True)
+    law = tc.LQR(plant, Q, R, sample_time=0.02 if discrete else None)
+    A, B = plant.discretize(0.02)[:2] if discrete else (plant.A, plant.B)
+    expected = (solve_discrete_are if discrete else solve_continuous_are)(A, B, Q, R)
+    np.testing.assert_allclose(law.cost, expected, atol=1e-9 * np.abs(expected).max())
+    assert law.riccati_residual < 1e-12

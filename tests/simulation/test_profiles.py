@@ -364,7 +364,7 @@ def test_a_controller_meets_a_load_that_changes(prism):
     model = tc.Model(prism, strings=tc.LinearStrings(100.0), external_force=True)
     rest = tc.prestress(prism, force_density=17.3205)
     plant = tc.linearize(tc.Model(prism, strings=tc.LinearStrings(100.0)), rest)
-    lqr = tc.lqr(plant, Q=1.0, R=1e-3, sample_time=0.02, max_force_density=50.0)
+    lqr = tc.LQR(plant, Q=1.0, R=1e-3, sample_time=0.02, max_force_density=50.0)
     gust = tc.Profile([0.05, 0.051], np.stack([np.zeros((3, 6)), np.ones((3, 6))], axis=2))
     run = tc.simulate(model, 0.2, controller=lqr, external_force=gust, step=1e-3)
     mass = prism.bar_mass.sum()

@@ -1,5 +1,7 @@
 """What a trajectory says of the motion."""
 
+import copy
+import pickle
 from dataclasses import FrozenInstanceError, fields
 
 import numpy as np
@@ -36,16 +38,40 @@ def test_shapes_have_time_last(weighted_run):
     assert {name: getattr(weighted_run, name).shape for name in shapes} == shapes
 
 
+EVALUATED = (
+    "force_density", "kinetic_energy", "potential_energy", "momentum", "angular_momentum",
+    "bar_length_error",
+)  # fmt: skip
+
+
 def test_every_array_is_read_only(weighted_run):
-    arrays = [
-        getattr(weighted_run, field.name)
-        for field in fields(weighted_run)
-        if isinstance(getattr(weighted_run, field.name), np.ndarray)
-    ]
+    names = [*EVALUATED, *(field.name for field in fields(weighted_run))]
+    values = [getattr(weighted_run, name) for name in names]
+    arrays = [value for value in values if isinstance(value, np.ndarray)]
     assert len(arrays) == 11
     assert not any(array.flags.writeable for array in arrays)
     with pytest.raises(FrozenInstanceError):
         weighted_run.nodes = None
+
+
+def test_what_nobody_reads_is_not_evaluated():
+    """Health needs the energies of an undamped motion; of a controlled or damped one, nothing."""
+    damped = tc.Model(tc.prism(), strings=tc.LinearStrings(200.0, damping=1.0))
+    run = tc.simulate(damped, 0.1, rest_length=1.0, step=1e-3)
+    evaluated = [name for name in EVALUATED if name in vars(run)]
+    assert evaluated == ["bar_length_error"]
+    assert run.momentum is run.momentum
+    before = run.rest_length.strides
+    assert before[1] == 0  # held: one column for all times
+
+
+def test_a_pickled_or_copied_run_holds_all_values_and_no_model(weighted_run):
+    kept = pickle.loads(pickle.dumps(weighted_run))
+    for other in (kept, copy.copy(weighted_run), copy.deepcopy(kept)):
+        for name in (*EVALUATED, "nodes", "rest_length", "energy"):
+            np.testing.assert_array_equal(getattr(other, name), getattr(weighted_run, name))
+        assert other.health == weighted_run.health
+        assert not any(isinstance(value, tc.Model) for value in vars(other).values())
 
 
 def test_it_starts_at_the_start(weighted_run):

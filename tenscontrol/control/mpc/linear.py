@@ -31,7 +31,7 @@ from tenscontrol.control.mpc.settings import (
     solver_name,
 )
 from tenscontrol.control.mpc.solvers import DAQPSolver, QPSolver
-from tenscontrol.control.mpc.sparse import Sparse
+from tenscontrol.control.mpc.sparse import Sparse, Unlimited
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import (
     LinearPlant,
@@ -61,7 +61,8 @@ _OFF, _GROWS, _NEAR = 0.02, 0.5, 0.02
 # Least γ in a shape, relative to the largest: there a string is taken as taut.
 _TAUT = 1e-6
 
-# Beyond so many its dense matrices fill gigabytes.
+# Of unknown inputs. Beyond, dense matrices fill gigabytes, and a program takes so long that the
+# inputs without limits are looked at first.
 _MOST_CONDENSED = 5000
 
 
@@ -96,6 +97,7 @@ class MPCLaw(PredictiveLaw):
     plant: LinearPlant
     design: Design
     form: Form
+    unlimited: Unlimited | None
 
     def solver(self) -> QPSolver:
         """Return the solver of the programs, as it is before the first solve."""
@@ -145,6 +147,20 @@ class MPCLaw(PredictiveLaw):
         first = self._first_state(data, state, previous_input)
         previous = previous_within_bounds - data.origin[0]
         return self.form.vectors(first, data, previous)
+
+    def unlimited_inputs(
+        self,
+        data: StageData,
+        state: FloatArray,
+        previous_input: FloatArray,
+        previous_within_bounds: FloatArray,
+    ) -> FloatArray | None:
+        """Return the inputs of least cost, shape (N, α), if they are asked for and keep limits."""
+        if self.unlimited is None:
+            return None
+        first = self._first_state(data, state, previous_input)
+        plan = self.unlimited.plan(first, data, previous_within_bounds - data.origin[0])
+        return None if plan is None else data.origin + plan
 
     def inputs(
         self,
@@ -448,6 +464,9 @@ class MPC(PredictiveController):
             settings=given,
             design=made,
             form=form_of(made.problem, form, given),
+            unlimited=(
+                Unlimited(made.problem) if made.problem.input_count > _MOST_CONDENSED else None
+            ),
             load=None if self._observer is None else self._observer.model,
             path=ReferencePreview(plant, given.reference, made.sampled),
         )
@@ -526,9 +545,9 @@ class MPC(PredictiveController):
     @property
     def _plan(self) -> FloatArray:
         """Inputs that the last solved program planned, shape (N, α)."""
-        if self._solved is None:
-            return np.zeros((0, len(self._low)))
         if self._planned is None:
+            if self._solved is None:
+                return np.zeros((0, len(self._low)))
             # Solved to a tolerance: what is left outside the bounds is cut off.
             self._planned = clipped(self._law.inputs(*self._solved), self._low, self._high)
         return self._planned
@@ -562,16 +581,22 @@ class MPC(PredictiveController):
         free = law.free_response(data, state, previous)
         if observer is not None:
             observer.expect(free)
-        vectors = law.vectors(data, state, previous, self._previous_within_bounds)
-        answer = self._solver.solve(*vectors, start=self._guess, deadline=deadline)
-        self._iterations.append(answer.iterations)
-        if answer.x is None or answer.y is None:
-            return self._continue(answer.status)
-        self._solved, self._planned = (answer.x, data, state, previous), None
+        plan = law.unlimited_inputs(data, state, previous, self._previous_within_bounds)
+        if plan is not None:
+            self._iterations.append(0)
+            self._solved, self._planned = None, clipped(plan, self._low, self._high)
+            self._guess, value = None, self._planned[0]
+        else:
+            vectors = law.vectors(data, state, previous, self._previous_within_bounds)
+            answer = self._solver.solve(*vectors, start=self._guess, deadline=deadline)
+            self._iterations.append(answer.iterations)
+            if answer.x is None or answer.y is None:
+                return self._continue(answer.status)
+            self._solved, self._planned = (answer.x, data, state, previous), None
+            self._guess = law.form.shifted(answer.x, answer.y)
+            first = law.inputs(*self._solved, samples=1)[0]
+            value = clipped(first, self._low, self._high)
         self._used = 0
-        self._guess = law.form.shifted(answer.x, answer.y)
-        first = law.inputs(*self._solved, samples=1)[0]
-        value = clipped(first, self._low, self._high)
         self._predicted = free + by_input @ value
         return Command(value)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
+from functools import cached_property
 from time import perf_counter
 from typing import Unpack, final
 
@@ -11,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.control.disturbance import LoadObserver
-from tenscontrol.control.mpc.problem import MPCProblem, Pair, StageData, Triple
+from tenscontrol.control.mpc.problem import MPCProblem, Pair, StageData, Subproblem, Triple
 from tenscontrol.control.mpc.real_time_iteration import RealTimeIterate, TrajectoryModel
 from tenscontrol.control.mpc.settings import (
     MPCSettings,
@@ -20,10 +21,10 @@ from tenscontrol.control.mpc.settings import (
     SettingsKeywords,
     design,
     make_solver,
-    solver_name,
 )
 from tenscontrol.control.mpc.solvers import QPSolver
-from tenscontrol.control.mpc.sparse import Sparse
+from tenscontrol.control.mpc.sparse import Sparse, SparseSubproblem
+from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import LinearPlant, ReferencePreview
 from tenscontrol.validation import FloatArray, frozen, instance, number, truth, whole_number
@@ -85,6 +86,16 @@ class NMPCLaw(PredictiveLaw):
         # Slopes by implicit steps are of different sizes in these units: the solver scales them.
         return make_solver(self.settings, form, equations=not self.model.implicit)
 
+    def program(self) -> Subproblem:
+        """Return the SQP subproblem with its solver."""
+        if self.settings.solver in ("auto", "daqp"):
+            compiled = self.settings.solver == "auto" and self.model.back_end == "machine code"
+            kind = LeastDistance if compiled else LeastDistanceArrays
+            return kind(self.problem, self.row_bounds, self.settings.max_iterations, self.bounds)
+        # Stiff strings are sensitive to rest lengths: measured from those of the plan.
+        form = self.subproblem()
+        return SparseSubproblem(form, self.solver(form), relative=self.model.implicit)
+
     def targets(self, time: float) -> Pair:
         """Return r_1 … r_N, shape (N, s), and s_0 … s_{N−1}, shape (N, α), without a load."""
         preview = self.path.over_horizon(time, self.problem.length)
@@ -92,14 +103,20 @@ class NMPCLaw(PredictiveLaw):
 
     def stage_data(self, reference: FloatArray, inputs: FloatArray) -> StageData:
         """Return the data with these targets, without a load; inputs are measured from zero."""
-        N, nothing = self.problem.length, np.zeros_like(inputs)
+        return replace(self._limits, reference=reference, input_reference=inputs)
+
+    @cached_property
+    def _limits(self) -> StageData:
+        """The data without targets."""
+        N, (s, a) = self.problem.length, self.problem.input_matrix.shape
+        nothing = np.zeros((N, a))
         low, high, row_low, row_high = (
             np.tile(bound, (N, 1)) for bound in (*self.bounds, *self.row_bounds)
         )
         return StageData(
-            reference=reference,
-            input_reference=inputs,
-            drift=np.zeros_like(reference),
+            reference=np.zeros((N, s)),
+            input_reference=nothing,
+            drift=np.zeros((N, s)),
             low=low,
             high=high,
             shift=nothing,
@@ -144,8 +161,8 @@ class NMPC(PredictiveController):
     iterations : int
         Programs solved in a sample at most; fewer if the plan has converged.
     machine_code : bool
-        Compile the derivatives, where there is a C compiler: the same numbers, sooner. The
-        library is kept for the next run; the first time it takes some ten seconds.
+        Compile the derivatives and the solver, where there is a C compiler: the same numbers but
+        for round-off, sooner. Libraries are kept for the next run.
     **settings
         Horizon and sample time, and bounds, weights, limits and solver, as keyword arguments of
         :class:`MPCSettings`. Limits are on what is predicted, linearized along the plan. Where the
@@ -220,10 +237,7 @@ class NMPC(PredictiveController):
             rounds=rounds,
             path=path,
         )
-        form = self._law.subproblem()
-        self._plan = RealTimeIterate(
-            model, form, self._law.solver(form), self._law.problem, self.bounds
-        )
+        self._plan = RealTimeIterate(model, self._law.program(), self._law.problem, self.bounds)
         self.reset()
 
     @property
@@ -243,8 +257,8 @@ class NMPC(PredictiveController):
 
     @property
     def solver(self) -> str:
-        """What solves its programs: ``"daqp"``, ``"osqp"``, ``"piqp"`` or the name of a class."""
-        return solver_name(self._plan.solver)
+        """What solves its programs: ``"stages"``, a name of ``solver=``, or that of a class."""
+        return self._plan.program.solver_name
 
     @property
     def weights(self) -> Triple:
@@ -341,7 +355,7 @@ class NMPC(PredictiveController):
                 state, data, within_bounds, previous_input, load, deadline
             )
             work += answer.iterations
-            if answer.x is None:
+            if answer.plan is None:
                 self._record(rounds, work, change, preparing, began)
                 return self._continue(answer.status)
             self._followed = 0

@@ -20,11 +20,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from tenscontrol.control.status import Status
 from tenscontrol.plant import Preview, StringMap
 from tenscontrol.validation import FloatArray, IntArray, freeze_arrays, frozen
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
+
 
 Pair = tuple[FloatArray, FloatArray]
 Triple = tuple[FloatArray, FloatArray, FloatArray]
@@ -335,3 +337,75 @@ class Form(ABC):
     @abstractmethod
     def shifted(self, x: FloatArray, y: FloatArray) -> Pair:
         """Return a primal and dual solution moved on by one sample, to start the next from."""
+
+
+@dataclass(frozen=True, eq=False)
+class StageJacobians:
+    """First-order functions along a trajectory: ``value ≈ offset + Σ slope · argument``.
+
+    Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j. Those
+    of the motion are by z_k, u_k and, where inputs are ramps, u_{k−1}; those of limited rows by
+    z_k, u_k and z_{k+1}. They are views of memory that the next call may overwrite.
+    """
+
+    offset: FloatArray  # (N, m)
+    slopes: tuple[FloatArray, ...]  # (N, columns, m) each
+
+
+def applied(slopes: FloatArray, arguments: FloatArray) -> FloatArray:
+    """Return what arguments, shape (K, columns), make of slopes stored by columns."""
+    return np.asarray((arguments[:, None, :] @ slopes)[:, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class SubproblemSolution:
+    """Status, iterations of the solver, and the improved plan; None unless the status is OK.
+
+    The plan is z_0 … z_N, shape (N + 1, s), and u_{−1} … u_{N−1}, shape (N + 1, α).
+    """
+
+    status: Status
+    iterations: int
+    plan: Pair | None
+
+
+class Subproblem(ABC):
+    """The quadratic program that improves a plan: a step of sequential quadratic programming.
+
+    ``solver_name`` says what solves it.
+    """
+
+    solver_name: str
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget the last solution, and all that was adapted to it."""
+
+    @abstractmethod
+    def forget(self) -> None:
+        """Forget the last solution."""
+
+    @abstractmethod
+    def shift(self) -> None:
+        """Move the last solution, which the next one starts from, on by a sample."""
+
+    @abstractmethod
+    def linearize(
+        self, states: FloatArray, inputs: FloatArray, motion: StageJacobians,
+        rows: StageJacobians | None,
+    ) -> bool:  # fmt: skip
+        """Prepare the program along a plan; return False where data are not finite.
+
+        The plan is that of :class:`SubproblemSolution`; rows are None where none are limited.
+        """
+
+    @abstractmethod
+    def solve(
+        self, state: FloatArray, data: StageData, previous: FloatArray, acting: FloatArray,
+        deadline: float,
+    ) -> SubproblemSolution:  # fmt: skip
+        """Solve the program prepared last for a measured state, shape (s,), once.
+
+        Changes are limited from ``previous``, the motion starts with the input ``acting``, shape
+        (α,) each. ``deadline`` is as for :meth:`QPSolver.solve`.
+        """

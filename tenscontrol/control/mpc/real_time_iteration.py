@@ -15,23 +15,24 @@ from tenscontrol.control.mpc.problem import (
     Pair,
     Rows,
     StageData,
+    StageJacobians,
+    Subproblem,
+    SubproblemSolution,
 )
 from tenscontrol.control.mpc.settings import MPCSettings
 from tenscontrol.control.mpc.shooting import (
     RK4,
+    AccelerationSlopes,
     Discretization,
     RadauIIA,
-    StageJacobians,
+    RowSlopes,
     executable,
-    stage_jacobians,
-    taut_slopes,
 )
-from tenscontrol.control.mpc.solvers import QPSolution, QPSolver
-from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.status import Status
 from tenscontrol.dynamics import Evaluator
 from tenscontrol.plant import (
     LinearPlant,
+    exact_motion,
     explicit_substeps,
     model_input,
     near_symbol,
@@ -40,6 +41,7 @@ from tenscontrol.plant import (
     settled,
     state_units,
     string_forces,
+    with_jacobian,
 )
 from tenscontrol.validation import FloatArray
 
@@ -57,8 +59,7 @@ _MOST_EXPLICIT = 4
 class TrajectoryModel:
     """The motion of a plant over N samples, and the values of limited rows, with derivatives.
 
-    Steps are implicit where inputs are ramps or strings are stiff. ``limited`` is
-    ``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of the rows that are limited, dense.
+    Steps are implicit where inputs are ramps or strings are stiff.
     """
 
     def __init__(
@@ -75,7 +76,6 @@ class TrajectoryModel:
         )
         self.implicit = stiff or ramp
         self.discretization: Discretization
-        prepared = plant.prepared
         if plant.model.contacts is not None:
             _refuse_ramps(winches)
             self.implicit = False  # one step a sample would pass over an impact
@@ -86,26 +86,37 @@ class TrajectoryModel:
         self.acceleration = reduced_acceleration(plant, taut=self.implicit)
         self.back_end = self.discretization.back_end
         self._plant, self._sample_time = plant, sample_time
-        balance = prepared.get(
-            ("balance along a plan", self.implicit, length),
-            lambda: (taut_slopes(plant) if self.implicit else self.acceleration).map(length),
+        self._balance: AccelerationSlopes | Evaluator = (
+            AccelerationSlopes(plant, length, taut=True, machine_code=machine_code)
+            if self.implicit
+            else Evaluator(self.acceleration.map(length))
         )
-        self._acceleration = Evaluator(balance)
-        self.limited: ca.Function | None = None
-        self._patterns: tuple[FloatArray, ...] = ()
+        self._constraints = constraints
+        self._rows: RowSlopes | None = None
         if constraints.blocks:
             at_end = self.discretization.ramp
 
-            def build() -> tuple[ca.Function, tuple[FloatArray, ...], ca.Function]:
-                rows = limited_rows(plant, constraints, at_end)
-                patterns = (np.array(ca.DM(rows.sparsity_out(i), 1.0)) for i in (1, 2, 3))
-                parts = [ca.densify(part) for part in rows(*rows.sx_in())]
-                dense = ca.Function(rows.name(), rows.sx_in(), parts)
-                return dense, tuple(patterns), executable(dense.map(length), machine_code)[0]
+            def build() -> tuple[ca.Function, tuple[ca.Sparsity, ...]]:
+                linked, patterns = linked_rows(plant, constraints, at_end)
+                return executable(linked, machine_code)[0], patterns
 
-            key = "limited rows", constraints.key, at_end, length, machine_code
-            self.limited, self._patterns, along = prepared.get(key, build)
-            self._rows = Evaluator(along)
+            key = "linked rows", constraints.key, at_end, machine_code
+            self._rows = RowSlopes(plant, *plant.prepared.get(key, build), length)
+
+    @property
+    def limited(self) -> ca.Function | None:
+        """``(z, u, z⁺) -> (y, ∂y/∂z, ∂y/∂u, ∂y/∂z⁺)`` of limited rows, dense, for C code."""
+        if not self._constraints.blocks:
+            return None
+        at_end = self.discretization.ramp
+
+        def build() -> ca.Function:
+            rows = limited_rows(self._plant, self._constraints, at_end)
+            given = rows.sx_in()
+            return ca.Function(rows.name(), given, [ca.densify(part) for part in rows(*given)])
+
+        key = "limited rows", self._constraints.key, at_end
+        return self._plant.prepared.get(key, build)
 
     def units(self, level: float) -> FloatArray:
         """Return units of the state in a program, shape (s,), with ``level`` that of an input.
@@ -121,9 +132,9 @@ class TrajectoryModel:
 
     def with_pattern(self, rows: Rows | None) -> Rows | None:
         """Return limited rows with ones where a derivative can be other than zero."""
-        if rows is None:
+        if rows is None or self._rows is None:
             return None
-        by_state, by_input, by_next_state = self._patterns
+        by_state, by_input, by_next_state = self._rows.patterns
         return replace(rows, by_state=by_state, by_input=by_input, by_next_state=by_next_state)
 
     def at_rest(self, reference: FloatArray, inputs: FloatArray, observer: LoadObserver) -> Pair:
@@ -136,17 +147,15 @@ class TrajectoryModel:
         reference, inputs, still = reference.copy(), inputs.copy(), np.zeros_like(reference[:, :r])
         for _ in range(_OWN_STEPS if self.implicit else NEWTON_STEPS):
             states = np.hstack([reference[:, :r], still])
-            columns = (x.T if len(x) > 1 else x[0] for x in (states, inputs))
-            values, *slopes = self._acceleration(*columns)
-            left = values.reshape(r, -1, order="F").T + observer.acceleration
-            if self.implicit:
-                by_q, _, by_u = (
-                    slope.ravel(order="K").reshape(len(left), -1, r).swapaxes(1, 2)
-                    for slope in slopes
-                )
+            if isinstance(self._balance, AccelerationSlopes):
+                values, by_z, by_u = self._balance(states, inputs)
+                left = values + observer.acceleration
+                by_q, by_u = (part.swapaxes(1, 2) for part in (by_z[:, :r], by_u))
                 shift, effort = observer.model.rest_of(left, by_q, by_u)
             else:
-                shift, effort = observer.model.rest(left)
+                columns = (x.T if len(x) > 1 else x[0] for x in (states, inputs))
+                left = self._balance(*columns)[0].reshape(r, -1, order="F").T
+                shift, effort = observer.model.rest(left + observer.acceleration)
             reference[:, :r] += shift
             inputs += effort
         return reference, inputs
@@ -157,9 +166,8 @@ class TrajectoryModel:
         """Return the motion along a plan, and the limited rows or None, to first order."""
         here, later = np.ascontiguousarray(states[:-1]), np.ascontiguousarray(states[1:])
         motion = self.discretization.linearize(here, inputs, stages)
-        if self.limited is None:
-            return motion, None
-        return motion, stage_jacobians(self._rows, here, inputs[1:], later)
+        rows = None if self._rows is None else self._rows(here, inputs[1:], later)
+        return motion, rows
 
 
 def _refuse_ramps(winches: Winches | None) -> None:
@@ -195,6 +203,40 @@ def limited_rows(plant: LinearPlant, constraints: Constraints, at_end: bool = Fa
     return ca.Function("rows", [z, u, later], ca.cse(parts))
 
 
+def linked_rows(
+    plant: LinearPlant, constraints: Constraints, at_end: bool
+) -> tuple[ca.Function, tuple[ca.Sparsity, ...]]:
+    """Return the rows of :func:`limited_rows` and their sparse Jacobians, and patterns of these.
+
+    The function is ``(n, ṅ, u, n⁺, ṅ⁺) -> (y, entries of ∂y/∂n, ∂y/∂ṅ, ∂y/∂u, ∂y/∂n⁺, ∂y/∂ṅ⁺)``
+    of what the basis displaces, by rows; patterns are of the transposed.
+    """
+    m, a = plant.nodes.size, plant.B.shape[1]
+    sizes = {"n": m, "rates": m, "u": a, "later": m, "faster": m}
+    n, rates, u, later, faster = given = [ca.SX.sym(name, k) for name, k in sizes.items()]
+    N, V, L = (ca.SX.sym(name, *plant.nodes.shape) for name in "NVL")
+    forces = string_forces(plant, plant.input, N, V, model_input(plant, u))
+    kinds = {"force_density": forces[0], "tension": forces[1]}
+    values = ca.vertcat(*(
+        kinds[block.quantity] if block.quantity
+        else ca.mtimes(ca.sparsify(ca.DM(block.on_nodes)), ca.vec(L))
+        for block in constraints.blocks
+    ))  # fmt: skip
+    end = exact_motion(plant, later, faster)
+    at = end if at_end else exact_motion(plant, n, rates)
+    y, by_all = with_jacobian(values, N, V, u, L)(*at[:2], u, end[0])
+    by_motion = ca.mtimes(by_all[:, : 2 * m], at[2])
+    by_end = ca.mtimes(by_all[:, 2 * m + a :], end[2][:m, :])
+    none = ca.SX(*by_motion.shape)
+    start, end_part = (none, by_motion + by_end) if at_end else (by_motion, by_end)
+    by_u = by_all[:, 2 * m : 2 * m + a]
+    jacobians = [start[:, :m], start[:, m:], by_u, end_part[:, :m], end_part[:, m:]]
+    transposed = [part.T for part in jacobians]
+    entries = [ca.densify(part.nz[:]) for part in transposed]
+    function = ca.Function("rows", given, ca.cse([y, *entries]))
+    return function, tuple(part.sparsity() for part in transposed)
+
+
 class RealTimeIterate:
     """States z_0 … z_N and inputs u_0 … u_{N−1}, and the program that improves them.
 
@@ -204,17 +246,21 @@ class RealTimeIterate:
     """
 
     def __init__(
-        self,
-        model: TrajectoryModel,
-        form: Sparse,
-        solver: QPSolver,
-        problem: MPCProblem,
-        bounds: Pair,
+        self, model: TrajectoryModel, program: Subproblem, problem: MPCProblem, bounds: Pair
     ) -> None:
-        self._model, self.form, self.solver, self._problem = model, form, solver, problem
+        self._model, self.program, self._problem = model, program, problem
         self._discretization = model.discretization
         self._low, self._high = bounds
         self.clear()
+
+    def __getstate__(self) -> dict[str, object]:
+        """Pickle the plan; a program prepared in compiled memory is prepared anew."""
+        return vars(self) | {"linearized": False}
+
+    @property
+    def inputs(self) -> FloatArray | None:
+        """Planned inputs, shape (N, α); None before there is a plan."""
+        return None if self._inputs is None else self._inputs[1:]
 
     @property
     def next_state(self) -> FloatArray:
@@ -225,15 +271,14 @@ class RealTimeIterate:
         """Forget the plan."""
         self._states: FloatArray = np.zeros((0, 0))
         self._stages: FloatArray = np.zeros((0, 0, 0))
-        self._previous: FloatArray = np.zeros(0)
-        self.inputs: FloatArray | None = None
+        self._inputs: FloatArray | None = None  # u_{−1} … u_{N−1}
         self.linearized, self._shifted = False, True
-        self._guess: Pair | None = None
+        self.program.forget()
 
     def reset(self) -> None:
         """Forget the plan, and what the solver adapted to its programs."""
         self.clear()
-        self.solver.reset()
+        self.program.reset()
 
     def begin(self, state: FloatArray, previous_input: FloatArray, data: StageData) -> None:
         """Plan with the law of the linear plant, kept within bounds, on the nonlinear one.
@@ -253,37 +298,40 @@ class RealTimeIterate:
             state, within = self._discretization.advance(states[-1], inputs[-2], inputs[-1])
             states.append(state)
             stages.append(within)
-        self._states, self.inputs = np.array(states), np.array(inputs[1:])
-        self._stages, self._previous = np.array(stages), previous_input
+        self._states, self._inputs = np.array(states), np.array(inputs)
+        self._stages = np.array(stages)
         if self._stages.size and not np.isfinite(self._states).all():
             self._states = np.vstack([start, reference])
-            self.inputs = np.clip(origin, self._low, self._high)
+            self._inputs = np.vstack([previous_input, np.clip(origin, self._low, self._high)])
             self._stages = np.zeros_like(self._stages)
         self._shifted, self.linearized = True, False
 
     def prepare(self) -> None:
         """Move the plan on where due, and linearize along it where the dynamics have values."""
         self.shift()
-        self._linearize(self._planned())
+        inputs = self._planned()
+        motion, rows = self._model.linearize(self._states, inputs, self._stages)
+        # A plan may lead where the dynamics have no value: there is nothing to prepare then.
+        self.linearized = self.program.linearize(self._states, inputs, motion, rows)
 
     def shift(self) -> None:
         """Move the plan on by a sample, once."""
         if self._shifted:
             return
         inputs = self._planned()
-        last = np.clip(inputs[-1], self._low, self._high)
+        last = np.minimum(np.maximum(inputs[-1], self._low), self._high)
         end, within = self._discretization.advance(self._states[-1], inputs[-1], last)
-        self._states = np.vstack([self._states[1:], end])
-        self._stages = np.concatenate([self._stages[1:], within[None]])
-        self._previous, self.inputs = inputs[0], np.vstack([inputs[1:], last])
-        if self._guess is not None:
-            self._guess = self.form.shifted(*self._guess)
+        self._states = np.concatenate([self._states[1:], end[None]])
+        self._inputs = np.concatenate([inputs[1:], last[None]])
+        if self._stages.size:
+            self._stages = np.concatenate([self._stages[1:], within[None]])
+        self.program.shift()
         self._shifted = True
 
     def iterate(
         self, state: FloatArray, data: StageData, previous: FloatArray,
         previous_input: FloatArray, load: FloatArray | None, deadline: float,
-    ) -> tuple[QPSolution, float]:  # fmt: skip
+    ) -> tuple[SubproblemSolution, float]:  # fmt: skip
         """Solve the program once; return its answer, and the largest change in units of an input.
 
         Changes are limited from ``previous``, the motion starts with ``previous_input``, shape
@@ -292,48 +340,31 @@ class RealTimeIterate:
         """
         planned = self._planned()
         if not self.linearized:
-            self._linearize(planned)
+            self.prepare()
         if not self.linearized:
             self.clear()
-            return QPSolution(Status.BAD_DATA, None, None, 0), np.inf
+            return SubproblemSolution(Status.BAD_DATA, 0, None), np.inf
         if load is not None:
             drift = self._discretization.load_response(load)
             data = replace(data, drift=np.broadcast_to(drift, data.drift.shape))
-        acting = previous_input if self._discretization.ramp else None
-        vectors = self.form.vectors(state, data, previous, acting)
-        answer = self.solver.solve(*vectors, start=self._guess, deadline=deadline)
-        self.linearized, self._guess = False, None
-        if answer.x is None or answer.y is None:
+        answer = self.program.solve(state, data, previous, previous_input, deadline)
+        self.linearized = False
+        if answer.plan is None:
             return answer, np.inf
-        self._guess = answer.x, answer.y
-        later, inputs = self.form.trajectory(answer.x)
-        states, whole = np.vstack([state, later]), np.vstack([previous_input, inputs])
-        changes = (states - self._states)[:-1], whole - np.vstack([self._previous, planned])
-        self._stages = self._discretization.corrected(self._stages, changes, load)
-        self._states, self.inputs, self._previous = states, inputs, previous_input
-        return answer, float(np.abs(inputs - planned).max()) / self._problem.level
+        states, inputs = answer.plan
+        if self._stages.size:
+            changes = (states - self._states)[:-1], inputs - planned
+            self._stages = self._discretization.corrected(self._stages, changes, load)
+        change = float(np.abs(inputs[1:] - planned[1:]).max()) / self._problem.level
+        self._states, self._inputs = answer.plan
+        return answer, change
 
     def release(self, solved: bool) -> None:
         """Let the next sample move the plan on; from a new start where a program was not solved."""
         self.linearized, self._shifted = False, False
         if not solved:
-            self._guess = None
-
-    def _linearize(self, inputs: FloatArray) -> None:
-        whole = np.vstack([self._previous, inputs])
-        motion, rows = self._model.linearize(self._states, whole, self._stages)
-        # A plan may lead where the dynamics have no value: there is nothing to prepare then.
-        parts = [part for each in (motion, rows) if each for part in (each.offset, *each.slopes)]
-        self.linearized = all(np.isfinite(part).all() for part in parts)
-        if not self.linearized:
-            return
-        # Stiff strings are sensitive to rest lengths: measured from those of the plan.
-        about = (self._states[1:], inputs) if self._stages.size else None
-        self.form.linearize(motion, rows, about)
-        self.solver.update(self.form.A.data)
-        if self._guess is not None:
-            self._guess = self.form.at_plan(self._guess)
+            self.program.forget()
 
     def _planned(self) -> FloatArray:
-        assert self.inputs is not None  # callers see to it
-        return self.inputs
+        assert self._inputs is not None  # callers see to it
+        return self._inputs

@@ -148,7 +148,8 @@ class MPCSettings:
     solver : {"auto", "daqp", "osqp", "piqp"} or subclass of QPSolver
         What solves the quadratic programs. DAQP, an active set, is exact to round-off, and the
         fastest where a program is dense; OSQP (ADMM, to the tolerance) where it is sparse and
-        large. "auto" takes the one or the other by the form of the program; see the attribute
+        large. "auto" takes the one or the other by the form of the program, and for NMPC an active
+        set along the stages of the horizon, by DAQP where nothing is compiled; see the attribute
         ``solver`` of a controller. PIQP, an interior point for sparse programs, needs the extra
         ``tenscontrol[piqp]``, and is never taken unless named.
 
@@ -414,12 +415,6 @@ class PredictiveLaw:
         """Return the law that follows another reference."""
         settings = replace(self.settings, reference=reference)
         return replace(self, settings=settings, path=self.path.following(reference))
-
-    def solved_by(self, solver: str) -> Self:
-        """Return the law whose programs another solver solves, unless it is a class of a user's."""
-        if not isinstance(self.settings.solver, str):
-            return self
-        return replace(self, settings=replace(self.settings, solver=solver))
 
 
 class PredictiveController(Controller):

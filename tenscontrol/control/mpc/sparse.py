@@ -24,10 +24,15 @@ from tenscontrol.control.mpc.problem import (
     MPCProblem,
     Pair,
     StageData,
+    StageJacobians,
+    Subproblem,
+    SubproblemSolution,
     Triple,
+    applied,
     shifted,
 )
-from tenscontrol.control.mpc.shooting import StageJacobians, applied
+from tenscontrol.control.mpc.settings import solver_name
+from tenscontrol.control.mpc.solvers import QPSolver
 from tenscontrol.validation import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -225,7 +230,7 @@ class Sparse(Form):
         wanted = [data.reference / self.units, data.input_reference / level]
         motion = self._offset + data.drift
         motion[0] += state @ self._first
-        if previous_input is not None:
+        if self._ramp and previous_input is not None:
             motion[0] += previous_input @ self._first_input
         motion /= self.units
         if self._rows_first.size:
@@ -278,3 +283,117 @@ class Sparse(Form):
             shifted(x, N, [s, a, len(self.limits.price) // N], repeat=True),
             shifted(y, N, [s, *self.limits.widths], repeat=False),
         )
+
+
+@final
+class SparseSubproblem(Subproblem):
+    """The program with its states, and a solver of quadratic programs.
+
+    Unknowns are measured from the plan where that ``relative`` is set.
+    """
+
+    def __init__(self, form: Sparse, solver: QPSolver, relative: bool) -> None:
+        self.form, self.solver, self._relative = form, solver, relative
+        self.solver_name = solver_name(solver)
+        self._guess: Pair | None = None
+
+    def reset(self) -> None:
+        """See :meth:`Subproblem.reset`."""
+        self.forget()
+        self.solver.reset()
+
+    def forget(self) -> None:
+        """See :meth:`Subproblem.forget`."""
+        self._guess = None
+
+    def shift(self) -> None:
+        """See :meth:`Subproblem.shift`."""
+        if self._guess is not None:
+            self._guess = self.form.shifted(*self._guess)
+
+    def linearize(
+        self, states: FloatArray, inputs: FloatArray, motion: StageJacobians,
+        rows: StageJacobians | None,
+    ) -> bool:  # fmt: skip
+        """See :meth:`Subproblem.linearize`."""
+        parts = [part for each in (motion, rows) if each for part in (each.offset, *each.slopes)]
+        if not all(np.isfinite(part).all() for part in parts):
+            return False
+        self.form.linearize(motion, rows, (states[1:], inputs[1:]) if self._relative else None)
+        self.solver.update(self.form.A.data)
+        if self._guess is not None:
+            self._guess = self.form.at_plan(self._guess)
+        return True
+
+    def solve(
+        self, state: FloatArray, data: StageData, previous: FloatArray, acting: FloatArray,
+        deadline: float,
+    ) -> SubproblemSolution:  # fmt: skip
+        """See :meth:`Subproblem.solve`."""
+        vectors = self.form.vectors(state, data, previous, acting)
+        answer = self.solver.solve(*vectors, start=self._guess, deadline=deadline)
+        self._guess = None
+        if answer.x is None or answer.y is None:
+            return SubproblemSolution(answer.status, answer.iterations, None)
+        self._guess = answer.x, answer.y
+        later, inputs = self.form.trajectory(answer.x)
+        plan = np.vstack([state, later]), np.vstack([acting, inputs])
+        return SubproblemSolution(answer.status, answer.iterations, plan)
+
+
+class Unlimited:
+    """Inputs of least cost without limits, by the recursion of dynamic programming.
+
+    The cost at the end is that of the LQR, so that its feedback holds at every stage, and what a
+    reference and drifts add is a linear term of the cost, ``2 gᵀ z``. Inputs that keep all limits
+    are those of the whole problem, exactly. For many inputs that move few states.
+    """
+
+    def __init__(self, problem: MPCProblem) -> None:
+        from scipy.sparse import csr_array
+
+        P, by_input = problem.terminal_weight, problem.input_matrix
+        self._problem = problem
+        curvature = problem.input_weight + by_input.T @ P @ by_input
+        self._to_inputs = np.linalg.solve(curvature, by_input.T)
+        self._closed = problem.transition - by_input @ problem.feedback
+        self._rows_by_input = csr_array(
+            np.zeros((0, by_input.shape[1])) if problem.rows is None else problem.rows.by_input
+        )
+
+    def plan(self, state: FloatArray, data: StageData, previous: FloatArray) -> FloatArray | None:
+        """Return the inputs, shape (N, α), from z_0 and v_{−1}; None if a limit is in the way."""
+        problem, N = self._problem, self._problem.length
+        if data.input_reference.any():
+            return None
+        P, slope = problem.terminal_weight, -problem.terminal_weight @ data.reference[-1]
+        ahead = np.zeros_like(data.drift)
+        for k in range(N - 1, -1, -1):
+            ahead[k] = P @ data.drift[k] + slope
+            if k:
+                slope = self._closed.T @ ahead[k] - problem.state_weight @ data.reference[k - 1]
+        plan = np.zeros_like(data.low)
+        for k in range(N):
+            v = plan[k] = -problem.feedback @ state - self._to_inputs @ ahead[k]
+            after = problem.transition @ state + problem.input_matrix @ v + data.drift[k]
+            if not self._allows(k, v, data, previous, state, after):
+                return None
+            state, previous = after, v
+        return plan
+
+    def _allows(
+        self, k: int, v: FloatArray, data: StageData, before: FloatArray, state: FloatArray,
+        after: FloatArray,
+    ) -> bool:  # fmt: skip
+        """Whether a stage keeps all limits."""
+        problem = self._problem
+        if (v < data.low[k]).any() or (v > data.high[k]).any():
+            return False
+        change = np.abs(v - before + data.shift[k])
+        if problem.change is not None and (change > problem.change).any():
+            return False
+        if problem.rows is None:
+            return True
+        y = problem.rows.by_state @ state + problem.rows.by_next_state @ after
+        y = y + self._rows_by_input @ v
+        return bool((y >= data.row_low[k]).all() and (y <= data.row_high[k]).all())

@@ -2,9 +2,9 @@
 /* ---- model predictive control ---- */
 
 /* Places in a row of the table over time. */
-#define ROW_L UNKNOWNS
-#define ROW_U (ROW_L + ROWS)
-#define ROW_INPUTS (ROW_U + ROWS)
+#define ROW_LOW UNKNOWNS
+#define ROW_HIGH (ROW_LOW + ROWS)
+#define ROW_INPUTS (ROW_HIGH + ROWS)
 #define ROW_PREVIOUS_INPUT (ROW_INPUTS + PLANNED)
 #define ROW_FREE_RESPONSE (ROW_PREVIOUS_INPUT + CONTROLLER_COMMANDS)
 
@@ -32,7 +32,7 @@ static void forget(void)
 static int continue_plan(int reason, double *desired_input)
 {
     memory.used++;
-    program.has_start = 0;
+    forget_program();
     if (memory.has_plan && memory.used < PLANNED / CONTROLLER_COMMANDS) {
         copy(desired_input, memory.plan + memory.used * CONTROLLER_COMMANDS, CONTROLLER_COMMANDS);
         return reason | CONTROLLER_PLAN_CONTINUED;
@@ -76,7 +76,7 @@ static void correct_load(const double *state)
 }
 #endif
 
-/* q, l and u: those of the row, plus a linear function of what is given. */
+/* q and bounds: those of the row, plus a linear function of what is given. */
 static void fill_program(const double *given, const double *row)
 {
     static double moved[UNKNOWNS + ROWS];
@@ -86,28 +86,27 @@ static void fill_program(const double *given, const double *row)
     for (i = 0; i < UNKNOWNS; i++)
         program.q[i] = row[i] + moved[i];
     for (i = 0; i < ROWS; i++) {
-        program.l[i] = row[ROW_L + i] + moved[UNKNOWNS + i];
-        program.u[i] = row[ROW_U + i] + moved[UNKNOWNS + i];
+        program.low[i] = row[ROW_LOW + i] + moved[UNKNOWNS + i];
+        program.high[i] = row[ROW_HIGH + i] + moved[UNKNOWNS + i];
     }
 }
 
-/* Store the plan, clipped to the bounds: a solution satisfies them to a tolerance. */
+/* Store the plan, clipped to the bounds, which a solution satisfies to round-off. */
 static void store_plan(const double *given, const double *row)
 {
-    static double known[UNKNOWNS + GIVEN];
-    int i;
-    copy(known, controller_qp_solver.solution->x, UNKNOWNS);
-    copy(known + UNKNOWNS, given, GIVEN);
+    int i, k;
     copy(memory.plan, row + ROW_INPUTS, PLANNED);
-    add_product(&inputs, known, memory.plan);
-    for (i = 0; i < PLANNED; i++)
-        memory.plan[i] = clamp(memory.plan[i], low[i % CONTROLLER_COMMANDS],
-                               high[i % CONTROLLER_COMMANDS]);
+    add_product(&inputs, given, memory.plan);
+    for (i = 0; i < PLANNED; i++) { /* inputs are the first values of a stage */
+        int length;
+        const double *of = response_row(NULL, i / STAGE_INPUTS * STAGE_ROWS + i % STAGE_INPUTS,
+                                        NULL, &length);
+        k = i % CONTROLLER_COMMANDS;
+        memory.plan[i] += LEVEL * active_set_dot(of, program.x, length);
+        memory.plan[i] = clamp(memory.plan[i], low[k], high[k]);
+    }
     memory.has_plan = 1;
     memory.used = 0;
-    shift_answer(source_of_x, controller_qp_solver.solution->x, program.x, UNKNOWNS);
-    shift_answer(source_of_y, controller_qp_solver.solution->y, program.y, ROWS);
-    program.has_start = 1;
 }
 
 static int decide(double time, const double *state, double *desired_input)

@@ -1,17 +1,34 @@
 
 /* ---- nonlinear model predictive control by real-time iterations ---- */
 
+#define STAGES_WIDE /* no instructions but those that the compiler is told of */
+#include "controller_stages.h"
+
 /* Places in a row of the table over time. */
-#define ROW_REFERENCE UNKNOWNS
+#define ROW_REFERENCE 0
 #define ROW_ORIGIN (ROW_REFERENCE + HORIZON * STATES)
 
 /* Slopes of a sample by states and by inputs, of the motion and of what is limited. */
 #define WIDTH (STATES + CONTROLLER_COMMANDS)
 #define SLOPES (HORIZON * (STATES * WIDTH + LIMITED * (WIDTH + STATES)))
 
+#define ROWS (HORIZON * (CONTROLLER_COMMANDS * (CHANGES ? 2 : 1) + LIMITED))
+#define MOST ACTIVE_SET_MOST(ROWS, PLANNED, SOFT)
+
+/* The program along the plan, and its memory. */
 static struct {
-    double states[(HORIZON + 1) * STATES]; /* z_0 ... z_N of the plan */
-    double inputs[PLANNED];
+    StagesProgram stages;
+    int placed;
+    double *states; /* z_0 ... z_N of the plan */
+    double *inputs; /* u_0 ... u_{N-1} */
+    double *y;      /* multipliers that the next solve starts from */
+    const double *state_moves, *input_moves; /* what a solution adds to the plan */
+    double numbers[STAGES_NUMBERS(HORIZON, STATES, CONTROLLER_COMMANDS, LIMITED, ROWS, SOFT)];
+    int integers[ACTIVE_SET_INTEGERS(ROWS, MOST)];
+    const double *pointers[ACTIVE_SET_POINTERS(MOST)];
+} program;
+
+static struct {
     int has_plan, prepared, shifted; /* linearized; shifted to this sample */
     int followed;                  /* samples without a program that was solved */
     double slopes[SLOPES]; /* A_k, B_k, then E_k, G_k, F_k, by columns */
@@ -20,24 +37,50 @@ static struct {
     double limited[HORIZON * LIMITED]; /* d_k */
 #endif
 #if LOADS > 0
-    double load[LOADS], drift[STATES], last_state[STATES];
+    double load[LOADS], drift[HORIZON * STATES], last_state[STATES];
     int has_last_state;
 #endif
     double row[ROW_LENGTH];
 } memory;
 
+static void forget_program(void)
+{
+    if (program.placed)
+        memset(program.y, 0, ROWS * sizeof *program.y);
+}
+
 static void forget_plan(void)
 {
     memory.has_plan = memory.prepared = 0;
     memory.shifted = 1;
-    program.has_start = 0;
+    forget_program();
+}
+
+static void place_program(void)
+{
+    static const int sizes[] = {HORIZON, STATES, CONTROLLER_COMMANDS, LIMITED, 0, CHANGES,
+                                SOFT, ITERATIONS};
+    static const double *const data[] = {state_weight, input_weight, terminal_weight, limit_scale,
+                                         largest_change, low, high, limit_low, limit_high, price,
+                                         price};
+    size_t counts[3];
+    double *views[6];
+    stages_program_place(&program.stages, sizes, LEVEL, TOLERANCE, NULL, data, program.numbers,
+                         program.integers, program.pointers, counts, views);
+    program.states = views[0];
+    program.inputs = views[1] + CONTROLLER_COMMANDS; /* behind the input before */
+    program.y = views[2];
+    program.state_moves = views[3];
+    program.input_moves = views[4];
+    program.placed = 1;
 }
 
 static void forget(void)
 {
+    if (!program.placed)
+        place_program();
     memset(&memory, 0, sizeof memory);
     forget_plan();
-    forget_program();
 }
 
 /* The state a sample later. */
@@ -61,23 +104,17 @@ static void keep_within_bounds(double *input)
 /* Shift the plan by a sample, once. */
 static void shift_plan(void)
 {
-    double *last = memory.inputs + PLANNED - CONTROLLER_COMMANDS;
+    double *last = program.inputs + PLANNED - CONTROLLER_COMMANDS;
     if (memory.shifted)
         return;
-    memmove(memory.states, memory.states + STATES, HORIZON * STATES * sizeof(double));
-    memmove(memory.inputs, memory.inputs + CONTROLLER_COMMANDS,
+    memmove(program.states, program.states + STATES, HORIZON * STATES * sizeof(double));
+    memmove(program.inputs, program.inputs + CONTROLLER_COMMANDS,
             (PLANNED - CONTROLLER_COMMANDS) * sizeof(double));
     if (HORIZON > 1)
         copy(last, last - CONTROLLER_COMMANDS, CONTROLLER_COMMANDS);
     keep_within_bounds(last);
-    advance(memory.states + (HORIZON - 1) * STATES, last, memory.states + HORIZON * STATES);
-    if (program.has_start) {
-        static double x[UNKNOWNS], y[ROWS];
-        copy(x, program.x, UNKNOWNS);
-        copy(y, program.y, ROWS);
-        shift_answer(source_of_x, x, program.x, UNKNOWNS);
-        shift_answer(source_of_y, y, program.y, ROWS);
-    }
+    advance(program.states + (HORIZON - 1) * STATES, last, program.states + HORIZON * STATES);
+    stages_program_shift(&program.stages);
     memory.shifted = 1;
 }
 
@@ -85,11 +122,11 @@ static void shift_plan(void)
 static void initialize_plan(const double *state, const double *row)
 {
     int i, k;
-    copy(memory.states, state, STATES);
+    copy(program.states, state, STATES);
     for (k = 0; k < HORIZON; k++) {
         const double *reference = row + ROW_REFERENCE + (k > 0 ? k - 1 : 0) * STATES;
-        double *now = memory.states + k * STATES, off[STATES];
-        double *input = memory.inputs + k * CONTROLLER_COMMANDS;
+        double *now = program.states + k * STATES, off[STATES];
+        double *input = program.inputs + k * CONTROLLER_COMMANDS;
         for (i = 0; i < STATES; i++)
             off[i] = now[i] - reference[i];
         copy(input, row + ROW_ORIGIN + k * CONTROLLER_COMMANDS, CONTROLLER_COMMANDS);
@@ -111,15 +148,18 @@ static void subtract(const double *slope, const double *x, int columns, double *
             offset[i] -= slope[j * rows + i] * x[j];
 }
 
-/* Linearize along the plan, and put that into the program where it is finite. */
+/* Linearize along the plan, and prepare the program where that is finite. */
 static void linearize(void)
 {
-    static double values[ENTRIES];
     double *A = memory.slopes, *B = A + HORIZON * STATES * STATES;
-    int i, k;
+    double *E = B + HORIZON * STATES * CONTROLLER_COMMANDS;
+    double *G = E + HORIZON * LIMITED * STATES;
+    double *F = G + HORIZON * LIMITED * CONTROLLER_COMMANDS;
+    const double *limited = NULL;
+    int k;
     for (k = 0; k < HORIZON; k++) {
-        const double *z = memory.states + k * STATES;
-        const double *u = memory.inputs + k * CONTROLLER_COMMANDS;
+        const double *z = program.states + k * STATES;
+        const double *u = program.inputs + k * CONTROLLER_COMMANDS;
         double *offset = memory.offset + k * STATES;
         const double *given[CASADI_ARG] = {0};
         double *found[CASADI_RES] = {0};
@@ -134,11 +174,8 @@ static void linearize(void)
     }
 #if LIMITED > 0
     for (k = 0; k < HORIZON; k++) {
-        double *E = B + HORIZON * STATES * CONTROLLER_COMMANDS;
-        double *G = E + HORIZON * LIMITED * STATES;
-        double *F = G + HORIZON * LIMITED * CONTROLLER_COMMANDS;
-        const double *z = memory.states + k * STATES;
-        const double *u = memory.inputs + k * CONTROLLER_COMMANDS;
+        const double *z = program.states + k * STATES;
+        const double *u = program.inputs + k * CONTROLLER_COMMANDS;
         double *offset = memory.limited + k * LIMITED;
         const double *given[CASADI_ARG] = {0};
         double *found[CASADI_RES] = {0};
@@ -154,72 +191,42 @@ static void linearize(void)
         subtract(found[2], u, CONTROLLER_COMMANDS, offset, LIMITED);
         subtract(found[3], z + STATES, STATES, offset, LIMITED);
     }
-    if (!all_finite(memory.limited, HORIZON * LIMITED))
-        return;
+    limited = memory.limited;
 #endif
-    if (!all_finite(memory.slopes, SLOPES) || !all_finite(memory.offset, HORIZON * STATES))
-        return;
-    for (i = 0; i < ENTRIES; i++)
-        values[i] = source_of_entry[i] < 0 ? entry[i] : entry[i] * memory.slopes[source_of_entry[i]];
-    osqp_update_data_mat(&controller_qp_solver, NULL, NULL, 0, values, NULL, ENTRIES);
-    memory.prepared = 1;
+    memory.prepared = stages_program_prepare(&program.stages, memory.offset, A, B, NULL, limited, E,
+                                             G, F);
 }
 
-/* q, l and u: those of the row, moved by the linearization and by what is measured. */
-static void fill_program(const double *state, const double *row)
+/* Solve the program for what is measured. */
+static int solve_program(const double *state, const double *row)
 {
-    static double moved[ROWS];
-    double previous[CONTROLLER_COMMANDS], motion[HORIZON * STATES];
-    int i;
-#if LIMITED > 0
-    static double limited[HORIZON * LIMITED];
-    const double *E = memory.slopes + HORIZON * STATES * WIDTH;
-    for (i = 0; i < HORIZON * LIMITED; i++)
-        limited[i] = -memory.limited[i];
-    subtract(E, state, STATES, limited, LIMITED);
-#endif
+    double previous[CONTROLLER_COMMANDS];
+    const double *drift = NULL;
+    int i, status;
     for (i = 0; i < CONTROLLER_COMMANDS; i++)
         previous[i] = previous_within_bounds(i);
-    copy(program.q, row, UNKNOWNS);
-    memset(moved, 0, sizeof moved);
-    add_product(&by_previous_input, previous, moved);
-    for (i = 0; i < ROWS; i++) {
-#if LIMITED > 0
-        if (limit_of_row[i] >= 0)
-            moved[i] += limited[limit_of_row[i]] / limit_scale[i];
-#endif
-        program.l[i] = first_low[i] + moved[i];
-        program.u[i] = first_high[i] + moved[i];
-    }
-    for (i = 0; i < HORIZON * STATES; i++)
-        motion[i] = -memory.offset[i];
 #if LOADS > 0
-    for (i = 0; i < HORIZON * STATES; i++)
-        motion[i] -= memory.drift[i % STATES];
+    drift = memory.drift;
 #endif
-    subtract(memory.slopes, state, STATES, motion, STATES);
-    for (i = 0; i < HORIZON * STATES; i++)
-        program.l[i] = program.u[i] = -motion[i] / unit[i % STATES];
+    status = stages_program_solve(&program.stages, state, previous_input, row + ROW_REFERENCE,
+                                  row + ROW_ORIGIN, drift, previous, NULL);
+    iterations = stages_program_iterations(&program.stages);
+    return reason_of(status);
 }
 
-/* Store the plan. Returns the largest change of an input, in its unit. */
-static double take_plan(const double *state)
+/* Move the plan to the solution. Returns the largest change of an input, in its unit. */
+static double take_plan(void)
 {
-    const double *x = controller_qp_solver.solution->x;
     double largest = 0.0;
     int i;
-    copy(memory.states, state, STATES);
-    for (i = 0; i < HORIZON * STATES; i++)
-        memory.states[STATES + i] = x[i] * unit[i % STATES];
+    for (i = 0; i < (HORIZON + 1) * STATES; i++)
+        program.states[i] += program.state_moves[i];
     for (i = 0; i < PLANNED; i++) {
-        double input = x[HORIZON * STATES + i] * LEVEL;
-        largest = fmax(largest, fabs(input - memory.inputs[i]) / LEVEL);
-        memory.inputs[i] = input;
+        double before = program.inputs[i];
+        program.inputs[i] += program.input_moves[i];
+        largest = fmax(largest, fabs(program.inputs[i] - before));
     }
-    copy(program.x, x, UNKNOWNS);
-    copy(program.y, controller_qp_solver.solution->y, ROWS);
-    program.has_start = 1;
-    return largest;
+    return largest / LEVEL;
 }
 
 /* Continue the last plan; after its end hold a safe input. */
@@ -230,13 +237,13 @@ static int continue_plan(int reason, double *desired_input)
         forget_plan();
     if (memory.has_plan) {
         shift_plan();
-        copy(desired_input, memory.inputs, CONTROLLER_COMMANDS);
+        copy(desired_input, program.inputs, CONTROLLER_COMMANDS);
         reason |= CONTROLLER_PLAN_CONTINUED;
     } else {
         reason = hold(reason, desired_input);
     }
     memory.prepared = memory.shifted = 0;
-    program.has_start = 0;
+    forget_program();
     return reason;
 }
 
@@ -264,7 +271,8 @@ static void correct_load(const double *state)
     copy(memory.last_state, state, STATES);
     memory.has_last_state = 1;
     memset(memory.drift, 0, sizeof memory.drift);
-    add_product(&load_response, memory.load, memory.drift);
+    for (i = 0; i < HORIZON; i++)
+        add_product(&load_response, memory.load, memory.drift + i * STATES);
 }
 
 /* Move references and origins to where the plant is at rest under the load, by Newton's method. */
@@ -292,8 +300,6 @@ static void rest_under_load(double *row)
             add_product(&load_shift, left, shift);
             add_product(&load_effort, left, effort);
         }
-        add_product(k + 1 < HORIZON ? &by_reference : &by_last, shift, row + k * STATES);
-        add_product(&by_origin, effort, row + HORIZON * STATES + k * CONTROLLER_COMMANDS);
         for (i = 0; i < LOADS; i++)
             reference[i] += shift[i];
         for (i = 0; i < CONTROLLER_COMMANDS; i++)
@@ -304,8 +310,11 @@ static void rest_under_load(double *row)
 
 static int decide(double time, const double *state, double *desired_input)
 {
-    const double *row = row_at(time, memory.row);
+    const double *row;
     int total = 0, round;
+    if (!program.placed)
+        forget();
+    row = row_at(time, memory.row);
 #if LOADS > 0
     correct_load(state);
     rest_under_load(memory.row);
@@ -323,8 +332,7 @@ static int decide(double time, const double *state, double *desired_input)
         if (!memory.prepared)
             linearize();
         if (memory.prepared) {
-            fill_program(state, row);
-            reason = solve_program();
+            reason = solve_program(state, row);
             total += iterations;
         } else {
             forget_plan();
@@ -335,10 +343,10 @@ static int decide(double time, const double *state, double *desired_input)
         if (reason != CONTROLLER_OK)
             return continue_plan(reason, desired_input);
         memory.followed = 0;
-        if (take_plan(state) < CONVERGED)
+        if (take_plan() < CONVERGED)
             break;
     }
     memory.shifted = 0;
-    copy(desired_input, memory.inputs, CONTROLLER_COMMANDS);
+    copy(desired_input, program.inputs, CONTROLLER_COMMANDS);
     return CONTROLLER_OK;
 }

@@ -1,7 +1,21 @@
 """Forms of the state equation for large scenes."""
 
 from tenscontrol.dynamics.forms.elimination import members_alone
-from tenscontrol.dynamics.forms.loops import loops_functions, loops_source
+from tenscontrol.dynamics.forms.loops import (
+    C_EXPORT,
+    C_HEAD,
+    external_interface,
+    loops_functions,
+    loops_source,
+)
 from tenscontrol.dynamics.forms.mapped import mapped_functions
 
-__all__ = ["loops_functions", "loops_source", "mapped_functions", "members_alone"]
+__all__ = [
+    "C_EXPORT",
+    "C_HEAD",
+    "external_interface",
+    "loops_functions",
+    "loops_source",
+    "mapped_functions",
+    "members_alone",
+]

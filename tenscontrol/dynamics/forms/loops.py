@@ -112,9 +112,9 @@ def loops_source(
         slope += "\n  blocks(p, v, f, a, w + BLOCKS_AT);"
     return "\n".join(
         [
-            _HEAD,
+            C_HEAD,
             kernels.dump(),
-            _EXPORT,
+            C_EXPORT,
             *(f"#define {name} {size}" for name, size in sizes.items()),
             *(_table(name, values) for name, values in tables.items()),
             _SUPPORTED if supported else _FREE,
@@ -125,9 +125,11 @@ def loops_source(
             (_SLOPE_ROLLING if structure.rollers else _SLOPE) % {"ends": ends, "calls": slope},
             (_FORCE_SUPPORTED if supported else _FORCE_FREE) % {"ends": ends},
             _GAP % {"moved": moved, "calls": called(gaps)},
-            _interface("slope", [states, inputs, switches], [states]),
-            _interface("gap", [states, inputs], [switches, switches]),
-            _interface("force", [states // 2, states // 2, inputs, switches], [states // 2]),
+            external_interface("slope", [states, inputs, switches], [states]),
+            external_interface("gap", [states, inputs], [switches, switches]),
+            external_interface(
+                "force", [states // 2, states // 2, inputs, switches], [states // 2]
+            ),
         ]
     )
 
@@ -248,7 +250,7 @@ def _table(name: str, values: Any) -> str:
     return f"static const {kind} {name}[{len(entries)}] = {{\n" + ",\n".join(lines) + "\n};"
 
 
-def _interface(name: str, inputs: list[int], outputs: list[int]) -> str:
+def external_interface(name: str, inputs: list[int], outputs: list[int]) -> str:
     """Return what CasADi asks about an external function: its arguments, all dense columns."""
     shapes_in, shapes_out = (
         ", ".join(f"{{{rows}, 1, 1}}" for rows in sizes) for sizes in (inputs, outputs)
@@ -261,7 +263,7 @@ def _interface(name: str, inputs: list[int], outputs: list[int]) -> str:
 
 # CasADi's code of the kernels follows: for this file only, to be put into the loops.
 # Calls of the library's fmax and fmin would keep the loops from being fast; these give the same.
-_HEAD = """\
+C_HEAD = """\
 #include <math.h>
 #include <string.h>
 static inline double larger(double x, double y) { return x > y || y != y ? x : y; }
@@ -273,7 +275,7 @@ static inline double smaller(double x, double y) { return x < y || y != y ? x : 
 #define CASADI_SYMBOL_EXPORT static inline
 """
 
-_EXPORT = """\
+C_EXPORT = """\
 #if defined(_WIN32)
 #define EXPORTED __declspec(dllexport)
 #else

@@ -142,7 +142,7 @@ def closed_loop_cost(nmpc, controller, sample, state, count):
 
 def optimality(nmpc, nodes, velocities):
     """Return how far the program of a command is from its conditions, and its multipliers."""
-    program, kept = nmpc._plan.solver, {}
+    program, kept = nmpc._plan.program.solver, {}
     solve = program.solve
 
     def watched(q, l, u, start=None, deadline=np.inf):  # noqa: E741
@@ -154,6 +154,6 @@ def optimality(nmpc, nodes, velocities):
     answer, (q, *limits) = kept["answer"], kept["data"]
     far = 1e9  # for infinity, which times zero is nothing
     bounds = (np.clip(limit, -far, far) for limit in limits)
-    form = nmpc._plan.form
+    form = nmpc._plan.program.form
     found = kkt_residual(form.P, q, form.A, *bounds, answer.x, answer.y)
     return found, answer.y

@@ -221,7 +221,7 @@ def test_hard_limits_of_strings_hold_along_the_reference():
     )  # fmt: skip
     usual = {"horizon": 4, "sample_time": SAMPLE, "string_penalty": np.inf}
     with pytest.raises(
-        ValueError, match=r"min_force_density is 25 N/m for string [01], but the op"
+        ValueError, match=r"min_force_density is 25 N/m for string [0-5], but the op"
     ):
         tc.MPC(plant, min_force_density=25.0, **usual)
     tall, gamma = plant.nodes[:, :, None] * [1.0, 1.0], np.outer(plant.force_density, [1.0, 2.0])

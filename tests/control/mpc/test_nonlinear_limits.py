@@ -102,6 +102,7 @@ def test_program_satisfies_the_optimality_conditions(plant, penalty):
         max_change=None if penalty else 5.0,
         tolerance=1e-8,
         max_iterations=50000,
+        solver="osqp",
     )
     found, multipliers = optimality(nmpc, pushed(plant, 0.01), STILL)
     assert found < 1e-6 * max(1.0, np.abs(multipliers).max())
@@ -191,8 +192,13 @@ def test_program_pays_only_for_the_limits_that_it_has(plant):
     if plant.input == "force_density":
         plain, limited = (
             NMPC(
-                plant, horizon=4, sample_time=SAMPLE, max_force_density=60.0, max_tension=most
-            )._plan.form
+                plant,
+                horizon=4,
+                sample_time=SAMPLE,
+                max_force_density=60.0,
+                max_tension=most,
+                solver="osqp",
+            )._plan.program.form
             for most in (None, 50.0)
         )
         assert plain.A.shape == (4 * 27, 4 * 27)
@@ -200,7 +206,7 @@ def test_program_pays_only_for_the_limits_that_it_has(plant):
         assert limited.A.shape == (4 * 27 + 2 * 4 * 9, 4 * 36)
         assert limited.A.nnz - plain.A.nnz == 3 * 81 + 4 * 9 + 2 * 4 * 9
     else:
-        program = NMPC(plant, horizon=4, sample_time=SAMPLE)._plan.form
+        program = NMPC(plant, horizon=4, sample_time=SAMPLE, solver="osqp")._plan.program.form
         assert program.A.shape == (4 * 18 + 4 * 9 + 2 * 4 * 9, 4 * 36)
 
 

@@ -51,7 +51,10 @@ def test_converged_plan_is_the_optimum_that_ipopt_finds():
     # Limits of γ are soft, and IPOPT's problem has none: none may matter.
     rng, size = np.random.default_rng(0), 1 / stiffness
     oracle = IpoptNMPC(nmpc, tolerance=1e-6, hessian="limited-memory")
-    nodes = nodes_of(plant, np.r_[size * rng.normal(size=9), 0.02 * rng.normal(size=9)])
+    state = plant.measure(
+        plant.nodes + size * rng.normal(size=(3, 6)), 0.02 * rng.normal(size=(3, 6))
+    )
+    nodes = nodes_of(plant, state)
     stands = plant.rest_length + size * rng.normal(size=9)
     for each in (nmpc, oracle):
         each.applied(stands)
@@ -74,6 +77,7 @@ def test_program_satisfies_the_optimality_conditions():
         outputs=[limit],
         tolerance=1e-6,
         max_iterations=50_000,
+        solver="osqp",
     )
     stands = plant.rest_length - 2e-5
     nmpc.applied(stands)
@@ -96,7 +100,7 @@ def test_limits_hold_at_the_ends_of_samples():
             min_force_density=low,
             **EXACT,
         )
-        state = np.r_[np.zeros(9), 0.1 * np.random.default_rng(1).normal(size=9)]
+        state = np.r_[np.zeros(9), plant.basis.T @ (0.1 * np.random.default_rng(4).normal(size=18))]
         nmpc.applied(plant.rest_length)
         assert nmpc.command(0.0, *nodes_of(plant, state)).status == "ok"
         before, found = plant.rest_length, []
@@ -108,13 +112,13 @@ def test_limits_hold_at_the_ends_of_samples():
             found.append(1e4 * (1 - held / length))
         least.append(np.min(found))
     assert least[0] < 14.0
-    assert least[1] > 16.0 - 0.1
+    assert least[1] > 16.0 - 0.25
 
 
 def test_costs_are_those_of_explicit_steps_where_strings_are_soft(monkeypatch):
     """In a closed loop on the explicit prediction."""
     plant = plant_of(1e2)
-    state = np.r_[0.01 * np.random.default_rng(0).normal(size=9), np.zeros(9)]
+    state = np.r_[plant.basis.T @ (0.01 * np.random.default_rng(0).normal(size=18)), np.zeros(9)]
     explicit = tc.NMPC(plant, horizon=10, sample_time=SAMPLE)
     monkeypatch.setattr(real_time_iteration, "_MOST_EXPLICIT", 0)
     other = tc.NMPC(plant, horizon=10, sample_time=SAMPLE)
@@ -179,6 +183,7 @@ def test_a_stiff_prism_recovers_where_no_string_resists():
         sample_time=SAMPLE,
         winches=tc.Winches(rate=0.3, substeps=100),
         min_force_density=2.0,
+        machine_code=True,
     )
     # Wound so that the strings are as tense as at rest.
     stands = plant.model.structure.string_length(nodes_of(plant, z)[0]) * (1 - 17e-6)

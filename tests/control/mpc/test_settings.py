@@ -92,13 +92,6 @@ def test_another_solver_is_one_class(kind):
     np.testing.assert_allclose(values[1], values[0], atol=1e-3)
 
 
-def test_code_is_written_for_osqp_alone(tmp_path):
-    plant = scenes.plant("force_density")
-    mpc = tc.MPC(plant, **GIVEN, solver=ActiveSet)
-    with pytest.raises(ValueError, match="solves its programs by ActiveSet, and C code is written"):
-        tc.generate_c(mpc, tmp_path / "code")
-
-
 class NamedFunction(ca.Function):
     """Notes the name of each function that is constructed."""
 

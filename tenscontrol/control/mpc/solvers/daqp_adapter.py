@@ -302,3 +302,35 @@ def _violations(P: csc_array, A: csc_array) -> tuple[IntArray, IntArray, IntArra
     if not once or not np.array_equal(rest[below[both]], rest[above[both]]):
         return none, none, none, none
     return unknown, bound, below, above
+
+
+def least_distance(
+    matrix: FloatArray, low: FloatArray, high: FloatArray, price: FloatArray,
+    tolerance: float, max_iterations: int, deadline: float,
+) -> tuple[Status, FloatArray, int]:  # fmt: skip
+    """Return status, multipliers y and iterations of ``min ½ |x|², low ≤ M x ≤ high``.
+
+    The answer is x = −Mᵀ y. A violation s of a soft row costs ``price (s + ½ s²)``; the price is
+    infinite for hard rows.
+    """
+    import daqp
+
+    if (low > high).any():
+        return Status.INFEASIBLE, np.zeros(0), 0
+    # In the span of the rows, which has few directions.
+    factor = np.asarray(np.linalg.qr(matrix.T, mode="r"))
+    soft, size = np.isfinite(price), len(factor)
+    model, sense = daqp.Model(), np.where(soft, _SOFT, 0).astype(np.intc)
+    flag: int = model.setup(np.eye(size), np.zeros(size), factor.T.copy(), high, low, sense)[0]
+    if flag < 0:
+        return _STATUS[flag], np.zeros(0), 0
+    left = 0.0 if deadline == np.inf else max(deadline - perf_counter(), np.finfo(float).tiny)
+    model.settings = {
+        "primal_tol": 0.1 * tolerance, "dual_tol": 0.01 * tolerance, "time_limit": left,
+        "iter_limit": max_iterations + 1,
+    }  # fmt: skip
+    if soft.any():
+        cost, softness = np.where(soft, price, 0.0), np.where(soft, 1 / price, 0.0)
+        model.soft_weights(softness, softness, cost, cost)
+    _, _, flag, info = model.solve()
+    return _STATUS[flag], info["lam"], info["iterations"]

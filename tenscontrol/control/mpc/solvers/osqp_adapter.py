@@ -34,7 +34,7 @@ _STATUS = {
 
 
 # Step of ADMM at the start.
-START_RHO = 1.0
+_START_RHO = 1.0
 
 
 @final
@@ -88,7 +88,7 @@ class OSQPSolver(QPSolver):
             polishing=polish,
             # Iterations, not seconds, decide when ρ is adapted: the same data
             # give the same answer on every machine.
-            rho=START_RHO,  # both forms are scaled for it
+            rho=_START_RHO,  # both forms are scaled for it
             adaptive_rho=1,
             adaptive_rho_interval=50,
             check_termination=5,
@@ -120,12 +120,7 @@ class OSQPSolver(QPSolver):
             self._set_up()
             return
         self._cold_start()
-        self._solver.update_settings(rho=START_RHO)
-
-    def write_c(self, folder: str, prefix: str) -> None:
-        """Write the program and OSQP itself as C code, in the state it is in, to a new folder."""
-        # With "vectors" the code could adapt neither the step nor the kinds of the rows.
-        self._solver.codegen(folder, parameters="matrices", extension_name=None, prefix=prefix)
+        self._solver.update_settings(rho=_START_RHO)
 
     def _cold_start(self) -> None:
         rows, columns = self._shape

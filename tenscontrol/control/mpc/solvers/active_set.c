@@ -1,0 +1,587 @@
+/*
+ * A dual active-set method for least-distance programs.
+ *
+ *     minimize    1/2 |x|^2 + q'x + sum_i (price_i s_i + 1/2 curvature_i s_i^2)
+ *     subject to  low_i - s_i <= (M x)_i <= high_i + s_i,   s_i >= 0,   s_i = 0 in hard rows
+ *
+ * Bounds may be infinite, or equal; no two may cross. A row is soft where its price is finite; its
+ * curvature is then positive. The violation of a soft row is no unknown: its multiplier is bounded
+ * by the price while the row holds, and beyond it grows with the violation,
+ * |y| = price + curvature s. Multipliers y have the sign of x + q + M'y = 0: positive at upper
+ * bounds.
+ *
+ * The method is that of Goldfarb & Idnani (1983), doi:10.1007/BF02591962, on the LDL' factors of
+ * the Gram matrix of the active rows, which follow each change by a rank-one update. The iterates
+ * are multipliers, and rise in the dual problem until all rows hold. The last step is repeated on
+ * the residuals of the answer, which is so exact to round-off.
+ *
+ * Rows are reached by two functions, so that M need not be a matrix:
+ *
+ *     row(data, i, space, &length)  returns row i, whose entries from `length` on are zero. It is
+ *                                   written to `space`, of `columns` numbers, or lies elsewhere and
+ *                                   stays there until the row leaves the active set.
+ *     products(data, x, out)        out = M x
+ *
+ * How to use it:
+ *
+ *     ActiveSet set = {0};
+ *     set.rows = ...; set.columns = ...; set.row = ...; set.products = ...; set.data = ...;
+ *     set.price = ...; set.curvature = ...;      both NULL if no row is soft; price INFINITY: hard
+ *     set.most = ACTIVE_SET_MOST(rows, columns, soft);    active rows at most; fewer saves memory
+ *     set.stored = 1;                            0 if `row` never writes to `space`
+ *     set.limit = 500; set.tolerance = 1e-11;    changes of the set; violation in units of a row
+ *     active_set_place(&set, numbers, integers, pointers);
+ *     active_set_start(&set, y);                 y of `rows` numbers, or NULL: nothing is active
+ *     status = active_set_solve(&set, q, low, high, x);
+ *     ...                                        set.y are the multipliers, 0 where inactive
+ *
+ * `active_set_start` may run before q, low and high are known: it reaches the rows where y is not
+ * zero and factorizes them. Without it, a solve starts from the active set of the last one, whose
+ * rows must not have changed. `numbers`, `integers` and `pointers` are memory of the sizes of the
+ * macros below; nothing else is allocated, and there are no globals.
+ */
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#ifndef ACTIVE_SET_API
+#define ACTIVE_SET_API static
+#endif
+
+#define ACTIVE_SET_SOLVED 0
+#define ACTIVE_SET_INFEASIBLE 1        /* hard rows contradict each other, or bounds cross */
+#define ACTIVE_SET_OUT_OF_ITERATIONS 2 /* ... or more rows are active than `most` */
+#define ACTIVE_SET_STOPPED 3           /* `stop` said so */
+#define ACTIVE_SET_BAD_DATA 4          /* q, bounds or rows are not finite */
+#define ACTIVE_SET_INACCURATE 5        /* a violation could not be brought below the tolerance */
+
+/* Rows that can be active at once: independent ones, violated soft ones, and one that is added. */
+#define ACTIVE_SET_MOST(rows, columns, soft) \
+    ((rows) < (columns) + (soft) + 1 ? (rows) : (columns) + (soft) + 1)
+
+/* Sizes of the memory; `columns` counts once more for each row where rows are stored. */
+#define ACTIVE_SET_NUMBERS(rows, columns, most, stored)                          \
+    (2 * (size_t)(rows) + (columns) + 3 * (size_t)(most) +                       \
+     (size_t)(most) * ((size_t)(most) - 1) / 2 + ((stored) ? (size_t)(most) * (columns) : 0))
+#define ACTIVE_SET_INTEGERS(rows, most) ((size_t)(rows) + 5 * (size_t)(most))
+#define ACTIVE_SET_POINTERS(most) ((size_t)(most))
+
+typedef struct {
+    /* given by the caller */
+    int rows, columns, most, stored, limit;
+    double tolerance;
+    const double *price, *curvature;
+    const double *(*row)(void *data, int i, double *space, int *length);
+    void (*products)(void *data, const double *x, double *out);
+    int (*stop)(void *data); /* asked at each change; NULL: never stops */
+    void *data;
+    /* answer, besides x */
+    double *y;      /* (rows) */
+    int iterations; /* changes of the active set in the last solve */
+    /* the active set */
+    int count, singular; /* whether the last active row depends on the others */
+    int *place;          /* (rows), of a row among the active ones; -1 if it is not, -2 if barred */
+    int *active, *side, *violated, *length, *slot; /* (most) */
+    const double **entries;                        /* (most), of the active rows */
+    double *stored_rows, *factor, *pivot;          /* of L D L' */
+    double *product, *step, *residual, *column;
+} ActiveSet;
+
+/* Give the solver its memory. Nothing is active then. */
+ACTIVE_SET_API void active_set_place(ActiveSet *set, double *numbers, int *integers,
+                                     const double **pointers);
+
+/* Forget the active set, and begin with the rows whose multiplier is not zero; y may be NULL. */
+ACTIVE_SET_API void active_set_start(ActiveSet *set, const double *y);
+
+/* Solve. Returns a status; x, of `columns` numbers, is the answer where that is 0. */
+ACTIVE_SET_API int active_set_solve(ActiveSet *set, const double *q, const double *low,
+                                    const double *high, double *x);
+
+/* A row whose distance from the span of the others is below this part of its length, squared. */
+#define ACTIVE_SET_DEPENDENT 1e-12
+
+/* Below this part a pivot is computed anew, as a sum of squares. */
+#define ACTIVE_SET_CANCELLED 1e-4
+
+#define ACTIVE_SET_REFINEMENTS 3
+
+/* What a row may be violated by that could not be made active, in tolerances. */
+#define ACTIVE_SET_LOOSE 1e3
+
+static double active_set_dot(const double *a, const double *b, int count)
+{
+    double s0 = 0.0, s1 = 0.0, s2 = 0.0, s3 = 0.0; /* four sums, added in pairs */
+    int i;
+    for (i = 0; i + 4 <= count; i += 4) {
+        s0 += a[i] * b[i];
+        s1 += a[i + 1] * b[i + 1];
+        s2 += a[i + 2] * b[i + 2];
+        s3 += a[i + 3] * b[i + 3];
+    }
+    for (; i < count; i++)
+        s0 += a[i] * b[i];
+    return (s0 + s1) + (s2 + s3);
+}
+
+/* y += factor x */
+static void active_set_add(double factor, const double *x, double *y, int count)
+{
+    int i;
+    for (i = 0; i < count; i++)
+        y[i] += factor * x[i];
+}
+
+/* Row k of L, left of its diagonal. */
+static double *active_set_factor_row(const ActiveSet *set, int k)
+{
+    return set->factor + (size_t)k * ((size_t)k - 1) / 2;
+}
+
+static double active_set_price(const ActiveSet *set, int i)
+{
+    return set->price == NULL ? INFINITY : set->price[i];
+}
+
+static int active_set_finite(const double *values, int count)
+{
+    int i;
+    for (i = 0; i < count; i++)
+        if (!isfinite(values[i]))
+            return 0;
+    return 1;
+}
+
+/* What a violation adds to the diagonal of the Gram matrix. */
+static double active_set_softness(const ActiveSet *set, int k)
+{
+    return set->violated[k] ? 1.0 / set->curvature[set->active[k]] : 0.0;
+}
+
+static double active_set_diagonal(const ActiveSet *set, int k)
+{
+    const double *row = set->entries[k];
+    return active_set_dot(row, row, set->length[k]) + active_set_softness(set, k);
+}
+
+/* Solve L' p = p for the first rows. */
+static void active_set_backward(const ActiveSet *set, double *p, int count)
+{
+    int k;
+    for (k = count - 1; k > 0; k--)
+        active_set_add(-p[k], active_set_factor_row(set, k), p, k);
+}
+
+/* x += factor M' y, of the active rows. */
+static void active_set_combine(const ActiveSet *set, const double *y, double factor, double *x)
+{
+    int k;
+    for (k = 0; k < set->count; k++)
+        active_set_add(factor * y[k], set->entries[k], x, set->length[k]);
+}
+
+/* The pivot of a row as the square of its distance from the span of those before it. */
+static double active_set_distance(const ActiveSet *set, int k, const double *l)
+{
+    double *p = set->step, *z = set->column, square = active_set_softness(set, k);
+    int m;
+    memcpy(p, l, (size_t)k * sizeof *p);
+    active_set_backward(set, p, k);
+    memset(z, 0, (size_t)set->columns * sizeof *z);
+    memcpy(z, set->entries[k], (size_t)set->length[k] * sizeof *z);
+    for (m = 0; m < k; m++) {
+        active_set_add(-p[m], set->entries[m], z, set->length[m]);
+        square += active_set_softness(set, m) * p[m] * p[m];
+    }
+    return square + active_set_dot(z, z, set->columns);
+}
+
+/* Factorize the Gram matrix with row i, whose multiplier has this side, after all others. */
+static void active_set_append(ActiveSet *set, int i, int side, int violated)
+{
+    int k = set->count++, m;
+    double *l = active_set_factor_row(set, k), diagonal, pivot;
+    double *space = set->stored ? set->stored_rows + (size_t)set->slot[k] * set->columns : NULL;
+    set->active[k] = i;
+    set->place[i] = k;
+    set->side[k] = side;
+    set->violated[k] = violated;
+    set->length[k] = set->columns;
+    set->entries[k] = set->row(set->data, i, space, &set->length[k]);
+    diagonal = pivot = active_set_diagonal(set, k);
+    for (m = 0; m < k; m++) {
+        int shorter = set->length[m] < set->length[k] ? set->length[m] : set->length[k];
+        l[m] = active_set_dot(set->entries[m], set->entries[k], shorter) -
+               active_set_dot(active_set_factor_row(set, m), l, m);
+    }
+    for (m = 0; m < k; m++) {
+        double scaled = l[m] / set->pivot[m];
+        pivot -= scaled * l[m];
+        l[m] = scaled;
+    }
+    if (!(pivot > ACTIVE_SET_CANCELLED * diagonal))
+        pivot = active_set_distance(set, k, l);
+    set->singular = !(pivot > ACTIVE_SET_DEPENDENT * diagonal);
+    set->pivot[k] = set->singular ? 0.0 : pivot;
+}
+
+/* Add alpha w w' to the factors of the rows from k on; w, of the rows before `count`, is lost. */
+static void active_set_update(ActiveSet *set, int k, double alpha, double *w)
+{
+    int j, m;
+    for (j = k; j < set->count; j++) {
+        double p = w[j], old = set->pivot[j], new = old + alpha * p * p, beta;
+        if (p == 0.0 || new == 0.0)
+            continue;
+        beta = alpha * p / new;
+        alpha *= old / new;
+        set->pivot[j] = new;
+        for (m = j + 1; m < set->count; m++) {
+            double *l = active_set_factor_row(set, m);
+            w[m] -= p * l[j];
+            l[j] += beta * w[m];
+        }
+    }
+    k = set->count - 1;
+    if (set->singular) {
+        set->singular = !(set->pivot[k] > ACTIVE_SET_DEPENDENT * active_set_diagonal(set, k));
+        if (set->singular)
+            set->pivot[k] = 0.0;
+    }
+}
+
+/* Take row k out of the active set; its multiplier stays. */
+static void active_set_remove(ActiveSet *set, int k)
+{
+    double *w = set->step, alpha = set->pivot[k];
+    int m, slot = set->slot[k], last = set->count - 1;
+    set->place[set->active[k]] = -1;
+    if (k == last)
+        set->singular = 0;
+    for (m = k + 1; m < set->count; m++) {
+        const double *from = active_set_factor_row(set, m);
+        double *to = active_set_factor_row(set, m - 1);
+        w[m - 1] = from[k];
+        memmove(to, from, (size_t)k * sizeof *to);
+        memmove(to + k, from + k + 1, (size_t)(m - 1 - k) * sizeof *to);
+        set->pivot[m - 1] = set->pivot[m];
+        set->active[m - 1] = set->active[m];
+        set->place[set->active[m]] = m - 1;
+        set->side[m - 1] = set->side[m];
+        set->violated[m - 1] = set->violated[m];
+        set->length[m - 1] = set->length[m];
+        set->entries[m - 1] = set->entries[m];
+        set->slot[m - 1] = set->slot[m];
+    }
+    set->slot[last] = slot; /* free for the next row */
+    set->count = last;
+    if (k < last)
+        active_set_update(set, k, alpha, w);
+}
+
+/* Let soft row k be violated, or hold it at its bound again. */
+static void active_set_switch(ActiveSet *set, int k)
+{
+    int i = set->active[k];
+    if (!set->violated[k]) {
+        memset(set->step, 0, (size_t)set->count * sizeof *set->step);
+        set->step[k] = 1.0;
+        set->side[k] = set->y[i] < 0.0 ? -1 : 1;
+        set->violated[k] = 1;
+        active_set_update(set, k, active_set_softness(set, k), set->step);
+    } else { /* a smaller diagonal: factorized anew, which shows whether the row is independent */
+        int side = set->side[k];
+        active_set_remove(set, k);
+        active_set_append(set, i, side, 0);
+    }
+}
+
+ACTIVE_SET_API void active_set_place(ActiveSet *set, double *numbers, int *integers,
+                                     const double **pointers)
+{
+    size_t rows = (size_t)set->rows, most = (size_t)set->most;
+    int k;
+    set->y = numbers;
+    set->product = set->y + rows;
+    set->column = set->product + rows;
+    set->pivot = set->column + set->columns;
+    set->step = set->pivot + most;
+    set->residual = set->step + most;
+    set->factor = set->residual + most;
+    set->stored_rows = set->factor + most * (most - 1) / 2;
+    set->place = integers;
+    set->active = set->place + rows;
+    set->side = set->active + most;
+    set->violated = set->side + most;
+    set->length = set->violated + most;
+    set->slot = set->length + most;
+    set->entries = pointers;
+    for (k = 0; k < set->most; k++)
+        set->slot[k] = k;
+    set->iterations = 0;
+    active_set_start(set, NULL);
+}
+
+ACTIVE_SET_API void active_set_start(ActiveSet *set, const double *y)
+{
+    int i;
+    set->count = set->singular = 0;
+    for (i = 0; i < set->rows; i++) {
+        set->place[i] = -1;
+        set->y[i] = 0.0;
+    }
+    for (i = 0; y != NULL && i < set->rows && set->count < set->most; i++) {
+        if (y[i] == 0.0 || !isfinite(y[i]))
+            continue;
+        active_set_append(set, i, y[i] < 0.0 ? -1 : 1, fabs(y[i]) > active_set_price(set, i));
+        if (set->singular)
+            active_set_remove(set, set->count - 1);
+        else
+            set->y[i] = y[i];
+    }
+}
+
+/* Move to x = -q - M'y. */
+static void active_set_point(ActiveSet *set, const double *q, double *x)
+{
+    int k;
+    for (k = 0; k < set->columns; k++)
+        x[k] = -q[k];
+    for (k = 0; k < set->count; k++)
+        set->step[k] = set->y[set->active[k]];
+    active_set_combine(set, set->step, -1.0, x);
+}
+
+/* What is left of the conditions of the active rows: slopes of the dual problem. */
+static double active_set_residuals(ActiveSet *set, const double *x, const double *low,
+                                   const double *high)
+{
+    double largest = 0.0;
+    int k;
+    for (k = 0; k < set->count; k++) {
+        int i = set->active[k];
+        double left = active_set_dot(set->entries[k], x, set->length[k]);
+        left -= set->side[k] > 0 ? high[i] : low[i];
+        if (set->violated[k])
+            left -= (set->y[i] - set->side[k] * set->price[i]) / set->curvature[i];
+        set->residual[k] = left;
+        largest = fmax(largest, fabs(left));
+    }
+    return largest;
+}
+
+/* The step to where all active rows hold, in set->step, which adds to the multipliers. */
+static void active_set_direction(ActiveSet *set)
+{
+    double *p = set->step;
+    int k;
+    for (k = 0; k < set->count; k++)
+        p[k] = set->residual[k] - active_set_dot(active_set_factor_row(set, k), p, k);
+    for (k = 0; k < set->count; k++)
+        p[k] /= set->pivot[k];
+    active_set_backward(set, p, set->count);
+}
+
+/*
+ * The step along which x stays where it is, since the last row depends on the others, and the dual
+ * problem rises. Where it is level, the step is to where the last row has no multiplier, and its
+ * largest part is 1, otherwise infinite.
+ */
+static double active_set_ray(ActiveSet *set)
+{
+    double *p = set->step, rate, length = 1.0, factor;
+    int k, last = set->count - 1;
+    memcpy(p, active_set_factor_row(set, last), (size_t)last * sizeof *p);
+    active_set_backward(set, p, last);
+    for (k = 0; k < last; k++) {
+        p[k] = set->violated[k] ? 0.0 : -p[k]; /* of violated rows it is round-off */
+        length += fabs(p[k]);
+    }
+    p[last] = 1.0;
+    rate = active_set_dot(p, set->residual, set->count);
+    factor = rate < 0.0 ? -1.0 : 1.0;
+    if (fabs(rate) <= set->tolerance * length)
+        factor = -set->y[set->active[last]];
+    for (k = 0; k < set->count; k++)
+        p[k] *= factor;
+    return fabs(rate) <= set->tolerance * length ? 1.0 : INFINITY;
+}
+
+/* The largest part of the step after which all multipliers keep their kinds, and which stops it. */
+static double active_set_reach(const ActiveSet *set, const double *low, const double *high,
+                               double most, int *blocking)
+{
+    double reach = most;
+    int k;
+    *blocking = -1;
+    for (k = 0; k < set->count; k++) {
+        int i = set->active[k];
+        int side = set->side[k], free = low[i] == high[i] && !set->violated[k];
+        double p = set->step[k], y = set->y[i], part = INFINITY;
+        if (free)
+            side = p < 0.0 ? -1 : 1;
+        p *= side;
+        y *= side;
+        if (set->violated[k])
+            part = p < 0.0 ? (y - set->price[i]) / -p : INFINITY;
+        else if (p < 0.0)
+            part = y / -p;
+        else if (p > 0.0)
+            part = (active_set_price(set, i) - y) / p;
+        part = part > 0.0 ? part : 0.0;
+        if (part < reach) {
+            reach = part;
+            *blocking = k;
+        }
+    }
+    return reach;
+}
+
+/* Change the kind of a row at the end of a step. */
+static void active_set_change(ActiveSet *set, int k, const double *low, const double *high)
+{
+    int i = set->active[k], free = low[i] == high[i], side = set->side[k];
+    double p = set->step[k];
+    if (free && !set->violated[k])
+        side = p < 0.0 ? -1 : 1;
+    if (set->violated[k] || side * p > 0.0) {
+        set->y[i] = side * set->price[i];
+        active_set_switch(set, k);
+    } else {
+        set->y[i] = 0.0;
+        active_set_remove(set, k);
+    }
+}
+
+/* The inactive row that is violated most; -1 if all hold. */
+static int active_set_worst(const ActiveSet *set, const double *low, const double *high,
+                            int barred, double tolerance)
+{
+    double largest = 0.0;
+    int i, worst = -1;
+    for (i = 0; i < set->rows; i++) {
+        double value = set->product[i], over = fmax(value - high[i], low[i] - value);
+        if (set->place[i] >= 0 || (set->place[i] == -2 && !barred))
+            continue;
+        if (over > largest && over > tolerance * (1.0 + fabs(value))) {
+            largest = over;
+            worst = i;
+        }
+    }
+    return worst;
+}
+
+/* Repeat the last step on the residuals of the answer, until they are round-off. */
+static void active_set_refine(ActiveSet *set, const double *q, const double *low,
+                              const double *high, double *x)
+{
+    double before = INFINITY;
+    int round, k;
+    active_set_point(set, q, x);
+    for (round = 0; round < ACTIVE_SET_REFINEMENTS; round++) {
+        double left = active_set_residuals(set, x, low, high);
+        if (!(left < 0.25 * before) || left == 0.0)
+            return;
+        before = left;
+        active_set_direction(set);
+        for (k = 0; k < set->count; k++)
+            set->y[set->active[k]] += set->step[k];
+        active_set_combine(set, set->step, -1.0, x); /* less round-off than x = -q - M'y */
+    }
+}
+
+/* Begin with the active rows that have a bound on their side. Returns what is wrong with data. */
+static int active_set_begin(ActiveSet *set, const double *q, const double *low,
+                            const double *high)
+{
+    int i, k;
+    if (!active_set_finite(q, set->columns))
+        return ACTIVE_SET_BAD_DATA;
+    for (i = 0; i < set->rows; i++) {
+        if (!(low[i] < INFINITY) || !(high[i] > -INFINITY))
+            return ACTIVE_SET_BAD_DATA;
+        if (low[i] > high[i])
+            return ACTIVE_SET_INFEASIBLE;
+        if (set->place[i] < 0)
+            set->place[i] = -1;
+    }
+    for (k = set->count - 1; k >= 0; k--) {
+        i = set->active[k];
+        if (isinf(set->side[k] > 0 ? high[i] : low[i])) {
+            set->y[i] = 0.0;
+            active_set_remove(set, k);
+        }
+    }
+    return ACTIVE_SET_SOLVED;
+}
+
+/* Change the active set until all rows hold, all multipliers have their signs, or neither can be. */
+static int active_set_iterate(ActiveSet *set, const double *q, const double *low,
+                              const double *high, double *x)
+{
+    int newest = -1;
+    active_set_point(set, q, x);
+    for (;;) {
+        double part = 1.0;
+        int blocking, k;
+        if (set->stop != NULL && set->stop(set->data))
+            return ACTIVE_SET_STOPPED;
+        if (set->iterations >= set->limit)
+            return ACTIVE_SET_OUT_OF_ITERATIONS;
+        active_set_residuals(set, x, low, high);
+        if (set->singular)
+            part = active_set_ray(set);
+        else
+            active_set_direction(set);
+        if (!active_set_finite(set->step, set->count))
+            return ACTIVE_SET_BAD_DATA;
+        part = active_set_reach(set, low, high, part, &blocking);
+        if (isinf(part))
+            return ACTIVE_SET_INFEASIBLE;
+        for (k = 0; k < set->count; k++)
+            set->y[set->active[k]] += part * set->step[k];
+        active_set_combine(set, set->step, -part, x);
+        if (blocking >= 0) {
+            int i = set->active[blocking];
+            active_set_change(set, blocking, low, high);
+            set->iterations++;
+            if (i == newest && part == 0.0 && set->place[i] == -1)
+                set->place[i] = -2; /* its violation is round-off */
+        } else if (set->singular) {
+            int i = set->active[set->count - 1];
+            set->y[i] = 0.0;
+            active_set_remove(set, set->count - 1);
+            set->iterations++;
+            set->place[i] = -2; /* it follows from the others */
+        } else {
+            set->products(set->data, x, set->product);
+            newest = active_set_worst(set, low, high, 0, set->tolerance);
+            if (newest < 0)
+                return ACTIVE_SET_SOLVED;
+            if (set->count == set->most)
+                return ACTIVE_SET_OUT_OF_ITERATIONS;
+            active_set_append(set, newest, set->product[newest] > high[newest] ? 1 : -1, 0);
+            set->iterations++;
+        }
+    }
+}
+
+ACTIVE_SET_API int active_set_solve(ActiveSet *set, const double *q, const double *low,
+                                    const double *high, double *x)
+{
+    int status;
+    set->iterations = 0;
+    status = active_set_begin(set, q, low, high);
+    if (status == ACTIVE_SET_SOLVED)
+        status = active_set_iterate(set, q, low, high, x);
+    if (status == ACTIVE_SET_SOLVED) {
+        active_set_refine(set, q, low, high, x);
+        if (!active_set_finite(x, set->columns))
+            status = ACTIVE_SET_BAD_DATA;
+        else if (active_set_worst(set, low, high, 1, ACTIVE_SET_LOOSE * set->tolerance) >= 0)
+            status = ACTIVE_SET_INACCURATE;
+    }
+    if (status != ACTIVE_SET_SOLVED)
+        active_set_start(set, NULL);
+    return status;
+}

@@ -1,0 +1,633 @@
+/*
+ * A linear-quadratic problem along a horizon as a least-distance program, without its matrix.
+ *
+ *     minimize    1/2 sum |z_k - r_k|_Q^2 + 1/2 sum |u_k - s_k|_R^2 + 1/2 |z_N - r_N|_P^2
+ *     subject to  z_{k+1} = A_k z_k + B_k u_k + d_k
+ *
+ * A Riccati recursion gives U_k' U_k = R + B_k' P_{k+1} B_k and W_k = U_k^-T B_k' P_{k+1} A_k. With
+ *
+ *     u_k = S_k (x_k - f_k - W_k z_k),   S_k = U_k^-1,
+ *
+ * the cost is 1/2 |x|^2 and a constant: x = 0 is the optimum where nothing is limited. Limited are
+ * inputs, their changes from stage to stage, and E_k z_k + G_k u_k + F_k z_{k+1}. The values of all
+ * limits for some x take one simulation forward; a row of their matrix takes one sweep backward.
+ *
+ * Where inputs are ramps, the state is z and the input before. States and inputs are departures
+ * from a plan. Matrices are stored by rows. There are no globals, and no memory is allocated.
+ */
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+/* The same operations, so the same numbers, in wider registers where the machine has them. */
+#ifdef STAGES_WIDE
+#elif defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#define STAGES_WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define STAGES_WIDE
+#endif
+
+#ifndef STAGES_API
+#define STAGES_API static
+#endif
+
+/* Blocks from this size on are multiplied by the BLAS, where there is one. */
+#define STAGES_LARGE 32
+
+typedef void (*StagesMultiply)(char *, char *, int *, int *, int *, double *, double *, int *,
+                               double *, int *, double *, double *, int *);
+
+typedef struct {
+    /* sizes */
+    int stages, states, inputs, limited; /* N; n, with the input before for ramps; a; p */
+    int ramp, changes;                   /* whether inputs are ramps, and changes are limited */
+    /* what does not change */
+    double level;                             /* unit of an input */
+    const double *Q, *R, *P, *scale, *change; /* (n, n) (a, a) (n, n); units of rows (p); (a) */
+    StagesMultiply gemm;                      /* of the BLAS, or NULL */
+    /* the plan */
+    double *z, *u; /* (N + 1, n - a or n); (N + 1, a), the input before first */
+    /* the problem linearized along it */
+    double *motion, *motion_t;             /* (N, a + n, n): [B A]'; (N, n, a + n): [B A] */
+    double *E, *G, *F, *values;            /* (N, p, n) (N, p, a) (N, p, n) (N, p), in their units */
+    double *gap, *costs;                   /* (N, n): d; (N, n, n): P_1 ... P_N */
+    double *S, *S_t, *W, *W_t;             /* (N, a, a) twice; (N, a, n); (N, n, a) */
+    double *first;                         /* (N, a): f */
+    double *work;                          /* STAGES_WORK(n, a) */
+} Stages;
+
+#define STAGES_WORK(n, a) (2 * (size_t)((n) + (a)) * ((n) + (a)) + 6 * (size_t)((n) + (a)))
+
+/* Numbers of the memory of a program. */
+#define STAGES_NUMBERS(N, n, a, p, rows, soft)                                                   \
+    (ACTIVE_SET_NUMBERS(rows, (N) * (a), ACTIVE_SET_MOST(rows, (N) * (a), soft), 1) +            \
+     (size_t)(N) * (2 * ((a) + (n)) * (n) + (p) * (2 * (n) + (a) + 1) + (n) + (n) * (n) +        \
+                    2 * (a) * (a) + 2 * (a) * (n) + 4 * (a)) +                                   \
+     (size_t)((N) + 1) * (2 * (n) + (a)) + 4 * (size_t)(rows) + STAGES_WORK(n, a))
+
+static int stages_rows(const Stages *s)
+{
+    return s->inputs * (s->changes ? 2 : 1) + s->limited;
+}
+
+/* C = A B of (rows, inner) and (inner, columns); with `upper`, right of the diagonal alone. */
+STAGES_WIDE static void stages_loops(int rows, int inner, int columns, const double *A, int lda,
+                                     const double *B, int ldb, double *C, int ldc, int upper)
+{
+    int i, j, k, r, c;
+    for (i = 0; i + 4 <= rows; i += 4) {
+        const double *a = A + (size_t)i * lda;
+        double *to = C + (size_t)i * ldc;
+        for (j = upper ? i : 0; j + 8 <= columns; j += 8) {
+            double sum[4][8] = {{0.0}};
+            for (k = 0; k < inner; k++) {
+                const double *b = B + (size_t)k * ldb + j;
+                for (r = 0; r < 4; r++)
+                    for (c = 0; c < 8; c++)
+                        sum[r][c] += a[(size_t)r * lda + k] * b[c];
+            }
+            for (r = 0; r < 4; r++)
+                for (c = 0; c < 8; c++)
+                    to[(size_t)r * ldc + j + c] = sum[r][c];
+        }
+        for (; j < columns; j++) {
+            double sum[4] = {0.0};
+            for (k = 0; k < inner; k++)
+                for (r = 0; r < 4; r++)
+                    sum[r] += a[(size_t)r * lda + k] * B[(size_t)k * ldb + j];
+            for (r = 0; r < 4; r++)
+                to[(size_t)r * ldc + j] = sum[r];
+        }
+    }
+    for (; i < rows; i++) {
+        double *to = C + (size_t)i * ldc;
+        memset(to, 0, (size_t)columns * sizeof *to);
+        for (k = 0; k < inner; k++)
+            for (j = upper ? i : 0; j < columns; j++)
+                to[j] += A[(size_t)i * lda + k] * B[(size_t)k * ldb + j];
+    }
+}
+
+static void stages_product(const Stages *s, int rows, int inner, int columns, const double *A,
+                           int lda, const double *B, int ldb, double *C, int ldc, int upper)
+{
+    double one = 1.0, none = 0.0;
+    int first, height;
+    if (s->gemm == NULL || inner < STAGES_LARGE) {
+        stages_loops(rows, inner, columns, A, lda, B, ldb, C, ldc, upper);
+        return;
+    }
+    for (first = 0; first < rows; first += height) { /* as the BLAS sees them, all are transposed */
+        int left = upper ? first : 0, width = columns - left;
+        height = upper && rows - first > 2 * STAGES_LARGE ? 2 * STAGES_LARGE : rows - first;
+        s->gemm("N", "N", &width, &height, &inner, &one, (double *)B + left, &ldb,
+                (double *)A + (size_t)first * lda, &lda, &none, C + (size_t)first * ldc + left,
+                &ldc);
+    }
+}
+
+/* y += factor A'x of (rows, columns): a sum of rows, as all products with vectors here. */
+STAGES_WIDE static void stages_add(int rows, int columns, double factor, const double *A,
+                                   const double *x, double *y)
+{
+    int i, j;
+    for (i = 0; i + 2 <= rows; i += 2) {
+        const double *a = A + (size_t)i * columns, *b = a + columns;
+        double p = factor * x[i], q = factor * x[i + 1];
+        for (j = 0; j < columns; j++)
+            y[j] += p * a[j] + q * b[j];
+    }
+    if (i < rows) {
+        const double *a = A + (size_t)i * columns;
+        for (j = 0; j < columns; j++)
+            y[j] += factor * x[i] * a[j];
+    }
+}
+
+static void stages_transpose(int rows, int columns, const double *A, double *to)
+{
+    int i, j;
+    for (i = 0; i < rows; i++)
+        for (j = 0; j < columns; j++)
+            to[(size_t)j * rows + i] = A[(size_t)i * columns + j];
+}
+
+/*
+ * Put in what stage k does: z_{k+1} = offset + A z_k + B u_k + C u_{k-1}, in whole states and
+ * inputs. The matrices are stored by columns; C is NULL where inputs are no ramps.
+ */
+static void stages_set_motion(Stages *s, int k, const double *offset, const double *A,
+                              const double *B, const double *C)
+{
+    int n = s->states, a = s->inputs, m = s->ramp ? n - a : n, j;
+    const double *z = s->z + (size_t)k * m, *before = s->u + (size_t)k * a, *u = before + a;
+    double *motion = s->motion + (size_t)k * (a + n) * n, *gap = s->gap + (size_t)k * n;
+    memset(gap, 0, (size_t)n * sizeof *gap);
+    for (j = 0; j < m; j++)
+        gap[j] = offset[j] - z[m + j];
+    stages_add(m, m, 1.0, A, z, gap);
+    stages_add(a, m, 1.0, B, u, gap);
+    if (!s->ramp) {
+        memcpy(motion, B, (size_t)a * n * sizeof *motion);
+        memcpy(motion + (size_t)a * n, A, (size_t)n * n * sizeof *motion);
+    } else {
+        stages_add(a, m, 1.0, C, before, gap);
+        memset(motion, 0, (size_t)(a + n) * n * sizeof *motion);
+        for (j = 0; j < a; j++) {
+            memcpy(motion + (size_t)j * n, B + (size_t)j * m, (size_t)m * sizeof *motion);
+            motion[(size_t)j * n + m + j] = 1.0;
+            memcpy(motion + (size_t)(n + j) * n, C + (size_t)j * m, (size_t)m * sizeof *motion);
+        }
+        for (j = 0; j < m; j++)
+            memcpy(motion + (size_t)(a + j) * n, A + (size_t)j * m, (size_t)m * sizeof *motion);
+    }
+    stages_transpose(a + n, n, motion, s->motion_t + (size_t)k * (a + n) * n);
+}
+
+static int stages_finite(const double *values, size_t count)
+{
+    size_t i;
+    int wrong = 0;
+    for (i = 0; i < count; i++)
+        wrong |= !(fabs(values[i]) < INFINITY);
+    return !wrong;
+}
+
+/* Put in the limited values of stage k: offset + E z_k + G u_k + F z_{k+1}, as above. */
+static void stages_set_rows(Stages *s, int k, const double *offset, const double *E,
+                            const double *G, const double *F)
+{
+    int n = s->states, a = s->inputs, p = s->limited, m = s->ramp ? n - a : n, i, j;
+    const double *z = s->z + (size_t)k * m, *u = s->u + (size_t)(k + 1) * a;
+    double *value = s->values + (size_t)k * p, *e = s->E + (size_t)k * p * n,
+           *g = s->G + (size_t)k * p * a, *f = s->F + (size_t)k * p * n;
+    memcpy(value, offset, (size_t)p * sizeof *value);
+    stages_add(m, p, 1.0, E, z, value);
+    stages_add(a, p, 1.0, G, u, value);
+    stages_add(m, p, 1.0, F, z + m, value);
+    for (i = 0; i < p; i++) {
+        double unit = 1.0 / s->scale[i];
+        value[i] *= unit;
+        for (j = 0; j < m; j++) {
+            e[(size_t)i * n + j] = unit * E[(size_t)j * p + i];
+            f[(size_t)i * n + j] = unit * F[(size_t)j * p + i];
+        }
+        for (; j < n; j++)
+            e[(size_t)i * n + j] = f[(size_t)i * n + j] = 0.0;
+        for (j = 0; j < a; j++)
+            g[(size_t)i * a + j] = unit * G[(size_t)j * p + i];
+    }
+}
+
+/* Factorize X = U'U in place, from what is right of its diagonal; whether X is definite. */
+STAGES_WIDE static int stages_factorize(int a, int width, double *X)
+{
+    int i, j, k;
+    for (i = 0; i < a; i++) {
+        double *row = X + (size_t)i * width, root;
+        if (!(row[i] > 0.0) || !isfinite(row[i]))
+            return 0;
+        root = 1.0 / sqrt(row[i]);
+        for (j = i; j < width; j++)
+            row[j] *= root;
+        for (k = i + 1; k < a; k++) {
+            double *below = X + (size_t)k * width, factor = row[k];
+            for (j = k; j < width; j++)
+                below[j] -= factor * row[j];
+        }
+    }
+    return 1;
+}
+
+/* The Riccati recursion. Returns whether R and what is added to it are definite. */
+static int stages_prepare(Stages *s)
+{
+    int n = s->states, a = s->inputs, w = a + n, i, j, k;
+    double *Y = s->work, *X = Y + (size_t)w * w;
+    memcpy(s->costs + (size_t)(s->stages - 1) * n * n, s->P, (size_t)n * n * sizeof *X);
+    for (k = s->stages - 1; k >= 0; k--) {
+        const double *motion = s->motion + (size_t)k * w * n;
+        double *S = s->S + (size_t)k * a * a, *W = s->W + (size_t)k * a * n;
+        stages_product(s, w, n, n, motion, n, s->costs + (size_t)k * n * n, n, Y, n, 0);
+        /* Before z_0 no cost is needed. */
+        stages_product(s, k ? w : a, n, w, Y, n, s->motion_t + (size_t)k * w * n, w, X, w, 1);
+        for (i = 0; i < a; i++)
+            for (j = i; j < a; j++)
+                X[(size_t)i * w + j] += s->R[i * a + j];
+        /* With the columns of the states behind it, the factor is [U W]. */
+        if (!stages_factorize(a, w, X))
+            return 0;
+        for (i = 0; i < a; i++)
+            memcpy(W + (size_t)i * n, X + (size_t)i * w + a, (size_t)n * sizeof *W);
+        stages_transpose(a, n, W, s->W_t + (size_t)k * a * n);
+        memset(S, 0, (size_t)a * a * sizeof *S);
+        for (i = a - 1; i >= 0; i--) {
+            double unit = 1.0 / X[(size_t)i * w + i];
+            stages_add(a - 1 - i, a, -unit, S + (size_t)(i + 1) * a, X + (size_t)i * w + i + 1,
+                       S + (size_t)i * a);
+            S[(size_t)i * a + i] += unit;
+        }
+        stages_transpose(a, a, S, s->S_t + (size_t)k * a * a);
+        if (k) {
+            double *cost = s->costs + (size_t)(k - 1) * n * n;
+            stages_product(s, n, a, n, s->W_t + (size_t)k * a * n, a, W, n, Y, n, 1);
+            for (i = 0; i < n; i++)
+                for (j = i; j < n; j++)
+                    cost[(size_t)i * n + j] = cost[(size_t)j * n + i] =
+                        X[(size_t)(a + i) * w + a + j] - Y[(size_t)i * n + j] + s->Q[i * n + j];
+        }
+    }
+    return 1;
+}
+
+/*
+ * Put in the costs of the plan: r of (N, n - a or n), s of (N, a), and what a load adds to each
+ * state, (N, n - a or n) or NULL.
+ */
+static void stages_aim(Stages *s, const double *r, const double *aim, const double *drift)
+{
+    int n = s->states, a = s->inputs, m = s->ramp ? n - a : n, w = a + n, j, k;
+    double *off = s->work, *p = off + n, *t = p + n, *by_all = t + n, *h = by_all + w;
+    memset(off, 0, (size_t)n * sizeof *off);
+    for (k = s->stages - 1; k >= 0; k--) {
+        int last = k == s->stages - 1;
+        const double *W = s->W + (size_t)k * a * n;
+        double *f = s->first + (size_t)k * a, *gap = s->gap + (size_t)k * n;
+        for (j = 0; j < m; j++)
+            off[j] = s->z[(size_t)(k + 1) * m + j] - r[(size_t)k * m + j];
+        for (j = 0; j < a; j++)
+            h[j] = s->u[(size_t)(k + 1) * a + j] - aim[(size_t)k * a + j];
+        if (s->ramp)
+            for (j = 0; j < a; j++)
+                off[m + j] = last ? h[j] : 0.0;
+        /* t = P_{k+1} d_k + p_{k+1} */
+        if (last)
+            memset(t, 0, (size_t)n * sizeof *t);
+        else
+            memcpy(t, p, (size_t)n * sizeof *t);
+        stages_add(n, n, 1.0, last ? s->P : s->Q, off, t);
+        if (drift != NULL)
+            for (j = 0; j < m; j++)
+                gap[j] += drift[(size_t)k * m + j];
+        stages_add(n, n, 1.0, s->costs + (size_t)k * n * n, gap, t);
+        /* f = S'(B't + R (u - s)),   p_k = A't - W'f */
+        memset(by_all, 0, (size_t)w * sizeof *by_all);
+        stages_add(a, a, 1.0, s->R, h, by_all);
+        stages_add(n, w, 1.0, s->motion_t + (size_t)k * w * n, t, by_all);
+        memset(f, 0, (size_t)a * sizeof *f);
+        stages_add(a, a, 1.0, s->S + (size_t)k * a * a, by_all, f);
+        memcpy(p, by_all + a, (size_t)n * sizeof *p);
+        stages_add(a, n, -1.0, W, f, p);
+    }
+}
+
+/*
+ * Simulate: z_1 ..., of (N + 1, n) where z_0 is the first, and u of (N, a). With `whole`, f and d
+ * count; else they do not, and z_0 is zero. x may be NULL.
+ */
+static void stages_simulate(const Stages *s, const double *x, int whole, double *z, double *u)
+{
+    int n = s->states, a = s->inputs, w = a + n, j, k;
+    double *h = s->work;
+    if (!whole)
+        memset(z, 0, (size_t)n * sizeof *z);
+    for (k = 0; k < s->stages; k++, z += n, u += a) {
+        const double *motion = s->motion + (size_t)k * w * n;
+        for (j = 0; j < a; j++)
+            h[j] = (x == NULL ? 0.0 : x[(size_t)k * a + j]) -
+                   (whole ? s->first[(size_t)k * a + j] : 0.0);
+        stages_add(n, a, -1.0, s->W_t + (size_t)k * a * n, z, h);
+        memset(u, 0, (size_t)a * sizeof *u);
+        stages_add(a, a, 1.0, s->S_t + (size_t)k * a * a, h, u);
+        if (whole)
+            memcpy(z + n, s->gap + (size_t)k * n, (size_t)n * sizeof *z);
+        else
+            memset(z + n, 0, (size_t)n * sizeof *z);
+        stages_add(a, n, 1.0, motion, u, z + n);
+        stages_add(n, n, 1.0, motion + (size_t)a * n, z, z + n);
+    }
+}
+
+static double stages_dot(const double *a, const double *b, int count)
+{
+    double sum[4] = {0.0};
+    int i, c;
+    for (i = 0; i + 4 <= count; i += 4)
+        for (c = 0; c < 4; c++)
+            sum[c] += a[i + c] * b[i + c];
+    for (; i < count; i++)
+        sum[0] += a[i] * b[i];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+/* The values of all limits at states and inputs, in their units: of each stage in turn. */
+static void stages_limits(const Stages *s, const double *z, const double *u, double *out)
+{
+    int n = s->states, a = s->inputs, p = s->limited, i, k;
+    for (k = 0; k < s->stages; k++, z += n, u += a) {
+        for (i = 0; i < a; i++)
+            *out++ = u[i] / s->level;
+        if (s->changes)
+            for (i = 0; i < a; i++)
+                *out++ = (u[i] - (k ? u[i - a] : 0.0)) / s->level;
+        for (i = 0; i < p; i++)
+            *out++ = stages_dot(s->E + ((size_t)k * p + i) * n, z, n) +
+                     stages_dot(s->G + ((size_t)k * p + i) * a, u, a) +
+                     stages_dot(s->F + ((size_t)k * p + i) * n, z + n, n);
+    }
+}
+
+/* Row i of the matrix of limits: a numbers for each stage up to its own; returns how many. */
+static int stages_row(const Stages *s, int i, double *out)
+{
+    int n = s->states, a = s->inputs, p = s->limited, w = a + n, rows = stages_rows(s);
+    int stage = i / rows, kind = i % rows, k, j;
+    double *by_all = s->work, *ahead = by_all + w;
+    memset(ahead, 0, (size_t)n * sizeof *ahead);
+    for (k = stage; k >= 0; k--) {
+        const double *S = s->S + (size_t)k * a * a, *W = s->W + (size_t)k * a * n;
+        double *x = out + (size_t)k * a;
+        memset(by_all, 0, (size_t)w * sizeof *by_all);
+        if (k == stage && kind < a)
+            by_all[kind] = 1.0 / s->level;
+        else if (kind >= a && kind < rows - p) {
+            if (k >= stage - 1)
+                by_all[kind - a] = (k == stage ? 1.0 : -1.0) / s->level;
+        } else if (k == stage) {
+            size_t at = (size_t)k * p + (kind - (rows - p));
+            memcpy(by_all, s->G + at * a, (size_t)a * sizeof *by_all);
+            memcpy(by_all + a, s->E + at * n, (size_t)n * sizeof *by_all);
+            memcpy(ahead, s->F + at * n, (size_t)n * sizeof *ahead);
+        }
+        /* x = S'(g + B'ahead),   ahead = e + A'ahead - W'x */
+        stages_add(n, w, 1.0, s->motion_t + (size_t)k * w * n, ahead, by_all);
+        memset(x, 0, (size_t)a * sizeof *x);
+        stages_add(a, a, 1.0, S, by_all, x);
+        for (j = 0; j < n; j++)
+            ahead[j] = by_all[a + j];
+        stages_add(a, n, -1.0, W, x, ahead);
+    }
+    return (stage + 1) * a;
+}
+
+/* The program of a horizon, and its plan: what a sample of nonlinear MPC takes. */
+typedef struct {
+    Stages stages;
+    ActiveSet set;
+    const double *low, *high, *least, *most; /* bounds of inputs (a), of limited values (p) */
+    double *lower, *upper, *values, *y;      /* (rows) each; y: multipliers to start from */
+    double *x, *none;                        /* (N a), none: zeros */
+    double *dz, *du;                         /* (N + 1, n) and (N, a): departures from the plan */
+} StagesProgram;
+
+static const double *stages_program_row(void *data, int i, double *space, int *length)
+{
+    *length = stages_row(&((StagesProgram *)data)->stages, i, space);
+    return space;
+}
+
+static void stages_program_products(void *data, const double *x, double *out)
+{
+    StagesProgram *program = data;
+    stages_simulate(&program->stages, x, 0, program->dz, program->du);
+    stages_limits(&program->stages, program->dz, program->du, out);
+}
+
+/* Take `count` numbers of memory. */
+static double *stages_take(double **memory, size_t count)
+{
+    double *taken = *memory;
+    *memory += count;
+    return taken;
+}
+
+/*
+ * Lay a program out in memory.
+ *
+ *     sizes    N, n, a, p; whether inputs are ramps, and changes are limited; soft rows; the most
+ *              changes of the active set
+ *     data     Q, R, P, units of rows, limits of changes, bounds of inputs and of limited values,
+ *              prices and curvatures of all rows: what does not change, and stays where it is
+ *     numbers, integers, pointers
+ *              memory of the sizes in `counts`, which is written first; NULL: nothing else is
+ *     views    where z, u, y, the departures from the plan dz, du, and the gaps are
+ */
+STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, double level,
+                                     double tolerance, StagesMultiply gemm,
+                                     const double *const *data, double *numbers, int *integers,
+                                     const double **pointers, size_t *counts, double **views)
+{
+    Stages *s = &program->stages;
+    ActiveSet *set = &program->set;
+    size_t N = (size_t)sizes[0], n = (size_t)sizes[1], a = (size_t)sizes[2], p = (size_t)sizes[3];
+    size_t rows, m = sizes[4] ? n - a : n, used;
+    double *at = numbers;
+    memset(program, 0, sizeof *program);
+    s->stages = sizes[0];
+    s->states = sizes[1];
+    s->inputs = sizes[2];
+    s->limited = sizes[3];
+    s->ramp = sizes[4];
+    s->changes = sizes[5];
+    rows = N * (size_t)stages_rows(s);
+    set->rows = (int)rows;
+    set->columns = (int)(N * a);
+    set->most = ACTIVE_SET_MOST(set->rows, set->columns, sizes[6]);
+    set->stored = 1;
+    set->limit = sizes[7];
+    set->tolerance = tolerance;
+    used = ACTIVE_SET_NUMBERS(set->rows, set->columns, set->most, 1);
+    counts[0] = STAGES_NUMBERS(N, n, a, p, rows, (size_t)sizes[6]);
+    counts[1] = ACTIVE_SET_INTEGERS(set->rows, set->most);
+    counts[2] = ACTIVE_SET_POINTERS(set->most);
+    if (numbers == NULL)
+        return;
+    s->level = level;
+    s->gemm = gemm;
+    s->Q = data[0];
+    s->R = data[1];
+    s->P = data[2];
+    s->scale = data[3];
+    s->change = data[4];
+    program->low = data[5];
+    program->high = data[6];
+    program->least = data[7];
+    program->most = data[8];
+    set->price = data[9];
+    set->curvature = data[10];
+    set->row = stages_program_row;
+    set->products = stages_program_products;
+    set->data = program;
+    active_set_place(set, stages_take(&at, used), integers, pointers);
+    s->motion = stages_take(&at, N * (a + n) * n);
+    s->motion_t = stages_take(&at, N * (a + n) * n);
+    s->E = stages_take(&at, N * p * n);
+    s->G = stages_take(&at, N * p * a);
+    s->F = stages_take(&at, N * p * n);
+    s->values = stages_take(&at, N * p);
+    s->gap = stages_take(&at, N * n);
+    s->costs = stages_take(&at, N * n * n);
+    s->S = stages_take(&at, N * a * a);
+    s->S_t = stages_take(&at, N * a * a);
+    s->W = stages_take(&at, N * a * n);
+    s->W_t = stages_take(&at, N * a * n);
+    s->first = stages_take(&at, N * a);
+    s->work = stages_take(&at, STAGES_WORK(n, a));
+    program->x = stages_take(&at, N * a);
+    program->none = stages_take(&at, N * a);
+    program->lower = stages_take(&at, rows);
+    program->upper = stages_take(&at, rows);
+    program->values = stages_take(&at, rows);
+    views[0] = s->z = stages_take(&at, (N + 1) * m);
+    views[1] = s->u = stages_take(&at, (N + 1) * a);
+    views[2] = program->y = stages_take(&at, rows);
+    views[3] = program->dz = stages_take(&at, (N + 1) * n);
+    views[4] = program->du = stages_take(&at, N * a);
+    views[5] = s->gap;
+    memset(program->none, 0, N * a * sizeof *program->none);
+    memset(program->y, 0, rows * sizeof *program->y);
+}
+
+/* Move the multipliers on by a sample. */
+STAGES_API void stages_program_shift(StagesProgram *program)
+{
+    int rows = stages_rows(&program->stages), kept = rows * (program->stages.stages - 1);
+    memmove(program->y, program->y + rows, (size_t)kept * sizeof(double));
+    memset(program->y + kept, 0, (size_t)rows * sizeof(double));
+}
+
+/*
+ * All that needs no measurement: the problem along its plan, from the stage Jacobians of motion and
+ * limited values, stored by columns, and the rows that may be active. Returns whether data are
+ * finite.
+ */
+STAGES_API int stages_program_prepare(StagesProgram *program, const double *offset,
+                                      const double *A, const double *B, const double *C,
+                                      const double *row_offset, const double *E, const double *G,
+                                      const double *F)
+{
+    Stages *s = &program->stages;
+    size_t a = (size_t)s->inputs, p = (size_t)s->limited, m = (size_t)s->states, k;
+    if (s->ramp)
+        m -= a;
+    for (k = 0; k < (size_t)s->stages; k++) {
+        if (!stages_finite(offset + k * m, m) || !stages_finite(A + k * m * m, m * m) ||
+            !stages_finite(B + k * a * m, a * m) ||
+            (s->ramp && !stages_finite(C + k * a * m, a * m)) ||
+            (p && !(stages_finite(row_offset + k * p, p) && stages_finite(E + k * m * p, m * p) &&
+                    stages_finite(G + k * a * p, a * p) && stages_finite(F + k * m * p, m * p))))
+            return 0;
+        stages_set_motion(s, (int)k, offset + k * m, A + k * m * m, B + k * a * m,
+                          s->ramp ? C + k * a * m : NULL);
+        if (p)
+            stages_set_rows(s, (int)k, row_offset + k * p, E + k * m * p, G + k * a * p,
+                            F + k * m * p);
+    }
+    if (!stages_prepare(s))
+        return 0;
+    active_set_start(&program->set, program->y);
+    return 1;
+}
+
+/* The first departure from the plan. */
+static void stages_program_begin(StagesProgram *program, const double *state,
+                                 const double *acting)
+{
+    const Stages *s = &program->stages;
+    int i, m = s->ramp ? s->states - s->inputs : s->states;
+    for (i = 0; i < m; i++)
+        program->dz[i] = state[i] - s->z[i];
+    for (; i < s->states; i++)
+        program->dz[i] = acting[i - m] - s->u[i - m];
+}
+
+/*
+ * The rest: state, the input that acts before a ramp, targets, drift (NULL: none), the input that
+ * changes are limited from, and what may stop the method (NULL: nothing). Returns a status of the active-set method; with 0 the departures from
+ * the plan are those of the optimum, and the multipliers are kept.
+ */
+STAGES_API int stages_program_solve(StagesProgram *program, const double *state,
+                                    const double *acting, const double *r, const double *aim,
+                                    const double *drift, const double *previous,
+                                    int (*stop)(void *))
+{
+    Stages *s = &program->stages;
+    int a = s->inputs, p = s->limited, k, i, status;
+    double *lower = program->lower, *upper = program->upper, *value = program->values;
+    stages_aim(s, r, aim, drift);
+    stages_program_begin(program, state, acting);
+    stages_simulate(s, NULL, 1, program->dz, program->du);
+    stages_limits(s, program->dz, program->du, value);
+    for (k = 0; k < s->stages; k++) {
+        const double *u = s->u + (size_t)(k + 1) * a, *before = k ? u - a : previous;
+        for (i = 0; i < a; i++, lower++, upper++, value++) {
+            *lower = (program->low[i] - u[i]) / s->level - *value;
+            *upper = (program->high[i] - u[i]) / s->level - *value;
+        }
+        for (i = 0; s->changes && i < a; i++, lower++, upper++, value++) {
+            *lower = (before[i] - u[i] - s->change[i]) / s->level - *value;
+            *upper = (before[i] - u[i] + s->change[i]) / s->level - *value;
+        }
+        for (i = 0; i < p; i++, lower++, upper++, value++) {
+            double here = s->values[(size_t)k * p + i] + *value;
+            *lower = program->least[i] / s->scale[i] - here;
+            *upper = program->most[i] / s->scale[i] - here;
+        }
+    }
+    program->set.stop = stop;
+    status = active_set_solve(&program->set, program->none, program->lower, program->upper,
+                              program->x);
+    if (status != ACTIVE_SET_SOLVED)
+        return status;
+    memcpy(program->y, program->set.y,
+           (size_t)s->stages * (size_t)stages_rows(s) * sizeof(double));
+    stages_program_begin(program, state, acting);
+    stages_simulate(s, program->x, 1, program->dz, program->du);
+    return status;
+}
+
+/* Changes of the active set in the last solve. */
+STAGES_API int stages_program_iterations(const StagesProgram *program)
+{
+    return program->set.iterations;
+}

@@ -1,0 +1,413 @@
+"""The program of NMPC as a least-distance program along its stages, solved by an active set.
+
+A Riccati recursion over the stages, in the preparation, makes the cost the square of a length; what
+is measured moves the bounds alone. Rows of its matrix are reached through the stages, and only
+those that may be active. ``solvers/stages.c`` has the equations: it is compiled where there is a
+compiler, and else NumPy and DAQP find the same numbers.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from functools import cache
+from time import perf_counter
+from typing import Any, final
+
+import numpy as np
+
+from tenscontrol.control.mpc.problem import (
+    MPCProblem,
+    Pair,
+    StageData,
+    StageJacobians,
+    Subproblem,
+    SubproblemSolution,
+    Triple,
+    applied,
+)
+from tenscontrol.control.mpc.solvers import active_set_source, least_distance, stages_source
+from tenscontrol.control.status import Status
+from tenscontrol.dynamics import compiled_library
+from tenscontrol.validation import FloatArray, IntArray
+
+# Of a limit, in its unit: what round-off may leave of it.
+STAGES_TOLERANCE = 1e-10
+
+# What the active-set method says.
+_STATUS = (
+    Status.OK, Status.INFEASIBLE, Status.OUT_OF_ITERATIONS, Status.OUT_OF_TIME, Status.BAD_DATA,
+    Status.INACCURATE,
+)  # fmt: skip
+
+_Stop = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
+_NEVER = _Stop()
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    """Return the compiled program."""
+    size = "size_t stages_program_size(void) { return sizeof(StagesProgram); }\n"
+    text = "#define STAGES_API\n" + active_set_source() + stages_source() + size
+    library = ctypes.CDLL(str(compiled_library(text)))
+    library.stages_program_size.restype = ctypes.c_size_t
+    return library
+
+
+@cache
+def _multiply() -> ctypes.c_void_p:
+    """Return the address of the BLAS's matrix product, from SciPy."""
+    from scipy.linalg import cython_blas
+
+    capsule = cython_blas.__pyx_capi__["dgemm"]
+    name, address = ctypes.pythonapi.PyCapsule_GetName, ctypes.pythonapi.PyCapsule_GetPointer
+    name.restype, name.argtypes = ctypes.c_char_p, [ctypes.py_object]
+    address.restype, address.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+    return ctypes.c_void_p(address(capsule, name(capsule)))
+
+
+def _address(array: np.ndarray) -> int:
+    return int(array.__array_interface__["data"][0])
+
+
+def _weights(problem: MPCProblem) -> Triple:
+    """Return Q, R and the terminal P of the state with which ramps begin, scaled."""
+    scale, size = problem.cost_scale, len(problem.terminal_weight)
+    state_weight, m = np.zeros((size, size)), len(problem.state_weight)
+    state_weight[:m, :m] = scale * problem.state_weight
+    return state_weight, scale * problem.input_weight, scale * problem.terminal_weight
+
+
+def _prices(problem: MPCProblem) -> FloatArray:
+    """Return the prices of all rows, shape (N, rows of a stage): inputs, changes, limited values.
+
+    They are those of a violation by a unit, linear and quadratic; infinite for hard limits.
+    """
+    hard = np.full(len(problem.low) * (1 if problem.change is None else 2), np.inf)
+    rows = problem.rows
+    soft = np.zeros(0) if rows is None else problem.cost_scale * rows.penalty * rows.scale
+    return np.tile(np.concatenate([hard, soft]), (problem.length, 1))
+
+
+def stages_data(
+    problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
+) -> tuple[list[int], list[FloatArray]]:
+    """Return what ``stages_program_place`` in ``stages.c`` calls sizes and data."""
+    N, (m, a) = problem.length, problem.input_matrix.shape
+    ramp = len(problem.terminal_weight) > m
+    rows, changes, price = problem.rows, problem.change is not None, _prices(problem)
+    none = np.zeros(0)
+    data = [
+        *_weights(problem),
+        none if rows is None else rows.scale,
+        none if problem.change is None else problem.change,
+        *bounds, *row_bounds, price, price,
+    ]  # fmt: skip
+    sizes = [
+        N, m + a if ramp else m, a, 0 if rows is None else len(rows.scale), int(ramp),
+        int(changes), int(np.isfinite(price).sum()), max_iterations,
+    ]  # fmt: skip
+    return sizes, [np.ascontiguousarray(part, dtype=float) for part in data]
+
+
+@final
+class LeastDistance(Subproblem):
+    """The program in compiled C, with memory of its own."""
+
+    solver_name = "stages"
+
+    def __init__(
+        self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
+    ) -> None:
+        self._made_of = problem, row_bounds, max_iterations, bounds
+        library, N, (m, a) = _library(), problem.length, problem.input_matrix.shape
+        numbers_of, data = stages_data(problem, row_bounds, max_iterations, bounds)
+        n, rows = numbers_of[1], data[-1].size
+        sizes = (ctypes.c_int * 8)(*numbers_of)
+        self._data = data
+        addresses = (ctypes.c_void_p * len(data))(*(_address(part) for part in self._data))
+        self._program = ctypes.create_string_buffer(library.stages_program_size())
+        counts, views = (ctypes.c_size_t * 3)(), (ctypes.c_void_p * 6)()
+        given = (
+            self._program, sizes, ctypes.c_double(problem.level), ctypes.c_double(STAGES_TOLERANCE),
+            _multiply(), addresses,
+        )  # fmt: skip
+        library.stages_program_place(*given, None, None, None, counts, views)
+        numbers = np.zeros(counts[0])
+        self._memory = numbers, np.zeros(counts[1], np.intc), np.zeros(counts[2], np.intp)
+        places = (ctypes.c_void_p(_address(part)) for part in self._memory)
+        library.stages_program_place(*given, *places, counts, views)
+        shapes = [(N + 1, m), (N + 1, a), (rows,), (N + 1, n), (N, a)]
+        self._states, self._inputs, self._multipliers, moves, self._input_moves = (
+            numbers[(place - _address(numbers)) // 8 :][: math.prod(shape)].reshape(shape)
+            for place, shape in zip(views, shapes, strict=False)
+        )
+        self._moves = moves[:, :m]
+        self._shift, self._prepare, self._solve, self._count = (
+            getattr(library, f"stages_program_{name}")
+            for name in ("shift", "prepare", "solve", "iterations")
+        )
+        pointer = ctypes.c_void_p
+        self._prepare.argtypes = [pointer] * 9
+        self._solve.argtypes = [pointer] * 7 + [_Stop]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what it is made of, and which limits are active; it is not prepared then."""
+        return LeastDistance, self._made_of, self._multipliers.copy()
+
+    def __setstate__(self, multipliers: FloatArray) -> None:
+        """Take the active limits of another one."""
+        self._multipliers[:] = multipliers
+
+    def reset(self) -> None:
+        """See :meth:`Subproblem.reset`."""
+        self.forget()
+
+    def forget(self) -> None:
+        """See :meth:`Subproblem.forget`."""
+        self._multipliers[:] = 0.0
+
+    def shift(self) -> None:
+        """See :meth:`Subproblem.shift`."""
+        self._shift(self._program)
+
+    def linearize(
+        self, states: FloatArray, inputs: FloatArray, motion: StageJacobians,
+        rows: StageJacobians | None,
+    ) -> bool:  # fmt: skip
+        """See :meth:`Subproblem.linearize`: the Riccati recursion, and the rows last active."""
+        self._states[:], self._inputs[:] = states, inputs
+        parts = [motion.offset, *motion.slopes, *[None] * (3 - len(motion.slopes))]
+        parts += [None] * 4 if rows is None else [rows.offset, *rows.slopes]
+        kept = [None if part is None else np.ascontiguousarray(part, float) for part in parts]
+        addresses = [None if part is None else _address(part) for part in kept]
+        return bool(self._prepare(self._program, *addresses))
+
+    def solve(
+        self, state: FloatArray, data: StageData, previous: FloatArray, acting: FloatArray,
+        deadline: float,
+    ) -> SubproblemSolution:  # fmt: skip
+        """See :meth:`Subproblem.solve`."""
+        stop = _NEVER
+        if deadline < np.inf:
+            if perf_counter() >= deadline:
+                return SubproblemSolution(Status.OUT_OF_TIME, 0, None)
+            stop = _Stop(lambda _: perf_counter() >= deadline)
+        given = state, acting, data.reference, data.input_reference, data.drift, previous
+        kept = [np.ascontiguousarray(part, float) for part in given]
+        status = self._solve(self._program, *map(_address, kept), stop)
+        plan = None
+        if status == 0:
+            inputs = np.concatenate([acting[None], self._inputs[1:] + self._input_moves])
+            plan = self._states + self._moves, inputs
+        return SubproblemSolution(_STATUS[status], self._count(self._program), plan)
+
+
+@final
+class LeastDistanceArrays(Subproblem):
+    """The program in arrays of NumPy, solved by DAQP on the rows that may be active.
+
+    These are the rows active last, and those that a solution without them violates, until none is.
+    Of the stages in closed loop, ``[z_{k+1}; u_k] = T_k [z_k; x_k − f_k] + [d_k; 0]``.
+    """
+
+    solver_name = "daqp"
+
+    def __init__(
+        self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
+    ) -> None:
+        self._problem, self._bounds, self._max_iterations = problem, bounds, max_iterations
+        self._weights, self._price = _weights(problem), _prices(problem)
+        self._plant_states, self._inputs = problem.input_matrix.shape
+        self._states = len(problem.terminal_weight)
+        p = self._limited = 0 if problem.rows is None else len(problem.rows.scale)
+        N, a, n = problem.length, self._inputs, self._states
+        self._unit = np.ones(0) if problem.rows is None else problem.rows.scale
+        self._row_bounds = tuple(bound / self._unit for bound in row_bounds)
+        self._E, self._G, self._F = (np.zeros((N, p, width)) for width in (n, a, n))
+        self.forget()
+
+    def reset(self) -> None:
+        """See :meth:`Subproblem.reset`."""
+        self.forget()
+
+    def forget(self) -> None:
+        """See :meth:`Subproblem.forget`."""
+        self._active = np.zeros(self._price.shape, bool)
+
+    def shift(self) -> None:
+        """See :meth:`Subproblem.shift`."""
+        self._active = np.vstack([self._active[1:], np.zeros_like(self._active[:1])])
+
+    def linearize(
+        self, states: FloatArray, inputs: FloatArray, motion: StageJacobians,
+        rows: StageJacobians | None,
+    ) -> bool:  # fmt: skip
+        """See :meth:`Subproblem.linearize`."""
+        parts = [part for each in (motion, rows) if each for part in (each.offset, *each.slopes)]
+        if not all(np.isfinite(part).all() for part in parts):
+            return False
+        N, a, n, m = self._problem.length, self._inputs, self._states, self._plant_states
+        self._plan = states, inputs
+        arguments = states[:-1], inputs[1:], inputs[:-1]
+        gap = motion.offset - states[1:]
+        for slope, argument in zip(motion.slopes, arguments, strict=False):
+            gap += applied(slope, argument)
+        self._gap = np.hstack([gap, np.zeros((N, n - m))])
+        by_all = np.zeros((N, n, a + n))  # [B A]
+        by_all[:, :m, a : a + m], by_all[:, :m, :a] = (
+            slope.swapaxes(1, 2) for slope in motion.slopes[:2]
+        )
+        if n > m:
+            by_all[:, :m, a + m :] = motion.slopes[2].swapaxes(1, 2)
+            by_all[:, m:, :a] = np.eye(a)
+        if rows is not None:
+            value = rows.offset.copy()
+            for slope, argument in zip(
+                rows.slopes, (states[:-1], inputs[1:], states[1:]), strict=True
+            ):
+                value += applied(slope, argument)
+            self._values = value / self._unit
+            for matrix, slope in zip((self._E, self._G, self._F), rows.slopes, strict=True):
+                matrix[:, :, : slope.shape[1]] = slope.swapaxes(1, 2) / self._unit[:, None]
+        self._recur(by_all)
+        self._rows = np.flatnonzero(self._active)
+        self._matrix = self._matrix_of(self._rows)
+        return True
+
+    def _recur(self, by_all: FloatArray) -> None:
+        """Find P_1 … P_N, and the stages in closed loop."""
+        N, a, n = self._problem.length, self._inputs, self._states
+        Q, R, cost = self._weights
+        self._costs = np.zeros((N, n, n))
+        S, W = np.zeros((N, a, a)), np.zeros((N, a, n))
+        for k in range(N - 1, -1, -1):
+            self._costs[k] = cost
+            square = by_all[k].T @ (cost @ by_all[k])
+            S[k] = np.linalg.inv(np.linalg.cholesky(square[:a, :a] + R)).T
+            W[k] = S[k].T @ square[:a, a:]
+            cost = Q + square[a:, a:] - W[k].T @ W[k]
+            cost = 0.5 * (cost + cost.T)
+        by_x, by_state = by_all[:, :, :a] @ S, -S @ W
+        self._closed = np.zeros((N, n + a, n + a))  # T
+        self._closed[:, :n, :n] = by_all[:, :, a:] - by_x @ W
+        self._closed[:, :n, n:], self._closed[:, n:, :n], self._closed[:, n:, n:] = (
+            by_x,
+            by_state,
+            S,
+        )
+
+    def _matrix_of(self, rows: IntArray) -> FloatArray:
+        """Return rows of the matrix of limits, shape (count, N α): one sweep backward for all."""
+        N, a, n, p = self._problem.length, self._inputs, self._states, self._limited
+        (stage, kind), count = np.divmod(rows, self._price.shape[1]), len(rows)
+        by_state, ahead = np.zeros((2, N, n, count))
+        by_input, level = np.zeros((N, a, count)), self._problem.level
+        which = np.arange(count)
+        of_input, of_value = kind < a, kind >= self._price.shape[1] - p
+        of_change = ~of_input & ~of_value
+        direct = of_input | of_change
+        by_input[stage[direct], kind[direct] % a, which[direct]] = 1 / level
+        late = of_change & (stage > 0)
+        by_input[stage[late] - 1, kind[late] - a, which[late]] = -1 / level
+        at, number = stage[of_value], kind[of_value] - (self._price.shape[1] - p)
+        by_input[at, :, which[of_value]] = self._G[at, number]
+        by_state[at, :, which[of_value]] = self._E[at, number]
+        ahead[at, :, which[of_value]] = self._F[at, number]
+        matrix, adjoint = np.zeros((count, N, a)), np.zeros((n, count))
+        for k in range(int(stage.max(initial=-1)), -1, -1):
+            both = self._closed[k].T @ np.vstack([adjoint + ahead[k], by_input[k]])
+            adjoint, matrix[:, k] = both[:n] + by_state[k], both[n:].T
+        return matrix.reshape(count, N * a)
+
+    def _simulated(self, first: FloatArray, x: FloatArray, gap: FloatArray) -> Pair:
+        """Return departures z_0 … z_N, shape (N + 1, n), and u_0 …, (N, α), for x − f (N, α)."""
+        n, z, u = self._states, [first], []
+        for k, closed in enumerate(self._closed):
+            both = closed @ np.concatenate([z[-1], x[k]])
+            z.append(both[:n] + gap[k])
+            u.append(both[n:])
+        return np.array(z), np.array(u)
+
+    def _limits(self, z: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the values of all limits at departures from the plan, less those of the plan."""
+        level, parts = self._problem.level, [u / self._problem.level]
+        if self._problem.change is not None:
+            parts.append(np.diff(u, axis=0, prepend=0.0) / level)
+        if self._limited:
+            by_all = self._E @ z[:-1, :, None] + self._G @ u[:, :, None] + self._F @ z[1:, :, None]
+            parts.append(by_all[:, :, 0])
+        return np.hstack(parts)
+
+    def solve(
+        self, state: FloatArray, data: StageData, previous: FloatArray, acting: FloatArray,
+        deadline: float,
+    ) -> SubproblemSolution:  # fmt: skip
+        """See :meth:`Subproblem.solve`."""
+        problem, (states, inputs) = self._problem, self._plan
+        N, a, m, level = problem.length, self._inputs, self._plant_states, problem.level
+        gap = self._gap.copy()
+        gap[:, :m] += data.drift
+        first = state - states[0]
+        if self._states > m:
+            first = np.concatenate([first, acting - inputs[0]])
+        feedforward = self._feedforward(data, gap)
+        z, u = self._simulated(first, -feedforward, gap)
+        middle = self._limits(z, u)
+        lower, upper = ([(bound - inputs[1:]) / level] for bound in self._bounds)
+        if problem.change is not None:
+            change = np.diff(inputs, axis=0)
+            change[0] = inputs[1] - previous
+            lower.append((-problem.change - change) / level)
+            upper.append((problem.change - change) / level)
+        if self._limited:
+            lower.append(self._row_bounds[0] - self._values)
+            upper.append(self._row_bounds[1] - self._values)
+        bounds = np.hstack(lower) - middle, np.hstack(upper) - middle
+        if not (np.isfinite(middle).all() and np.isfinite(feedforward).all()):
+            return SubproblemSolution(Status.BAD_DATA, 0, None)
+        x, values, work = np.zeros((N, a)), np.zeros(self._price.shape), 0
+        rows, matrix, is_row = self._rows, self._matrix, self._active.copy()
+        multipliers = np.zeros(0)
+        for _ in range(self._max_iterations):
+            if perf_counter() >= deadline:
+                return SubproblemSolution(Status.OUT_OF_TIME, work, None)
+            if len(rows):
+                low, high, price = (part.flat[rows] for part in (*bounds, self._price))
+                status, multipliers, iterations = least_distance(
+                    matrix, low, high, price, STAGES_TOLERANCE, self._max_iterations, deadline
+                )
+                work += iterations
+                if status is not Status.OK:
+                    return SubproblemSolution(status, work, None)
+                x = -(multipliers @ matrix).reshape(N, a)
+                values = self._limits(*self._simulated(np.zeros_like(first), x, np.zeros_like(gap)))
+            over = np.maximum(values - bounds[1], bounds[0] - values)
+            new = np.flatnonzero((over > STAGES_TOLERANCE * (1 + np.abs(values))) & ~is_row)
+            if not len(new):
+                break
+            is_row.flat[new] = True
+            rows, matrix = np.concatenate([rows, new]), np.vstack([matrix, self._matrix_of(new)])
+        else:
+            return SubproblemSolution(Status.OUT_OF_ITERATIONS, work, None)
+        self._active[:] = False
+        self._active.flat[rows[multipliers != 0]] = True
+        z, u = self._simulated(first, x - feedforward, gap)
+        plan = states + z[:, :m], np.concatenate([acting[None], inputs[1:] + u])
+        return SubproblemSolution(Status.OK, work, plan)
+
+    def _feedforward(self, data: StageData, gap: FloatArray) -> FloatArray:
+        """Return f, shape (N, α), from the targets."""
+        (states, inputs), n, m = self._plan, self._states, self._plant_states
+        Q, R, P = self._weights
+        off = np.zeros((len(gap), n))
+        off[:, :m], effort = states[1:] - data.reference, inputs[1:] - data.input_reference
+        off[-1, m:] = effort[-1][: n - m]
+        slope = off @ Q
+        slope[-1] = P @ off[-1]
+        slope += (self._costs @ gap[:, :, None])[:, :, 0]
+        effort, tail, found = effort @ R, np.zeros(n), np.zeros_like(effort)
+        for k in range(len(gap) - 1, -1, -1):
+            both = self._closed[k].T @ np.concatenate([slope[k] + tail, effort[k]])
+            tail, found[k] = both[:n], both[n:]
+        return found

@@ -1,0 +1,398 @@
+"""Motions that keep bar lengths, and a model at rest on them, as sparse matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.dynamics.contact_laws import ContactLaw
+from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.dynamics.model import Model
+from tenscontrol.dynamics.string_laws import StringLaw
+from tenscontrol.structure import (
+    Block,
+    Structure,
+    bar_rows,
+    block_mass,
+    node_mass,
+)
+from tenscontrol.validation import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+    from scipy.sparse.linalg import SuperLU
+
+
+# Directions whose singular value is below this fraction of the largest do not exist.
+_RANK_TOLERANCE = 1e-9
+
+# Entries of a dense matrix, 512 MB, beyond which it is refused.
+_MOST_ENTRIES = 64_000_000
+
+
+class Complement:
+    """An orthonormal basis H of what is orthogonal to a few columns, shape (m, r), as a product.
+
+    Of Householder's reflections, ``I − V S Vᵀ`` without its first columns: work and memory grow
+    with m, not with its square.
+    """
+
+    def __init__(self, vectors: FloatArray) -> None:
+        U, sizes, _ = np.linalg.svd(vectors, full_matrices=False)
+        #: An orthonormal basis of the columns themselves, shape (m, k).
+        self.outside = U[:, sizes > _RANK_TOLERANCE * sizes.max(initial=0.0)]
+        m, k = self.outside.shape
+        raw, scale = np.linalg.qr(self.outside, mode="raw")
+        V = np.tril(raw.T[:, :k], -1)
+        V[np.arange(k), np.arange(k)] = 1.0
+        S = np.zeros((k, k))
+        for i in range(k):
+            S[:i, i] = -scale[i] * S[:i, :i] @ (V[:, :i].T @ V[:, i])
+            S[i, i] = scale[i]
+        self._reflections, self.shape = (V, S), (m, m - k)
+
+    def __matmul__(self, values: FloatArray) -> FloatArray:
+        """Return H x, shape (m,) or (m, k)."""
+        V, S = self._reflections
+        whole = np.concatenate([np.zeros((len(V) - len(values), *values.shape[1:])), values])
+        return np.asarray(whole - V @ (S @ (V.T @ whole)))
+
+    def transposed(self, values: FloatArray) -> FloatArray:
+        """Return Hᵀ y, shape (r,) or (r, k)."""
+        V, S = self._reflections
+        turned = values - V @ (S.T @ (V.T @ values))
+        return np.asarray(turned[S.shape[0] :])
+
+
+def bar_basis(structure: Structure, nodes: FloatArray) -> csr_array:
+    """Return the mass-orthonormal basis of motions that keep bar lengths, shape (d n, r).
+
+    In closed form for bars on their own, in space three translations ``e/√m`` and two rotations in
+    which the ends move by ``∓ t √(3/m)`` across the bar; for a bar that swings about a fixed end
+    the rotations ``t √(3/m)`` of the other; translations ``e/√m_s`` for a string node. For each
+    block the null space of its constraints in the metric of its mass.
+    """
+    from scipy.sparse import csr_array
+
+    d = structure.dimension
+    # Rows of the basis, shape (k, a), with columns of a part each, shape (k, a, b).
+    parts: list[tuple[IntArray, FloatArray]] = []
+    mass, ends = structure.bar_mass[structure.free_bars], structure.bars[structure.free_bars]
+    across = _across(nodes[:, ends[:, 1]] - nodes[:, ends[:, 0]])
+    across = across * np.sqrt(3 / mass)[:, None, None]
+    shift = np.eye(d) / np.sqrt(mass)[:, None, None]
+    both = [np.concatenate([shift, part], axis=2) for part in (-across, across)]
+    parts.append((_rows(ends, d), np.concatenate(both, axis=1)))
+    mass, (hinge, tip) = structure.bar_mass[structure.swinging_bars], structure.hinged_pairs.T
+    across = _across(nodes[:, tip] - nodes[:, hinge]) * np.sqrt(3 / mass)[:, None, None]
+    parts.append((_rows(tip[:, None], d), across))
+    rows = _rows(structure.string_nodes[:, None], d)
+    alone = np.isin(rows, structure.free_rows)
+    by_row = np.repeat(1 / np.sqrt(structure.string_node_mass), d).reshape(-1, d)
+    parts.append((rows[alone][:, None], by_row[alone][:, None, None]))
+    for block in structure.blocks:
+        # y = Lᵀ δ has the identity for a mass, where M = L Lᵀ.
+        L = np.linalg.cholesky(block_mass(structure, block).toarray())
+        constraints = _scaled_rows(structure, block, nodes, L)
+        whole = np.linalg.qr(constraints.T, mode="complete")[0]
+        own = np.linalg.solve(L.T, whole[:, len(constraints) :])
+        parts.append((block.rows[None], own[None]))
+    row, column, value, count = [], [], [], 0
+    for places, values in parts:
+        k, _, b = values.shape
+        columns = count + np.arange(k * b).reshape(k, 1, b)
+        row.append(np.broadcast_to(places[:, :, None], values.shape).ravel())
+        column.append(np.broadcast_to(columns, values.shape).ravel())
+        value.append(values.ravel())
+        count += k * b
+    found = (np.concatenate(part) for part in (row, column))
+    basis = csr_array((np.concatenate(value), tuple(found)), shape=(nodes.size, count))
+    basis.eliminate_zeros()
+    return basis
+
+
+def motions_kept(fields: FloatArray, held: IntArray) -> FloatArray:
+    """Return the combinations of motions as one body, shape (k, ·), that move no held row."""
+    from scipy.linalg import null_space
+
+    size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)
+    return np.asarray(null_space(fields[held] / size, _RANK_TOLERANCE) / size[:, None])
+
+
+def moved_as_one(nodes: FloatArray, move: Any) -> tuple[FloatArray, FloatArray]:
+    """Return nodes after a screw, of the rates of :func:`rigid_motions`, and its turn."""
+    from scipy.linalg import expm
+
+    d = len(nodes)
+    spin = np.concatenate([np.zeros(3), move[d:]])[-3:]  # in the plane about z alone
+    screw = np.zeros((d + 1, d + 1))
+    screw[:d, :d], screw[:d, d] = np.cross(spin, np.eye(3)).T[:d, :d], move[:d]
+    whole, centre = expm(screw), nodes.mean(axis=1, keepdims=True)
+    return whole[:d, :d] @ (nodes - centre) + whole[:d, d:] + centre, whole[:d, :d]
+
+
+def momenta(mass: object, basis: FloatArray) -> FloatArray:
+    """Return M T: the mass matrix acts alike on x, y and z."""
+    n = mass.shape[0]  # type: ignore[attr-defined]
+    return np.asarray(mass @ basis.reshape(n, -1)).reshape(basis.shape)  # type: ignore[operator]
+
+
+def refuse_large(what: str, shape: tuple[int, int]) -> None:
+    """Raise where a dense matrix would take more memory than a computer is asked for lightly."""
+    if shape[0] * shape[1] > _MOST_ENTRIES:
+        raise ValueError(
+            f"{what} is a dense matrix of shape {shape} here, {shape[0] * shape[1] * 8e-9:.1f} GB; "
+            f"expected at most {_MOST_ENTRIES * 8e-9:.1f} GB. Large structures have sparse "
+            "matrices, plant.sparse, their lowest modes(plant, count=20), and "
+            "reduce(plant, modes=20) for controllers"
+        )
+
+
+def normal_basis(structure: Structure, block: Block, nodes: FloatArray) -> FloatArray:
+    """Return displacements of a block's rows along its bars' forces, shape (r, c), 1/m.
+
+    ``Z = M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹``: J Z = I, and Z is orthogonal in M to what keeps the lengths.
+    """
+    L = np.linalg.cholesky(block_mass(structure, block).toarray())
+    constraints = _scaled_rows(structure, block, nodes, L)
+    scale = np.linalg.norm(bar_rows(structure, block.independent, nodes).toarray(), axis=1)
+    return np.asarray(np.linalg.solve(L.T, np.linalg.pinv(constraints)) / scale)
+
+
+def _scaled_rows(structure: Structure, block: Block, nodes: FloatArray, L: Any) -> FloatArray:
+    """Return ``J L⁻ᵀ``, rows of J of length one, of a block, or refuse a dead centre."""
+    J = bar_rows(structure, block.independent, nodes).toarray()
+    J = J[:, block.rows] / np.linalg.norm(J, axis=1, keepdims=True)
+    rows = np.linalg.solve(L, J.T).T
+    sizes = np.linalg.svd(rows, compute_uv=False)
+    if sizes.size and sizes.min() <= _RANK_TOLERANCE * sizes.max():
+        raise ValueError(
+            f"in nodes, bars {sorted(block.bars.tolist())}, which are joined to one another, are "
+            "in a dead centre: their lengths do not determine their motion. Change the nodes a "
+            "little"
+        )
+    return np.asarray(rows)
+
+
+def _rows(nodes: IntArray, dimension: int) -> IntArray:
+    """Return the rows of vec(N) of some nodes, (k, a), shape (k, a d)."""
+    rows = dimension * nodes[:, :, None] + np.arange(dimension)
+    return np.asarray(rows.reshape(len(nodes), dimension * nodes.shape[1]))
+
+
+def _across(vectors: FloatArray) -> FloatArray:
+    """Return orthonormal directions across each of k vectors, (d, k), shape (k, d, d − 1)."""
+    return np.asarray(np.linalg.svd(vectors.T[:, None, :])[2][:, 1:].swapaxes(1, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """Forces on all nodes at zero velocity and their derivatives, node by node, and the masses.
+
+    Accelerations are those of ``M a − Jᵀ λ = F``, ``J a = 0``, where J has half the derivatives of
+    the squared lengths of the bars that are kept: of ``δa`` under ``δN``, ``δṄ`` and a change
+    ``δu`` of the input, ``M δa − Jᵀ δλ = E δu − K δN − D δṄ`` and ``J δa = −J(a) δN``.
+
+    Attributes
+    ----------
+    load : ndarray, shape (d, n)
+        The part of F that is no string's and not of the ground, N.
+    string_length : ndarray, shape (α,)
+        m.
+    force, acceleration : ndarray, shape (d n,)
+        F, N, and a, m/s²; what supports hold has no acceleration.
+    mass, stiffness, damping : csr_array, shape (d n, d n)
+        M, kg, K, N/m, of strings, ground and bars with the forces that they have, and D, N s/m.
+    by_input : csr_array, shape (d n, α)
+        E, N per unit of the input.
+    curvature : csr_array, shape (c, d n)
+        J(a).
+    """
+
+    structure: Structure
+    load: FloatArray
+    string_length: FloatArray
+    force: FloatArray
+    acceleration: FloatArray
+    mass: csr_array
+    stiffness: csr_array
+    damping: csr_array
+    by_input: csr_array
+    curvature: csr_array
+    _factors: SuperLU
+
+    def accelerations(self, forces: FloatArray, bent: FloatArray) -> FloatArray:
+        """Return what supports leave of δa, shape (f, k), from the right sides of the equations.
+
+        Parameters
+        ----------
+        forces : ndarray, shape (d n, k)
+            N.
+        bent : ndarray, shape (c, k)
+            ``−J(a) δN``.
+        """
+        free = self.structure.free_rows
+        return np.asarray(self._factors.solve(np.vstack([forces[free], bent]))[: len(free)])
+
+
+def tangent(
+    model: Model, nodes: FloatArray, input: str, held: FloatArray | None, load: FloatArray
+) -> Tangent:
+    """Return the forces of a model at rest and their derivatives.
+
+    Parameters
+    ----------
+    model : Model
+    nodes : ndarray, shape (d, n)
+        m.
+    input : {"force_density", "rest_length"}
+    held : ndarray, shape (α,)
+        The input, N/m or m.
+    load : ndarray, shape (d, n)
+        All of the load on the nodes, N.
+    """
+    from scipy.sparse import block_array, csr_array, diags_array, eye_array, kron
+    from scipy.sparse.linalg import splu
+
+    structure = model.structure
+    d, n = nodes.shape
+    force, damping = load.ravel(order="F").copy(), csr_array((d * n, d * n))
+    stiffness, by_input = csr_array((d * n, d * n)), csr_array((d * n, len(structure.strings)))
+    if len(structure.strings):
+        law = model.strings if input == "rest_length" else None
+        pull, stiffness, damping, by_input = _of_strings(structure, law, nodes, held)
+        force += pull
+    for law, at, _ in model.contacts or ():
+        push, by_place, by_speed = _of_contacts(model, law, nodes, at)
+        force += push
+        stiffness, damping = stiffness + by_place, damping + by_speed
+    mass = kron(node_mass(structure), eye_array(d), format="csr")
+    free, kept = structure.free_rows, structure.kept_bars
+    J = bar_rows(structure, kept, nodes)[:, free]
+    saddle = block_array([[mass[free][:, free], J.T], [J, None]], format="csc")
+    factors = splu(saddle, permc_spec="MMD_AT_PLUS_A")
+    found = factors.solve(np.r_[force[free], np.zeros(len(kept))])
+    acceleration = np.zeros(d * n)
+    acceleration[free] = found[: len(free)]
+    # What pushes the ends of a bar apart by λ b turns with the bar.
+    C = _ends(structure.bars[kept], n)
+    pushed = C.T @ diags_array(found[len(free) :]) @ C
+    bent = bar_rows(structure, kept, acceleration.reshape(d, n, order="F"))
+    stiffness = stiffness + kron(pushed, eye_array(d), format="csr")
+    return Tangent(
+        structure, load, structure.string_length(nodes), force, acceleration, mass, stiffness,
+        damping, by_input, bent, factors,
+    )  # fmt: skip
+
+
+def _of_strings(
+    structure: Structure, law: StringLaw | None, nodes: FloatArray, held: Any
+) -> tuple[FloatArray, csr_array, csr_array, csr_array]:
+    """Return the forces of the strings, K, D and E: of γ, or of the rest lengths of a law."""
+    from scipy.sparse import csr_array, diags_array, eye_array, kron
+
+    d, n = nodes.shape
+    of, count = structure.segment_string, len(structure.strings)
+    vectors = nodes[:, structure.segments[:, 1]] - nodes[:, structure.segments[:, 0]]
+    each = np.sqrt((vectors**2).sum(axis=0))
+    length: FloatArray = np.bincount(of, each, minlength=count).astype(float)
+    gamma, along, by_rest, by_rate = held, np.zeros(count), np.ones(count), np.zeros(count)
+    if law is not None:
+        gamma, along, by_rest, by_rate = _slopes(law, length, held)
+    # Segments of one string have one tension: γ of a segment is T/l, that of the string T/L.
+    several = np.bincount(of, minlength=count)[of] > 1
+    share = np.where(several, length[of] / np.maximum(each, 1e-300), 1.0)
+    own = gamma[of] * share
+    C = _ends(structure.segments, n)
+    whole = csr_array((np.ones(len(of)), (of, np.arange(len(of)))), shape=(count, len(of)))
+    by_gamma = -(whole @ _segment_rows(structure, vectors * share)).T
+    unit = _segment_rows(structure, _unit(vectors))
+    stiffness = kron(C.T @ diags_array(own) @ C, eye_array(d), format="csr")
+    damping = csr_array((d * n, d * n))
+    pull = whole @ unit
+    stretch = along * length + np.where(np.bincount(of[several], minlength=count) > 0, gamma, 0.0)
+    if stretch.any():
+        stiffness = stiffness + pull.T @ diags_array(stretch) @ pull
+    if several.any():
+        stiffness = stiffness - unit.T @ diags_array(np.where(several, own, 0.0)) @ unit
+    if by_rate.any():
+        damping = pull.T @ diags_array(by_rate * length) @ pull
+    return by_gamma @ gamma, stiffness, damping, csr_array(by_gamma @ diags_array(by_rest))
+
+
+def string_stretch(structure: Structure, nodes: FloatArray) -> csr_array:
+    """Return the derivatives of string lengths by the nodes, shape (α, d n)."""
+    from scipy.sparse import csr_array
+
+    of, count = structure.segment_string, len(structure.strings)
+    ends = structure.segments
+    unit = _segment_rows(structure, _unit(nodes[:, ends[:, 1]] - nodes[:, ends[:, 0]]))
+    return csr_array((np.ones(len(of)), (of, np.arange(len(of)))), shape=(count, len(of))) @ unit
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=0), 1e-300))
+
+
+def _slopes(law: StringLaw, length: FloatArray, rest_length: Any) -> tuple[FloatArray, ...]:
+    """Return γ and its derivatives by the length, the rest length and the rate, at no rate."""
+    symbols = [ca.SX.sym(name, len(length)) for name in ("l", "l0", "rate")]
+    gamma = law.symbolic_force_density(*symbols)
+    # Each string by its own length alone.
+    one = ca.DM.ones(len(length))
+    slopes = [ca.densify(ca.jtimes(gamma, each, one)) for each in symbols]
+    function = ca.Function("slopes", symbols, [ca.densify(gamma), *slopes])
+    found = function(length, rest_length, 0.0)
+    return tuple(part.full().ravel() for part in found)
+
+
+def _of_contacts(
+    model: Model, law: ContactLaw, nodes: FloatArray, at: Any
+) -> tuple[FloatArray, csr_array, csr_array]:
+    """Return the forces of a ground on some nodes, and their derivatives K and D."""
+    from scipy.sparse import csr_array
+
+    d, n = nodes.shape
+    place, speed = ca.SX.sym("n", d), ca.SX.sym("v", d)
+    push = law.force(place, speed)
+    slopes = [ca.densify(ca.vec(ca.jacobian(push, each))) for each in (place, speed)]
+    function = ca.Function("contact_slopes", [place, speed], [ca.densify(push), *slopes])
+    places = nodes[:, at]
+    forces, *found = evaluate_columns(function, places, np.zeros_like(places))
+    every = np.zeros((d, n))
+    every[:, at] = forces
+    rows = d * at + np.arange(d)[:, None]  # (d, k)
+    row, column = np.tile(rows, (d, 1)), np.repeat(rows, d, axis=0)
+    matrices = (
+        csr_array((-part.ravel(), (row.ravel(), column.ravel())), shape=(d * n, d * n))
+        for part in found
+    )
+    by_place, by_speed = matrices
+    return every.ravel(order="F"), by_place, by_speed
+
+
+def _ends(pairs: Any, n: int) -> csr_array:
+    """Return the matrix of end minus start of members, shape (k, n)."""
+    from scipy.sparse import csr_array
+
+    k = len(pairs)
+    values = np.repeat([-1.0, 1.0], k)
+    return csr_array((values, (np.tile(np.arange(k), 2), pairs.T.ravel())), shape=(k, n))
+
+
+def _segment_rows(structure: Structure, vectors: FloatArray) -> csr_array:
+    """Return for each segment the row that holds a vector, (d, s), at its end, less at its start.
+
+    Shape (s, d n).
+    """
+    from scipy.sparse import csr_array
+
+    d, count = vectors.shape
+    columns = d * structure.segments[:, :, None] + np.arange(d)
+    values = np.stack([-vectors.T, vectors.T], axis=1)
+    starts = np.arange(0, values.size + 1, 2 * d)
+    size = structure.nodes.size
+    return csr_array((values.ravel(), columns.ravel(), starts), shape=(count, size))

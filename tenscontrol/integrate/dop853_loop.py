@@ -1,0 +1,295 @@
+"""The loop of DOP853 over its steps in C: the same numbers as CasADi's graph, without its copies.
+
+Slopes, projections and what finds a switch are CasADi's C code; here are the sums of slopes, the
+error, the interpolant, and what becomes of a step that was tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+
+from tenscontrol.dynamics.forms import C_EXPORT, C_HEAD, external_interface
+
+# Names of numbers in z that another constant has.
+_NUMBERS = {"switches": "SWITCHED"}
+
+
+def loop_source(
+    functions: Sequence[ca.Function],
+    sizes: Mapping[str, int],
+    numbers: Mapping[str, float],
+    carried: Sequence[str],
+    method: Any,
+) -> str:
+    """Return the C text of ``turns(z, given) -> (z, records)`` and of ``largest``.
+
+    The first is many turns of :class:`DOP853`, the second is the last of ``functions``, by which
+    the largest frequency is found. ``functions`` are called by name, ``sizes`` and ``numbers`` are
+    constants of the text,
+    ``carried`` names the numbers in z, and ``method`` has the coefficients.
+    """
+    n, switches, inputs = (sizes[name] for name in ("STATES", "SWITCHES", "INPUTS"))
+    kernels = ca.CodeGenerator("kernels", {"with_header": False})
+    for each in functions:
+        kernels.add(each)
+    memory = {
+        name: max(1, *(getattr(each, f"sz_{name}")() for each in functions))
+        for name in ("arg", "res", "iw", "w")
+    }
+    first = len(method.B) + 1  # slope that the interpolant adds
+    slopes = first + len(method.C_EXTRA)
+    z, given = 2 * n + switches + len(carried), inputs + 3 + n
+    constants = {
+        **sizes,
+        **{name: repr(float(value)) for name, value in numbers.items()},
+        **{_NUMBERS.get(each, each.upper()): i for i, each in enumerate(carried)},
+        "NUMBERS": len(carried),
+        **{f"{name.upper()}_SIZE": size for name, size in memory.items()},
+        "END_SLOPE": f"({first - 1} * STATES)",
+        "SLOPES": f"({slopes} * STATES)",
+        "WORK": memory["w"] + (2 * slopes + 2) * n + 2 * inputs + 4 * switches,
+        **{f"HAS_{each.name().upper()}": 1 for each in functions},
+    }
+    parts = {
+        "stages": _stages(method.A[1:], method.C[1:], 1),
+        "end": _sum(method.B),
+        "fifth": _sum(method.E5),
+        "third": _sum(method.E3),
+        "extra": _stages(method.A_EXTRA, method.C_EXTRA, first),
+        "dense": "\n".join(
+            f"  for (int i = 0; i < STATES; ++i) made[{3 + k} * STATES + i] = h * ({_sum(d)});"
+            for k, d in enumerate(method.D)
+        ),
+    }
+    return "\n".join(
+        [
+            C_HEAD,
+            kernels.dump(),
+            C_EXPORT,
+            *(f"#define {name} {value}" for name, value in constants.items()),
+            _TEXT % parts,
+            external_interface("turns", [z, given], [z, sizes["RECORD"] * sizes["TURNS"]]),
+            external_interface("largest", [n, inputs, switches, 1, n // 2], [1]),
+        ]
+    )
+
+
+def _sum(weights: Any) -> str:
+    """Return the C expression of entry i of the sum of slopes with weights, but those of zero."""
+    used = [(k, float(a)) for k, a in enumerate(weights) if a != 0]
+    return " + ".join(f"K[{k} * STATES + i] * {a!r}" for k, a in used)
+
+
+def _stages(weights: Any, times: Any, first: int) -> str:
+    """Return the C lines of stages, each a state within the step and its slope."""
+    return "\n".join(
+        f"  for (int i = 0; i < STATES; ++i) y[i] = x[i] + h * ({_sum(a)});\n"
+        f"  of_slope(y, ahead(u, {float(c)!r} * h, m), taut, K + {k} * STATES, m);"
+        for k, (a, c) in enumerate(zip(weights, times, strict=True), first)
+    )
+
+
+_TEXT = """\
+typedef struct {
+  casadi_int *iw;
+  double *w, *y, *later;
+} Memory;
+
+static const double *ahead(const double *u, double time, const Memory *m) {
+  if (!DEGREE) return u;
+  memcpy(m->later, u, INPUTS * sizeof(double));
+  m->later[INPUTS - 1] += time;
+  return m->later;
+}
+
+static void of_slope(const double *x, const double *u, const double *taut, double *to,
+                     const Memory *m) {
+  const double *arg[ARG_SIZE];
+  double *res[RES_SIZE];
+  arg[0] = x; arg[1] = u; arg[2] = taut; res[0] = to;
+  slope(arg, res, m->iw, m->w, 0);
+}
+
+/* A step from x with slope K[0]: its end, and the slopes of all stages and of the end in K. */
+static void step_of(const double *x, const double *u, const double *taut, double h,
+                    double *restrict x1, double *restrict K, const Memory *m) {
+  double *restrict y = m->y;
+%(stages)s
+  for (int i = 0; i < STATES; ++i) x1[i] = x[i] + h * (%(end)s);
+#ifdef HAS_PROJECT
+  {
+    const double *arg[ARG_SIZE];
+    double *res[RES_SIZE];
+    memcpy(y, x1, STATES * sizeof(double));
+    arg[0] = y; res[0] = x1;
+    project(arg, res, m->iw, m->w, 0);
+  }
+#endif
+  of_slope(x1, ahead(u, 1.0 * h, m), taut, K + END_SLOPE, m);
+}
+
+static double error_of(const double *K, const double *scale, double h) {
+  double fifth = 0, third = 0, below;
+  for (int i = 0; i < STATES; ++i) {
+    const double a = (%(fifth)s) / scale[i], b = (%(third)s) / scale[i];
+    fifth += a * a;
+    third += b * b;
+  }
+  below = sqrt((fifth + 0.01 * third) * STATES);
+  return below > 0 && below < INFINITY ? h * fifth / below : below;
+}
+
+static double factor_of(double error) {
+  return fmin(fmax(SAFETY * pow(fmax(error, 1e-16), -1 / ORDER), LEAST), MOST);
+}
+
+/* The record of a step, zero long if no output lies in it; whether one does. */
+static int record(const double *x, const double *x1, double *restrict K, const double *u,
+                  const double *taut, double h, double time, double after, const double *span,
+                  double *restrict to, const Memory *m) {
+  const double duration = span[0], spacing = span[1], *f = K, *f1 = K + END_SLOPE;
+  const double until = floor(after / spacing * MORE), since = floor(time / spacing * MORE);
+  const int needed = until > since && (after < duration || time + spacing < after);
+  double *restrict y = m->y, *restrict made = to + 2 + STATES;
+  to[0] = time;
+  to[1] = h * needed;
+  if (!needed) return 0;
+  memcpy(to + 2, x, STATES * sizeof(double));
+%(extra)s
+  for (int i = 0; i < STATES; ++i) {
+    const double step = x1[i] - x[i];
+    made[i] = step;
+    made[STATES + i] = h * f[i] - step;
+    made[2 * STATES + i] = 2 * step - h * (f1[i] + f[i]);
+  }
+%(dense)s
+  return 1;
+}
+
+#ifdef HAS_CROSSING
+static int is_crossed(const double *x, const double *x1, const double *u, const double *taut,
+                      double h, const Memory *m) {
+  const double *arg[ARG_SIZE];
+  double *res[RES_SIZE], found = 0;
+  arg[0] = x; arg[1] = x1; arg[2] = u; arg[3] = taut; arg[4] = &h; res[0] = &found;
+  crossing(arg, res, m->iw, m->w, 0);
+  return found != 0;
+}
+
+/* Ends a step at its first switch: its part, and x1 and K there; taut goes over to what follows. */
+static double land(const double *x, double *taut, const double *u, double h, double *x1, double *K,
+                   double *K1, double allowed, double *strings, double *now, const Memory *m) {
+  const double *arg[ARG_SIZE], *end;
+  double *res[RES_SIZE], found = 0, wanted = 0, speed = 0, aim = 0, switched = 0;
+  double part = 0, gap_before = 0, *chosen = strings, *leaving = chosen + SWITCHES;
+  int taken = 0;
+  arg[0] = x; arg[1] = taut; arg[2] = u; arg[3] = &h; arg[4] = x1; arg[5] = K;
+  arg[6] = K + END_SLOPE; arg[7] = &allowed;
+  res[0] = &found; res[1] = &wanted; res[2] = &speed; res[3] = &aim; res[4] = chosen;
+  res[5] = leaving;
+  search(arg, res, m->iw, m->w, 0);
+  if (!found) return h;
+  memcpy(K1, K, STATES * sizeof(double));
+  for (int tried = 0; tried < POLISHES; ++tried) {
+    double gap = 0, secant, before = part;
+    int apart;
+    if (taken && !(fabs(gap_before - aim) > fabs(aim))) break;
+    part = fmin(fmax(speed < 0 ? wanted : 0, 0), 1);
+    step_of(x, u, taut, part * h, x1, K1, m);
+    end = ahead(u, part * h, m);
+    arg[0] = x1; arg[1] = end; arg[2] = taut; arg[3] = chosen; res[0] = &gap;
+    distance(arg, res, m->iw, m->w, 0);
+    apart = taken > 0 && fabs(part - before) > 1e-6;
+    secant = (gap - gap_before) / (apart ? part - before : 1);
+    if (apart && secant < 0) speed = secant;
+    wanted = part + (aim - gap) / speed;
+    gap_before = gap;
+    ++taken;
+  }
+  memcpy(K, K1, END_SLOPE * sizeof(double));
+  memcpy(K + END_SLOPE, K1 + END_SLOPE, STATES * sizeof(double));
+  arg[0] = x1; arg[1] = ahead(u, part * h, m); arg[2] = taut; arg[3] = leaving;
+  res[0] = strings + 2 * SWITCHES; res[1] = &switched;
+  switching(arg, res, m->iw, m->w, 0);
+  memcpy(taut, strings + 2 * SWITCHES, SWITCHES * sizeof(double));
+  now[APPROACHES] += taken;
+  now[SWITCHED] += switched;
+  return part * h;
+}
+#endif
+
+EXPORTED int largest(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
+  const double *given[ARG_SIZE];
+  double *to[RES_SIZE];
+  casadi_int own[IW_SIZE];
+  (void)iw;
+  memcpy(given, arg, 5 * sizeof(double *));
+  to[0] = res[0];
+  return frequency(given, to, own, w, mem);
+}
+
+EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
+  const double *input = arg[1], *span = input + INPUTS, longest = span[2], *scale = span + 3;
+  const double duration = span[0];
+  double *z = res[0], *x = z, *f = z + STATES, *taut = f + STATES, *now = taut + SWITCHES;
+  double *x1, *K, *K1, *started, *begun, *strings;
+  casadi_int own[IW_SIZE];
+  Memory memory = {own, w, w + W_SIZE, 0}, *m = &memory;
+  (void)iw;
+  (void)mem;
+  K = m->y + STATES; K1 = K + SLOPES; x1 = K1 + SLOPES; begun = x1 + STATES;
+  m->later = begun + SWITCHES; started = m->later + INPUTS; strings = started + INPUTS;
+  (void)K1; (void)strings;
+  memcpy(z, arg[0], (2 * STATES + SWITCHES + NUMBERS) * sizeof(double));
+  for (int turn = 0; turn < TURNS; ++turn) res[1][turn * RECORD + 1] = 0;
+  for (int turn = 0; turn < TURNS && now[TIME] < duration && !now[STUCK]; ++turn) {
+    const double time = now[TIME];
+    const double h = fmin(fmin(now[STEP], longest), duration - time);
+    const double *u = input;
+    double taken = h, after, error;
+    int made, crossed = 0;
+    if (DEGREE) {
+      memcpy(started, ahead(input, time, m), INPUTS * sizeof(double));
+      u = started;
+    }
+    memcpy(K, f, STATES * sizeof(double));
+    step_of(x, u, taut, h, x1, K, m);
+    error = error_of(K, scale, h);
+    now[TRIES] += 1;
+    if (!(error < 1)) {
+      const double shorter = h * (error < INFINITY ? fmin(factor_of(error), 1) : LEAST / 2);
+      now[STEP] = shorter;
+      now[REJECTIONS] += 1;
+      now[STUCK] = shorter < SHORTEST * duration;
+      continue;
+    }
+    memcpy(begun, taut, SWITCHES * sizeof(double));
+#ifdef HAS_CROSSING
+    crossed = is_crossed(x, x1, u, taut, h, m);
+    if (crossed) {
+      const double reach = longest / STABLE;
+      const double allowed = TWICE_LATE * scale[STATES - 1] * (reach * reach);
+      taken = land(x, taut, u, h, x1, K, K1, allowed, strings, now, m);
+    }
+#endif
+    after = taken >= duration - time ? duration : time + taken;
+    made = record(x, x1, K, u, begun, taken, time, after, span, res[1] + turn * RECORD, m);
+    now[INTERPOLANTS] += made;
+    now[TIME] = after;
+    now[STEP] = h * (crossed ? fmin(factor_of(error), 1) : factor_of(error));
+    memcpy(x, x1, STATES * sizeof(double));
+    if (crossed) {
+      now[LANDINGS] += 1;
+      now[STALLS] = taken < SHORTEST * duration ? now[STALLS] + 1 : 0;
+      now[STUCK] = now[STALLS] > MOST_STALLS;
+      of_slope(x, ahead(u, taken, m), taut, f, m);
+    } else {
+      memcpy(f, K + END_SLOPE, STATES * sizeof(double));
+    }
+  }
+  return 0;
+}
+"""

@@ -1,0 +1,301 @@
+"""What many runs are given: starts, inputs, loads and parameters, checked, run by run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from tenscontrol.dynamics import Model, Pieces, weights
+from tenscontrol.plant import held_value
+from tenscontrol.simulation.simulate import (
+    changes_in_time,
+    checked_inputs,
+    initial_state,
+    load_in_time,
+)
+from tenscontrol.validation import LARGEST, FloatArray, choice, float_array, measured, wrong_kind
+
+# A start whose bars are off by less than this, as part of their length and of the largest speed,
+# is taken as it is, as in a single run; the others are looked at one by one.
+_EXACT, _NO_LENGTH = 1e-8, 1e-11
+
+# Numbers that may be zero, and those that may have any sign; all others are positive.
+_FROM_ZERO = {"force_density", "damping", "point_mass"}
+_SIGNED = {"nodes", "velocities", "external_force", "load", "gravity"}
+
+# What is no parameter of the model.
+_ARRAYS = "nodes", "velocities", "rest_length", "force_density", "external_force", "load"
+
+
+MASSES = "bar_mass", "point_mass"
+
+
+def given_by_run(model: Model, vary: object, **values: object) -> dict[str, FloatArray]:
+    """Return arrays with a first axis: of one entry, or one a run."""
+    d, n = model.structure.nodes.shape
+    count = len(model.structure.strings)
+    shapes = {"nodes": (d, n), "velocities": (d, n), "external_force": (d, n)}
+    found, runs = dict[str, FloatArray](), dict[str, int]()
+    for name, value in values.items():
+        if value is None or changes_in_time(value):
+            continue
+        shape = shapes.get(name, (count,))
+        stacked = _axes(value) > len(shape)
+        wanted = (len(value), *shape) if stacked else shape  # type: ignore[arg-type]  # has an axis
+        if len(shape) == 1 and _axes(value) == 0:
+            value = np.full(shape, measured(name, value, ()))
+        array = measured(name, value, wanted, f"of a run {shape}, with a first axis for runs")
+        found[name] = array if stacked else array[None]
+        runs |= {name: len(array)} if stacked else {}
+    if vary is not None and not isinstance(vary, Mapping):
+        raise wrong_kind("vary", vary, "a dict of arrays, one entry a run")
+    sizes = {"bar_mass": len(model.structure.bars), "point_mass": n, "gravity": d}
+    if "rest_length" in values and values["rest_length"] is not None and model.strings is not None:
+        sizes |= {each.name: count for each in fields(model.strings)}
+    for name, value in (vary or {}).items():
+        size = sizes[choice("vary", name, sizes)]
+        label = f"vary[{name!r}]"
+        wanted = (len(value), size) if _axes(value) == 2 else (len(value),)
+        array = measured(label, value, wanted, "one a run, or one a run and member")
+        if array.ndim == 1:
+            array = np.outer(array, _down(d) if name == "gravity" else np.ones(size))
+        found[name], runs[label] = array, len(array)
+    if not runs:
+        raise ValueError(
+            "nothing differs from run to run: give one of nodes, velocities, rest_length, "
+            "force_density, external_force and vary a first axis, one entry a run"
+        )
+    (first, count), *others = runs.items()
+    for name, other in others:
+        if other != count:
+            raise ValueError(f"{name} has {other} runs, but {first} has {count}")
+    if not count:
+        raise ValueError(f"{first} has no run, expected at least one")
+    return found
+
+
+def _axes(value: Any) -> int:
+    """Return the number of axes; -1 for rows of different lengths, refused where they are read."""
+    try:
+        return np.ndim(value)
+    except ValueError:
+        return -1
+
+
+def _down(dimension: int) -> FloatArray:
+    return np.append(np.zeros(dimension - 1), -1.0)
+
+
+class BatchInputs:
+    """What a batch integrates: the inputs, loads and parameters of each run."""
+
+    def __init__(
+        self, model: Model, duration: float, rest_length: object, force_density: object,
+        external_force: object, given: dict[str, FloatArray],
+    ) -> None:  # fmt: skip
+        self.model, self.duration, self.given = model, duration, given
+        self.count = max(map(len, given.values()))
+        self.input = "force_density" if rest_length is None else "rest_length"
+        self.varied = [name for name in given if name not in _ARRAYS]
+        self.held: Pieces | None = None
+        if self.input not in given:
+            self.held = checked_inputs(model, rest_length, force_density, 0.0, duration)
+        # All that acts on the nodes from outside: the same for all, in time, or run by run.
+        self.load: FloatArray | Pieces
+        if "external_force" in given and len(given["external_force"]) == 1:
+            external_force = given.pop("external_force")[0]
+        heavy = {"gravity", *MASSES} & set(self.varied)
+        own = "external_force" in given or (heavy and ("gravity" in given or model.gravity.any()))
+        if own and changes_in_time(external_force):
+            raise ValueError("external_force changes in time, so masses and gravity may not vary")
+        if own:
+            # Asks whether the model takes a load, and needs one.
+            shape = model.structure.nodes.shape
+            each = np.zeros(shape) if "external_force" in given else external_force
+            load_in_time(model, each, 0.0, duration)
+            c = model.built_in_load + weights(
+                model.structure,
+                given.get("gravity", model.gravity),
+                given.get("bar_mass", model.structure.bar_mass),
+                given.get("point_mass", model.structure.point_mass),
+            )
+            c = c if c.ndim == 3 else c[None]
+            # In the order of a single run, for its bits.
+            if "external_force" in given or external_force is not None:
+                each = given.get("external_force", np.asarray(external_force)[None])
+                c = ((each + c) - c) + c
+            given["load"] = c.transpose(0, 2, 1).reshape(len(c), -1)
+            self.load = np.zeros(model.structure.nodes.shape)
+        else:
+            self.load = load_in_time(model, external_force, 0.0, duration)
+        self.external_force = external_force
+
+    def entry(self, name: str, run: int) -> FloatArray | None:
+        """Return what a run is given; None for nothing."""
+        array = self.given.get(name)
+        return None if array is None else array[run if len(array) > 1 else 0]
+
+    def model_of(self, run: int) -> Model:
+        """Return the model of a run, refusing parameters that are none."""
+        if not self.varied:
+            return self.model
+        model = self.model
+        own: dict[str, Any] = {name: self.entry(name, run) for name in self.varied}
+        masses = {name: own.pop(name) for name in MASSES if name in own}
+        structure = replace(model.structure, **masses) if masses else model.structure
+        gravity = own.pop("gravity", model.gravity)
+        strings = (
+            replace(model.strings, **own) if model.strings is not None and own else model.strings
+        )
+        load: object = model.has_external_force
+        if not load and model.built_in_load.any():
+            load = model.built_in_load
+        return Model(structure, strings, load, gravity, model.ground or None)
+
+    def single(self, run: int) -> FloatArray:
+        """Return the state at the start of a run, checked as that of a single run is.
+
+        Raises TypeError or ValueError if it is refused.
+        """
+        model = self.model_of(run)
+        held = None
+        if self.held is None:
+            own = {self.input: self.entry(self.input, run)}
+            held = held_value(model, own.get("rest_length"), own.get("force_density"))
+        else:
+            held = self.held.at(np.zeros(1))[:, 0]
+        if "external_force" in self.given:
+            float_array("external_force", self.entry("external_force", run))
+        nodes, velocities = self.entry("nodes", run), self.entry("velocities", run)
+        return initial_state(model, nodes, velocities, self.input, held)[0]
+
+    def states(self, first: int, last: int) -> tuple[FloatArray, dict[int, str]]:
+        """Return the states at the start of some runs, and why others are refused: by number."""
+        structure = self.model.structure
+        d, n = structure.nodes.shape
+        count = last - first
+        N, V = (
+            np.broadcast_to(self.some(name, first, last, usual), (count, d, n))
+            for name, usual in (("nodes", structure.nodes), ("velocities", np.zeros((d, n))))
+        )
+        every = [part.transpose(0, 2, 1).reshape(count, -1) for part in (N, V)]
+        states = np.hstack([part[:, structure.free_rows] for part in every])
+        doubtful = ~self._clear(first, last, N, V, every)
+        refused = {}
+        for i in np.flatnonzero(doubtful):
+            try:
+                states[i] = self.single(first + int(i))
+            except (TypeError, ValueError) as error:
+                refused[first + int(i)] = str(error)
+        return states, refused
+
+    def some(self, name: str, first: int, last: int, usual: Any = None) -> FloatArray:
+        """Return what some runs are given, with a first axis of one entry, or one a run."""
+        array = self.given.get(name)
+        if array is None:
+            return np.asarray(usual)[None]
+        return array[first:last] if len(array) > 1 else array
+
+    def _clear(
+        self, first: int, last: int, N: FloatArray, V: FloatArray, every: list[FloatArray]
+    ) -> np.ndarray:
+        """Return of which runs nothing needs a closer look: bars, supports, and all numbers."""
+        structure = self.model.structure
+        fine = np.ones(last - first, dtype=bool)
+        for name in self.given:
+            values = self.some(name, first, last).reshape(-1, self.given[name][0].size)
+            lowest = 0.0 if name in _FROM_ZERO else np.finfo(float).tiny
+            if name in _SIGNED:
+                lowest = -LARGEST
+            fine &= ((values >= lowest) & (values <= LARGEST)).all(axis=1)
+        rows = structure.fixed_rows
+        at = structure.nodes.ravel(order="F")[rows]
+        fine &= (every[0][:, rows] == at).all(axis=1) & (every[1][:, rows] == 0).all(axis=1)
+        (start, end), length = structure.bars.T, structure.bar_length
+        with np.errstate(invalid="ignore", over="ignore"):
+            B, Bd = N[:, :, end] - N[:, :, start], V[:, :, end] - V[:, :, start]
+            off = np.abs(np.linalg.norm(B, axis=1) / length - 1).max(axis=1, initial=0.0)
+            stretching = (np.abs((B * Bd).sum(axis=1)) / length).max(axis=1, initial=0.0)
+            fine &= (off <= _EXACT) & (stretching <= _EXACT * np.abs(V).max(axis=(1, 2)))
+            start, end = structure.segments.T
+            along = np.linalg.norm(N[:, :, end] - N[:, :, start], axis=1)
+            longest = along.max(axis=1, initial=0.0, keepdims=True)
+            fine &= (along > _NO_LENGTH * longest).all(axis=1)
+        return fine
+
+    def held_inputs(
+        self, first: int, last: int, coefficients: FloatArray, time: float | None
+    ) -> FloatArray:
+        """Return u of some runs, shape (1 or runs, inputs), from what all have in common.
+
+        ``coefficients`` are those of :meth:`pieces`; ``time`` is None where u is held.
+        """
+        own = [] if self.held is not None else [(0, self.input)]
+        if "load" in self.given:
+            own.append((len(self.model.structure.strings), "load"))
+        place = len(coefficients)
+        for name in self.parameters:
+            own.append((place, name))
+            place += self.given[name].shape[1]
+        parts = [(start, self.some(name, first, last)) for start, name in own]
+        count = max((len(part) for _, part in parts), default=1)
+        u = np.zeros((count, coefficients.shape[1], place))
+        u[:, :, : len(coefficients)] = coefficients.T
+        for start, part in parts:
+            u[:, 0, start : start + part.shape[1]] = part
+        held = u.reshape(count, -1)
+        return held if time is None else np.column_stack([held, np.full(count, time)])
+
+    @property
+    def parameters(self) -> list[str]:
+        """Parameters that are inputs of the equation."""
+        return [name for name in self.varied if name != "gravity"]
+
+    @cached_property
+    def pieces(self) -> Pieces:
+        """What all runs have in common of the inputs: zero for what is each run's own."""
+        strings = self.held
+        if strings is None:
+            strings = Pieces.constant(np.zeros(len(self.model.structure.strings)))
+        parts = [strings.within(0.0, self.duration)]
+        if isinstance(self.load, Pieces):
+            parts.append(self.load.within(0.0, self.duration))
+        elif "load" in self.given:
+            parts.append(Pieces.constant(np.zeros(self.given["load"].shape[1])))
+        return Pieces.stacked(parts)
+
+    def spans(self, output_step: float | None) -> list[InputSpan]:
+        """Return the parts of the run in which inputs are one polynomial, as a single run has."""
+        pieces, now, left = self.pieces, 0.0, self.duration
+        close = 1e-9 * self.duration
+        found = []
+        for end in [*pieces.breaks(close, self.duration - close), None]:
+            length = left if end is None else end - now
+            origin, coefficients = pieces.piece(now + close)
+            outputs = 1 if output_step is None else max(1, ceil(length / output_step - 1e-9))
+            time = now - origin if pieces.degree else None
+            found.append(InputSpan(now, length, outputs, coefficients, time))
+            now = now + length
+            left = self.duration if end is None else self.duration - end
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class InputSpan:
+    """A part of the run in which inputs are one polynomial."""
+
+    start: float
+    length: float
+    outputs: int
+    coefficients: FloatArray
+    time: float | None  # within the polynomials; None where inputs are held
+
+    @property
+    def times(self) -> FloatArray:
+        """Times of the states kept, s."""
+        return self.start + self.length * np.arange(1, self.outputs + 1) / self.outputs

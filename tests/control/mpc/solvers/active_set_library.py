@@ -1,0 +1,157 @@
+"""The active-set solver in C, with rows of a matrix, called from Python."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+
+import numpy as np
+
+from tenscontrol.control.mpc.solvers.c_source import active_set_source
+from tenscontrol.dynamics import compiler
+from tenscontrol.dynamics.machine_code import compiled_library
+from tenscontrol.validation import FloatArray
+
+STATUSES = ("solved", "infeasible", "out of iterations", "stopped", "bad data", "inaccurate")
+
+_CALLS = """
+typedef struct {
+    ActiveSet set;
+    const size_t *start; /* row i is value[start[i]] ... value[start[i + 1] - 1] */
+    const double *value;
+    int asked, stop_at;
+} Opened;
+
+static const double *kept_row(void *data, int i, double *space, int *length)
+{
+    const Opened *opened = data;
+    (void)space;
+    *length = (int)(opened->start[i + 1] - opened->start[i]);
+    return opened->value + opened->start[i];
+}
+
+static const double *copied_row(void *data, int i, double *space, int *length)
+{
+    const double *row = kept_row(data, i, NULL, length);
+    memcpy(space, row, (size_t)*length * sizeof *space);
+    return space;
+}
+
+static void all_products(void *data, const double *x, double *out)
+{
+    int i, length;
+    for (i = 0; i < ((Opened *)data)->set.rows; i++) {
+        const double *row = kept_row(data, i, NULL, &length);
+        out[i] = active_set_dot(row, x, length);
+    }
+}
+
+static int asked(void *data)
+{
+    Opened *opened = data;
+    return opened->asked++ == opened->stop_at;
+}
+
+size_t sizes(int what, int rows, int columns, int soft, int stored)
+{
+    int most = ACTIVE_SET_MOST(rows, columns, soft);
+    size_t found[] = {sizeof(Opened), ACTIVE_SET_NUMBERS(rows, columns, most, stored),
+                      ACTIVE_SET_INTEGERS(rows, most), ACTIVE_SET_POINTERS(most)};
+    return found[what];
+}
+
+void open_set(Opened *opened, int rows, int columns, int soft, int stored, int limit,
+              const size_t *start, const double *value, const double *price,
+              const double *curvature, double *numbers, int *integers, const double **pointers)
+{
+    ActiveSet *set = &opened->set;
+    set->rows = rows;
+    opened->start = start;
+    opened->value = value;
+    set->columns = columns;
+    set->most = ACTIVE_SET_MOST(rows, columns, soft);
+    set->stored = stored;
+    set->limit = limit;
+    set->tolerance = 1e-11;
+    set->price = price;
+    set->curvature = curvature;
+    set->row = stored ? copied_row : kept_row;
+    set->products = all_products;
+    set->stop = asked;
+    set->data = opened;
+    opened->stop_at = -1;
+    active_set_place(set, numbers, integers, pointers);
+}
+
+void start_set(Opened *opened, const double *y) { active_set_start(&opened->set, y); }
+
+int solve_set(Opened *opened, int stop_at, const double *q, const double *low, const double *high,
+              double *x, double *y, int *iterations)
+{
+    int status;
+    opened->asked = 0;
+    opened->stop_at = stop_at;
+    status = active_set_solve(&opened->set, q, low, high, x);
+    memcpy(y, opened->set.y, (size_t)opened->set.rows * sizeof *y);
+    *iterations = opened->set.iterations;
+    return status;
+}
+"""
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """Return the compiled solver, or None without a compiler."""
+    if compiler() is None:
+        return None
+    text = "#define ACTIVE_SET_API\n" + active_set_source() + _CALLS
+    found = ctypes.CDLL(str(compiled_library(text)))
+    found.sizes.restype = ctypes.c_size_t
+    return found
+
+
+def _pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+class ActiveSetProgram:
+    """Programs with one matrix M, shape (m, n); ``price`` is also the curvature, inf for hard."""
+
+    def __init__(
+        self, M: FloatArray, price: FloatArray, stored: bool = False, limit: int = 5000
+    ) -> None:
+        found = library()
+        assert found is not None  # the tests are skipped without
+        self._library, self.shape = found, M.shape
+        # Trailing zeros are left out.
+        lengths = [len(row) - int((row[::-1] != 0).argmax()) if row.any() else 0 for row in M]
+        parts = [row[:length] for row, length in zip(M, lengths, strict=True)]
+        soft = int(np.isfinite(price).sum())
+        size = [int(found.sizes(i, *M.shape, soft, int(stored))) for i in range(4)]
+        self._kept = (
+            np.r_[0, np.cumsum(lengths)].astype(np.uintp),
+            np.concatenate(parts).astype(float),
+            price.astype(float),
+            np.where(np.isfinite(price), price, 1.0),
+            np.zeros(size[1]),
+            np.zeros(size[2], np.intc),
+            np.zeros(size[3], np.uintp),
+        )
+        self._memory = np.zeros(size[0] // 8 + 1)
+        found.open_set(
+            _pointer(self._memory), *M.shape, soft, int(stored), limit, *map(_pointer, self._kept)
+        )
+
+    def start(self, y: FloatArray | None) -> None:
+        """Begin with the rows whose multiplier is not zero; with none of them."""
+        self._library.start_set(_pointer(self._memory), None if y is None else _pointer(y))
+
+    def solve(
+        self, q: FloatArray, low: FloatArray, high: FloatArray, stop_at: int = -1
+    ) -> tuple[str, FloatArray, FloatArray, int]:
+        """Return status, x, y and the number of changes of the active set."""
+        x, y, count = np.zeros(self.shape[1]), np.zeros(self.shape[0]), np.zeros(1, np.intc)
+        arrays = (np.ascontiguousarray(each, float) for each in (q, low, high))
+        given = [*arrays, x, y, count]
+        status = self._library.solve_set(_pointer(self._memory), stop_at, *map(_pointer, given))
+        return STATUSES[status], x, y, int(count[0])

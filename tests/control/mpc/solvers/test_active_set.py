@@ -1,0 +1,170 @@
+"""The active-set solver in C against its optimality conditions, and against DAQP."""
+
+import numpy as np
+import pytest
+
+from tests.control.mpc.solvers.active_set_library import ActiveSetProgram, library
+
+pytestmark = pytest.mark.skipif(library() is None, reason="needs a C compiler")
+
+
+def optimality(M, price, q, low, high, x, y):
+    """Return the largest error of the conditions of an optimum, relative to q and y."""
+    product = M @ x
+    over = np.maximum(product - high, low - product)
+    violation, side = np.maximum(over, 0.0), np.where(product > high, 1, -1)
+    soft = np.isfinite(price)
+    error = [np.abs(x + q + M.T @ y).max(), violation[~soft].max(initial=0.0)]
+    with np.errstate(invalid="ignore"):
+        paid = np.abs(side * y / price - 1 - violation)  # of violations
+        held = np.maximum(np.abs(y) - price, 0.0)
+        slack = np.where(y > 0, np.minimum(y, np.abs(high - product)), 0.0)
+        slack += np.where(y < 0, np.minimum(-y, np.abs(product - low)), 0.0)
+    violated = soft & (violation > 1e-9)
+    error += [paid[violated].max(initial=0.0), held[soft & ~violated].max(initial=0.0)]
+    error.append(slack[~violated].max(initial=0.0))
+    return max(error) / max(1.0, np.abs(q).max(), np.abs(y).max())
+
+
+def by_daqp(M, price, q, low, high):
+    """Return x, or None where DAQP has no answer; violations are unknowns."""
+    import daqp
+
+    m, n = M.shape
+    soft = np.flatnonzero(np.isfinite(price))
+    k = len(soft)
+    H = np.eye(n + k)
+    H[n:, n:] = np.diag(price[soft])
+    moved = np.zeros((m, k))
+    moved[soft, range(k)] = 1.0
+    A = np.block([[M, -moved], [M, moved], [np.zeros((k, n)), np.eye(k)]])
+    none = np.full(m, 1e30)
+    upper = np.r_[np.minimum(high, 1e30), none, np.full(k, 1e30)]
+    lower = np.r_[-none, np.maximum(low, -1e30), np.zeros(k)]
+    f, sense = np.r_[q, price[soft]], np.zeros(len(upper), np.intc)
+    x, _, flag, _ = daqp.solve(H, f, A, upper, lower, sense, primal_tol=1e-11)
+    return x[:n] if flag > 0 else None
+
+
+def programs(rng, count):
+    """Yield programs: general, with integers, with rows twice, and with dependent rows."""
+    for trial in range(count):
+        n, m, kind = rng.integers(1, 25), rng.integers(1, 60), trial % 4
+        M = rng.standard_normal((m, n))
+        if kind == 1:
+            M = np.round(M)
+        elif kind == 2:
+            M[rng.integers(m, size=m // 2)] = M[rng.integers(m, size=m // 2)]
+        elif kind == 3:
+            inner = max(1, n // 3)
+            M = M @ rng.standard_normal((n, inner)) @ rng.standard_normal((inner, n)) / n
+        price = np.full(m, np.inf)
+        soft = rng.random(m) < rng.random() * (trial % 3 > 0)
+        price[soft] = 10 ** rng.uniform(-1, 4, soft.sum())
+        middle = M @ np.round(rng.standard_normal(n)) + soft * rng.standard_normal(m)
+        if rng.random() < 0.1:  # often without a solution
+            middle += 0.5 * rng.standard_normal(m)
+        below, above = rng.exponential(1, (2, m)) * (rng.random((2, m)) < 0.8)  # also equations
+        if kind == 1:
+            below, above = np.round(below), np.round(above)
+        low, high = middle - below, middle + above
+        low[rng.random(m) < 0.2], high[rng.random(m) < 0.2] = -np.inf, np.inf
+        yield M, price, rng.standard_normal(n) * 10 ** rng.uniform(-1, 2), low, high
+
+
+def test_answers_are_optimal_and_those_of_daqp():
+    rng = np.random.default_rng(3)
+    sides, statuses = np.zeros(2, int), set()
+    for M, price, q, low, high in programs(rng, 400):
+        status, x, y, _ = ActiveSetProgram(M, price, stored=True).solve(q, low, high)
+        again = ActiveSetProgram(M, price).solve(q, low, high)
+        expected = by_daqp(M, price, q, low, high)
+        statuses.add(status)
+        assert status == again[0]
+        if status != "solved":
+            assert status == "infeasible"
+            assert expected is None
+            continue
+        np.testing.assert_array_equal(x, again[1])  # where the rows are does not matter
+        assert optimality(M, price, q, low, high, x, y) < 1e-14
+        if expected is not None:  # degenerate programs it may call infeasible
+            np.testing.assert_allclose(x, expected, atol=1e-11 * max(1, np.abs(y).max()), rtol=0)
+        soft = np.isfinite(price) & (y != 0)
+        sides += (np.abs(y[soft]) > price[soft]).sum(), (np.abs(y[soft]) < price[soft]).sum()
+    assert sides.min() > 100  # multipliers on both sides of the price
+    assert statuses == {"solved", "infeasible"}
+
+
+def test_any_start_gives_the_same_answer():
+    rng = np.random.default_rng(5)
+    for M, price, q, low, high in programs(rng, 150):
+        program = ActiveSetProgram(M, price)
+        status, x, _, _ = program.solve(q, low, high)
+        starts = rng.standard_normal((2, len(M))) * (rng.random((2, len(M))) < 0.5)
+        for start in (*starts, *(1e6 * starts)):
+            program.start(start)
+            found = program.solve(q, low, high)
+            assert found[0] == status
+            if status == "solved":
+                np.testing.assert_allclose(found[1], x, atol=1e-9, rtol=1e-9)
+
+
+@pytest.mark.parametrize("stored", [False, True])
+def test_a_sequence_follows_its_active_set(stored):
+    rng = np.random.default_rng(7)
+    n, m, count = 30, 80, 500
+    M = np.tril(rng.standard_normal((m, n)), n // 2)  # rows of different lengths
+    price = np.where(rng.random(m) < 0.5, 3.0, np.inf)
+    ends = rng.standard_normal((2, n)) * 20
+    low, high = -1 - rng.random(m), 1 + rng.random(m)
+    program, cold, warm = ActiveSetProgram(M, price, stored), 0, 0
+    for k in range(count):
+        q = ends[0] + (ends[1] - ends[0]) * k / count
+        high[3] = np.inf if k % 50 == 0 else 1.0  # a bound that comes and goes
+        low[5] = high[5] if k % 70 == 0 else -1.0  # and an equation
+        status, x, y, changes = program.solve(q, low, high)
+        assert status == "solved"
+        assert optimality(M, price, q, low, high, x, y) < 1e-14
+        warm += changes
+        if k % 100 == 50:
+            fresh = ActiveSetProgram(M, price, stored).solve(q, low, high)
+            np.testing.assert_allclose(fresh[1], x, atol=1e-12, rtol=1e-12)
+            cold += fresh[3] * 100
+    assert warm < 0.1 * cold
+
+
+def test_nearly_dependent_rows_are_solved_exactly():
+    rng = np.random.default_rng(11)
+    for angle in (1e-3, 1e-5):
+        M = rng.standard_normal((6, 10))
+        M[3] = M[2] + angle * rng.standard_normal(10)
+        right = M @ rng.standard_normal(10)
+        status, x, _, _ = ActiveSetProgram(M, np.full(6, np.inf)).solve(np.zeros(10), right, right)
+        assert status == "solved"
+        np.testing.assert_allclose(M @ x, right, atol=1e-12)
+        np.testing.assert_allclose(x, np.linalg.lstsq(M, right, rcond=None)[0], atol=1e-9 / angle)
+
+
+def test_what_cannot_be_solved_is_said():
+    M, hard = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]), np.full(3, np.inf)
+    q, low, high = np.zeros(2), np.array([1.0, 1.0, -9.0]), np.array([9.0, 9.0, 9.0])
+
+    def status(limit=100, stop_at=-1, **changed):
+        given = {"q": q, "low": low, "high": high} | changed
+        program = ActiveSetProgram(M, hard, limit=limit)
+        found = program.solve(**given, stop_at=stop_at)[0]
+        after, x, _, _ = program.solve(q, low, high) if limit > 1 else ("solved", q + 1, 0, 0)
+        assert after == "solved"  # whatever was before
+        np.testing.assert_allclose(x, 1.0, atol=1e-15)
+        return found
+
+    assert status() == "solved"
+    assert status(high=np.array([9.0, 9.0, 1.5])) == "infeasible"
+    assert status(high=np.array([0.0, 9.0, 9.0])) == "infeasible"  # crosses
+    assert status(limit=1) == "out of iterations"
+    assert status(stop_at=1) == "stopped"
+    for bad in (np.nan, np.inf, -np.inf):
+        assert status(q=np.array([bad, 0.0])) == "bad data"
+    assert status(low=np.array([np.nan, 0, 0])) == "bad data"
+    assert status(low=np.array([np.inf, 0, 0])) == "bad data"
+    assert status(high=np.array([np.nan, 0, 0])) == "bad data"

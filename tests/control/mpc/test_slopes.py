@@ -1,0 +1,174 @@
+"""Derivatives along a plan by sparse Jacobians of one point: their values, and what they cost."""
+
+from functools import cache, partial
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.control.mpc.real_time_iteration import TrajectoryModel, limited_rows
+from tenscontrol.control.mpc.settings import MPCSettings, design
+from tenscontrol.control.mpc.shooting import RK4, AccelerationSlopes
+from tenscontrol.plant import (
+    acceleration_slopes,
+    linked_accelerations,
+    reduced_acceleration,
+    sampled_dynamics,
+)
+from tests.control.mpc.contact_scenes import hanging
+from tests.random_structures import any_structure
+
+CLOSE = 1e-12
+
+
+def rest_lengths(structure, stiffness=1000.0, damping=0.0, **options):
+    model = tc.Model(structure, tc.LinearStrings(stiffness, damping=damping), **options)
+    return tc.linearize(model, tc.prestress(structure, 20.0), input="rest_length")
+
+
+def drawn(seed):
+    """A random structure at random force densities, pushed along by what is left."""
+    structure = any_structure(seed, clusters=bool(seed % 2))
+    rng = np.random.default_rng(seed)
+    model = tc.Model(structure, tc.LinearStrings(200.0, damping=1.0))
+    at = tc.OperatingPoint(structure.nodes, rng.uniform(5.0, 10.0, len(structure.strings)))
+    return tc.linearize(
+        model, at, input="rest_length", coordinates="minimal", require_equilibrium=False
+    )
+
+
+SCENES = {
+    "prism": lambda: tc.linearize(tc.Model(tc.prism()), tc.prestress(tc.prism(), 20.0)),
+    "ball, damped": lambda: rest_lengths(tc.library.six_bar_ball(), damping=3.0),
+    "class 2": lambda: rest_lengths(tc.library.class2_tower(2), gravity=0.0),
+    "plane": lambda: rest_lengths(tc.library.d_bar()),
+    "string nodes": lambda: rest_lengths(tc.subdivide(tc.prism(), 2, node_mass=0.1)),
+    "ground": lambda: hanging(tc.prism(), -0.01),
+    **{f"random {seed}": partial(drawn, seed) for seed in (0, 2, 3, 5)},
+}
+
+
+@cache
+def plant_of(name):
+    return SCENES[name]()
+
+
+def points(plant, count, size=1e-2):
+    rng, (s, a) = np.random.default_rng(0), plant.B.shape
+    inputs = plant.equilibrium_input * (1 + 0.01 * rng.normal(size=(count, a)))
+    return size * rng.normal(size=(count, s)), inputs
+
+
+def off(found, expected):
+    return np.abs(found - expected).max(initial=0) / max(np.abs(expected).max(initial=0), 1e-12)
+
+
+@pytest.mark.parametrize("taut", [False, True])
+@pytest.mark.parametrize("name", SCENES)
+def test_slopes_are_those_of_the_whole_expression(name, taut):
+    """Against CasADi's derivatives of the acceleration written out in reduced coordinates."""
+    plant = plant_of(name)
+    states, inputs = points(plant, 2)
+    found = AccelerationSlopes(plant, 2, taut=taut, machine_code=False)(states, inputs)
+    whole = acceleration_slopes(plant, taut=taut)
+    for k in range(2):
+        qdd, by_q, by_v, by_u = (part.full() for part in whole(states[k], inputs[k]))
+        assert np.isfinite(qdd).all()
+        expected = qdd.ravel(), np.hstack([by_q, by_v]).T, by_u.T
+        for part, exact in zip(found, expected, strict=True):
+            assert off(part[k], exact) < CLOSE
+
+
+@pytest.mark.parametrize("name", ["ball, damped", "class 2", "ground"])
+def test_slopes_are_differences_of_the_acceleration(name):
+    plant = plant_of(name)
+    states, inputs = points(plant, 1)
+    _, by_z, by_u = AccelerationSlopes(plant, 1, taut=False, machine_code=False)(states, inputs)
+    acceleration = reduced_acceleration(plant, taut=False)
+    rng = np.random.default_rng(1)
+    dz, du = rng.normal(size=states.shape[1]), rng.normal(size=inputs.shape[1])
+    ends = []
+    for h in (1e-6, -1e-6):
+        ends.append(acceleration(states[0] + h * dz, inputs[0] + h * du).full().ravel())
+    assert off((ends[0] - ends[1]) / 2e-6, dz @ by_z[0] + du @ by_u[0]) < 1e-6
+
+
+@pytest.mark.parametrize("name", ["prism", "ball, damped"])
+def test_samples_are_linearized_alike_in_both_ways(name):
+    """In products of slopes, and by the function that C code is written of."""
+    plant = plant_of(name)
+    states, inputs = points(plant, 3)
+    held = np.vstack([inputs[:1], inputs])
+    found = RK4(plant, 0.02, 3, False).linearize(states, held, np.zeros((3, 0)))
+    for k in range(3):
+        end, by_z, by_u = (
+            part.full() for part in sampled_dynamics(plant, 0.02)[1](states[k], inputs[k])
+        )
+        value = found.offset[k] + states[k] @ found.slopes[0][k] + inputs[k] @ found.slopes[1][k]
+        assert off(value, end.ravel()) < CLOSE
+        assert off(found.slopes[0][k], by_z.T) < CLOSE
+        assert off(found.slopes[1][k], by_u.T) < CLOSE
+
+
+@pytest.mark.parametrize("ramp", [False, True])
+@pytest.mark.parametrize("name", ["ball, damped", "class 2", "plane"])
+def test_limited_rows_are_those_of_the_whole_expression(name, ramp):
+    plant = plant_of(name)
+    limit = np.random.default_rng(1).normal(size=(2, plant.nodes.size))
+    settings = MPCSettings(
+        horizon=2, sample_time=0.005, max_force_density=300.0, max_tension=500.0,
+        outputs=(tc.control.OutputLimit(limit, np.full(2, -99.0), np.full(2, 99.0)),),
+        winches=tc.Winches(rate=1.0, ramp=ramp),
+    )  # fmt: skip
+    constraints = design(plant, settings, nonlinear=True).constraints
+    model = TrajectoryModel(plant, settings, constraints, False)
+    states, inputs = points(plant, 3)
+    held = np.vstack([inputs[:1], inputs[:2]])
+    _, found = model.linearize(states, held, np.zeros((2, 3, states.shape[1] // 2)))
+    whole = limited_rows(plant, constraints, ramp)
+    patterns = model._rows.patterns
+    for k in range(2):
+        given = states[k], inputs[k], states[k + 1]
+        value, *slopes = (part.full() for part in whole(*given))
+        reached = found.offset[k].copy()
+        for at, part, slope, pattern in zip(given, found.slopes, slopes, patterns, strict=True):
+            reached += at @ part[k]
+            assert off(part[k].T, slope) < CLOSE
+            assert not slope[pattern == 0].any()
+        assert off(reached, value.ravel()) < CLOSE
+
+
+# ---- what they cost ----
+
+
+@pytest.mark.parametrize("held", ["force_density", "rest_length"])
+def test_the_code_grows_with_the_members(held):
+    counts = []
+    for stages in (2, 4, 8):
+        tower = tc.prism_tower(stages)
+        model = tc.Model(tower, tc.LinearStrings(1000.0))
+        plant = tc.linearize(model, tc.prestress(tower, 20.0), input=held)
+        counts.append(linked_accelerations(plant, taut=False)[0].n_instructions())
+
+    assert counts[2] - counts[1] < 2.1 * (counts[1] - counts[0])
+
+
+def test_the_code_is_a_part_of_the_whole_expression():
+    plant = plant_of("ball, damped")
+    one = linked_accelerations(plant, taut=True)[0].n_instructions()
+    assert one < 0.1 * acceleration_slopes(plant, taut=True).n_instructions()
+
+
+def test_every_horizon_takes_the_same_functions(monkeypatch):
+    """What is compiled is one point, whatever the number of points that it is looped over."""
+    import tenscontrol.control.mpc.shooting as of
+
+    seen = []
+    monkeypatch.setattr(of, "compiled", lambda function: seen.append(function))
+    plant = rest_lengths(tc.prism())
+    for horizon in (2, 20):
+        tc.NMPC(
+            plant, horizon=horizon, sample_time=0.02, winches=tc.Winches(rate=1.0, ramp=True),
+            machine_code=True, solver="osqp",
+        )  # fmt: skip
+    assert len(seen) == 2  # the accelerations and the limited rows

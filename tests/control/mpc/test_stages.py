@@ -1,0 +1,333 @@
+"""The program of NMPC along its stages against the same program condensed, dense, by DAQP."""
+
+import copy
+from functools import cache
+
+import daqp
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.control import NMPC, Status
+from tenscontrol.control.mpc.problem import (
+    MPCProblem,
+    Rows,
+    StageData,
+    StageJacobians,
+    Subproblem,
+)
+from tenscontrol.control.mpc.stages import LeastDistance, LeastDistanceArrays
+from tenscontrol.dynamics.machine_code import compiler
+
+SAMPLE = 0.02
+KINDS = [
+    pytest.param(
+        LeastDistance, marks=pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+    ),
+    LeastDistanceArrays,
+]
+both = pytest.mark.parametrize("kind", KINDS)
+
+
+def dense_solution(problem, bounds, row_bounds, plan, motion, rows, given):
+    """Return the plan of the optimum: states eliminated by dense matrices, violations unknown."""
+    state, data, previous, acting = given
+    N, (s, a) = problem.length, problem.input_matrix.shape
+    ramp = len(problem.terminal_weight) > s
+    p = 0 if rows is None else len(problem.rows.scale)
+    unknowns = N * a + N * p  # inputs from those of the plan, and violations in units of the rows
+    planned, level = plan[1], problem.level
+
+    def inputs(k):
+        """Matrix and constant of u_k."""
+        matrix = np.zeros((a, unknowns))
+        if k < 0:
+            return matrix, acting
+        matrix[:, k * a : (k + 1) * a] = level * np.eye(a)
+        return matrix, planned[k + 1]
+
+    states = [(np.zeros((s, unknowns)), state)]
+    for k in range(N):
+        parts = [states[-1], inputs(k), *([inputs(k - 1)] if ramp else [])]
+        moved = [
+            sum(slope[k].T @ part[i] for slope, part in zip(motion.slopes, parts, strict=True))
+            for i in (0, 1)
+        ]
+        states.append((moved[0], moved[1] + motion.offset[k] + data.drift[k]))
+    hessian, gradient = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
+
+    def add(weight, value, aim):
+        nonlocal hessian, gradient
+        matrix, constant = value
+        hessian += matrix.T @ weight @ matrix
+        gradient += matrix.T @ weight @ (constant - aim)
+
+    for k in range(N):
+        add(problem.input_weight, inputs(k), data.input_reference[k])
+        if k < N - 1:
+            add(problem.state_weight, states[k + 1], data.reference[k])
+    end, aim = states[N], data.reference[N - 1]
+    if ramp:
+        end = tuple(np.concatenate(pair) for pair in zip(end, inputs(N - 1), strict=True))
+        aim = np.r_[aim, data.input_reference[N - 1]]
+    add(problem.terminal_weight, end, aim)
+    limits = []
+
+    def limit(value, low, high, unit):
+        matrix, constant = value
+        limits.append((matrix / unit, (low - constant) / unit, (high - constant) / unit))
+
+    for k in range(N):
+        limit(inputs(k), *bounds, level)
+        if problem.change is not None:
+            (matrix, constant), before = inputs(k), inputs(k - 1)
+            change = matrix - before[0], constant - (before[1] if k else previous)
+            limit(change, -problem.change, problem.change, level)
+        for i in range(p):
+            matrix = np.zeros((1, unknowns))
+            constant = rows.offset[k, i : i + 1].copy()
+            for slope, value in zip(
+                rows.slopes, (states[k], inputs(k), states[k + 1]), strict=True
+            ):
+                matrix += slope[k].T[i : i + 1] @ value[0]
+                constant += slope[k].T[i] @ value[1]
+            unit, at = problem.rows.scale[i], N * a + k * p + i
+            price = problem.rows.penalty[i] * unit
+            low, high = row_bounds[0][i], row_bounds[1][i]
+            hessian[at, at] = 1.0
+            if np.isinf(price):
+                limit((matrix, constant), low, high, unit)
+                continue
+            hessian[at, at], gradient[at] = price, price
+            for sign, least, most in ((-1, -np.inf, high), (1, low, np.inf)):
+                relaxed = matrix.copy()
+                relaxed[0, at] = sign * unit
+                limit((relaxed, constant), least, most, unit)
+            zero = np.zeros((1, unknowns))
+            zero[0, at] = 1.0
+            limit((zero, np.zeros(1)), 0.0, np.inf, 1.0)
+    matrix, low, high = (
+        np.concatenate([np.atleast_1d(part) for part in each]) for each in zip(*limits, strict=True)
+    )
+    scale = problem.cost_scale
+    hessian, gradient = scale * hessian, scale * gradient
+    # Violations of hard rows are no part of the problem.
+    x, _, flag, _ = daqp.solve(
+        0.5 * (hessian + hessian.T), gradient, matrix, high, low, primal_tol=1e-12, dual_tol=1e-13
+    )
+    if flag != 1:
+        return flag, None, None
+    return (
+        flag,
+        np.array([m @ x + c for m, c in states]),
+        np.array([m @ x + c for m, c in (inputs(k) for k in range(N))]),
+    )
+
+
+def random_program(seed, N, ramp, limited, changes, hard):
+    """A program of random stages, a plan to linearize it along, and what is measured."""
+    rng = np.random.default_rng(seed)
+    s, a, p = 5, 3, 2
+    n = s + a if ramp else s
+
+    def weight(size, least):
+        root = rng.normal(size=(size, size - 1 if least == 0 else size))
+        return root @ root.T + least * np.eye(size)
+
+    rows = penalty = None
+    if limited:
+        penalty = np.array([3.0, np.inf if hard else 0.4])
+        scale = rng.uniform(0.5, 2.0, p)
+        E, G = np.ones((p, s)), np.ones((p, a))
+        rows = Rows(E, E, G, scale, penalty, (True, True))
+    problem = MPCProblem(
+        np.eye(s), np.ones((s, a)), np.zeros(s), weight(s, 0.0), weight(a, 0.1), weight(n, 0.0),
+        -np.ones(a), np.ones(a), np.full(a, 0.4) if changes else None, N, 0.7, np.zeros((a, s)),
+        rows,
+    )  # fmt: skip
+    widths = (s, a, a) if ramp else (s, a)
+    slopes = tuple(0.4 * rng.normal(size=(N, width, s)) for width in widths)
+    motion = StageJacobians(0.1 * rng.normal(size=(N, s)), slopes)
+    along, reach = None, np.array([1.0, 12.0 if hard else 0.5])[: p if limited else 0]
+    if limited:
+        slopes = tuple(rng.normal(size=(N, width, p)) for width in (s, a, s))
+        along = StageJacobians(0.1 * rng.normal(size=(N, p)), slopes)
+    zeros = np.zeros((N, a))
+    data = StageData(
+        rng.normal(size=(N, s)), 0.3 * rng.normal(size=(N, a)), 0.1 * rng.normal(size=(N, s)),
+        zeros, zeros, zeros, zeros, zeros, zeros, zeros[0],
+    )  # fmt: skip
+    previous = 0.1 * rng.normal(size=a)
+    given = 2 * rng.normal(size=s), data, previous, previous + 0.1
+    plan = rng.normal(size=(N + 1, s)), rng.normal(size=(N + 1, a))
+    bounds = np.full(a, -0.5), np.full(a, 0.6)
+    return problem, bounds, (-reach, reach), plan, motion, along, given
+
+
+@both
+@pytest.mark.parametrize("N", [1, 2, 7])
+@pytest.mark.parametrize(("ramp", "limited", "changes", "hard"), [
+    (False, False, False, False), (True, False, True, False), (False, True, False, False),
+    (False, True, True, True), (True, True, True, False),
+])  # fmt: skip
+def test_random_programs(kind, N, ramp, limited, changes, hard):
+    """Twice each: cold, then from the active set of the first, at another state."""
+    solved = 0
+    for seed in range(4):
+        made = random_program(seed, N, ramp, limited, changes, hard)
+        problem, bounds, row_bounds, plan, motion, rows, given = made
+        program = kind(problem, row_bounds, 500, bounds)
+        for factor in (1.0, 0.8):
+            at = factor * given[0], *given[1:]
+            assert program.linearize(*plan, motion, rows)
+            found = program.solve(*at, np.inf)
+            flag, states, inputs = dense_solution(*made[:-1], at)
+            assert (found.status is Status.INFEASIBLE) == (flag == -1)
+            if found.plan is None:
+                continue
+            np.testing.assert_allclose(found.plan[1][1:], inputs, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(found.plan[0], states, rtol=0, atol=1e-8)
+            solved += 1
+    assert solved >= 4
+    # From the active set of the answer, nothing changes.
+    program.linearize(*plan, motion, rows)
+    if found.plan is not None and kind is LeastDistance:
+        assert program.solve(*at, np.inf).iterations == 0
+
+
+@both
+def test_data_without_value_are_told(kind):
+    problem, bounds, row_bounds, plan, motion, rows, given = random_program(
+        0, 3, False, True, True, False
+    )
+    program = kind(problem, row_bounds, 500, bounds)
+    for part in (motion.offset, motion.slopes[0], rows.slopes[2]):
+        kept = part.copy()
+        part.flat[-1] = np.nan
+        assert not program.linearize(*plan, motion, rows)
+        part[:] = kept
+    assert program.linearize(*plan, motion, rows)
+    nothing = program.solve(np.full(5, np.nan), *given[1:], np.inf)
+    assert nothing.status is Status.BAD_DATA
+    assert nothing.plan is None
+    assert program.solve(*given, 0.0).status is Status.OUT_OF_TIME
+    assert program.solve(*given, np.inf).status is Status.OK
+
+
+@cache
+def scene(name):
+    """A plant and an NMPC of it whose limits matter, and a motion that it starts from."""
+    strings = tc.LinearStrings(200.0)
+    limits = {"horizon": 4}
+    if name == "ball, winches":
+        structure = tc.library.six_bar_ball(bar_length=1.0)
+        rest, held = tc.prestress(structure, force_density=20.0), "rest_length"
+        limits |= {"winches": tc.Winches(rate=0.3), "min_force_density": 10.0, "max_tension": 16.0}
+    elif name == "ball, ramps":
+        structure = tc.library.six_bar_ball(bar_length=1.0)
+        rest, held = tc.prestress(structure, force_density=20.0), "rest_length"
+        limits |= {"winches": tc.Winches(rate=0.3, substeps=10), "min_force_density": 10.0}
+    elif name == "d_bar":
+        structure = tc.library.d_bar()
+        rest, held = tc.prestress(structure, force_density=20.0), "force_density"
+        limits |= {"max_force_density": 20.008, "max_change": 0.006}
+    else:
+        structure = tc.library.class2_tower(2)
+        rest, held = tc.prestress(structure, min_force_density=5.0), "force_density"
+        tension = rest.force_density * structure.string_length()
+        limits |= {"max_force_density": 1.05 * rest.force_density, "max_tension": 1.02 * tension}
+    plant = tc.linearize(tc.Model(structure, strings=strings), rest, input=held)
+    return plant, limits
+
+
+class Compared(Subproblem):
+    """All ways to solve the program of an NMPC, each against the dense one."""
+
+    def __init__(self, law):
+        self._law, self.changes = law, 0
+        given = law.problem, law.row_bounds, 500, law.bounds
+        kinds = [LeastDistanceArrays] + [LeastDistance] * (compiler() is not None)
+        self._programs = [kind(*given) for kind in kinds]
+
+    def reset(self):
+        self.forget()
+
+    def forget(self):
+        for program in self._programs:
+            program.forget()
+
+    def shift(self):
+        for program in self._programs:
+            program.shift()
+
+    def linearize(self, states, inputs, motion, rows):
+        self._data = (states.copy(), inputs.copy()), motion, rows
+        found = [each.linearize(states, inputs, motion, rows) for each in self._programs]
+        return all(found)
+
+    def solve(self, *given):
+        law = self._law
+        flag, _, inputs = dense_solution(
+            law.problem, law.bounds, law.row_bounds, *self._data, given[:-1]
+        )
+        assert flag == 1
+        for program in self._programs:
+            found = program.solve(*given)
+            assert found.status is Status.OK
+            off = np.abs(found.plan[1][1:] - inputs).max()
+            assert off < 1e-9 * law.problem.level
+            self.changes += found.iterations
+        return found
+
+
+@pytest.mark.filterwarnings("ignore:no string reaches")
+@pytest.mark.parametrize("name", ["ball, winches", "ball, ramps", "d_bar", "class-2 tower"])
+def test_structures(name):
+    """Programs of two samples of a closed loop; derivatives need no compiler here."""
+    plant, limits = scene(name)
+    nmpc = NMPC(plant, sample_time=SAMPLE, **limits)
+    compared = nmpc._plan.program = Compared(nmpc.law)
+    r = plant.degrees_of_freedom
+    rng = np.random.default_rng(0)
+    z = np.r_[0.003 * rng.normal(size=r), 0.15 * rng.normal(size=r)]
+    before = plant.equilibrium_input
+    for k in range(2):
+        command = nmpc.command(k * SAMPLE, plant.to_nodes(z[:r]), plant.to_velocities(z[:r], z[r:]))
+        assert command.status is Status.OK
+        given = (before, command.value) if nmpc.sampled.n_in() == 3 else (command.value,)
+        z, before = nmpc.sampled(z, *given).full().ravel(), command.value
+    assert compared.changes > 0  # limits matter
+
+
+@pytest.mark.parametrize(("solver", "code", "name"), [
+    ("auto", True, "daqp" if compiler() is None else "stages"), ("auto", False, "daqp"),
+    ("osqp", False, "osqp"),
+])  # fmt: skip
+def test_solvers_agree(solver, code, name):
+    prism = tc.prism()
+    plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
+    nodes = plant.to_nodes(0.05 * np.random.default_rng(0).normal(size=9))
+    values = []
+    for kind in ({"solver": solver, "machine_code": code}, {"solver": "daqp"}):
+        nmpc = NMPC(
+            plant, horizon=4, sample_time=SAMPLE, max_force_density=33.0, max_change=1.0,
+            tolerance=1e-9, max_iterations=50_000, **kind,
+        )  # fmt: skip
+        values.append(nmpc.command(0.0, nodes, np.zeros((3, 6))).value)
+        assert nmpc.solver == (name if len(values) == 1 else "daqp")
+    np.testing.assert_allclose(*values, rtol=0, atol=(1e-6 if solver == "osqp" else 1e-9) * 17)
+
+
+@pytest.mark.parametrize("code", [True, False])
+def test_a_copy_continues_as_its_original(code):
+    prism = tc.prism()
+    plant = tc.linearize(tc.Model(prism), tc.prestress(prism, 30 / np.sqrt(3)))
+    nmpc = NMPC(plant, horizon=4, sample_time=SAMPLE, max_force_density=33.0, machine_code=code)
+    rng = np.random.default_rng(0)
+    shapes = [plant.to_nodes(0.05 * rng.normal(size=9)) for _ in range(3)]
+    nmpc.command(0.0, shapes[0], np.zeros((3, 6)))
+    nmpc.prepare()
+    other = copy.deepcopy(nmpc)
+    for k in (1, 2):
+        found = [each.command(k * SAMPLE, shapes[k], np.zeros((3, 6))) for each in (nmpc, other)]
+        np.testing.assert_array_equal(found[0].value, found[1].value)

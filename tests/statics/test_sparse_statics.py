@@ -1,0 +1,161 @@
+"""Large structures: the same numbers by sparse factorizations as by whole decompositions."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import subspace_angles
+from scipy.optimize import linprog
+
+import tenscontrol as tc
+from tests.known_structures import KNOWN, class2_tower
+from tests.random_structures import any_structure
+from tests.statics.structures import random_any, square_body, star_prism
+from tests.statics.test_prestress import prism_with_extra_strings
+
+MATRIX = sys.modules["tenscontrol.statics.equilibrium_matrix"]
+LEAST_DISTANCE = sys.modules["tenscontrol.statics.least_distance"]
+EXACT = 1e-8
+
+SHAPES = {
+    **KNOWN,
+    "tall class-2 tower": lambda: class2_tower(12),
+    "tower": lambda: tc.prism_tower(6),
+    "prism of six": lambda: tc.prism(6),
+    "star prism": lambda: star_prism(7, 3, 2),
+    "square body": square_body,
+    "net": lambda: tc.net(4, 5, 0.1, 0.01),
+    "massive strings": lambda: tc.subdivide(tc.prism(), 4, 0.01),
+    "levy dome": tc.library.levy_dome,
+    "balls": tc.library.thirty_bar_ball,
+    **{f"random {i}": lambda i=i: any_structure(i) for i in range(6)},
+    **{f"any {i}": lambda i=i: random_any(i) for i in range(6)},
+}
+LARGE = ("massive strings", "levy dome", "balls", "any 1", "any 2", "random 1", "random 2")
+ASKED = (
+    {"force_density": 10.0},
+    {"min_force_density": 3.0},
+    {"max_force_density": 7.0},
+    {"force_density": 10.0, "min_force_density": 2.0, "max_force_density": 12.0},
+)
+
+
+def both(monkeypatch, ask):
+    """The answers of the whole way and of the sparse one."""
+    answers = []
+    for few in (10**9, -1):
+        monkeypatch.setattr(MATRIX, "_FEW", few)
+        answers.append(ask())
+    return answers
+
+
+def judged(rest, stiffness):
+    again = replace(rest)  # without what it remembers
+    return again.stability, again.tangent_stiffness(stiffness, 2)
+
+
+def refused_or(ask):
+    try:
+        return ask()
+    except ValueError as error:
+        return str(error)[:40]
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_motions_that_keep_lengths_are_the_same(name, monkeypatch):
+    structure = SHAPES[name]()
+    forces = tc.statics.member_forces(structure, np.zeros(len(structure.free_rows)))
+    picture = MATRIX.affine_picture(structure)
+    whole, sparse = both(
+        monkeypatch, lambda: MATRIX.kept_lengths(structure, picture, forces.matrix)
+    )
+    assert whole.rank == sparse.rank
+    assert sparse.lost < 1e-14
+    if whole.motions.shape[1]:
+        assert np.sin(subspace_angles(whole.motions, sparse.motions)).max() < 1e-12
+
+
+@pytest.mark.parametrize("name", [name for name in SHAPES if name not in LARGE])
+def test_prestress_and_stability_are_the_same(name, monkeypatch):
+    structure = SHAPES[name]()
+    for asked in ASKED:
+        whole, sparse = both(
+            monkeypatch, lambda asked=asked: refused_or(lambda: tc.prestress(structure, **asked))
+        )
+        if isinstance(whole, str):
+            assert sparse == whole
+            continue
+        unit = whole.force_density.max()
+        for one, other in (
+            (whole.force_density, sparse.force_density),
+            (whole.bar_force_density, sparse.bar_force_density),
+        ):
+            np.testing.assert_allclose(other, one, rtol=0, atol=EXACT * unit)
+        assert (whole.self_stress_states, whole.mechanisms) == (
+            sparse.self_stress_states, sparse.mechanisms,
+        )  # fmt: skip
+        stiffness = 100.0 * unit
+        one, other = both(monkeypatch, lambda rest=whole, k=stiffness: judged(rest, k))
+        assert one[0].is_stable == other[0].is_stable
+        assert one[0].is_super_stable == other[0].is_super_stable
+        if np.abs(one[0].mechanism_stiffness).max(initial=unit) > EXACT * unit:  # else: no stress
+            assert one[0].stress_matrix_rank_defect == other[0].stress_matrix_rank_defect
+        for ours, theirs, size in (
+            (one[0].mechanism_stiffness, other[0].mechanism_stiffness, unit),
+            (one[1].eigenvalues, other[1].eigenvalues, stiffness),
+        ):
+            np.testing.assert_allclose(theirs, ours, rtol=0, atol=EXACT * size)
+        assert one[1].is_stable == other[1].is_stable
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_sparse_prestress_is_refused_where_a_linear_program_is_infeasible(seed, monkeypatch):
+    structure = prism_with_extra_strings(seed)
+    monkeypatch.setattr(MATRIX, "_FEW", -1)
+    E = tc.statics.equilibrium_matrix(structure)
+    program = linprog(
+        np.zeros(20), A_eq=E, b_eq=np.zeros(24), bounds=[(3.0, None)] * 16 + [(None, None)] * 4
+    )
+    found = refused_or(lambda: tc.prestress(structure, min_force_density=3.0))
+    assert isinstance(found, str) == (program.status == 2)
+
+
+@pytest.mark.parametrize("asked", ASKED[:2])
+def test_a_prestress_takes_as_many_factorizations_whatever_the_height(asked, monkeypatch):
+    monkeypatch.setattr(MATRIX, "_FEW", -1)
+    factored = LEAST_DISTANCE._Program._factored
+    counts = []
+    for stages in (8, 20):
+        count = []
+
+        def counted(self, *matrices, count=count):
+            count.append(1)
+            return factored(self, *matrices)
+
+        monkeypatch.setattr(LEAST_DISTANCE._Program, "_factored", counted)
+        tc.prestress(tc.prism_tower(stages), **asked)
+        counts.append(len(count))
+    assert counts[1] <= 1.5 * counts[0] <= 25
+
+
+def test_a_tall_tower_is_super_stable_and_its_lowest_stiffness_is_of_a_beam():
+    """Twice as high: a beam that is free at its ends is softer by 2⁴ a unit length."""
+    lowest = []
+    for stages in (40, 80):
+        rest = tc.prestress(tc.prism_tower(stages), 10.0, "vertical")
+        assert (rest.mechanisms, rest.self_stress_states) == (0, 6 * stages - 6)
+        assert rest.is_super_stable
+        found = rest.tangent_stiffness(1e3, count=2)
+        assert found.is_stable
+        lowest.append(found.eigenvalues[0])
+        assert found.eigenvalues[1] == pytest.approx(lowest[-1], rel=1e-4)
+    assert lowest[0] / lowest[1] == pytest.approx(16.0, rel=0.15)
+
+
+def test_all_eigenvalues_of_a_large_structure_are_refused_with_a_hint():
+    tower = tc.prism_tower(1500)
+    gamma, lam = np.ones(len(tower.strings)), np.ones(len(tower.bars))
+    rest = tc.statics.Prestress(tower, gamma, lam, 0 * tower.nodes, 0.0, 0, 0)
+    with pytest.raises(ValueError, match="Give count"):
+        rest.tangent_stiffness(1e3)
