@@ -512,7 +512,8 @@ class Coordinates:
     @cached_property
     def _shares(self) -> FloatArray:
         """Shares of the nodes in the mass, shape (n, 1)."""
-        return np.asarray(self._mass.sum(axis=1)).reshape(-1, 1) / self._mass.sum()
+        shares = np.asarray(self._mass.sum(axis=1), dtype=float).reshape(-1, 1)
+        return np.asarray(shares / self._mass.sum())
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray]:

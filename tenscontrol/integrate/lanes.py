@@ -16,7 +16,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import C_EXPORT, Equation, compiled_library, compiler
+from tenscontrol.dynamics import Equation, compiled_library, compiler
+from tenscontrol.dynamics.forms import C_EXPORT
 from tenscontrol.integrate.events import (
     COUNTS,
     POLISHES,
