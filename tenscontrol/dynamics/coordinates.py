@@ -507,13 +507,8 @@ class Coordinates:
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
-        return np.asarray(nodes @ self._shares)
-
-    @cached_property
-    def _shares(self) -> FloatArray:
-        """Shares of the nodes in the mass, shape (n, 1)."""
-        shares = np.asarray(self._mass.sum(axis=1), dtype=float).reshape(-1, 1)
-        return np.asarray(shares / self._mass.sum())
+        weights = np.asarray(self._mass.sum(axis=1)).ravel()
+        return np.asarray(nodes @ weights / weights.sum())[:, None]
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray]:
