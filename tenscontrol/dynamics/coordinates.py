@@ -235,9 +235,8 @@ class Coordinates:
         ValueError
             If an argument does not fit or is not finite.
         """
-        N = self.structure.checked_nodes("nodes", nodes)
-        V = self.structure.checked_nodes("velocities", velocities)
-        return self.state_of(N, V)
+        checked = self.structure.checked_nodes
+        return self.state_of(checked("nodes", nodes), checked("velocities", velocities))
 
     def state_of(self, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
         """See :meth:`measure`: of finite arrays of the right shape, which are not checked."""
@@ -507,8 +506,12 @@ class Coordinates:
     def _centre(self, nodes: FloatArray) -> FloatArray:
         if len(self.structure.fixed):
             return nodes[:, self.structure.fixed[:1]]
-        weights = np.asarray(self._mass.sum(axis=1)).ravel()
-        return np.asarray(nodes @ weights / weights.sum())[:, None]
+        return np.asarray(nodes @ self._shares)
+
+    @cached_property
+    def _shares(self) -> FloatArray:
+        """Shares of the nodes in the mass, shape (n, 1)."""
+        return np.asarray(self._mass.sum(axis=1)).reshape(-1, 1) / self._mass.sum()
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray]:
@@ -517,10 +520,7 @@ class Coordinates:
         return centre, (self.nodes - centre) @ self._mass
 
     def _alignment(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what lays the shape over the reference, nearest in the metric of kinetic energy.
-
-        Kabsch 1976, doi:10.1107/S0567739476001873: then nothing is left of a rigid motion.
-        """
+        """Return turn and centre nearest to the reference (doi:10.1107/S0567739476001873)."""
         centre = self._centre(nodes)
         U, _, Vt = np.linalg.svd(self._reference[1] @ (nodes - centre).T)
         U[:, -1] *= np.linalg.det(U @ Vt)
