@@ -30,7 +30,6 @@ from tenscontrol.structure import (
     bar_rows,
     block_mass,
     left_by_supports,
-    nearest_turn,
     refuse_wrong_bar_lengths,
     rigid_basis,
     rigid_motions,
@@ -236,9 +235,8 @@ class Coordinates:
         ValueError
             If an argument does not fit or is not finite.
         """
-        N = self.structure.checked_nodes("nodes", nodes)
-        V = self.structure.checked_nodes("velocities", velocities)
-        return self.state_of(N, V)
+        checked = self.structure.checked_nodes
+        return self.state_of(checked("nodes", nodes), checked("velocities", velocities))
 
     def state_of(self, nodes: FloatArray, velocities: FloatArray) -> FloatArray:
         """See :meth:`measure`: of finite arrays of the right shape, which are not checked."""
@@ -522,9 +520,11 @@ class Coordinates:
         return centre, (self.nodes - centre) @ self._mass
 
     def _alignment(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what lays the shape over the reference: then nothing is left of a rigid motion."""
+        """Return turn and centre nearest to the reference (doi:10.1107/S0567739476001873)."""
         centre = self._centre(nodes)
-        return nearest_turn(self._reference[1] @ (nodes - centre).T), centre
+        U, _, Vt = np.linalg.svd(self._reference[1] @ (nodes - centre).T)
+        U[:, -1] *= np.linalg.det(U @ Vt)
+        return U @ Vt, centre
 
     def _along_supports(
         self, nodes: FloatArray, velocities: FloatArray

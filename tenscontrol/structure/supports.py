@@ -117,31 +117,3 @@ def refuse_load_without_support(structure: Structure, load: FloatArray) -> None:
             f"no equilibrium: nothing holds the structure, and its weights and loads add up to "
             f"{load.sum(axis=1)} N. Fix some nodes, Structure(..., fixed=[...])"
         )
-
-
-def nearest_turn(moments: FloatArray) -> FloatArray:
-    """Return the rotation, shape (d, d), nearest to a matrix of moments of one shape by another's.
-
-    Where the moments are weighted by the mass, it is nearest in the metric of the kinetic energy:
-    what is then left of a displacement has no part along a rotation (Kabsch 1976,
-    doi:10.1107/S0567739476001873).
-    """
-    from scipy.linalg.lapack import dgesdd  # a third of the time of numpy.linalg.svd
-
-    U, _, Vt, failed = dgesdd(moments)
-    if failed:
-        raise np.linalg.LinAlgError("the singular values of the moments did not converge")
-    turn = U @ Vt
-    if _determinant(turn.tolist()) < 0:  # a mirror image
-        U[:, -1] *= -1
-        turn = U @ Vt
-    return np.asarray(turn)
-
-
-def _determinant(rows: list[list[float]]) -> float:
-    """Return that of a matrix of two or three rows; NumPy's takes as long as all else."""
-    if len(rows) == 2:
-        (a, b), (c, d) = rows
-        return a * d - b * c
-    (a, b, c), (d, e, f), (g, h, i) = rows
-    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)

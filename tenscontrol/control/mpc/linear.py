@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Unpack, final
 
 import numpy as np
@@ -26,6 +26,7 @@ from tenscontrol.control.mpc.settings import (
     PredictiveLaw,
     SettingsKeywords,
     design,
+    law_in_shape,
     make_solver,
     solver_kind,
     solver_name,
@@ -35,12 +36,8 @@ from tenscontrol.control.mpc.sparse import Sparse, Unlimited
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.plant import (
     LinearPlant,
-    OperatingPoint,
     Preview,
     ReferencePreview,
-    linearize,
-    sampled,
-    to_model_strings,
 )
 from tenscontrol.validation import FloatArray, choice, frozen, instance
 
@@ -57,9 +54,6 @@ _LARGEST_OF_OTHERS = 600
 # this part of the size, or errors grow faster, 1/s. Those nearer than the third part of the size
 # are not tried. ``python -m tests.benchmarks.reference_distance`` shows runs on both sides.
 _OFF, _GROWS, _NEAR = 0.02, 0.5, 0.02
-
-# Least γ in a shape, relative to the largest: there a string is taken as taut.
-_TAUT = 1e-6
 
 # Of unknown inputs. Beyond, dense matrices fill gigabytes, and a program takes so long that the
 # inputs without limits are looked at first.
@@ -175,38 +169,6 @@ class MPCLaw(PredictiveLaw):
         if not self.design.sampled.ramp:
             return state
         return np.concatenate([state, previous_input - data.previous_origin])
-
-
-def law_in_shape(
-    plant: LinearPlant, made: Design, path: ReferencePreview, time: float
-) -> tuple[float, float]:
-    """Return how the LQR of the program does in a shape of the reference, on the plant there.
-
-    The rate, 1/s, at which errors grow, negative if they decay; and how far the node that is off
-    most comes to rest from its place, m.
-    """
-    from scipy.linalg import block_diag
-
-    r = plant.degrees_of_freedom
-    preview = path.at(np.array([time]))
-    q, gamma = preview.reference[0, :r], preview.force_density[0]
-    if plant.input == "force_density":
-        # The linear plant rests where v balances the change of the shape, as well as it can.
-        v = np.asarray(np.linalg.lstsq(plant.B[r:], -plant.A[r:, :r] @ q, rcond=None)[0])
-        gamma = gamma + to_model_strings(plant, "force_density", v)
-    gamma = np.maximum(gamma, _TAUT * gamma.max())
-    at = OperatingPoint(plant.to_nodes(q), gamma, plant.external_force)
-    there = linearize(plant.model, at, input=plant.input, require_equilibrium=False)
-    spread = to_model_strings(plant, plant.input, np.eye(plant.B.shape[1])).T
-    found = sampled(replace(there, B=there.B @ spread), path.sample_time, made.sampled.ramp)
-    transition, by_input = found.augmented
-    turn, added = plant.coordinates.project(there.basis), len(transition) - 2 * r
-    feedback = made.problem.feedback @ block_diag(turn, turn, np.eye(added))
-    closed = transition - by_input @ feedback
-    growth = float(np.log(np.abs(np.linalg.eigvals(closed)).max())) / path.sample_time
-    drift = np.r_[found.drift, np.zeros(added)]
-    off = there.basis @ np.linalg.lstsq(np.eye(len(closed)) - closed, drift, rcond=None)[0][:r]
-    return growth, float(np.linalg.norm(off.reshape(-1, len(plant.nodes)), axis=1).max())
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,12 +24,14 @@ from tenscontrol.control.mpc.solvers import DAQPSolver, OSQPSolver, PIQPSolver, 
 from tenscontrol.control.status import ControlWarning
 from tenscontrol.plant import (
     LinearPlant,
+    OperatingPoint,
     Reference,
     ReferencePreview,
     Sampled,
     acceleration_response,
     input_bounds,
     largest_change,
+    linearize,
     natural_weights,
     refuse_empty,
     refuse_unreachable,
@@ -56,6 +58,9 @@ from tenscontrol.validation import (
 
 # Price of a violation by one level, against the cost of an input one level off.
 _PENALTY = 1e2
+
+# Least γ in a shape, relative to the largest: there a string is taken as taut.
+_TAUT = 1e-6
 
 # Numbers and arrays that are checked against a plant later.
 _NUMBERS = (
@@ -401,6 +406,38 @@ def _row_blocks(plant: LinearPlant, settings: MPCSettings, penalty: float) -> li
         low = np.full(len(most), -np.inf)
         blocks.append(string_block("tension", strings, low, most, level, penalty))
     return blocks + outputs
+
+
+def law_in_shape(
+    plant: LinearPlant, made: Design, path: ReferencePreview, time: float
+) -> tuple[float, float]:
+    """Return how the LQR of the program does in a shape of the reference, on the plant there.
+
+    The rate, 1/s, at which errors grow, negative if they decay; and how far the node that is off
+    most comes to rest from its place, m.
+    """
+    from scipy.linalg import block_diag
+
+    r = plant.degrees_of_freedom
+    preview = path.at(np.array([time]))
+    q, gamma = preview.reference[0, :r], preview.force_density[0]
+    if plant.input == "force_density":
+        # The linear plant rests where v balances the change of the shape, as well as it can.
+        v = np.asarray(np.linalg.lstsq(plant.B[r:], -plant.A[r:, :r] @ q, rcond=None)[0])
+        gamma = gamma + to_model_strings(plant, "force_density", v)
+    gamma = np.maximum(gamma, _TAUT * gamma.max())
+    at = OperatingPoint(plant.to_nodes(q), gamma, plant.external_force)
+    there = linearize(plant.model, at, input=plant.input, require_equilibrium=False)
+    spread = to_model_strings(plant, plant.input, np.eye(plant.B.shape[1])).T
+    found = sampled(replace(there, B=there.B @ spread), path.sample_time, made.sampled.ramp)
+    transition, by_input = found.augmented
+    turn, added = plant.coordinates.project(there.basis), len(transition) - 2 * r
+    feedback = made.problem.feedback @ block_diag(turn, turn, np.eye(added))
+    closed = transition - by_input @ feedback
+    growth = float(np.log(np.abs(np.linalg.eigvals(closed)).max())) / path.sample_time
+    drift = np.r_[found.drift, np.zeros(added)]
+    off = there.basis @ np.linalg.lstsq(np.eye(len(closed)) - closed, drift, rcond=None)[0][:r]
+    return growth, float(np.linalg.norm(off.reshape(-1, len(plant.nodes)), axis=1).max())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, refused
+from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver
 from tenscontrol.control.status import Status
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.validation import FloatArray, IntArray, program_vectors
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -197,9 +197,10 @@ class DAQPSolver(QPSolver):
         deadline: float = np.inf,
     ) -> QPSolution:
         """See :meth:`QPSolver.solve`. Of a start, the active set counts."""
-        refusal = refused(q, l, u, self._shape)
-        if refusal is not None:
-            return refusal
+        usable, ordered = program_vectors(q, l, u, self._shape)
+        if not usable or not ordered:
+            status = Status.INFEASIBLE if usable else Status.BAD_DATA
+            return QPSolution(status, None, None, 0)
         if len(self._violation) and not self._are_violations(q, l, u):
             self._prepare_without_violations()
         limit = deadline - perf_counter()

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, refused
+from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver
 from tenscontrol.control.status import Status
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, program_vectors
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -139,9 +139,10 @@ class OSQPSolver(QPSolver):
         Of data that are refused OSQP would print a line, keep the old data, or be poisoned for
         good.
         """
-        refusal = refused(q, l, u, self._shape)
-        if refusal is not None:
-            return refusal
+        usable, ordered = program_vectors(q, l, u, self._shape)
+        if not usable or not ordered:
+            status = Status.INFEASIBLE if usable else Status.BAD_DATA
+            return QPSolution(status, None, None, 0)
         if deadline < np.inf:
             left = deadline - perf_counter()
             if left <= 0:

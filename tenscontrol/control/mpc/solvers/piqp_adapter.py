@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, refused
+from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver
 from tenscontrol.control.status import Status
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, program_vectors
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array, csc_matrix, csr_array
@@ -112,9 +112,10 @@ class PIQPSolver(QPSolver):
         deadline: float = np.inf,
     ) -> QPSolution:
         """See :meth:`QPSolver.solve`. A start counts for nothing."""
-        refusal = refused(q, l, u, self._shape)
-        if refusal is not None:
-            return refusal
+        usable, ordered = program_vectors(q, l, u, self._shape)
+        if not usable or not ordered:
+            status = Status.INFEASIBLE if usable else Status.BAD_DATA
+            return QPSolution(status, None, None, 0)
         if deadline < np.inf and deadline <= perf_counter():
             return QPSolution(Status.OUT_OF_TIME, None, None, 0)
         if not np.array_equal(l == u, self._equal):

@@ -14,9 +14,6 @@ from tenscontrol.validation import FloatArray
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
-# OSQP takes 1e30 for infinite, and loses its digits long before; the others follow.
-_LARGEST = 1e20
-
 
 @dataclass(frozen=True, eq=False)
 class QPSolution:
@@ -114,30 +111,3 @@ class QPSolver(ABC):
     @abstractmethod
     def reset(self) -> None:
         """Forget the last solution, and all that was adapted to it."""
-
-
-def refused(
-    q: FloatArray,
-    l: FloatArray,  # noqa: E741 - the letters of the problem
-    u: FloatArray,
-    shape: tuple[int, int],
-) -> QPSolution | None:
-    """Return the answer to data that must not reach a solver, or None; raise for wrong lengths.
-
-    ``shape`` is that of A. Data that are not finite may poison a solver for good, and bounds that
-    cross may leave the old data in it.
-    """
-    rows, columns = shape
-    for name, vector, size in (("q", q, columns), ("l", l, rows), ("u", u, rows)):
-        if vector.shape != (size,):
-            raise ValueError(f"{name} has shape {vector.shape}, expected ({size},)")
-    # What is not a number is the largest and the least, and comparisons with it are false.
-    if not (
-        np.abs(q).max(initial=0.0) < _LARGEST
-        and l.max(initial=0.0) < _LARGEST
-        and u.min(initial=0.0) > -_LARGEST
-    ):
-        return QPSolution(Status.BAD_DATA, None, None, 0)
-    if not (l <= u).all():
-        return QPSolution(Status.INFEASIBLE, None, None, 0)
-    return None
