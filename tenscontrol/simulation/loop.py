@@ -378,6 +378,8 @@ class Loop:
         return Segments(self, of, begins, ends, before, states)
 
     def _packed(self, coefficients: FloatArray, time: float) -> FloatArray:
+        if not self.degree:  # values held are the input
+            return coefficients[:, 0]
         return self._equation.layout.packed(coefficients, time)
 
     def _keep(self, stretch: _Stretch) -> None:
@@ -392,7 +394,7 @@ class Loop:
     def _trajectory(self, stopped: str | None) -> Trajectory:
         assert self.choice is not None  # made before the first span
         assert self.integrator is not None  # made with it
-        model, structure = self.model, self.model.structure
+        model, structure, strings = self.model, self.model.structure, self.model.strings
         control = None if self.record is None else self.record()
         spans = self.spans
         time = np.concatenate([s.time for s in spans])
@@ -440,7 +442,6 @@ class Loop:
                 reach = float(model.mass_matrix().sum() * np.ptp(structure.nodes, axis=1).max())
                 error += _BY_CENTRE * float(np.abs(moved).max(initial=0.0)) / reach
         weight = float(model.constant_force[-1].sum())
-        undamped = model.strings is not None and not model.strings.is_damped
         run = Trajectory(
             structure=structure,
             time=frozen(time),
@@ -451,7 +452,7 @@ class Loop:
             work=self.work,
             conserves_energy=control is None
             and not self.moves
-            and (self.input == "force_density" or undamped),
+            and (self.input == "force_density" or not (strings and strings.is_damped)),
             conserves_momentum=not loaded and free and contacts is None,
             control=control,
             stopped=stopped,
