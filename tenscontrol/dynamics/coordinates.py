@@ -511,7 +511,7 @@ class Coordinates:
     @cached_property
     def _shares(self) -> FloatArray:
         """Shares of the nodes in the mass, shape (n, 1)."""
-        return np.asarray(self._mass.sum(axis=1)).reshape(-1, 1) / self._mass.sum()
+        return np.asarray(self._mass.sum(axis=1) / self._mass.sum()).reshape(-1, 1)
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray]:
