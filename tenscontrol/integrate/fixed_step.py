@@ -85,7 +85,13 @@ class FixedStep(Integrator):
         return _Steps(block, blocks, taut, size, many, back_end)
 
     def smooth_step(self, project: bool) -> ca.Function:
-        """Return :meth:`step_function`, followed by a projection if that is wanted."""
+        """Return :meth:`step_function` of the method's own equation.
+
+        Parameters
+        ----------
+        project : bool
+            Whether a projection onto the bar lengths follows.
+        """
         one = self.step_function(self._equation)
         return projected(one, self._equation) if project else one
 
@@ -159,12 +165,27 @@ class FixedStep(Integrator):
         return Span(states, self.work_of(total, carried))
 
     def steps_between(self, duration: float, outputs: int) -> int:
-        """Return the number of steps from one of so many states that are kept to the next."""
+        """Return the number of steps from one state that is kept to the next.
+
+        Parameters
+        ----------
+        duration : float
+            s.
+        outputs : int
+            States kept within it.
+        """
         # The small allowance lets 0.02/0.001 be 20 steps, whatever round-off says.
         return max(1, ceil(duration / outputs / self.step - 1e-9))
 
     def work_of(self, steps: int, carried: FloatArray) -> Work:
-        """Return the work of so many steps, from what was carried, which ends in the counts."""
+        """Return the work of some steps.
+
+        Parameters
+        ----------
+        steps : int
+        carried : ndarray, shape (k,)
+            What the last one left; it ends in the counts.
+        """
         if not self._equation.switches:
             return Work(steps=steps, evaluations=self.evaluations_per_step * steps)
         tries, landings, switches, unlocated = (round(c) for c in carried[-len(COUNTS) :])
