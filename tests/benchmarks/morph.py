@@ -202,7 +202,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             step = (work.preparation_time + work.feedback_time)[1:] / SAMPLE
             print(
                 f"        step / sample time: median {np.median(step):.2f}, 99th percentile "
-                f"{np.percentile(step, 99):.2f}; OSQP iterations: median "
+                f"{np.percentile(step, 99):.2f}; changes of the active set: median "
                 f"{np.median(work.iterations):.0f}, most {work.iterations.max()}",
                 flush=True,
             )
