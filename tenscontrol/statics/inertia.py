@@ -23,6 +23,9 @@ _DOUBTFUL = 1e-3
 # Vectors beside them, which show how near to singular the rest is, and inverse iterations.
 _MORE, _ITERATIONS = 2, 3
 
+# Numbers in the vectors of a null space: so many take minutes.
+_MOST_ENTRIES = 30_000_000
+
 # A field of displacements whose values at some nodes are this much smaller than elsewhere is not
 # held there.
 _HELD = 1e-9
@@ -113,6 +116,12 @@ def nearly_null(factors: Factors, more: int = _MORE) -> FloatArray:
     count = min(len(doubtful) + more, n)
     if count == 0:
         return np.zeros((n, 0))
+    if n * count > _MOST_ENTRIES:
+        raise ValueError(
+            f"the structure has {n} free coordinates and perhaps {len(doubtful)} motions that "
+            f"change no length, which would be found one beside the other; expected at most "
+            f"{_MOST_ENTRIES // n}. Give it more strings, or fewer members"
+        )
     found = np.cos(np.outer(np.arange(1.0, n + 1) ** 2, np.arange(1.0, count + 1)))  # any
     found[:, : min(len(doubtful), count)] = 0.0
     found[doubtful[:count], np.arange(min(len(doubtful), count))] = 1.0
