@@ -9,9 +9,8 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics.contact_laws import ContactLaw
-from tenscontrol.dynamics.evaluator import evaluate_columns
+from tenscontrol.dynamics.evaluator import SharedEvaluator, evaluate_columns
 from tenscontrol.dynamics.model import Model
-from tenscontrol.dynamics.string_laws import StringLaw
 from tenscontrol.structure import (
     Block,
     Structure,
@@ -262,8 +261,7 @@ def tangent(
     force, damping = load.ravel(order="F").copy(), csr_array((d * n, d * n))
     stiffness, by_input = csr_array((d * n, d * n)), csr_array((d * n, len(structure.strings)))
     if len(structure.strings):
-        law = model.strings if input == "rest_length" else None
-        pull, stiffness, damping, by_input = _of_strings(structure, law, nodes, held)
+        pull, stiffness, damping, by_input = _of_strings(model, nodes, input, held)
         force += pull
     for law, at, _ in model.contacts or ():
         push, by_place, by_speed = _of_contacts(model, law, nodes, at)
@@ -289,19 +287,20 @@ def tangent(
 
 
 def _of_strings(
-    structure: Structure, law: StringLaw | None, nodes: FloatArray, held: Any
+    model: Model, nodes: FloatArray, input: str, held: Any
 ) -> tuple[FloatArray, csr_array, csr_array, csr_array]:
     """Return the forces of the strings, K, D and E: of γ, or of the rest lengths of a law."""
     from scipy.sparse import csr_array, diags_array, eye_array, kron
 
+    structure = model.structure
     d, n = nodes.shape
     of, count = structure.segment_string, len(structure.strings)
     vectors = nodes[:, structure.segments[:, 1]] - nodes[:, structure.segments[:, 0]]
     each = np.sqrt((vectors**2).sum(axis=0))
     length: FloatArray = np.bincount(of, each, minlength=count).astype(float)
     gamma, along, by_rest, by_rate = held, np.zeros(count), np.ones(count), np.zeros(count)
-    if law is not None:
-        gamma, along, by_rest, by_rate = _slopes(law, length, held)
+    if input == "rest_length":
+        gamma, along, by_rest, by_rate = _slopes(model, length, held)
     # Segments of one string have one tension: γ of a segment is T/l, that of the string T/L.
     several = np.bincount(of, minlength=count)[of] > 1
     share = np.where(several, length[of] / np.maximum(each, 1e-300), 1.0)
@@ -337,16 +336,21 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=0), 1e-300))
 
 
-def _slopes(law: StringLaw, length: FloatArray, rest_length: Any) -> tuple[FloatArray, ...]:
+def _slopes(model: Model, length: FloatArray, rest_length: Any) -> tuple[FloatArray, ...]:
     """Return γ and its derivatives by the length, the rest length and the rate, at no rate."""
-    symbols = [ca.SX.sym(name, len(length)) for name in ("l", "l0", "rate")]
-    gamma = law.symbolic_force_density(*symbols)
-    # Each string by its own length alone.
-    one = ca.DM.ones(len(length))
-    slopes = [ca.densify(ca.jtimes(gamma, each, one)) for each in symbols]
-    function = ca.Function("slopes", symbols, [ca.densify(gamma), *slopes])
-    found = function(length, rest_length, 0.0)
-    return tuple(part.full().ravel() for part in found)
+
+    def build() -> SharedEvaluator:
+        assert model.strings is not None  # its input is the rest length
+        symbols = [ca.SX.sym(name, len(length)) for name in ("l", "l0", "rate")]
+        gamma = model.strings.symbolic_force_density(*symbols)
+        # Each string by its own length alone.
+        one = ca.DM.ones(len(length))
+        slopes = [ca.densify(ca.jtimes(gamma, each, one)) for each in symbols]
+        return SharedEvaluator(ca.Function("slopes", symbols, [ca.densify(gamma), *slopes]))
+
+    evaluator = model.prepared.get("slopes of strings", build)
+    found = evaluator(length, np.broadcast_to(rest_length, length.shape), np.zeros_like(length))
+    return tuple(part.ravel() for part in found)
 
 
 def _of_contacts(
@@ -356,10 +360,14 @@ def _of_contacts(
     from scipy.sparse import csr_array
 
     d, n = nodes.shape
-    place, speed = ca.SX.sym("n", d), ca.SX.sym("v", d)
-    push = law.force(place, speed)
-    slopes = [ca.densify(ca.vec(ca.jacobian(push, each))) for each in (place, speed)]
-    function = ca.Function("contact_slopes", [place, speed], [ca.densify(push), *slopes])
+
+    def build() -> ca.Function:
+        place, speed = ca.SX.sym("n", d), ca.SX.sym("v", d)
+        push = law.force(place, speed)
+        slopes = [ca.densify(ca.vec(ca.jacobian(push, each))) for each in (place, speed)]
+        return ca.Function("contact_slopes", [place, speed], [ca.densify(push), *slopes])
+
+    function = model.prepared.get(("slopes of a ground", law), build)
     places = nodes[:, at]
     forces, *found = evaluate_columns(function, places, np.zeros_like(places))
     every = np.zeros((d, n))
