@@ -285,7 +285,8 @@ def test_momentum_is_kept_whatever_the_controller_does(model, by_length):
 
 @pytest.mark.parametrize("hold", ["rest_length", "force_density"])
 def test_a_feedback_against_the_velocities_settles_the_prism(model, by_force, hold):
-    start = by_force.to_nodes(0.05 * np.random.default_rng(0).normal(size=9))
+    displacement = 0.05 * np.random.default_rng(0).normal(size=18)
+    start = by_force.to_nodes(by_force.basis.T @ displacement)
     quiet, damped = (
         tc.simulate(
             model, 3.0, start, controller=Damper(by_force, [gain], 0.01), input=hold, step=2e-3
@@ -293,7 +294,7 @@ def test_a_feedback_against_the_velocities_settles_the_prism(model, by_force, ho
         for gain in (0.0, 4.0)
     )
     late = damped.time > 2.0
-    assert damped.kinetic_energy[late].max() < 0.1 * quiet.kinetic_energy[late].max()
+    assert damped.kinetic_energy[late].max() < 0.25 * quiet.kinetic_energy[late].max()
 
 
 def test_commands_are_within_the_bounds(model, by_force):
