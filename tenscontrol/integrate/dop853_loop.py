@@ -183,20 +183,20 @@ static int is_crossed(const double *x, const double *x1, const double *u, const 
 static double land(const double *x, double *taut, const double *u, double h, double *x1, double *K,
                    double *K1, double allowed, double *strings, double *now, const Memory *m) {
   const double *arg[ARG_SIZE], *end;
-  double *res[RES_SIZE], found = 0, wanted = 0, speed = 0, aim = 0, near = 0;
-  double part = 0, gap_before = 0, switched = 0, *chosen = strings, *leaving = chosen + SWITCHES;
+  double *res[RES_SIZE], found = 0, wanted = 0, speed = 0, aim = 0, switched = 0;
+  double part = 0, gap_before = 0, *chosen = strings, *leaving = chosen + SWITCHES;
   int taken = 0;
   arg[0] = x; arg[1] = taut; arg[2] = u; arg[3] = &h; arg[4] = x1; arg[5] = K;
   arg[6] = K + END_SLOPE; arg[7] = &allowed;
-  res[0] = &found; res[1] = &wanted; res[2] = &speed; res[3] = &aim; res[4] = &near;
-  res[5] = chosen; res[6] = leaving;
+  res[0] = &found; res[1] = &wanted; res[2] = &speed; res[3] = &aim; res[4] = chosen;
+  res[5] = leaving;
   search(arg, res, m->iw, m->w, 0);
   if (!found) return h;
   memcpy(K1, K, STATES * sizeof(double));
   for (int tried = 0; tried < POLISHES; ++tried) {
     double gap = 0, secant, before = part;
     int apart;
-    if (taken && !(fabs(gap_before - aim) > near)) break;
+    if (taken && !(fabs(gap_before - aim) > fabs(aim))) break;
     part = fmin(fmax(speed < 0 ? wanted : 0, 0), 1);
     step_of(x, u, taut, part * h, x1, K1, m);
     end = ahead(u, part * h, m);

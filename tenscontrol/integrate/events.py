@@ -131,19 +131,19 @@ def landing(step: ca.Function, equation: Equation, least: float = 0.0) -> ca.Fun
     A step that ends past the border by δ, where the gap shrinks at r, leaves an impulse of δ²/2r
     times the stiffness, as a force that does not depend on velocities is continuous there. So it
     ends past the border by at most ``√(allowed r)``, or the part ``least`` of the length of the
-    string if that is more, and never before it. Other forces jump: it ends within less than half
-    of :data:`BAND` of the border then, as often before it as past it.
+    string if that is more, and never before it: the next step would be wrong. Other forces jump:
+    at most a fifth of :data:`BAND` then.
     """
     n = equation.states
     _, taut, u, h, _ = _symbols(equation)
     sizes = {"y": step.size1_in(0), "y1": step.size1_out(0), "xd": n, "xd1": n, "allowed": 1}
     y, y1, xd, xd1, allowed = (ca.MX.sym(name, size) for name, size in sizes.items())
-    found, part, speed, aim, near, chosen, leaving = search(equation, least)(
+    found, part, speed, aim, chosen, leaving = search(equation, least)(
         y[:n], taut, u, h, y1[:n], xd, xd1, allowed
     )
     # Where there is none, no step is taken.
     begin = ca.vertcat(part, 0, ca.if_else(found, 0, aim), speed, ca.logic_not(found), y1)
-    given = (y, taut, u, h, chosen, aim, near)
+    given = (y, taut, u, h, chosen, aim)
     reached = _approach(step, equation).fold(POLISHES)(
         begin, *(ca.repmat(each, 1, POLISHES) for each in given)
     )
@@ -162,10 +162,9 @@ def landing(step: ca.Function, equation: Equation, least: float = 0.0) -> ca.Fun
 def search(equation: Equation, least: float = 0.0) -> ca.Function:
     """Return what finds the first switch of a step on its interpolant; see :func:`landing`.
 
-    ``(x, taut, u, h, x1, xd, xd1, allowed) -> (found, part, speed, aim, near, chosen, leaving)``:
-    whether there is one; at which part of the step; the slope of the gap along the step; the gap to
-    end at, and how near to it; the strings whose mean gap that is, and those on their way out, 1 or
-    0 each.
+    ``(x, taut, u, h, x1, xd, xd1, allowed) -> (found, part, speed, aim, chosen, leaving)``: whether
+    there is one; at which part of the step; the slope of the gap along the step; the gap to end at;
+    the strings whose mean gap that is, and those on their way out, 1 or 0 each.
     """
     n = equation.states
     x, taut, u, h, x1 = _symbols(equation)
@@ -204,20 +203,15 @@ def switch_on_interpolant(equation: Equation, least: float = LATE) -> ca.Functio
     before, after = (ca.dot(chosen, value) / ca.sum1(chosen) - edge for value in (inside, outside))
     speed = (after - before) / (high - low)
     late = ca.fmin(ca.sqrt(allowed * ca.fabs(speed) / h), _MOST_LATE * ca.fabs(speed))
-    # Less than what :func:`switching` takes as reached.
-    near = 0.4 * BAND * size
-    if equation.velocity_dependent:
-        aim = ca.MX(0)
-    else:
-        aim = ca.fmax(-ca.fmax(ca.fmax(late, least * size) / 2, near), after / 2)
-        near = ca.fabs(aim)
+    late = ca.fmax(late, least * size) if not equation.velocity_dependent else 0
+    aim = ca.fmax(-ca.fmax(late, 0.2 * BAND * size), after) / 2
     # One step of the secant method on the interpolant.
     guess = ca.fmin(ca.fmax(low + (aim - before) / speed, low), high)
     there = ca.dot(chosen, room(*within, guess)) / ca.sum1(chosen) - edge
     secant = (there - before) / ca.if_else(guess > low, guess - low, 1)
     speed = ca.if_else(ca.logic_and(guess > low, secant < 0), secant, speed)
     part = guess + (aim - there) / speed
-    outputs = [part, speed, aim, near, chosen, outside < inside]
+    outputs = [part, speed, aim, chosen, outside < inside]
     names = [*within, low, high, found, allowed]
     return ca.Function("first_out", names, [ca.densify(each) for each in outputs])
 
@@ -318,23 +312,22 @@ def _approach(step: ca.Function, equation: Equation) -> ca.Function:
 
     The state is the part of the step to take next, the part last taken, the
     gap there, its slope along the step, how many steps were taken, and where
-    the last one led. Once that is near the aim, nothing more is done.
+    the last one led. Once that is past the border, by twice the aim at most, nothing more is done.
     """
     n = equation.states
     _, taut, u, h, _ = _symbols(equation)
     y = ca.MX.sym("y", step.size1_in(0))
     state = ca.MX.sym("state", 5 + step.size1_out(0))
-    chosen = ca.MX.sym("chosen", equation.switches)
-    aim, near = ca.MX.sym("aim"), ca.MX.sym("near")
+    chosen, aim = ca.MX.sym("chosen", equation.switches), ca.MX.sym("aim")
     wanted, before, gap_before, speed, taken = (state[i] for i in range(5))
     part = part_to_try(wanted, speed)
     end = step(y, u, taut, part * h)
     gap = distance(equation)(end[:n], equation.ahead(u, part * h), taut, chosen)
     wanted, speed = corrected(part, gap, before, gap_before, speed, taken, aim)
-    inputs = [state, y, taut, u, h, chosen, aim, near]
+    inputs = [state, y, taut, u, h, chosen, aim]
     again = ca.vertcat(wanted, part, gap, speed, taken + 1, end)
     choose = where_needed(ca.Function("again", inputs, [again]))
-    far = ca.logic_or(taken == 0, ca.fabs(gap_before - aim) > near)
+    far = ca.logic_or(taken == 0, ca.fabs(gap_before - aim) > ca.fabs(aim))
     return ca.Function("approach", inputs, [choose(far, *inputs)])
 
 

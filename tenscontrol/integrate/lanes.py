@@ -307,9 +307,9 @@ LANES static void take(M lanes, const V *from, V *to, int count) {
 LANES static void cut(M cut_lanes, V *x, V *taut, const V *u, const V *clock, const V *h,
                       V *x1, V *counts) {
   V at[STATES], end[STATES], pulls[SWITCHES], left[1], done[1], crossed[1], dense[3 * STATES];
-  V low[1], high[1], hit[1], part[1], speed[1], aim[1], near[1], chosen[SWITCHES];
-  V leaving[SWITCHES], wanted[1], tried[1], gap[1], next[1], slope[1], gap_here[1], time[1];
-  V taken[1], switched[1], reached[STATES], after[SWITCHES];
+  V low[1], high[1], hit[1], part[1], speed[1], aim[1], chosen[SWITCHES], leaving[SWITCHES];
+  V wanted[1], tried[1], gap[1], next[1], slope[1], gap_here[1], time[1], taken[1], switched[1];
+  V reached[STATES], after[SWITCHES];
   M active = cut_lanes;
   memcpy(at, x, sizeof(at));
   memcpy(end, x1, sizeof(end));
@@ -343,13 +343,13 @@ LANES static void cut(M cut_lanes, V *x, V *taut, const V *u, const V *clock, co
       high[0] = tried[0];
     }
     lanes_first_out(dense, pulls, u, clock, done, left, low, high, hit,
-                    wanted, speed, aim, near, chosen, leaving);
+                    wanted, speed, aim, chosen, leaving);
     const M found = hit[0] != 0.0;
     part[0] = ALL(0.0);
     gap[0] = CHOICE(found, ALL(0.0), aim[0]);
     taken[0] = CHOICE(found, ALL(0.0), ALL(1.0));
     for (int i = 0; i < POLISHES; ++i) {
-      const M far = active & ((taken[0] == 0.0) | (POSITIVE(gap[0] - aim[0]) > near[0]));
+      const M far = active & ((taken[0] == 0.0) | (POSITIVE(gap[0] - aim[0]) > POSITIVE(aim[0])));
       if (!any(far)) break;
       lanes_to_try(wanted, speed, left, tried, time);
       lanes_smooth(at, pulls, u, clock, done, time, reached);
