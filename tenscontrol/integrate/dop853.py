@@ -55,7 +55,7 @@ _SHORTEST = 10 * np.finfo(float).eps
 _STABLE = 4.0
 
 # What ending late at a switch may change of velocities, as part of what a step may err.
-_LATE = 0.01
+_LATE = 0.003
 
 # Switches in a row without any time between them, at most.
 _MOST_STALLS = 50

@@ -131,7 +131,8 @@ def landing(step: ca.Function, equation: Equation, least: float = 0.0) -> ca.Fun
     A step that ends past the border by δ, where the gap shrinks at r, leaves an impulse of δ²/2r
     times the stiffness, as a force that does not depend on velocities is continuous there. So it
     ends past the border by at most ``√(allowed r)``, or the part ``least`` of the length of the
-    string if that is more, and never before it. Other forces jump: at most :data:`BAND` then.
+    string if that is more, and never before it: the next step would be wrong. Other forces jump:
+    at most a fifth of :data:`BAND` then.
     """
     n = equation.states
     _, taut, u, h, _ = _symbols(equation)
@@ -203,7 +204,7 @@ def switch_on_interpolant(equation: Equation, least: float = LATE) -> ca.Functio
     speed = (after - before) / (high - low)
     late = ca.fmin(ca.sqrt(allowed * ca.fabs(speed) / h), _MOST_LATE * ca.fabs(speed))
     late = ca.fmax(late, least * size) if not equation.velocity_dependent else 0
-    aim = ca.fmax(-ca.fmax(late, 0.8 * BAND * size), after) / 2
+    aim = ca.fmax(-ca.fmax(late, 0.2 * BAND * size), after) / 2
     # One step of the secant method on the interpolant.
     guess = ca.fmin(ca.fmax(low + (aim - before) / speed, low), high)
     there = ca.dot(chosen, room(*within, guess)) / ca.sum1(chosen) - edge

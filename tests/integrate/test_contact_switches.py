@@ -59,8 +59,14 @@ DEPTHS = [-1e-9, -1e-12, 0.0, 1e-13, 1e-11, 1e-9, 1e-7]
 )
 @pytest.mark.parametrize("law", [tc.Ground(5e3), tc.Ground(**GROUND), HertzGround(1e5, 0.3, 0.5)])
 def test_a_node_that_grazes_moves_on(law, method, value, off):
-    """What a contact of 1e-7 m takes is far below the error; and no step is cut without end."""
-    efforts = []
+    """What a contact of 1e-7 m takes is far below the error; and no step is cut without end.
+
+    The bar grazes twice. A contact cuts two steps, each after two or three approaches, and shorter
+    ones, thrown away or not, follow as it is stiff: ten steps at most each time. A ratio to the
+    run without contact would be one to what a search that finds nothing takes: that is one
+    evaluation, where it was 62 (295 in all and 469 with contacts, now 171 and at most 389).
+    """
+    efforts, stages = [], {"rk4": 4, "dop853": 12}.get(method)
     for depth in DEPTHS:
         equation, state, nodes = turning(depth, law)
         span = METHODS[method].integrator(equation, value).advance(state, np.zeros(0), 0.2, 1)
@@ -70,7 +76,9 @@ def test_a_node_that_grazes_moves_on(law, method, value, off):
         np.testing.assert_allclose(span.states[:4, -1], exact, rtol=0, atol=off + touch)
         assert span.work.unlocated == 0
         efforts.append(span.work.evaluations)
-    assert max(efforts) < (12 if method == "cvodes" else 2.5) * efforts[0]
+        if depth == DEPTHS[0] and stages:
+            assert efforts[0] <= stages * span.work.steps + 3
+    assert max(efforts) < (efforts[0] + 2 * 10 * stages if stages else 12 * efforts[0])
 
 
 def test_a_dip_into_the_ground_within_a_long_step_is_found():
