@@ -14,6 +14,7 @@ from tenscontrol.control.mpc import OSQPSolver
 from tenscontrol.control.mpc.linear import Condensed
 from tenscontrol.control.mpc.problem import MPCProblem, StageData
 from tenscontrol.control.mpc.sparse import Sparse, Unlimited
+from tenscontrol.dynamics import compiler
 from tests.control.fault_loop import solve_nothing
 
 STILL = np.zeros((3, 6))
@@ -348,9 +349,11 @@ def test_form_is_chosen_by_size(plant):
     ]
     assert found == [
         ("condensed", "daqp"), ("condensed", "osqp"),
-        ("condensed", "daqp"), ("sparse", "osqp"),
-        ("sparse", "osqp"), ("sparse", "osqp"),
+        ("condensed", "daqp") if compiler() is None else ("stages", "stages"), ("sparse", "osqp"),
+        ("sparse", "osqp") if compiler() is None else ("stages", "stages"), ("sparse", "osqp"),
     ]  # fmt: skip
+    with pytest.raises(ValueError, match="'stages', which has a solver of its own, and solver is"):
+        tc.MPC(plant, horizon=20, **GIVEN, form="stages", solver="daqp")
     named = tc.MPC(plant, horizon=20, **GIVEN, form="sparse")
     assert named.solver == "osqp"
     assert repr(named).endswith("sparse, osqp)")
