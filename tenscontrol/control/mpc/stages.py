@@ -112,6 +112,18 @@ def stages_data(
     return sizes, [np.ascontiguousarray(part, dtype=float) for part in data]
 
 
+def _thin_factors(problem: MPCProblem) -> list[FloatArray]:
+    """Return D and Y of ``(I − Y Yᵀ) D (R + Bᵀ P B) D (I − Y Yᵀ) = I``; none if not worth it."""
+    _, R, P = _weights(problem)
+    (n, a), weight = problem.input_matrix.shape, np.diag(R).copy()
+    if a <= 2 * n or np.count_nonzero(R - np.diag(weight)):
+        return []
+    unit, (squares, axes) = 1 / np.sqrt(weight), np.linalg.eigh(P)
+    half = axes * np.sqrt(np.maximum(squares, 0.0))
+    Y, size, _ = np.linalg.svd(unit[:, None] * (problem.input_matrix.T @ half), full_matrices=False)
+    return [unit, np.ascontiguousarray(Y * np.sqrt(1 - 1 / np.sqrt(1 + size**2)))]
+
+
 @final
 class LeastDistance(Subproblem):
     """The program in compiled C, with memory of its own."""
@@ -125,8 +137,10 @@ class LeastDistance(Subproblem):
         self._made_of = problem, row_bounds, max_iterations, bounds, alike
         library, N, (m, a) = _library(), problem.length, problem.input_matrix.shape
         numbers_of, data = stages_data(problem, row_bounds, max_iterations, bounds)
-        n, rows = numbers_of[1], data[-1].size
-        sizes = (ctypes.c_int * 9)(*numbers_of, alike)
+        n, rows = numbers_of[1], data[10].size
+        thin = _thin_factors(problem) if alike else []
+        data += thin
+        sizes = (ctypes.c_int * 10)(*numbers_of, alike, len(thin) > 0)
         self._data = data
         addresses = (ctypes.c_void_p * len(data))(*(_address(part) for part in self._data))
         self._program = ctypes.create_string_buffer(library.stages_program_size())

@@ -37,6 +37,11 @@ def scene(name):
     if name == "tower":
         plant = plant_of(tc.prism_tower(2), "rest_length")
         return plant, {"winches": tc.Winches(rate=0.1), "max_tension": 1e3}, 0.005
+    if name == "few modes":
+        plant = tc.reduce(plant_of(tc.prism_tower(2), "rest_length"), 4)
+        Q, R = tc.energy_weights(plant, by_mode=True)
+        given = {"winches": tc.Winches(rate=0.02), "Q": Q, "R": R}
+        return plant, given | {"reference": moved(plant, 0.003), "load_gain": 0.5}, 0.02
     if name == "ball":
         plant = plant_of(tc.library.six_bar_ball(bar_length=1.0), "force_density")
         largest = float(plant.force_density.max())
@@ -54,7 +59,9 @@ def scene(name):
     return plant, {"winches": winches, "reference": moved(plant, 0.003), "load_gain": 1.0}, 0.003
 
 
-@pytest.mark.parametrize("name", ["tower", "ball", "along a reference", "plane, ramps and load"])
+@pytest.mark.parametrize(
+    "name", ["tower", "ball", "along a reference", "plane, ramps and load", "few modes"]
+)
 @pytest.mark.parametrize("compiled", KINDS)
 def test_inputs_are_those_of_the_condensed_program(compiled, name, monkeypatch):
     if not compiled:

@@ -55,6 +55,10 @@ typedef struct {
     double *S, *S_t, *W, *W_t;             /* (N, a, a) twice; (N, a, n); (N, n, a) */
     double *first;                         /* (N, a): f */
     double *work;                          /* STAGES_WORK(n, a) */
+    /* for many inputs that move few states, with alike stages: S = unit (I - Y Y') */
+    int thin;
+    const double *unit, *Y; /* (a); (a, n), in place of S, and Y' in place of S_t */
+    int *span, ahead;       /* (p, 2), where rows of G begin and end; whether F is not zero */
 } Stages;
 
 #define STAGES_WORK(n, a) (2 * (size_t)((n) + (a)) * ((n) + (a)) + 6 * (size_t)((n) + (a)))
@@ -197,6 +201,25 @@ static void stages_set_motion(Stages *s, int k, const double *offset, const doub
     stages_transpose(a + n, n, motion, s->motion_t + stages_at(s, k) * (a + n) * n);
 }
 
+/* out = S h, or S'h, which must not be h. */
+static void stages_unfactor(const Stages *s, int k, int transposed, const double *h, double *out)
+{
+    int n = s->states, a = s->inputs, j;
+    double *t = s->work + 4 * (size_t)(n + a); /* behind what callers use */
+    if (!s->thin) {
+        memset(out, 0, (size_t)a * sizeof *out);
+        stages_add(a, a, 1.0, (transposed ? s->S : s->S_t) + stages_at(s, k) * a * a, h, out);
+        return;
+    }
+    for (j = 0; j < a; j++)
+        out[j] = transposed ? s->unit[j] * h[j] : h[j];
+    memset(t, 0, (size_t)n * sizeof *t);
+    stages_add(a, n, 1.0, s->Y, out, t);
+    stages_add(n, a, -1.0, s->S_t, t, out);
+    for (j = 0; !transposed && j < a; j++)
+        out[j] *= s->unit[j];
+}
+
 static int stages_finite(const double *values, size_t count)
 {
     size_t i;
@@ -232,6 +255,24 @@ static void stages_set_rows(Stages *s, int k, const double *offset, const double
     }
 }
 
+/* Find where rows of G are not zero, and whether F is, where all stages are alike. */
+static void stages_find_spans(Stages *s)
+{
+    int a = s->inputs, p = s->limited, i, j;
+    s->ahead = 0;
+    for (i = 0; i < p * s->states; i++)
+        s->ahead |= s->F[i] != 0.0;
+    for (i = 0; i < p; i++) {
+        int *span = s->span + 2 * i;
+        span[0] = span[1] = 0;
+        for (j = a - 1; j >= 0; j--)
+            if (s->G[(size_t)i * a + j] != 0.0) {
+                span[0] = j;
+                span[1] = span[1] ? span[1] : j + 1;
+            }
+    }
+}
+
 /* Factorize X = U'U in place, from what is right of its diagonal; whether X is definite. */
 STAGES_WIDE static int stages_factorize(int a, int width, double *X)
 {
@@ -252,12 +293,35 @@ STAGES_WIDE static int stages_factorize(int a, int width, double *X)
     return 1;
 }
 
+/* W = S'B'P A of alike stages with few states: all that their recursion has to find. */
+static void stages_prepare_thin(Stages *s)
+{
+    int n = s->states, a = s->inputs, i, j;
+    double *PA = s->work, *T = PA + (size_t)n * n, *off = T + (size_t)n * n;
+    stages_transpose(a, n, s->Y, s->S_t);
+    stages_transpose(n, n, s->motion + (size_t)a * n, T); /* A */
+    stages_product(s, n, n, n, s->costs, n, T, n, PA, n, 0);
+    stages_product(s, a, n, n, s->motion, n, PA, n, s->W, n, 0);
+    for (i = 0; i < a; i++)
+        for (j = 0; j < n; j++)
+            s->W[(size_t)i * n + j] *= s->unit[i];
+    stages_product(s, n, a, n, s->S_t, a, s->W, n, T, n, 0);
+    stages_product(s, a, n, n, s->Y, n, T, n, off, n, 0);
+    for (i = 0; i < a * n; i++)
+        s->W[i] -= off[i];
+    stages_transpose(a, n, s->W, s->W_t);
+}
+
 /* The Riccati recursion. Returns whether R and what is added to it are definite. */
 static int stages_prepare(Stages *s)
 {
     int n = s->states, a = s->inputs, w = a + n, i, j, k;
     double *Y = s->work, *X = Y + (size_t)w * w;
     memcpy(s->costs + stages_at(s, s->stages - 1) * n * n, s->P, (size_t)n * n * sizeof *X);
+    if (s->thin) {
+        stages_prepare_thin(s);
+        return 1;
+    }
     for (k = s->alike ? 0 : s->stages - 1; k >= 0; k--) {
         const double *motion = s->motion + stages_at(s, k) * w * n;
         double *S = s->S + stages_at(s, k) * a * a, *W = s->W + stages_at(s, k) * a * n;
@@ -325,10 +389,12 @@ static void stages_aim(Stages *s, const double *r, const double *aim, const doub
         stages_add(n, n, 1.0, s->costs + stages_at(s, k) * n * n, gap, t);
         /* f = S'(B't + R (u - s)),   p_k = A't - W'f */
         memset(by_all, 0, (size_t)w * sizeof *by_all);
-        stages_add(a, a, 1.0, s->R, h, by_all);
+        for (j = 0; s->thin && j < a; j++)
+            by_all[j] = h[j] / (s->unit[j] * s->unit[j]);
+        if (!s->thin)
+            stages_add(a, a, 1.0, s->R, h, by_all);
         stages_add(n, w, 1.0, s->motion_t + stages_at(s, k) * w * n, t, by_all);
-        memset(f, 0, (size_t)a * sizeof *f);
-        stages_add(a, a, 1.0, s->S + stages_at(s, k) * a * a, by_all, f);
+        stages_unfactor(s, k, 1, by_all, f);
         memcpy(p, by_all + a, (size_t)n * sizeof *p);
         stages_add(a, n, -1.0, W, f, p);
     }
@@ -350,8 +416,7 @@ static void stages_simulate(const Stages *s, const double *x, int whole, double 
             h[j] = (x == NULL ? 0.0 : x[(size_t)k * a + j]) -
                    (whole ? s->first[(size_t)k * a + j] : 0.0);
         stages_add(n, a, -1.0, s->W_t + stages_at(s, k) * a * n, z, h);
-        memset(u, 0, (size_t)a * sizeof *u);
-        stages_add(a, a, 1.0, s->S_t + stages_at(s, k) * a * a, h, u);
+        stages_unfactor(s, k, 0, h, u);
         if (whole)
             memcpy(z + n, s->gap + (size_t)k * n, (size_t)n * sizeof *z);
         else
@@ -383,10 +448,14 @@ static void stages_limits(const Stages *s, const double *z, const double *u, dou
         if (s->changes)
             for (i = 0; i < a; i++)
                 *out++ = (u[i] - (k ? u[i - a] : 0.0)) / s->level;
-        for (i = 0; i < p; i++)
-            *out++ = stages_dot(s->E + (stages_at(s, k) * p + i) * n, z, n) +
-                     stages_dot(s->G + (stages_at(s, k) * p + i) * a, u, a) +
-                     stages_dot(s->F + (stages_at(s, k) * p + i) * n, z + n, n);
+        for (i = 0; i < p; i++) {
+            int from = s->alike ? s->span[2 * i] : 0, end = s->alike ? s->span[2 * i + 1] : a;
+            *out = stages_dot(s->E + (stages_at(s, k) * p + i) * n, z, n) +
+                   stages_dot(s->G + (stages_at(s, k) * p + i) * a + from, u + from, end - from);
+            if (s->ahead)
+                *out += stages_dot(s->F + (stages_at(s, k) * p + i) * n, z + n, n);
+            out++;
+        }
     }
 }
 
@@ -398,7 +467,7 @@ static int stages_row(const Stages *s, int i, double *out)
     double *by_all = s->work, *ahead = by_all + w;
     memset(ahead, 0, (size_t)n * sizeof *ahead);
     for (k = stage; k >= 0; k--) {
-        const double *S = s->S + stages_at(s, k) * a * a, *W = s->W + stages_at(s, k) * a * n;
+        const double *W = s->W + stages_at(s, k) * a * n;
         double *x = out + (size_t)k * a;
         memset(by_all, 0, (size_t)w * sizeof *by_all);
         if (k == stage && kind < a)
@@ -414,8 +483,7 @@ static int stages_row(const Stages *s, int i, double *out)
         }
         /* x = S'(g + B'ahead),   ahead = e + A'ahead - W'x */
         stages_add(n, w, 1.0, s->motion_t + stages_at(s, k) * w * n, ahead, by_all);
-        memset(x, 0, (size_t)a * sizeof *x);
-        stages_add(a, a, 1.0, S, by_all, x);
+        stages_unfactor(s, k, 1, by_all, x);
         for (j = 0; j < n; j++)
             ahead[j] = by_all[a + j];
         stages_add(a, n, -1.0, W, x, ahead);
@@ -433,6 +501,7 @@ typedef struct {
     double *dz, *du;                         /* (N + 1, n) and (N, a): departures from the plan */
     double *last; /* (rows of a stage, N a): of the last stage, where all stages are alike */
     int *known;   /* (rows of a stage), whether they are found */
+    int moved;    /* whether the departures are no more those of x = 0 */
 } StagesProgram;
 
 static const double *stages_program_row(void *data, int i, double *space, int *length)
@@ -457,8 +526,13 @@ static const double *stages_program_row(void *data, int i, double *space, int *l
 static void stages_program_products(void *data, const double *x, double *out)
 {
     StagesProgram *program = data;
+    if (program->set.count == 0) { /* then x is zero */
+        memset(out, 0, (size_t)program->set.rows * sizeof *out);
+        return;
+    }
     stages_simulate(&program->stages, x, 0, program->dz, program->du);
     stages_limits(&program->stages, program->dz, program->du, out);
+    program->moved = 1;
 }
 
 /* Take `count` numbers of memory. */
@@ -473,7 +547,8 @@ static double *stages_take(double **memory, size_t count)
  * Lay a program out in memory.
  *
  *     sizes    N, n, a, p; whether inputs are ramps, and changes are limited; soft rows; the most
- *              changes of the active set; whether all stages are alike
+ *              changes of the active set; whether all stages are alike, and are so with few states
+ *              and a diagonal R: then the last data are the unit and Y
  *     data     Q, R, P, units of rows, limits of changes, bounds of inputs and of limited values,
  *              prices and curvatures of all rows: what does not change, and stays where it is
  *     numbers, integers, pointers
@@ -490,6 +565,7 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     ActiveSet *set = &program->set;
     size_t N = (size_t)sizes[0], n = (size_t)sizes[1], a = (size_t)sizes[2], p = (size_t)sizes[3];
     size_t rows, m = sizes[4] ? n - a : n, used, many = sizes[8] ? 1 : N; /* of each matrix */
+    size_t narrow = a; /* columns of S */
     double *at = numbers;
     memset(program, 0, sizeof *program);
     s->stages = sizes[0];
@@ -499,6 +575,10 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     s->ramp = sizes[4];
     s->changes = sizes[5];
     s->alike = sizes[8];
+    s->thin = s->alike && sizes[9];
+    s->ahead = 1;
+    if (s->thin)
+        narrow = n;
     rows = N * (size_t)stages_rows(s);
     set->rows = (int)rows;
     set->columns = (int)(N * a);
@@ -510,7 +590,7 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     set->tolerance = tolerance;
     used = ACTIVE_SET_NUMBERS(set->rows, set->columns, set->most, set->stored);
     counts[0] = used + STAGES_OTHERS(N, many, n, a, p, rows) + (s->alike ? rows * a : 0);
-    counts[1] = ACTIVE_SET_INTEGERS(set->rows, set->most) + (s->alike ? rows / N : 0);
+    counts[1] = ACTIVE_SET_INTEGERS(set->rows, set->most) + (s->alike ? rows / N + 2 * p : 0);
     counts[2] = ACTIVE_SET_POINTERS(set->most);
     if (numbers == NULL)
         return;
@@ -521,6 +601,10 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     s->P = data[2];
     s->scale = data[3];
     s->change = data[4];
+    if (s->thin) {
+        s->unit = data[11];
+        s->Y = data[12];
+    }
     program->low = data[5];
     program->high = data[6];
     program->least = data[7];
@@ -539,8 +623,8 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     s->values = stages_take(&at, N * p);
     s->gap = stages_take(&at, N * n);
     s->costs = stages_take(&at, many * n * n);
-    s->S = stages_take(&at, many * a * a);
-    s->S_t = stages_take(&at, many * a * a);
+    s->S = stages_take(&at, s->thin ? 0 : many * a * a);
+    s->S_t = stages_take(&at, many * a * narrow);
     s->W = stages_take(&at, many * a * n);
     s->W_t = stages_take(&at, many * a * n);
     s->first = stages_take(&at, N * a);
@@ -560,6 +644,7 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     if (s->alike) {
         program->last = stages_take(&at, rows * a);
         program->known = integers + ACTIVE_SET_INTEGERS(set->rows, set->most);
+        s->span = program->known + rows / N;
     }
     memset(program->none, 0, N * a * sizeof *program->none);
     memset(program->y, 0, rows * sizeof *program->y);
@@ -602,6 +687,8 @@ STAGES_API int stages_program_prepare(StagesProgram *program, const double *offs
     }
     if (!stages_prepare(s))
         return 0;
+    if (s->alike && p)
+        stages_find_spans(s);
     if (s->alike)
         memset(program->known, 0, (size_t)stages_rows(s) * sizeof *program->known);
     active_set_start(&program->set, program->y);
@@ -656,14 +743,17 @@ STAGES_API int stages_program_solve(StagesProgram *program, const double *state,
         }
     }
     program->set.stop = stop;
+    program->moved = 0;
     status = active_set_solve(&program->set, program->none, program->lower, program->upper,
                               program->x);
     if (status != ACTIVE_SET_SOLVED)
         return status;
     memcpy(program->y, program->set.y,
            (size_t)s->stages * (size_t)stages_rows(s) * sizeof(double));
-    stages_program_begin(program, state, acting);
-    stages_simulate(s, program->x, 1, program->dz, program->du);
+    if (program->moved) {
+        stages_program_begin(program, state, acting);
+        stages_simulate(s, program->x, 1, program->dz, program->du);
+    }
     return status;
 }
 
