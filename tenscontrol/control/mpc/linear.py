@@ -33,7 +33,7 @@ from tenscontrol.control.mpc.settings import (
     solver_name,
 )
 from tenscontrol.control.mpc.solvers import DAQPSolver, QPSolver
-from tenscontrol.control.mpc.sparse import Sparse, Unlimited
+from tenscontrol.control.mpc.sparse import Sparse
 from tenscontrol.control.mpc.stages import LinearProgram
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
 from tenscontrol.dynamics import compiler
@@ -62,8 +62,7 @@ _OFF, _GROWS, _NEAR = 0.02, 0.5, 0.02
 # It is so below too, by tenths of a millisecond: not worth a compiler's second.
 _SMALLEST_STAGES = 200
 
-# Of unknown inputs. Beyond, dense matrices fill gigabytes, and a program takes so long that the
-# inputs without limits are looked at first.
+# Of unknown inputs. Beyond, dense matrices fill gigabytes.
 _MOST_CONDENSED = 5000
 
 
@@ -98,7 +97,6 @@ class MPCLaw(PredictiveLaw):
     plant: LinearPlant
     design: Design
     form: Form | None  # None: along the stages
-    unlimited: Unlimited | None
 
     def solver(self) -> QPSolver | LinearProgram:
         """Return the solver of the programs, as it is before the first solve."""
@@ -151,7 +149,7 @@ class MPCLaw(PredictiveLaw):
         previous_within_bounds: FloatArray,
     ) -> Triple:
         """Return q, l and u of the program, from the measured state and what actuators hold."""
-        assert self.form is not None
+        assert self.form is not None  # else a program of its own is solved
         first = self.first_state(data, state, previous_input)
         previous = previous_within_bounds - data.origin[0]
         return self.form.vectors(first, data, previous)
@@ -165,7 +163,7 @@ class MPCLaw(PredictiveLaw):
         samples: int | None = None,
     ) -> FloatArray:
         """Return the inputs that a solution of the program plans, shape (N, α), or the first."""
-        assert self.form is not None
+        assert self.form is not None  # else a program of its own is solved
         first = self.first_state(data, state, previous_input)
         return data.origin[:samples] + self.form.inputs(x, first, data, samples)
 
@@ -324,7 +322,7 @@ def form_of(problem: MPCProblem, form: str, settings: MPCSettings) -> Form | Non
     if choice("form", form, _FORMS) == "auto":
         largest = _LARGEST_CONDENSED.get(solver_kind(settings, dense=True), _LARGEST_OF_OTHERS)
         form = "condensed" if count <= largest else "sparse"
-        if automatic and _SMALLEST_STAGES <= count <= _MOST_CONDENSED and compiler() is not None:
+        if automatic and (form == "sparse" or (count >= _SMALLEST_STAGES and compiler())):
             form = "stages"
     if form == "stages":
         if not automatic:
@@ -336,7 +334,7 @@ def form_of(problem: MPCProblem, form: str, settings: MPCSettings) -> Form | Non
     if form == "condensed" and count > _MOST_CONDENSED:
         raise ValueError(
             f"form is 'condensed', which is dense, for {count} unknown inputs; "
-            f"expected at most {_MOST_CONDENSED}. Take form='sparse'"
+            f"expected at most {_MOST_CONDENSED}. Take form='stages'"
         )
     return Condensed(problem) if form == "condensed" else Sparse(problem)
 
@@ -417,9 +415,6 @@ class MPC(PredictiveController):
             settings=given,
             design=made,
             form=form_of(made.problem, form, given),
-            unlimited=(
-                Unlimited(made.problem) if made.problem.input_count > _MOST_CONDENSED else None
-            ),
             load=None if self._observer is None else self._observer.model,
             path=ReferencePreview(plant, given.reference, made.sampled),
         )
@@ -503,7 +498,7 @@ class MPC(PredictiveController):
     def _forget_guess(self) -> None:
         self._guess: Pair | None = None
         if isinstance(self._solver, LinearProgram):
-            self._solver.forget()
+            self._solver.program.forget()
 
     @property
     def _plan(self) -> FloatArray:
@@ -544,25 +539,17 @@ class MPC(PredictiveController):
         free = law.free_response(data, state, previous)
         if observer is not None:
             observer.expect(free)
-        plan, within = None, self._previous_within_bounds
-        start = law.first_state(data, state, previous)
-        if law.unlimited is not None:
-            plan = law.unlimited.plan(start, data, within)
-        if plan is not None:
-            self._iterations.append(0)
-            self._forget_guess()
-        elif isinstance(self._solver, LinearProgram):
+        within = self._previous_within_bounds
+        if isinstance(self._solver, LinearProgram):
+            start = law.first_state(data, state, previous)
             found = self._solver.solve(start, data, within, deadline)
             self._iterations.append(found.iterations)
             if found.plan is None:
                 return self._continue(found.status)
-            plan = found.plan[1][1:]
-        if plan is not None:
-            self._solved, self._planned = None, clipped(plan, self._low, self._high)
+            self._planned = clipped(found.plan[1][1:], self._low, self._high)
             value = self._planned[0]
         else:
-            assert law.form is not None
-            assert not isinstance(self._solver, LinearProgram)
+            assert law.form is not None  # as the solver has its program
             vectors = law.vectors(data, state, previous, within)
             answer = self._solver.solve(*vectors, start=self._guess, deadline=deadline)
             self._iterations.append(answer.iterations)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -191,7 +192,7 @@ class MPCProblem:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
-    @property
+    @cached_property
     def cost_scale(self) -> float:
         """What the cost is multiplied by."""
         return 1.0 / (self.level**2 * float(np.linalg.eigvalsh(self.input_weight).min()))

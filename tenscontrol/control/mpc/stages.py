@@ -483,10 +483,6 @@ class LinearProgram:
         self._data = None
         self._prepare()
 
-    def forget(self) -> None:
-        """Forget the last solution."""
-        self.program.forget()
-
     def solve(
         self, state: FloatArray, data: StageData, previous: FloatArray, deadline: float
     ) -> SubproblemSolution:
@@ -501,7 +497,7 @@ class LinearProgram:
         self.program.measure_from(self._inputs, self._values)
         answer = self.program.solve(state, self._whole, previous, self._inputs[0], deadline)
         if answer.plan is None:
-            self.forget()
+            self.program.forget()
         else:
             self.program.shift()
         return answer
