@@ -203,12 +203,14 @@ def test_ground_motions(printed):
 
 
 def test_mpc_step(printed):
-    text = printed("mpc_step", "--duration 0.1 --lengths 5")
+    text = printed("mpc_step", "--duration 0.1 --lengths 5 --tower 1 --horizon 4")
     ramp, push = map(int, re.findall(r"samples with a bound active: (\d+)", text))
     assert ramp == 0
     assert 2 < push <= 5
     assert len(re.findall(r"^  (?:condensed|sparse), (?:updated|built anew) ", text, re.M)) == 8
     assert row(text, "        5 ")[0] == 45
+    assert float(re.search(r"difference of a command: (\S+) m", text)[1]) < 1e-12
+    assert row(text, "  stages ")[4] > 0
 
 
 def test_stiffness(printed):

@@ -2,6 +2,9 @@
 
 Run: ``python -m tests.benchmarks.mpc_step``. Prints ratios measured in one run, of processor time;
 the prism is moved to a new height (no bound active) and recovers from a push (bounds active).
+Then MPC by winches on a tower of prisms, along the stages and condensed: processor time and growth
+of memory of its making, and times of commands: the first, those until 0.2 s after pushes that make
+limits active, and the others.
 
 With ``--other FOLDER``, another checkout of the project, whole commands of the two are timed in
 processes that take turns: of the prism and of a ball of six bars, by force densities and by
@@ -12,6 +15,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import subprocess
 import sys
 import warnings
@@ -31,7 +35,16 @@ LIMIT = 34.0  # N/m, little above the prestress, so that bounds are met
 
 def main(arguments: Sequence[str] | None = None) -> None:
     given = options(
-        __doc__, arguments, duration=4.0, lengths=LENGTHS, other="", worker="", rounds=3
+        __doc__,
+        arguments,
+        duration=4.0,
+        lengths=LENGTHS,
+        other="",
+        worker="",
+        rounds=3,
+        tower=5,
+        horizon=20,
+        push=0.002,
     )
     if given.worker:
         print(json.dumps(commands(given.worker)))
@@ -72,6 +85,61 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for form in ("condensed", "sparse")
         ]
         print(f"  {length:7d}  {9 * length:6d}  {medians[0] / medians[1]:8.2f}")
+    on_tower(given.tower, given.horizon, given.push)
+
+
+def on_tower(stages, horizon, push):
+    """Print what MPC on a tower takes along the stages and condensed, from the same states."""
+    rest = tc.prestress(tc.prism_tower(stages), min_force_density=5.0)
+    model = tc.Model(rest.structure, strings=tc.LinearStrings(stiffness=1e3))
+    plant = tc.linearize(model, rest, input="rest_length")
+    states, inputs = plant.B.shape
+    print(f"\ntower of {stages} stages, {states} states, {inputs} inputs, horizon {horizon}")
+    print("  form       build s     MB    first ms  pushed ms: median  99 %  changes  "
+          "others ms: median  99 %")  # fmt: skip
+    seen, plans = [], {}
+    for form in ("stages", "condensed"):
+        before, began = peak(), process_time()
+        mpc = tc.MPC(
+            plant, horizon=horizon, sample_time=demo.SAMPLE, winches=tc.Winches(rate=0.3), form=form
+        )
+        took, memory = process_time() - began, peak() - before
+        moments = seen or recovery(plant, mpc, push)
+        seen, found = moments, []
+        mpc.reset()
+        times = []
+        for moment in moments:
+            began = process_time()
+            found.append(mpc.command(*moment).value)
+            times.append(1e3 * (process_time() - began))
+        plans[form], work = np.array(found), mpc.statistics.iterations
+        after = (np.arange(len(times)) % 30 < 10) & (np.arange(len(times)) > 0)
+        hurried, calm = np.array(times)[after], np.array(times)[~after][1:]
+        print(f"  {form:10s} {took:7.2f} {memory:6.0f} {times[0]:11.1f} {np.median(hurried):18.1f} "
+              f"{np.quantile(hurried, 0.99):5.1f} {work[after].max():8d} {np.median(calm):18.1f} "
+              f"{np.quantile(calm, 0.99):5.1f}", flush=True)  # fmt: skip
+    off = np.abs(plans["stages"] - plans["condensed"]).max()
+    print(f"  largest difference of a command: {off:.0e} m")
+
+
+def peak():
+    """Return the peak of memory so far, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def recovery(plant, mpc, push):
+    """Return times and measurements of a linear loop that is pushed every 30 samples."""
+    transition, by_input, _ = plant.discretize(demo.SAMPLE)
+    r, rng, state, found = plant.degrees_of_freedom, np.random.default_rng(0), 0.0, []
+    for k in range(120):
+        if k % 30 == 0:
+            state = state + push * rng.normal(size=2 * r)
+        nodes = plant.to_nodes(state[:r])
+        speeds = (plant.basis @ state[r:]).reshape(nodes.shape, order="F")
+        found.append((demo.SAMPLE * k, nodes, speeds))
+        off = mpc.command(*found[-1]).value - plant.equilibrium_input
+        state = transition @ state + by_input @ off
+    return found
 
 
 def against(other, rounds):

@@ -114,7 +114,7 @@ CONTROL = [
             lambda: tc.NMPC(plant(), horizon=10**9, sample_time=0.02, max_force_density=50.0),
             ValueError, r"horizon is 1000000000, expected a whole number of at most 10000"),
     refused("dense program without end", lambda: mpc(horizon=1000, form="condensed"), ValueError,
-            r"form is 'condensed', which is dense, for 9000 unknown inputs; .*form='sparse'"),
+            r"form is 'condensed', which is dense, for 9000 unknown inputs; .*form='stages'"),
     refused("horizon half",
             lambda: tc.MPC(plant(), horizon=2.5, sample_time=0.02, max_force_density=50.0),
             TypeError, r"horizon is 2\.5, expected a whole number"),

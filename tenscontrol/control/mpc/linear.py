@@ -17,6 +17,7 @@ from tenscontrol.control.mpc.problem import (
     Pair,
     StageData,
     Triple,
+    prediction,
     shifted,
 )
 from tenscontrol.control.mpc.settings import (
@@ -32,8 +33,10 @@ from tenscontrol.control.mpc.settings import (
     solver_name,
 )
 from tenscontrol.control.mpc.solvers import DAQPSolver, QPSolver
-from tenscontrol.control.mpc.sparse import Sparse, Unlimited
+from tenscontrol.control.mpc.sparse import Sparse
+from tenscontrol.control.mpc.stages import LinearProgram
 from tenscontrol.control.status import Command, ControlWarning, Fallback, Status
+from tenscontrol.dynamics import compiler
 from tenscontrol.plant import (
     LinearPlant,
     Preview,
@@ -44,7 +47,7 @@ from tenscontrol.validation import FloatArray, choice, frozen, instance
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
 
-_FORMS = ("auto", "condensed", "sparse")
+_FORMS = ("auto", "condensed", "sparse", "stages")
 
 # Up to so many unknown inputs the dense form is the cheaper one: tests/benchmarks/mpc_step.py.
 _LARGEST_CONDENSED: dict[type[QPSolver], int] = {DAQPSolver: 2000}
@@ -55,8 +58,11 @@ _LARGEST_OF_OTHERS = 600
 # are not tried. ``python -m tests.benchmarks.reference_distance`` shows runs on both sides.
 _OFF, _GROWS, _NEAR = 0.02, 0.5, 0.02
 
-# Of unknown inputs. Beyond, dense matrices fill gigabytes, and a program takes so long that the
-# inputs without limits are looked at first.
+# From so many on the compiled active set along the stages is faster than DAQP, and built sooner.
+# It is so below too, by tenths of a millisecond: not worth a compiler's second.
+_SMALLEST_STAGES = 200
+
+# Of unknown inputs. Beyond, dense matrices fill gigabytes.
 _MOST_CONDENSED = 5000
 
 
@@ -90,12 +96,17 @@ class MPCLaw(PredictiveLaw):
 
     plant: LinearPlant
     design: Design
-    form: Form
-    unlimited: Unlimited | None
+    form: Form | None  # None: along the stages
 
-    def solver(self) -> QPSolver:
+    def solver(self) -> QPSolver | LinearProgram:
         """Return the solver of the programs, as it is before the first solve."""
-        return make_solver(self.settings, self.form)
+        if self.form is not None:
+            return make_solver(self.settings, self.form)
+        made = self.design
+        return LinearProgram(
+            made.problem, made.constraints.limits, self.settings.max_iterations,
+            (made.low, made.high),
+        )  # fmt: skip
 
     def preview(self, time: float) -> Preview:
         """Return the reference over the horizon: the same object while it rests."""
@@ -138,6 +149,7 @@ class MPCLaw(PredictiveLaw):
         previous_within_bounds: FloatArray,
     ) -> Triple:
         """Return q, l and u of the program, from the measured state and what actuators hold."""
+        assert self.form is not None  # else a program of its own is solved
         first = self.first_state(data, state, previous_input)
         previous = previous_within_bounds - data.origin[0]
         return self.form.vectors(first, data, previous)
@@ -151,6 +163,7 @@ class MPCLaw(PredictiveLaw):
         samples: int | None = None,
     ) -> FloatArray:
         """Return the inputs that a solution of the program plans, shape (N, α), or the first."""
+        assert self.form is not None  # else a program of its own is solved
         first = self.first_state(data, state, previous_input)
         return data.origin[:samples] + self.form.inputs(x, first, data, samples)
 
@@ -202,7 +215,7 @@ class Condensed(Form):
         self._length, self._count = problem.length, problem.input_count
         N, states = problem.length, len(problem.drift)
         scale = problem.cost_scale
-        free, forced, drifts = _prediction(problem)
+        free, forced, drifts = prediction(problem)
         feedback = np.kron(np.eye(N), problem.feedback)
         # v = by_state z_0 + by_choice c + by_drift d: the law sees z_0 … z_{N−1}.
         before = [np.vstack([first, part[:-states]]) for first, part in (
@@ -289,27 +302,6 @@ class Condensed(Form):
         )
 
 
-def _prediction(problem: MPCProblem) -> Triple:
-    """Return S, G, H of ``Z = S z_0 + G C + H D`` with Z = [z_1; …; z_N] and v = −K z + c."""
-    N, (states, inputs) = problem.length, problem.input_matrix.shape
-    closed = problem.transition - problem.input_matrix @ problem.feedback
-    free = np.zeros((N, states, states))
-    forced = np.zeros((N, states, N, inputs))
-    drifts = np.zeros((N, states, N, states))
-    for k in range(N):
-        before = np.eye(states) if k == 0 else free[k - 1]
-        free[k] = closed @ before
-        if k:
-            # What c_j does to z_{k+1} is what c_{j−1} did to z_k.
-            forced[k, :, 1:], drifts[k, :, 1:] = forced[k - 1, :, :-1], drifts[k - 1, :, :-1]
-        forced[k, :, 0], drifts[k, :, 0] = before @ problem.input_matrix, before
-    return (
-        free.reshape(N * states, states),
-        forced.reshape(N * states, N * inputs),
-        drifts.reshape(N * states, N * states),
-    )
-
-
 def _weigh(problem: MPCProblem, forced: FloatArray) -> FloatArray:
     blocks = forced.reshape(problem.length, len(problem.drift), -1)
     weighted = np.einsum("ij,kjm->kim", problem.state_weight, blocks)
@@ -324,15 +316,25 @@ def _trimmed(matrix: FloatArray) -> csc_array:
     return csc_array(np.where(np.abs(matrix) > 1e-14 * np.abs(matrix).max(), matrix, 0.0))
 
 
-def form_of(problem: MPCProblem, form: str, settings: MPCSettings) -> Form:
-    """Return a form by its name, or raise where there is none, or it would be too large."""
+def form_of(problem: MPCProblem, form: str, settings: MPCSettings) -> Form | None:
+    """Return a form by its name, None for that along the stages, or raise where it cannot be."""
+    count, automatic = problem.input_count, settings.solver == "auto"
     if choice("form", form, _FORMS) == "auto":
         largest = _LARGEST_CONDENSED.get(solver_kind(settings, dense=True), _LARGEST_OF_OTHERS)
-        form = "condensed" if problem.input_count <= largest else "sparse"
-    if form == "condensed" and problem.input_count > _MOST_CONDENSED:
+        form = "condensed" if count <= largest else "sparse"
+        if automatic and (form == "sparse" or (count >= _SMALLEST_STAGES and compiler())):
+            form = "stages"
+    if form == "stages":
+        if not automatic:
+            raise ValueError(
+                f"form is 'stages', which has a solver of its own, and solver is "
+                f"{settings.solver!r}; expected 'auto'"
+            )
+        return None
+    if form == "condensed" and count > _MOST_CONDENSED:
         raise ValueError(
-            f"form is 'condensed', which is dense, for {problem.input_count} unknown inputs; "
-            f"expected at most {_MOST_CONDENSED}. Take form='sparse'"
+            f"form is 'condensed', which is dense, for {count} unknown inputs; "
+            f"expected at most {_MOST_CONDENSED}. Take form='stages'"
         )
     return Condensed(problem) if form == "condensed" else Sparse(problem)
 
@@ -362,9 +364,10 @@ class MPC(PredictiveController):
     ----------
     plant : LinearPlant
         In internal coordinates.
-    form : {"auto", "condensed", "sparse"}
-        How the program is written. Both give the same inputs; "auto" takes the
-        cheaper one by size and solver.
+    form : {"auto", "condensed", "sparse", "stages"}
+        How the program is written. All give the same inputs; "auto" takes the
+        cheapest one by size and solver. "stages" has a solver of its own, an active set along the
+        stages of the horizon, compiled where there is a compiler, and goes with solver="auto".
     **settings
         Horizon and sample time, and bounds, weights, limits and solver, as keyword arguments of
         :class:`MPCSettings`.
@@ -412,9 +415,6 @@ class MPC(PredictiveController):
             settings=given,
             design=made,
             form=form_of(made.problem, form, given),
-            unlimited=(
-                Unlimited(made.problem) if made.problem.input_count > _MOST_CONDENSED else None
-            ),
             load=None if self._observer is None else self._observer.model,
             path=ReferencePreview(plant, given.reference, made.sampled),
         )
@@ -457,12 +457,16 @@ class MPC(PredictiveController):
 
     @property
     def form(self) -> str:
-        """``"condensed"`` or ``"sparse"``."""
+        """``"condensed"``, ``"sparse"`` or ``"stages"``."""
+        if self._law.form is None:
+            return "stages"
         return "condensed" if isinstance(self._law.form, Condensed) else "sparse"
 
     @property
     def solver(self) -> str:
-        """What solves its programs: ``"daqp"``, ``"osqp"``, ``"piqp"`` or the name of a class."""
+        """What solves its programs: ``"daqp"``, ``"stages"``, … or the name of a class."""
+        if isinstance(self._solver, LinearProgram):
+            return self._solver.program.solver_name
         return solver_name(self._solver)
 
     @property
@@ -481,14 +485,20 @@ class MPC(PredictiveController):
         super().reset()
         self._forget_plan()
         self._iterations: list[int] = []
-        self._solver.reset()
+        if not isinstance(self._solver, LinearProgram):
+            self._solver.reset()
 
     def _forget_plan(self) -> None:
         # What the last solved program was, and its plan once it is asked for.
         self._solved: tuple[FloatArray, StageData, FloatArray, FloatArray] | None = None
         self._planned: FloatArray | None = None
         self._used = 0
+        self._forget_guess()
+
+    def _forget_guess(self) -> None:
         self._guess: Pair | None = None
+        if isinstance(self._solver, LinearProgram):
+            self._solver.program.forget()
 
     @property
     def _plan(self) -> FloatArray:
@@ -529,16 +539,18 @@ class MPC(PredictiveController):
         free = law.free_response(data, state, previous)
         if observer is not None:
             observer.expect(free)
-        plan = None
-        if law.unlimited is not None:
+        within = self._previous_within_bounds
+        if isinstance(self._solver, LinearProgram):
             start = law.first_state(data, state, previous)
-            plan = law.unlimited.plan(start, data, self._previous_within_bounds)
-        if plan is not None:
-            self._iterations.append(0)
-            self._solved, self._planned = None, clipped(plan, self._low, self._high)
-            self._guess, value = None, self._planned[0]
+            found = self._solver.solve(start, data, within, deadline)
+            self._iterations.append(found.iterations)
+            if found.plan is None:
+                return self._continue(found.status)
+            self._planned = clipped(found.plan[1][1:], self._low, self._high)
+            value = self._planned[0]
         else:
-            vectors = law.vectors(data, state, previous, self._previous_within_bounds)
+            assert law.form is not None  # as the solver has its program
+            vectors = law.vectors(data, state, previous, within)
             answer = self._solver.solve(*vectors, start=self._guess, deadline=deadline)
             self._iterations.append(answer.iterations)
             if answer.x is None or answer.y is None:
@@ -559,7 +571,7 @@ class MPC(PredictiveController):
     def _continue(self, status: Status) -> Command:
         """Go on without a new plan."""
         self._used += 1
-        self._guess = None
+        self._forget_guess()
         if self._used < len(self._plan):
             return Command(self._plan[self._used], status, Fallback.PLAN_CONTINUED)
         return self._hold(status)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -191,7 +192,7 @@ class MPCProblem:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
-    @property
+    @cached_property
     def cost_scale(self) -> float:
         """What the cost is multiplied by."""
         return 1.0 / (self.level**2 * float(np.linalg.eigvalsh(self.input_weight).min()))
@@ -200,6 +201,27 @@ class MPCProblem:
     def input_count(self) -> int:
         """Number of entries of all v together."""
         return int(self.length * self.input_matrix.shape[1])
+
+
+def prediction(problem: MPCProblem) -> Triple:
+    """Return S, G, H of ``Z = S z_0 + G C + H D`` with Z = [z_1; …; z_N] and v = −K z + c."""
+    N, (states, inputs) = problem.length, problem.input_matrix.shape
+    closed = problem.transition - problem.input_matrix @ problem.feedback
+    free = np.zeros((N, states, states))
+    forced = np.zeros((N, states, N, inputs))
+    drifts = np.zeros((N, states, N, states))
+    for k in range(N):
+        before = np.eye(states) if k == 0 else free[k - 1]
+        free[k] = closed @ before
+        if k:
+            # What c_j does to z_{k+1} is what c_{j−1} did to z_k.
+            forced[k, :, 1:], drifts[k, :, 1:] = forced[k - 1, :, :-1], drifts[k - 1, :, :-1]
+        forced[k, :, 0], drifts[k, :, 0] = before @ problem.input_matrix, before
+    return (
+        free.reshape(N * states, states),
+        forced.reshape(N * states, N * inputs),
+        drifts.reshape(N * states, N * states),
+    )
 
 
 class LimitRows:

@@ -1,15 +1,17 @@
-"""The program of NMPC as a least-distance program along its stages, solved by an active set.
+"""Programs of MPC as least-distance programs along their stages, solved by an active set.
 
 A Riccati recursion over the stages, in the preparation, makes the cost the square of a length; what
-is measured moves the bounds alone. Rows of its matrix are reached through the stages, and only
-those that may be active. ``solvers/stages.c`` has the equations: it is compiled where there is a
-compiler, and else NumPy and DAQP find the same numbers.
+is measured moves the bounds alone. In linear MPC all stages are alike, and prepared once. Rows of
+the matrix of limits are reached through the stages, and only those that may be active.
+``solvers/stages.c`` has the equations: it is compiled where there is a compiler, and else NumPy and
+DAQP find the same numbers.
 """
 
 from __future__ import annotations
 
 import ctypes
 import math
+from dataclasses import replace
 from functools import cache
 from time import perf_counter
 from typing import Any, final
@@ -28,7 +30,7 @@ from tenscontrol.control.mpc.problem import (
 )
 from tenscontrol.control.mpc.solvers import active_set_source, least_distance, stages_source
 from tenscontrol.control.status import Status
-from tenscontrol.dynamics import compiled_library
+from tenscontrol.dynamics import compiled_library, compiler
 from tenscontrol.validation import FloatArray, IntArray
 
 # Of a limit, in its unit: what round-off may leave of it.
@@ -110,6 +112,18 @@ def stages_data(
     return sizes, [np.ascontiguousarray(part, dtype=float) for part in data]
 
 
+def _thin_factors(problem: MPCProblem) -> list[FloatArray]:
+    """Return D and Y of ``(I − Y Yᵀ) D (R + Bᵀ P B) D (I − Y Yᵀ) = I``; none if not worth it."""
+    _, R, P = _weights(problem)
+    (n, a), weight = problem.input_matrix.shape, np.diag(R).copy()
+    if a <= 2 * n or np.count_nonzero(R - np.diag(weight)):
+        return []
+    unit, (squares, axes) = 1 / np.sqrt(weight), np.linalg.eigh(P)
+    half = axes * np.sqrt(np.maximum(squares, 0.0))
+    Y, size, _ = np.linalg.svd(unit[:, None] * (problem.input_matrix.T @ half), full_matrices=False)
+    return [unit, np.ascontiguousarray(Y * np.sqrt(1 - 1 / np.sqrt(1 + size**2)))]
+
+
 @final
 class LeastDistance(Subproblem):
     """The program in compiled C, with memory of its own."""
@@ -117,17 +131,20 @@ class LeastDistance(Subproblem):
     solver_name = "stages"
 
     def __init__(
-        self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
-    ) -> None:
-        self._made_of = problem, row_bounds, max_iterations, bounds
+        self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair,
+        alike: bool = False,
+    ) -> None:  # fmt: skip
+        self._made_of = problem, row_bounds, max_iterations, bounds, alike
         library, N, (m, a) = _library(), problem.length, problem.input_matrix.shape
         numbers_of, data = stages_data(problem, row_bounds, max_iterations, bounds)
-        n, rows = numbers_of[1], data[-1].size
-        sizes = (ctypes.c_int * 8)(*numbers_of)
+        n, rows = numbers_of[1], data[10].size
+        thin = _thin_factors(problem) if alike else []
+        data += thin
+        sizes = (ctypes.c_int * 10)(*numbers_of, alike, len(thin) > 0)
         self._data = data
         addresses = (ctypes.c_void_p * len(data))(*(_address(part) for part in self._data))
         self._program = ctypes.create_string_buffer(library.stages_program_size())
-        counts, views = (ctypes.c_size_t * 3)(), (ctypes.c_void_p * 6)()
+        counts, views = (ctypes.c_size_t * 3)(), (ctypes.c_void_p * 7)()
         given = (
             self._program, sizes, ctypes.c_double(problem.level), ctypes.c_double(STAGES_TOLERANCE),
             _multiply(), addresses,
@@ -137,11 +154,15 @@ class LeastDistance(Subproblem):
         self._memory = numbers, np.zeros(counts[1], np.intc), np.zeros(counts[2], np.intp)
         places = (ctypes.c_void_p(_address(part)) for part in self._memory)
         library.stages_program_place(*given, *places, counts, views)
-        shapes = [(N + 1, m), (N + 1, a), (rows,), (N + 1, n), (N, a)]
-        self._states, self._inputs, self._multipliers, moves, self._input_moves = (
+        self._unit, p = data[3], numbers_of[3]
+        shapes = [(N + 1, m), (N + 1, a), (rows,), (N + 1, n), (N, a), (N, n), (N, p)]
+        (
+            self._states, self._inputs, self._multipliers, moves, self._input_moves, self._gap,
+            self._values,
+        ) = (
             numbers[(place - _address(numbers)) // 8 :][: math.prod(shape)].reshape(shape)
-            for place, shape in zip(views, shapes, strict=False)
-        )
+            for place, shape in zip(views, shapes, strict=True)
+        )  # fmt: skip
         self._moves = moves[:, :m]
         self._shift, self._prepare, self._solve, self._count = (
             getattr(library, f"stages_program_{name}")
@@ -170,6 +191,10 @@ class LeastDistance(Subproblem):
     def shift(self) -> None:
         """See :meth:`Subproblem.shift`."""
         self._shift(self._program)
+
+    def measure_from(self, inputs: FloatArray, values: FloatArray) -> None:
+        """See :class:`LinearProgram`."""
+        self._inputs[:], self._values[:], self._gap[:] = inputs, values / self._unit, 0.0
 
     def linearize(
         self, states: FloatArray, inputs: FloatArray, motion: StageJacobians,
@@ -214,8 +239,9 @@ class LeastDistanceArrays(Subproblem):
     solver_name = "daqp"
 
     def __init__(
-        self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
-    ) -> None:
+        self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair,
+        alike: bool = False,
+    ) -> None:  # fmt: skip
         self._problem, self._bounds, self._max_iterations = problem, bounds, max_iterations
         self._weights, self._price = _weights(problem), _prices(problem)
         self._plant_states, self._inputs = problem.input_matrix.shape
@@ -224,8 +250,15 @@ class LeastDistanceArrays(Subproblem):
         N, a, n = problem.length, self._inputs, self._states
         self._unit = np.ones(0) if problem.rows is None else problem.rows.scale
         self._row_bounds = tuple(bound / self._unit for bound in row_bounds)
-        self._E, self._G, self._F = (np.zeros((N, p, width)) for width in (n, a, n))
+        self._plan: Pair = np.zeros((0, 0)), np.zeros((0, 0))
+        self._many = 1 if alike else N  # of each matrix
+        self._by_all = tuple(np.zeros((self._many, p, width)) for width in (n, a, n))
+        self._E, self._G, self._F = map(self._of_all, self._by_all)
         self.forget()
+
+    def _of_all(self, matrices: FloatArray) -> FloatArray:
+        """Return the matrices of all stages."""
+        return np.broadcast_to(matrices, (self._problem.length, *matrices.shape[1:]))
 
     def reset(self) -> None:
         """See :meth:`Subproblem.reset`."""
@@ -238,6 +271,12 @@ class LeastDistanceArrays(Subproblem):
     def shift(self) -> None:
         """See :meth:`Subproblem.shift`."""
         self._active = np.vstack([self._active[1:], np.zeros_like(self._active[:1])])
+
+    def measure_from(self, inputs: FloatArray, values: FloatArray) -> None:
+        """See :class:`LinearProgram`."""
+        self._plan, self._values = (self._plan[0], inputs), values / self._unit
+        self._rows = np.flatnonzero(self._active)
+        self._matrix = self._matrix_of(self._rows)
 
     def linearize(
         self, states: FloatArray, inputs: FloatArray, motion: StageJacobians,
@@ -254,7 +293,7 @@ class LeastDistanceArrays(Subproblem):
         for slope, argument in zip(motion.slopes, arguments, strict=False):
             gap += applied(slope, argument)
         self._gap = np.hstack([gap, np.zeros((N, n - m))])
-        by_all = np.zeros((N, n, a + n))  # [B A]
+        by_all = np.zeros((self._many, n, a + n))  # [B A]
         by_all[:, :m, a : a + m], by_all[:, :m, :a] = (
             slope.swapaxes(1, 2) for slope in motion.slopes[:2]
         )
@@ -268,7 +307,7 @@ class LeastDistanceArrays(Subproblem):
             ):
                 value += applied(slope, argument)
             self._values = value / self._unit
-            for matrix, slope in zip((self._E, self._G, self._F), rows.slopes, strict=True):
+            for matrix, slope in zip(self._by_all, rows.slopes, strict=True):
                 matrix[:, :, : slope.shape[1]] = slope.swapaxes(1, 2) / self._unit[:, None]
         self._recur(by_all)
         self._rows = np.flatnonzero(self._active)
@@ -277,25 +316,22 @@ class LeastDistanceArrays(Subproblem):
 
     def _recur(self, by_all: FloatArray) -> None:
         """Find P_1 … P_N, and the stages in closed loop."""
-        N, a, n = self._problem.length, self._inputs, self._states
+        N, a, n = self._many, self._inputs, self._states
         Q, R, cost = self._weights
-        self._costs = np.zeros((N, n, n))
+        costs = np.zeros((N, n, n))
         S, W = np.zeros((N, a, a)), np.zeros((N, a, n))
         for k in range(N - 1, -1, -1):
-            self._costs[k] = cost
+            costs[k] = cost
             square = by_all[k].T @ (cost @ by_all[k])
             S[k] = np.linalg.inv(np.linalg.cholesky(square[:a, :a] + R)).T
             W[k] = S[k].T @ square[:a, a:]
             cost = Q + square[a:, a:] - W[k].T @ W[k]
             cost = 0.5 * (cost + cost.T)
         by_x, by_state = by_all[:, :, :a] @ S, -S @ W
-        self._closed = np.zeros((N, n + a, n + a))  # T
-        self._closed[:, :n, :n] = by_all[:, :, a:] - by_x @ W
-        self._closed[:, :n, n:], self._closed[:, n:, :n], self._closed[:, n:, n:] = (
-            by_x,
-            by_state,
-            S,
-        )
+        closed = np.zeros((N, n + a, n + a))  # T
+        closed[:, :n, :n] = by_all[:, :, a:] - by_x @ W
+        closed[:, :n, n:], closed[:, n:, :n], closed[:, n:, n:] = by_x, by_state, S
+        self._closed, self._costs = self._of_all(closed), self._of_all(costs)
 
     def _matrix_of(self, rows: IntArray) -> FloatArray:
         """Return rows of the matrix of limits, shape (count, N α): one sweep backward for all."""
@@ -411,3 +447,57 @@ class LeastDistanceArrays(Subproblem):
             both = self._closed[k].T @ np.concatenate([slope[k] + tail, effort[k]])
             tail, found[k] = both[:n], both[n:]
         return found
+
+
+class LinearProgram:
+    """The program of linear MPC: of stages that are alike, prepared once.
+
+    Its plan is at rest where inputs and limited values are measured from, so that their bounds are
+    those of whole inputs and values, which nothing moves.
+    """
+
+    def __init__(
+        self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair
+    ) -> None:
+        kind = LeastDistanceArrays if compiler() is None else LeastDistance
+        self.program = kind(problem, row_bounds, max_iterations, bounds, alike=True)
+        self._problem, self._row_bounds = problem, row_bounds
+        self._data: StageData | None = None
+        self._prepare()
+
+    def _prepare(self) -> None:
+        problem, rows = self._problem, self._problem.rows
+        N, (s, a) = problem.length, problem.input_matrix.shape
+        motion, limited = (problem.transition, problem.input_matrix), None
+        if rows is not None:
+            by_all = rows.by_state, rows.by_input, rows.by_next_state
+            offset = np.zeros((N, len(rows.scale)))
+            limited = StageJacobians(offset, tuple(part.T[None] for part in by_all))
+        slopes = tuple(part.T[None] for part in motion)
+        nothing = np.zeros((N + 1, s)), np.zeros((N + 1, a))
+        self.program.linearize(*nothing, StageJacobians(np.zeros((N, s)), slopes), limited)
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        """Prepare a copy anew: compiled memory is not copied."""
+        self.__dict__.update(kept)
+        self._data = None
+        self._prepare()
+
+    def solve(
+        self, state: FloatArray, data: StageData, previous: FloatArray, deadline: float
+    ) -> SubproblemSolution:
+        """Solve for a measured z_0; the plan has whole inputs. Start from the last solution."""
+        if self._data is not data:
+            self._data, self._values = data, np.zeros_like(data.row_low)
+            for whole, moved in zip(self._row_bounds, (data.row_low, data.row_high), strict=True):
+                there = np.isfinite(whole)
+                self._values[:, there] = whole[there] - moved[:, there]
+            self._inputs = np.vstack([data.previous_origin, data.origin])
+            self._whole = replace(data, input_reference=data.origin + data.input_reference)
+        self.program.measure_from(self._inputs, self._values)
+        answer = self.program.solve(state, self._whole, previous, self._inputs[0], deadline)
+        if answer.plan is None:
+            self.program.forget()
+        else:
+            self.program.shift()
+        return answer

@@ -59,12 +59,12 @@ static void forget_plan(void)
 static void place_program(void)
 {
     static const int sizes[] = {HORIZON, STATES, CONTROLLER_COMMANDS, LIMITED, 0, CHANGES,
-                                SOFT, ITERATIONS};
+                                SOFT, ITERATIONS, 0, 0};
     static const double *const data[] = {state_weight, input_weight, terminal_weight, limit_scale,
                                          largest_change, low, high, limit_low, limit_high, price,
                                          price};
     size_t counts[3];
-    double *views[6];
+    double *views[7];
     stages_program_place(&program.stages, sizes, LEVEL, TOLERANCE, NULL, data, program.numbers,
                          program.integers, program.pointers, counts, views);
     program.states = views[0];

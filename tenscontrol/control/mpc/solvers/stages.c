@@ -41,6 +41,7 @@ typedef struct {
     /* sizes */
     int stages, states, inputs, limited; /* N; n, with the input before for ramps; a; p */
     int ramp, changes;                   /* whether inputs are ramps, and changes are limited */
+    int alike; /* whether all stages have the same matrices, stored once, and P is that of the LQR */
     /* what does not change */
     double level;                             /* unit of an input */
     const double *Q, *R, *P, *scale, *change; /* (n, n) (a, a) (n, n); units of rows (p); (a) */
@@ -54,6 +55,10 @@ typedef struct {
     double *S, *S_t, *W, *W_t;             /* (N, a, a) twice; (N, a, n); (N, n, a) */
     double *first;                         /* (N, a): f */
     double *work;                          /* STAGES_WORK(n, a) */
+    /* for many inputs that move few states, with alike stages: S = unit (I - Y Y') */
+    int thin;
+    const double *unit, *Y; /* (a); (a, n), in place of S, and Y' in place of S_t */
+    int *span, ahead;       /* (p, 2), where rows of G begin and end; whether F is not zero */
 } Stages;
 
 #define STAGES_WORK(n, a) (2 * (size_t)((n) + (a)) * ((n) + (a)) + 6 * (size_t)((n) + (a)))
@@ -61,9 +66,21 @@ typedef struct {
 /* Numbers of the memory of a program. */
 #define STAGES_NUMBERS(N, n, a, p, rows, soft)                                                   \
     (ACTIVE_SET_NUMBERS(rows, (N) * (a), ACTIVE_SET_MOST(rows, (N) * (a), soft), 1) +            \
-     (size_t)(N) * (2 * ((a) + (n)) * (n) + (p) * (2 * (n) + (a) + 1) + (n) + (n) * (n) +        \
-                    2 * (a) * (a) + 2 * (a) * (n) + 4 * (a)) +                                   \
-     (size_t)((N) + 1) * (2 * (n) + (a)) + 4 * (size_t)(rows) + STAGES_WORK(n, a))
+     STAGES_OTHERS(N, N, n, a, p, rows))
+#define STAGES_OTHERS(N, many, n, a, p, rows)                                                    \
+    ((size_t)(many) * (2 * ((a) + (n)) * (n) + (p) * (2 * (n) + (a)) + (n) * (n) +               \
+                       2 * (a) * (a) + 2 * (a) * (n)) +                                          \
+     (size_t)(N) * ((p) + (n) + 4 * (a)) + (size_t)((N) + 1) * (2 * (n) + (a)) +                 \
+     4 * (size_t)(rows) + STAGES_WORK(n, a))
+
+/* Rows that may be active at once where all stages are alike, and so may be very many. */
+#define STAGES_MOST 5000
+
+/* The place of the matrices of stage k. */
+static size_t stages_at(const Stages *s, int k)
+{
+    return s->alike ? 0 : (size_t)k;
+}
 
 static int stages_rows(const Stages *s)
 {
@@ -161,7 +178,7 @@ static void stages_set_motion(Stages *s, int k, const double *offset, const doub
 {
     int n = s->states, a = s->inputs, m = s->ramp ? n - a : n, j;
     const double *z = s->z + (size_t)k * m, *before = s->u + (size_t)k * a, *u = before + a;
-    double *motion = s->motion + (size_t)k * (a + n) * n, *gap = s->gap + (size_t)k * n;
+    double *motion = s->motion + stages_at(s, k) * (a + n) * n, *gap = s->gap + (size_t)k * n;
     memset(gap, 0, (size_t)n * sizeof *gap);
     for (j = 0; j < m; j++)
         gap[j] = offset[j] - z[m + j];
@@ -181,7 +198,26 @@ static void stages_set_motion(Stages *s, int k, const double *offset, const doub
         for (j = 0; j < m; j++)
             memcpy(motion + (size_t)(a + j) * n, A + (size_t)j * m, (size_t)m * sizeof *motion);
     }
-    stages_transpose(a + n, n, motion, s->motion_t + (size_t)k * (a + n) * n);
+    stages_transpose(a + n, n, motion, s->motion_t + stages_at(s, k) * (a + n) * n);
+}
+
+/* out = S h, or S'h, which must not be h. */
+static void stages_unfactor(const Stages *s, int k, int transposed, const double *h, double *out)
+{
+    int n = s->states, a = s->inputs, j;
+    double *t = s->work + 4 * (size_t)(n + a); /* behind what callers use */
+    if (!s->thin) {
+        memset(out, 0, (size_t)a * sizeof *out);
+        stages_add(a, a, 1.0, (transposed ? s->S : s->S_t) + stages_at(s, k) * a * a, h, out);
+        return;
+    }
+    for (j = 0; j < a; j++)
+        out[j] = transposed ? s->unit[j] * h[j] : h[j];
+    memset(t, 0, (size_t)n * sizeof *t);
+    stages_add(a, n, 1.0, s->Y, out, t);
+    stages_add(n, a, -1.0, s->S_t, t, out);
+    for (j = 0; !transposed && j < a; j++)
+        out[j] *= s->unit[j];
 }
 
 static int stages_finite(const double *values, size_t count)
@@ -199,8 +235,8 @@ static void stages_set_rows(Stages *s, int k, const double *offset, const double
 {
     int n = s->states, a = s->inputs, p = s->limited, m = s->ramp ? n - a : n, i, j;
     const double *z = s->z + (size_t)k * m, *u = s->u + (size_t)(k + 1) * a;
-    double *value = s->values + (size_t)k * p, *e = s->E + (size_t)k * p * n,
-           *g = s->G + (size_t)k * p * a, *f = s->F + (size_t)k * p * n;
+    double *value = s->values + (size_t)k * p, *e = s->E + stages_at(s, k) * p * n,
+           *g = s->G + stages_at(s, k) * p * a, *f = s->F + stages_at(s, k) * p * n;
     memcpy(value, offset, (size_t)p * sizeof *value);
     stages_add(m, p, 1.0, E, z, value);
     stages_add(a, p, 1.0, G, u, value);
@@ -216,6 +252,24 @@ static void stages_set_rows(Stages *s, int k, const double *offset, const double
             e[(size_t)i * n + j] = f[(size_t)i * n + j] = 0.0;
         for (j = 0; j < a; j++)
             g[(size_t)i * a + j] = unit * G[(size_t)j * p + i];
+    }
+}
+
+/* Find where rows of G are not zero, and whether F is, where all stages are alike. */
+static void stages_find_spans(Stages *s)
+{
+    int a = s->inputs, p = s->limited, i, j;
+    s->ahead = 0;
+    for (i = 0; i < p * s->states; i++)
+        s->ahead |= s->F[i] != 0.0;
+    for (i = 0; i < p; i++) {
+        int *span = s->span + 2 * i;
+        span[0] = span[1] = 0;
+        for (j = a - 1; j >= 0; j--)
+            if (s->G[(size_t)i * a + j] != 0.0) {
+                span[0] = j;
+                span[1] = span[1] ? span[1] : j + 1;
+            }
     }
 }
 
@@ -239,18 +293,41 @@ STAGES_WIDE static int stages_factorize(int a, int width, double *X)
     return 1;
 }
 
+/* W = S'B'P A of alike stages with few states: all that their recursion has to find. */
+static void stages_prepare_thin(Stages *s)
+{
+    int n = s->states, a = s->inputs, i, j;
+    double *PA = s->work, *T = PA + (size_t)n * n, *off = T + (size_t)n * n;
+    stages_transpose(a, n, s->Y, s->S_t);
+    stages_transpose(n, n, s->motion + (size_t)a * n, T); /* A */
+    stages_product(s, n, n, n, s->costs, n, T, n, PA, n, 0);
+    stages_product(s, a, n, n, s->motion, n, PA, n, s->W, n, 0);
+    for (i = 0; i < a; i++)
+        for (j = 0; j < n; j++)
+            s->W[(size_t)i * n + j] *= s->unit[i];
+    stages_product(s, n, a, n, s->S_t, a, s->W, n, T, n, 0);
+    stages_product(s, a, n, n, s->Y, n, T, n, off, n, 0);
+    for (i = 0; i < a * n; i++)
+        s->W[i] -= off[i];
+    stages_transpose(a, n, s->W, s->W_t);
+}
+
 /* The Riccati recursion. Returns whether R and what is added to it are definite. */
 static int stages_prepare(Stages *s)
 {
     int n = s->states, a = s->inputs, w = a + n, i, j, k;
     double *Y = s->work, *X = Y + (size_t)w * w;
-    memcpy(s->costs + (size_t)(s->stages - 1) * n * n, s->P, (size_t)n * n * sizeof *X);
-    for (k = s->stages - 1; k >= 0; k--) {
-        const double *motion = s->motion + (size_t)k * w * n;
-        double *S = s->S + (size_t)k * a * a, *W = s->W + (size_t)k * a * n;
-        stages_product(s, w, n, n, motion, n, s->costs + (size_t)k * n * n, n, Y, n, 0);
+    memcpy(s->costs + stages_at(s, s->stages - 1) * n * n, s->P, (size_t)n * n * sizeof *X);
+    if (s->thin) {
+        stages_prepare_thin(s);
+        return 1;
+    }
+    for (k = s->alike ? 0 : s->stages - 1; k >= 0; k--) {
+        const double *motion = s->motion + stages_at(s, k) * w * n;
+        double *S = s->S + stages_at(s, k) * a * a, *W = s->W + stages_at(s, k) * a * n;
+        stages_product(s, w, n, n, motion, n, s->costs + stages_at(s, k) * n * n, n, Y, n, 0);
         /* Before z_0 no cost is needed. */
-        stages_product(s, k ? w : a, n, w, Y, n, s->motion_t + (size_t)k * w * n, w, X, w, 1);
+        stages_product(s, k ? w : a, n, w, Y, n, s->motion_t + stages_at(s, k) * w * n, w, X, w, 1);
         for (i = 0; i < a; i++)
             for (j = i; j < a; j++)
                 X[(size_t)i * w + j] += s->R[i * a + j];
@@ -259,7 +336,7 @@ static int stages_prepare(Stages *s)
             return 0;
         for (i = 0; i < a; i++)
             memcpy(W + (size_t)i * n, X + (size_t)i * w + a, (size_t)n * sizeof *W);
-        stages_transpose(a, n, W, s->W_t + (size_t)k * a * n);
+        stages_transpose(a, n, W, s->W_t + stages_at(s, k) * a * n);
         memset(S, 0, (size_t)a * a * sizeof *S);
         for (i = a - 1; i >= 0; i--) {
             double unit = 1.0 / X[(size_t)i * w + i];
@@ -267,10 +344,10 @@ static int stages_prepare(Stages *s)
                        S + (size_t)i * a);
             S[(size_t)i * a + i] += unit;
         }
-        stages_transpose(a, a, S, s->S_t + (size_t)k * a * a);
+        stages_transpose(a, a, S, s->S_t + stages_at(s, k) * a * a);
         if (k) {
             double *cost = s->costs + (size_t)(k - 1) * n * n;
-            stages_product(s, n, a, n, s->W_t + (size_t)k * a * n, a, W, n, Y, n, 1);
+            stages_product(s, n, a, n, s->W_t + stages_at(s, k) * a * n, a, W, n, Y, n, 1);
             for (i = 0; i < n; i++)
                 for (j = i; j < n; j++)
                     cost[(size_t)i * n + j] = cost[(size_t)j * n + i] =
@@ -291,7 +368,7 @@ static void stages_aim(Stages *s, const double *r, const double *aim, const doub
     memset(off, 0, (size_t)n * sizeof *off);
     for (k = s->stages - 1; k >= 0; k--) {
         int last = k == s->stages - 1;
-        const double *W = s->W + (size_t)k * a * n;
+        const double *W = s->W + stages_at(s, k) * a * n;
         double *f = s->first + (size_t)k * a, *gap = s->gap + (size_t)k * n;
         for (j = 0; j < m; j++)
             off[j] = s->z[(size_t)(k + 1) * m + j] - r[(size_t)k * m + j];
@@ -309,13 +386,15 @@ static void stages_aim(Stages *s, const double *r, const double *aim, const doub
         if (drift != NULL)
             for (j = 0; j < m; j++)
                 gap[j] += drift[(size_t)k * m + j];
-        stages_add(n, n, 1.0, s->costs + (size_t)k * n * n, gap, t);
+        stages_add(n, n, 1.0, s->costs + stages_at(s, k) * n * n, gap, t);
         /* f = S'(B't + R (u - s)),   p_k = A't - W'f */
         memset(by_all, 0, (size_t)w * sizeof *by_all);
-        stages_add(a, a, 1.0, s->R, h, by_all);
-        stages_add(n, w, 1.0, s->motion_t + (size_t)k * w * n, t, by_all);
-        memset(f, 0, (size_t)a * sizeof *f);
-        stages_add(a, a, 1.0, s->S + (size_t)k * a * a, by_all, f);
+        for (j = 0; s->thin && j < a; j++)
+            by_all[j] = h[j] / (s->unit[j] * s->unit[j]);
+        if (!s->thin)
+            stages_add(a, a, 1.0, s->R, h, by_all);
+        stages_add(n, w, 1.0, s->motion_t + stages_at(s, k) * w * n, t, by_all);
+        stages_unfactor(s, k, 1, by_all, f);
         memcpy(p, by_all + a, (size_t)n * sizeof *p);
         stages_add(a, n, -1.0, W, f, p);
     }
@@ -332,13 +411,12 @@ static void stages_simulate(const Stages *s, const double *x, int whole, double 
     if (!whole)
         memset(z, 0, (size_t)n * sizeof *z);
     for (k = 0; k < s->stages; k++, z += n, u += a) {
-        const double *motion = s->motion + (size_t)k * w * n;
+        const double *motion = s->motion + stages_at(s, k) * w * n;
         for (j = 0; j < a; j++)
             h[j] = (x == NULL ? 0.0 : x[(size_t)k * a + j]) -
                    (whole ? s->first[(size_t)k * a + j] : 0.0);
-        stages_add(n, a, -1.0, s->W_t + (size_t)k * a * n, z, h);
-        memset(u, 0, (size_t)a * sizeof *u);
-        stages_add(a, a, 1.0, s->S_t + (size_t)k * a * a, h, u);
+        stages_add(n, a, -1.0, s->W_t + stages_at(s, k) * a * n, z, h);
+        stages_unfactor(s, k, 0, h, u);
         if (whole)
             memcpy(z + n, s->gap + (size_t)k * n, (size_t)n * sizeof *z);
         else
@@ -370,10 +448,14 @@ static void stages_limits(const Stages *s, const double *z, const double *u, dou
         if (s->changes)
             for (i = 0; i < a; i++)
                 *out++ = (u[i] - (k ? u[i - a] : 0.0)) / s->level;
-        for (i = 0; i < p; i++)
-            *out++ = stages_dot(s->E + ((size_t)k * p + i) * n, z, n) +
-                     stages_dot(s->G + ((size_t)k * p + i) * a, u, a) +
-                     stages_dot(s->F + ((size_t)k * p + i) * n, z + n, n);
+        for (i = 0; i < p; i++) {
+            int from = s->alike ? s->span[2 * i] : 0, end = s->alike ? s->span[2 * i + 1] : a;
+            *out = stages_dot(s->E + (stages_at(s, k) * p + i) * n, z, n) +
+                   stages_dot(s->G + (stages_at(s, k) * p + i) * a + from, u + from, end - from);
+            if (s->ahead)
+                *out += stages_dot(s->F + (stages_at(s, k) * p + i) * n, z + n, n);
+            out++;
+        }
     }
 }
 
@@ -385,7 +467,7 @@ static int stages_row(const Stages *s, int i, double *out)
     double *by_all = s->work, *ahead = by_all + w;
     memset(ahead, 0, (size_t)n * sizeof *ahead);
     for (k = stage; k >= 0; k--) {
-        const double *S = s->S + (size_t)k * a * a, *W = s->W + (size_t)k * a * n;
+        const double *W = s->W + stages_at(s, k) * a * n;
         double *x = out + (size_t)k * a;
         memset(by_all, 0, (size_t)w * sizeof *by_all);
         if (k == stage && kind < a)
@@ -394,15 +476,14 @@ static int stages_row(const Stages *s, int i, double *out)
             if (k >= stage - 1)
                 by_all[kind - a] = (k == stage ? 1.0 : -1.0) / s->level;
         } else if (k == stage) {
-            size_t at = (size_t)k * p + (kind - (rows - p));
+            size_t at = stages_at(s, k) * p + (kind - (rows - p));
             memcpy(by_all, s->G + at * a, (size_t)a * sizeof *by_all);
             memcpy(by_all + a, s->E + at * n, (size_t)n * sizeof *by_all);
             memcpy(ahead, s->F + at * n, (size_t)n * sizeof *ahead);
         }
         /* x = S'(g + B'ahead),   ahead = e + A'ahead - W'x */
-        stages_add(n, w, 1.0, s->motion_t + (size_t)k * w * n, ahead, by_all);
-        memset(x, 0, (size_t)a * sizeof *x);
-        stages_add(a, a, 1.0, S, by_all, x);
+        stages_add(n, w, 1.0, s->motion_t + stages_at(s, k) * w * n, ahead, by_all);
+        stages_unfactor(s, k, 1, by_all, x);
         for (j = 0; j < n; j++)
             ahead[j] = by_all[a + j];
         stages_add(a, n, -1.0, W, x, ahead);
@@ -418,19 +499,40 @@ typedef struct {
     double *lower, *upper, *values, *y;      /* (rows) each; y: multipliers to start from */
     double *x, *none;                        /* (N a), none: zeros */
     double *dz, *du;                         /* (N + 1, n) and (N, a): departures from the plan */
+    double *last; /* (rows of a stage, N a): of the last stage, where all stages are alike */
+    int *known;   /* (rows of a stage), whether they are found */
+    int moved;    /* whether the departures are no more those of x = 0 */
 } StagesProgram;
 
 static const double *stages_program_row(void *data, int i, double *space, int *length)
 {
-    *length = stages_row(&((StagesProgram *)data)->stages, i, space);
-    return space;
+    StagesProgram *program = data;
+    const Stages *s = &program->stages;
+    int rows = stages_rows(s), kind = i % rows, end = s->stages - 1, N = s->stages;
+    double *row;
+    if (!s->alike) {
+        *length = stages_row(s, i, space);
+        return space;
+    }
+    /* Rows of earlier stages are the end of that of the last. */
+    row = program->last + (size_t)kind * N * s->inputs;
+    if (!program->known[kind])
+        stages_row(s, end * rows + kind, row);
+    program->known[kind] = 1;
+    *length = (i / rows + 1) * s->inputs;
+    return row + (size_t)(end - i / rows) * s->inputs;
 }
 
 static void stages_program_products(void *data, const double *x, double *out)
 {
     StagesProgram *program = data;
+    if (program->set.count == 0) { /* then x is zero */
+        memset(out, 0, (size_t)program->set.rows * sizeof *out);
+        return;
+    }
     stages_simulate(&program->stages, x, 0, program->dz, program->du);
     stages_limits(&program->stages, program->dz, program->du, out);
+    program->moved = 1;
 }
 
 /* Take `count` numbers of memory. */
@@ -445,12 +547,14 @@ static double *stages_take(double **memory, size_t count)
  * Lay a program out in memory.
  *
  *     sizes    N, n, a, p; whether inputs are ramps, and changes are limited; soft rows; the most
- *              changes of the active set
+ *              changes of the active set; whether all stages are alike, and are so with few states
+ *              and a diagonal R: then the last data are the unit and Y
  *     data     Q, R, P, units of rows, limits of changes, bounds of inputs and of limited values,
  *              prices and curvatures of all rows: what does not change, and stays where it is
  *     numbers, integers, pointers
  *              memory of the sizes in `counts`, which is written first; NULL: nothing else is
- *     views    where z, u, y, the departures from the plan dz, du, and the gaps are
+ *     views    where z, u, y, the departures from the plan dz, du, the gaps, and the limited values
+ *              of the plan in their units are
  */
 STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, double level,
                                      double tolerance, StagesMultiply gemm,
@@ -460,7 +564,8 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     Stages *s = &program->stages;
     ActiveSet *set = &program->set;
     size_t N = (size_t)sizes[0], n = (size_t)sizes[1], a = (size_t)sizes[2], p = (size_t)sizes[3];
-    size_t rows, m = sizes[4] ? n - a : n, used;
+    size_t rows, m = sizes[4] ? n - a : n, used, many = sizes[8] ? 1 : N; /* of each matrix */
+    size_t narrow = a; /* columns of S */
     double *at = numbers;
     memset(program, 0, sizeof *program);
     s->stages = sizes[0];
@@ -469,16 +574,23 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     s->limited = sizes[3];
     s->ramp = sizes[4];
     s->changes = sizes[5];
+    s->alike = sizes[8];
+    s->thin = s->alike && sizes[9];
+    s->ahead = 1;
+    if (s->thin)
+        narrow = n;
     rows = N * (size_t)stages_rows(s);
     set->rows = (int)rows;
     set->columns = (int)(N * a);
     set->most = ACTIVE_SET_MOST(set->rows, set->columns, sizes[6]);
-    set->stored = 1;
+    if (s->alike && set->most > STAGES_MOST)
+        set->most = STAGES_MOST;
+    set->stored = !s->alike;
     set->limit = sizes[7];
     set->tolerance = tolerance;
-    used = ACTIVE_SET_NUMBERS(set->rows, set->columns, set->most, 1);
-    counts[0] = STAGES_NUMBERS(N, n, a, p, rows, (size_t)sizes[6]);
-    counts[1] = ACTIVE_SET_INTEGERS(set->rows, set->most);
+    used = ACTIVE_SET_NUMBERS(set->rows, set->columns, set->most, set->stored);
+    counts[0] = used + STAGES_OTHERS(N, many, n, a, p, rows) + (s->alike ? rows * a : 0);
+    counts[1] = ACTIVE_SET_INTEGERS(set->rows, set->most) + (s->alike ? rows / N + 2 * p : 0);
     counts[2] = ACTIVE_SET_POINTERS(set->most);
     if (numbers == NULL)
         return;
@@ -489,6 +601,10 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     s->P = data[2];
     s->scale = data[3];
     s->change = data[4];
+    if (s->thin) {
+        s->unit = data[11];
+        s->Y = data[12];
+    }
     program->low = data[5];
     program->high = data[6];
     program->least = data[7];
@@ -499,18 +615,18 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     set->products = stages_program_products;
     set->data = program;
     active_set_place(set, stages_take(&at, used), integers, pointers);
-    s->motion = stages_take(&at, N * (a + n) * n);
-    s->motion_t = stages_take(&at, N * (a + n) * n);
-    s->E = stages_take(&at, N * p * n);
-    s->G = stages_take(&at, N * p * a);
-    s->F = stages_take(&at, N * p * n);
+    s->motion = stages_take(&at, many * (a + n) * n);
+    s->motion_t = stages_take(&at, many * (a + n) * n);
+    s->E = stages_take(&at, many * p * n);
+    s->G = stages_take(&at, many * p * a);
+    s->F = stages_take(&at, many * p * n);
     s->values = stages_take(&at, N * p);
     s->gap = stages_take(&at, N * n);
-    s->costs = stages_take(&at, N * n * n);
-    s->S = stages_take(&at, N * a * a);
-    s->S_t = stages_take(&at, N * a * a);
-    s->W = stages_take(&at, N * a * n);
-    s->W_t = stages_take(&at, N * a * n);
+    s->costs = stages_take(&at, many * n * n);
+    s->S = stages_take(&at, s->thin ? 0 : many * a * a);
+    s->S_t = stages_take(&at, many * a * narrow);
+    s->W = stages_take(&at, many * a * n);
+    s->W_t = stages_take(&at, many * a * n);
     s->first = stages_take(&at, N * a);
     s->work = stages_take(&at, STAGES_WORK(n, a));
     program->x = stages_take(&at, N * a);
@@ -524,6 +640,12 @@ STAGES_API void stages_program_place(StagesProgram *program, const int *sizes, d
     views[3] = program->dz = stages_take(&at, (N + 1) * n);
     views[4] = program->du = stages_take(&at, N * a);
     views[5] = s->gap;
+    views[6] = s->values;
+    if (s->alike) {
+        program->last = stages_take(&at, rows * a);
+        program->known = integers + ACTIVE_SET_INTEGERS(set->rows, set->most);
+        s->span = program->known + rows / N;
+    }
     memset(program->none, 0, N * a * sizeof *program->none);
     memset(program->y, 0, rows * sizeof *program->y);
 }
@@ -550,7 +672,7 @@ STAGES_API int stages_program_prepare(StagesProgram *program, const double *offs
     size_t a = (size_t)s->inputs, p = (size_t)s->limited, m = (size_t)s->states, k;
     if (s->ramp)
         m -= a;
-    for (k = 0; k < (size_t)s->stages; k++) {
+    for (k = 0; k <= stages_at(s, s->stages - 1); k++) {
         if (!stages_finite(offset + k * m, m) || !stages_finite(A + k * m * m, m * m) ||
             !stages_finite(B + k * a * m, a * m) ||
             (s->ramp && !stages_finite(C + k * a * m, a * m)) ||
@@ -565,6 +687,10 @@ STAGES_API int stages_program_prepare(StagesProgram *program, const double *offs
     }
     if (!stages_prepare(s))
         return 0;
+    if (s->alike && p)
+        stages_find_spans(s);
+    if (s->alike)
+        memset(program->known, 0, (size_t)stages_rows(s) * sizeof *program->known);
     active_set_start(&program->set, program->y);
     return 1;
 }
@@ -594,6 +720,8 @@ STAGES_API int stages_program_solve(StagesProgram *program, const double *state,
     Stages *s = &program->stages;
     int a = s->inputs, p = s->limited, k, i, status;
     double *lower = program->lower, *upper = program->upper, *value = program->values;
+    if (s->alike) /* prepared once, moved on since */
+        active_set_start(&program->set, program->y);
     stages_aim(s, r, aim, drift);
     stages_program_begin(program, state, acting);
     stages_simulate(s, NULL, 1, program->dz, program->du);
@@ -615,14 +743,17 @@ STAGES_API int stages_program_solve(StagesProgram *program, const double *state,
         }
     }
     program->set.stop = stop;
+    program->moved = 0;
     status = active_set_solve(&program->set, program->none, program->lower, program->upper,
                               program->x);
     if (status != ACTIVE_SET_SOLVED)
         return status;
     memcpy(program->y, program->set.y,
            (size_t)s->stages * (size_t)stages_rows(s) * sizeof(double));
-    stages_program_begin(program, state, acting);
-    stages_simulate(s, program->x, 1, program->dz, program->du);
+    if (program->moved) {
+        stages_program_begin(program, state, acting);
+        stages_simulate(s, program->x, 1, program->dz, program->du);
+    }
     return status;
 }
 

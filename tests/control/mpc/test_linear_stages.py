@@ -1,0 +1,101 @@
+"""Linear MPC along the stages gives the inputs of the condensed program."""
+
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.control.mpc import OutputLimit
+from tenscontrol.control.mpc import stages as module
+from tenscontrol.dynamics import compiler
+
+KINDS = [
+    pytest.param(
+        True, id="C", marks=pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+    ),
+    pytest.param(False, id="NumPy"),
+]
+
+
+def plant_of(structure, held):
+    rest = tc.prestress(structure, min_force_density=5.0)
+    strings = tc.LinearStrings(stiffness=1e3) if held == "rest_length" else None
+    return tc.linearize(tc.Model(rest.structure, strings=strings), rest, input=held)
+
+
+def moved(plant, size):
+    """Return a reference that moves to another shape in 0.1 s."""
+    q = size * np.random.default_rng(1).normal(size=plant.degrees_of_freedom)
+    shapes = [plant.to_nodes(share * q) for share in np.linspace(0, 1, 6)]
+    return tc.Reference(np.linspace(0.0, 0.1, 6), np.stack(shapes, axis=-1))
+
+
+def scene(name):
+    """Return a plant, settings and the size of a push."""
+    if name == "tower":
+        plant = plant_of(tc.prism_tower(2), "rest_length")
+        return plant, {"winches": tc.Winches(rate=0.1), "max_tension": 1e3}, 0.005
+    if name == "few modes":
+        plant = tc.reduce(plant_of(tc.prism_tower(2), "rest_length"), 4)
+        Q, R = tc.energy_weights(plant, by_mode=True)
+        given = {"winches": tc.Winches(rate=0.02), "Q": Q, "R": R}
+        return plant, given | {"reference": moved(plant, 0.003), "load_gain": 0.5}, 0.02
+    if name == "ball":
+        plant = plant_of(tc.library.six_bar_ball(bar_length=1.0), "force_density")
+        largest = float(plant.force_density.max())
+        row = np.zeros((1, 3 * plant.nodes.shape[1]))
+        row[0, [2, 5]] = 1.0, -1.0
+        here = float(row[0] @ plant.nodes.ravel(order="F"))
+        limits = [OutputLimit(row, high=here + 1e-3, penalty=1e4)]
+        given = {"max_force_density": 1.5 * largest, "max_change": 0.2 * largest}
+        return plant, given | {"outputs": limits, "load_gain": 0.5}, 0.02
+    if name == "along a reference":
+        plant = plant_of(tc.library.class2_tower(2), "rest_length")
+        return plant, {"winches": tc.Winches(rate=0.1), "reference": moved(plant, 0.003)}, 0.003
+    plant = plant_of(tc.library.d_bar(), "rest_length")
+    winches = tc.Winches(rate=0.1, substeps=10)
+    return plant, {"winches": winches, "reference": moved(plant, 0.003), "load_gain": 1.0}, 0.003
+
+
+@pytest.mark.parametrize(
+    "name", ["tower", "ball", "along a reference", "plane, ramps and load", "few modes"]
+)
+@pytest.mark.parametrize("compiled", KINDS)
+def test_inputs_are_those_of_the_condensed_program(compiled, name, monkeypatch):
+    if not compiled:
+        monkeypatch.setattr(module, "compiler", lambda: None)
+    plant, given, size = scene(name)
+    laws = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a ball, which twists as it likes
+        for form in ("stages", "condensed"):
+            laws.append(tc.MPC(plant, horizon=6, sample_time=0.02, form=form, **given))
+    assert laws[0].form == "stages"
+    assert laws[0].solver == ("stages" if compiled else "daqp")
+    rng, active = np.random.default_rng(0), 0
+    level = laws[0].law.design.problem.level
+    for k in range(10):
+        if k == 5:  # a copy is prepared anew, and goes on
+            laws[0] = pickle.loads(pickle.dumps(laws[0]))
+        # Measured is what another structure may do: pushes now and then, still in between.
+        push = size * rng.normal(size=(2, plant.degrees_of_freedom)) * (k in (0, 1, 6))
+        nodes = plant.to_nodes(push[0])
+        speeds = (plant.basis @ push[1]).reshape(nodes.shape, order="F")
+        found, expected = (law.command(0.02 * k, nodes, speeds) for law in laws)
+        assert found.status == expected.status == "ok"
+        np.testing.assert_allclose(laws[0].plan, laws[1].plan, atol=1e-9 * level)
+        active += laws[0].statistics.iterations[-1]
+    assert active > 5
+
+
+def test_a_program_without_solution_is_told_and_forgotten():
+    plant, given, size = scene("tower")
+    law = tc.MPC(plant, horizon=6, sample_time=0.02, form="stages", max_iterations=1, **given)
+    q = 5 * size * np.random.default_rng(0).normal(size=plant.degrees_of_freedom)
+    still = np.zeros_like(plant.nodes)
+    assert law.command(0.0, plant.to_nodes(q), still).status == "out of iterations"
+    command = law.command(0.02, plant.nodes, still)
+    assert command.status == "ok"
+    np.testing.assert_allclose(command.value, plant.equilibrium_input, atol=1e-12)
