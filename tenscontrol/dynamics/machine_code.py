@@ -9,6 +9,7 @@ from __future__ import annotations
 import atexit
 import os
 import platform
+import re
 import shlex
 import shutil
 import stat
@@ -40,11 +41,13 @@ _USUAL = ("cc", "gcc", "clang")
 # (also what ISO C asks for). A square root need not set errno: that is a branch less, and the
 # same number. Without interposition the small functions that CasADi exports are put in line,
 # which saves a quarter of the instructions. ISO C keeps names such as `gamma` free for functions.
+# Nobody looks at the flags that an operation raises, so both sides of a choice may be worked out.
 FLAGS = (
     "-O3",
     "-std=c99",
     "-ffp-contract=off",
     "-fno-math-errno",
+    "-fno-trapping-math",
     "-fno-semantic-interposition",
     "-fPIC",
     "-shared",
@@ -171,6 +174,17 @@ def _is_stub(path: str) -> bool:
     if platform.system() != "Darwin" or not path.startswith("/usr/bin/"):
         return False
     return _run(["/usr/bin/xcode-select", "-p"], None, _VERSION_TIMEOUT)[0] != 0
+
+
+@cache
+def _for_processor() -> tuple[str, ...]:
+    """Return the flags for wider registers, where the processor has them: the same bits, sooner."""
+    if platform.machine().lower() not in ("x86_64", "amd64") or not sys.platform.startswith("linux"):
+        return ()
+    with suppress(OSError):
+        if re.search(r"^flags\s*:.*\bavx2\b", Path("/proc/cpuinfo").read_text(), re.MULTILINE):
+            return ("-mavx2",)
+    return ()
 
 
 def _libraries() -> list[str]:
@@ -432,7 +446,8 @@ def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, 
     """Return the library made of C code, whether it was there already, and where."""
     machine = (sys.platform, platform.machine(), *platform.libc_ver())
     # All that a library depends on.
-    parts = (source, *found.command, found.version, str(FLAGS), ca.__version__, *machine)
+    flags = _for_processor()
+    parts = (source, *found.command, found.version, *FLAGS, *flags, ca.__version__, *machine)
     key = sha256("\0".join(parts).encode()).hexdigest()[:_DIGITS]
     kept = open_cache()
     library = kept.find(key)
@@ -441,7 +456,7 @@ def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, 
         with _new_folder(kept.folder) as folder:
             # Names without a folder: the library must not depend on where it was made.
             write_file(folder / "function.c", source, flush=False)
-            made = found.link([Path("function.c")], folder, "function", timeout)
+            made = found.link([Path("function.c")], folder, "function", timeout, flags)
             library = kept.add(key, made)
     return library, cached, kept
 
