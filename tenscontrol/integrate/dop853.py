@@ -12,12 +12,16 @@ from tenscontrol.dynamics import Equation, SharedEvaluator, compiled_source, com
 from tenscontrol.integrate.dop853_loop import loop_source
 from tenscontrol.integrate.events import (
     POLISHES,
+    SAMPLES,
     crossing,
     distance,
+    interpolant,
     landing,
-    search,
+    room_inside,
+    switch_on_interpolant,
     switching,
     taut_strings,
+    zooms,
 )
 from tenscontrol.integrate.integrator import (
     IntegrationError,
@@ -195,13 +199,16 @@ def _compiled_turns(
     exact = projection(equation) if project else None
     functions = [equation.slope, *([] if exact is None else [exact])]
     if equation.switches:
-        functions += [each(equation) for each in (crossing, search, distance, switching)]
+        functions += [each(equation) for each in (crossing, distance, switching)]
+        functions += [interpolant(equation), room_inside(equation)]
+        functions.append(switch_on_interpolant(equation, 0.0))
     functions.append(power_iteration(equation))
     n = equation.states
     sizes = {
         "STATES": n, "INPUTS": equation.inputs, "SWITCHES": equation.switches,
         "DEGREE": equation.layout.degree, "TURNS": count, "RECORD": 2 + n * (1 + _POWERS),
         "POLISHES": POLISHES, "MOST_STALLS": _MOST_STALLS,
+        "SAMPLES": SAMPLES, "ZOOMS": zooms(equation),
     }  # fmt: skip
     numbers = {
         "SAFETY": _SAFETY, "LEAST": _LEAST, "MOST": _MOST, "ORDER": _ORDER, "STABLE": _STABLE,
