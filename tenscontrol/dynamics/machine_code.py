@@ -128,11 +128,17 @@ def compiler() -> Compiler | None:
         if asked:
             return _asked_for(variable, asked)
     for name in _USUAL:
-        path = shutil.which(name)
+        path = _which(name, os.getenv("PATH"))
         version = None if path is None or _is_stub(path) else _version((path,))
         if path is not None and version is not None:
             return Compiler((path,), version)
     return None
+
+
+@cache
+def _which(name: str, path: str | None) -> str | None:
+    """Return a program on a path; it is looked for once."""
+    return shutil.which(name, path=path)
 
 
 def suffix() -> str:

@@ -24,12 +24,11 @@ def loop_source(
     carried: Sequence[str],
     method: Any,
 ) -> str:
-    """Return the C text of ``turns(z, given) -> (z, records)`` and of ``largest``.
+    """Return the C text of ``turns(z, given) -> (z, records)``, of ``largest`` and of ``exact``.
 
     The first is many turns of :class:`DOP853`, the second is the last of ``functions``, by which
-    the largest frequency is found. ``functions`` are called by name, ``sizes`` and ``numbers`` are
-    constants of the text,
-    ``carried`` names the numbers in z, and ``method`` has the coefficients.
+    the largest frequency is found, the third makes bars rigid, if one of them does. ``functions``
+    are called by name, ``sizes`` and ``numbers`` are constants of the text, ``carried`` names the numbers in z, and ``method`` has the coefficients.
     """
     n, switches, inputs = (sizes[name] for name in ("STATES", "SWITCHES", "INPUTS"))
     kernels = ca.CodeGenerator("kernels", {"with_header": False})
@@ -73,6 +72,7 @@ def loop_source(
             _TEXT % parts,
             external_interface("turns", [z, given], [z, sizes["RECORD"] * sizes["TURNS"]]),
             external_interface("largest", [n, inputs, switches, 1, n // 2], [1]),
+            external_interface("exact", [n], [n]),
         ]
     )
 
@@ -256,12 +256,28 @@ EXPORTED int largest(const double **arg, double **res, casadi_int *iw, double *w
   return frequency(given, to, own, w, mem);
 }
 
+EXPORTED int exact(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
+#ifdef HAS_PROJECT
+  const double *given[ARG_SIZE];
+  double *to[RES_SIZE];
+  casadi_int own[IW_SIZE];
+  (void)iw;
+  given[0] = arg[0]; to[0] = res[0];
+  return project(given, to, own, w, mem);
+#else
+  (void)iw; (void)w; (void)mem;
+  memcpy(res[0], arg[0], STATES * sizeof(double));
+  return 0;
+#endif
+}
+
 EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
   const double *input = arg[1], *span = input + INPUTS, longest = span[2], *scale = span + 3;
   const double duration = span[0];
   double *z = res[0], *x = z, *f = z + STATES, *taut = f + STATES, *now = taut + SWITCHES;
   double *x1, *K, *K1, *started, *begun, *strings;
   casadi_int own[IW_SIZE];
+  int kept = 0;
   Memory memory = {own, w, w + W_SIZE, 0}, *m = &memory;
   (void)iw;
   (void)mem;
@@ -269,7 +285,6 @@ EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, 
   m->later = begun + SWITCHES; started = m->later + INPUTS; strings = started + INPUTS;
   (void)K1; (void)strings;
   memcpy(z, arg[0], (2 * STATES + SWITCHES + NUMBERS) * sizeof(double));
-  for (int turn = 0; turn < TURNS; ++turn) res[1][turn * RECORD + 1] = 0;
   for (int turn = 0; turn < TURNS && now[TIME] < duration && !now[STUCK]; ++turn) {
     const double time = now[TIME];
     const double h = fmin(fmin(now[STEP], longest), duration - time);
@@ -303,7 +318,8 @@ EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, 
 #endif
     after = taken >= duration - time ? duration : time + taken;
     made = record(x, x1, K, u, begun, taken, time, after, crossed, span,
-                  res[1] + turn * RECORD, m);
+                  res[1] + kept * RECORD, m);
+    kept += made;
     now[INTERPOLANTS] += made;
     now[TIME] = after;
     now[STEP] = h * (crossed ? fmin(factor_of(error), 1) : factor_of(error));
@@ -317,6 +333,7 @@ EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, 
       memcpy(f, K + END_SLOPE, STATES * sizeof(double));
     }
   }
+  for (; kept < TURNS; ++kept) res[1][kept * RECORD + 1] = 0;
   return 0;
 }
 """

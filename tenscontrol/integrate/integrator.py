@@ -5,17 +5,18 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, fields
-from functools import partial
+from functools import lru_cache, partial
 from typing import TypeVar
 
 import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import ContactLaw, Equation, SharedEvaluator, compiled
-from tenscontrol.structure import node_mass
+from tenscontrol.structure import Structure, node_mass
 from tenscontrol.validation import (
     LARGEST,
     FloatArray,
+    frozen,
     function,
     instance,
     measured,
@@ -260,13 +261,18 @@ def state_scale(
     forces = np.abs(_shared(equation, "force", lambda: force)(q, v, held, gap > 0)[0]).max(
         initial=0.0
     )
-    nodes = structure.nodes
-    members = np.vstack([structure.bars, structure.segments])
-    size = np.linalg.norm(nodes[:, members[:, 1]] - nodes[:, members[:, 0]], axis=0).max()
-    mass = structure.bar_mass.sum() + structure.point_mass[structure.point_mass > 0].sum()
+    size, mass = equation.prepared.get("size and mass", partial(_size_and_mass, structure))
     speeds = (np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass), 1e-3 * size * frequency)
     # Where nothing moves and nothing pulls, any speed will do.
     return np.repeat([size, max(speeds) or size], len(q))
+
+
+def _size_and_mass(structure: Structure) -> tuple[float, float]:
+    """Return the length of the longest member, m, and the mass, kg."""
+    nodes, members = structure.nodes, np.vstack([structure.bars, structure.segments])
+    size = np.linalg.norm(nodes[:, members[:, 1]] - nodes[:, members[:, 0]], axis=0).max()
+    mass = structure.bar_mass.sum() + structure.point_mass[structure.point_mass > 0].sum()
+    return float(size), float(mass)
 
 
 def largest_frequency(
@@ -284,9 +290,14 @@ def largest_frequency(
     n = equation.states // 2
     size = float(np.abs(state[:n] - state[:n].mean()).max()) or 1.0
     square = by or _shared(equation, "frequency", lambda: power_iteration(equation))
-    vector = np.random.default_rng(0).standard_normal(n)
-    given = (state, held, _strings_alone(equation), _DIFFERENCE * size, vector)
+    given = (state, held, _strings_alone(equation), _DIFFERENCE * size, _random(n))
     return float(np.sqrt(square(*given)[0][0]))
+
+
+@lru_cache(maxsize=8)
+def _random(count: int) -> FloatArray:
+    """Return a vector to start from, the same each time."""
+    return frozen(np.random.default_rng(0).standard_normal(count))
 
 
 def power_iteration(equation: Equation) -> ca.Function:
