@@ -9,7 +9,6 @@ from __future__ import annotations
 import atexit
 import os
 import platform
-import re
 import shlex
 import shutil
 import stat
@@ -184,12 +183,11 @@ def _is_stub(path: str) -> bool:
 
 @cache
 def _for_processor() -> tuple[str, ...]:
-    """Return the flags for wider registers, where the processor has them: the same bits, sooner."""
-    if platform.machine().lower() not in ("x86_64", "amd64") or not sys.platform.startswith("linux"):
-        return ()
-    with suppress(OSError):
-        if re.search(r"^flags\s*:.*\bavx2\b", Path("/proc/cpuinfo").read_text(), re.MULTILINE):
-            return ("-mavx2",)
+    """Return flags for wider registers, where the processor has them: the same bits, sooner."""
+    if platform.machine() == "x86_64" and sys.platform.startswith("linux"):
+        with suppress(OSError):
+            if " avx2 " in Path("/proc/cpuinfo").read_text(encoding="utf-8"):
+                return ("-mavx2",)
     return ()
 
 

@@ -28,7 +28,8 @@ def loop_source(
 
     The first is many turns of :class:`DOP853`, the second is the last of ``functions``, by which
     the largest frequency is found, the third makes bars rigid, if one of them does. ``functions``
-    are called by name, ``sizes`` and ``numbers`` are constants of the text, ``carried`` names the numbers in z, and ``method`` has the coefficients.
+    are called by name, ``sizes`` and ``numbers`` are constants of the text, ``carried``
+    names the numbers in z, and ``method`` has the coefficients.
     """
     n, switches, inputs = (sizes[name] for name in ("STATES", "SWITCHES", "INPUTS"))
     kernels = ca.CodeGenerator("kernels", {"with_header": False})
@@ -180,7 +181,7 @@ static int is_crossed(const double *x, const double *x1, const double *u, const 
   return found != 0;
 }
 
-/* Closes in on the first sample at which a switch is out, else on the lowest; whether one is out. */
+/* Closes in on the first sample that is out, else on the lowest; whether one is out. */
 static int zoom(const double **arg, double *low, double *high, double *rooms, const Memory *m) {
   const double width = (*high - *low) / SAMPLES;
   double *res[RES_SIZE], least = INFINITY;

@@ -241,8 +241,9 @@ _POWER_ITERATIONS, _DIFFERENCE = 60, 1e-6
 
 
 def state_scale(
-    equation: Equation, state: FloatArray, held: FloatArray, frequency: float
-) -> FloatArray:
+    equation: Equation, state: FloatArray, held: FloatArray, frequency: float,
+    taut: FloatArray | None = None,
+) -> FloatArray:  # fmt: skip
     """Return the size of each entry of the state, shape (states,).
 
     For positions it is the length of the longest bar or straight piece of string; for velocities
@@ -251,16 +252,17 @@ def state_scale(
     have at least. So the answer does not change with units or place. An equation that is no
     structure's has the entry itself and 1.
 
-    ``frequency`` is from :func:`largest_frequency`, rad/s.
+    ``frequency`` is from :func:`largest_frequency`, rad/s; ``taut``, if it is known, tells what
+    pulls in the state.
     """
     structure, force = equation.structure, equation.force
     if structure is None or force is None:
         return 1 + np.abs(state)
-    q, v = np.split(state, 2)
-    gap = _shared(equation, "gap", lambda: equation.gap)(state, held)[0]
-    forces = np.abs(_shared(equation, "force", lambda: force)(q, v, held, gap > 0)[0]).max(
-        initial=0.0
-    )
+    q, v = state[: len(state) // 2], state[len(state) // 2 :]
+    if taut is None:
+        taut = (_shared(equation, "gap", lambda: equation.gap)(state, held)[0] > 0).astype(float)
+    found = _shared(equation, "force", lambda: force)(q, v, held, taut)[0]
+    forces = np.abs(found).max(initial=0.0)
     size, mass = equation.prepared.get("size and mass", partial(_size_and_mass, structure))
     speeds = (np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass), 1e-3 * size * frequency)
     # Where nothing moves and nothing pulls, any speed will do.
