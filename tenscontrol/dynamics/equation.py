@@ -237,14 +237,9 @@ def pack_state(structure: Structure, nodes: FloatArray, velocities: FloatArray) 
 def unpack_states(structure: Structure, states: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return all nodes and velocities, shape (d, n, T) each, from states, one a column."""
     d, n = structure.nodes.shape
-    half = len(structure.free_rows)
-    nodes, velocities = np.empty((2, n * d, states.shape[1]))
-    if half == n * d:
-        nodes[:], velocities[:] = states[:half], states[half:]
-    else:
-        nodes[:], velocities[:] = structure.nodes.ravel(order="F")[:, None], 0.0
-        nodes[structure.free_rows] = states[:half]
-        velocities[structure.free_rows] = states[half:]
+    nodes, velocities = np.zeros((2, n * d, states.shape[1]))
+    nodes[:] = structure.nodes.ravel(order="F")[:, None]
+    nodes[structure.free_rows], velocities[structure.free_rows] = np.split(states, 2)
     shape = (n, d, -1)
     return nodes.reshape(shape).swapaxes(0, 1), velocities.reshape(shape).swapaxes(0, 1)
 

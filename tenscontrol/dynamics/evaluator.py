@@ -21,7 +21,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import casadi as ca
 import numpy as np
 
-from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.validation import FloatArray
 
 _Arguments = ParamSpec("_Arguments")
 _Self = TypeVar("_Self")
@@ -310,10 +310,8 @@ class ColumnEvaluator:
             if width == 1:
                 parts = self._one(*(column[:, start] for column in columns))
             else:
-                some: slice | IntArray = slice(start, start + width)
-                if start + width > count:
-                    some = np.minimum(np.arange(start, start + width), count - 1)
-                parts = self._chunk(*(column[:, some] for column in columns))
+                places = np.minimum(np.arange(start, start + width), count - 1)
+                parts = self._chunk(*(column[:, places] for column in columns))
             end = min(start + width, count)
             for result, part in zip(results, parts, strict=True):
                 result[:, start:end] = part.reshape(len(result), width, order="F")[:, : end - start]

@@ -64,6 +64,7 @@ exec "$@" 3<&-
 """
 
 _VERSION_TIMEOUT = 30.0  # s
+_which = cache(shutil.which)
 _LINES = 8  # of what the compiler says that go into a message
 
 _ADVICE = (
@@ -127,17 +128,11 @@ def compiler() -> Compiler | None:
         if asked:
             return _asked_for(variable, asked)
     for name in _USUAL:
-        path = _which(name, os.getenv("PATH"))
+        path = _which(name, path=os.getenv("PATH"))
         version = None if path is None or _is_stub(path) else _version((path,))
         if path is not None and version is not None:
             return Compiler((path,), version)
     return None
-
-
-@cache
-def _which(name: str, path: str | None) -> str | None:
-    """Return a program on a path; it is looked for once."""
-    return shutil.which(name, path=path)
 
 
 def suffix() -> str:

@@ -106,15 +106,8 @@ class DOP853(Integrator):
         self._chunk, self._start, self._largest, self._turns, self.back_end, exact = built
         self._projected = Projector(equation, project, exact)
 
-    def _build(
-        self, project: bool, machine_code: bool
-    ) -> tuple[
-        SharedEvaluator, SharedEvaluator, SharedEvaluator | None, int, str, ca.Function | None
-    ]:
-        """Return many turns, taut and slope at the start, what finds the largest frequency.
-
-        Then how many turns, the back end, and what makes bars rigid, if it was compiled.
-        """
+    def _build(self, project: bool, machine_code: bool) -> tuple[Any, ...]:
+        """Return what `__init__` keeps."""
         equation = self._equation
         most = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _COMPILED_TURNS))
         functions: tuple[ca.Function | None, ...] = ()
@@ -148,7 +141,7 @@ class DOP853(Integrator):
             self._frequency = largest_frequency(self._equation, state, held, self._largest)
             self._held = of_strings.copy()
         taut, slope = self._start(state, held)
-        scale = state_scale(self._equation, state, held, self._frequency, taut)
+        scale = state_scale(self._equation, state, held, self._frequency)
         step = _first_step(slope, scale, duration)
         carried = np.concatenate([state, slope, taut, [0.0, step], np.zeros(len(_CARRIED) - 2)])
         spacing = duration / outputs
@@ -241,10 +234,7 @@ def _work(told: dict[str, float]) -> Work:
 
 
 def _interpolate(recorded: FloatArray, times: FloatArray, states: FloatArray, done: int) -> int:
-    """Fill in the states at the times that the recorded steps reach, and return how many are.
-
-    Of the records, one row a step.
-    """
+    """Fill in states at times that the recorded steps (rows) reach, and return how many are."""
     n = len(states)
     made = np.flatnonzero(recorded[:, 1] > 0)
     if not made.size:

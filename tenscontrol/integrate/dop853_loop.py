@@ -257,19 +257,15 @@ EXPORTED int largest(const double **arg, double **res, casadi_int *iw, double *w
   return frequency(given, to, own, w, mem);
 }
 
-EXPORTED int exact(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
-#ifdef HAS_PROJECT
-  const double *given[ARG_SIZE];
-  double *to[RES_SIZE];
-  casadi_int own[IW_SIZE];
-  (void)iw;
-  given[0] = arg[0]; to[0] = res[0];
-  return project(given, to, own, w, mem);
-#else
-  (void)iw; (void)w; (void)mem;
-  memcpy(res[0], arg[0], STATES * sizeof(double));
-  return 0;
+#ifndef HAS_PROJECT
+#define project(arg, res, iw, w, mem) (memcpy(res[0], arg[0], STATES * sizeof(double)), 0)
 #endif
+EXPORTED int exact(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
+  const double *given[ARG_SIZE] = {arg[0]};
+  double *to[RES_SIZE] = {res[0]};
+  casadi_int own[IW_SIZE];
+  (void)iw; (void)own; (void)mem;
+  return project(given, to, own, w, mem);
 }
 
 EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, int mem) {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, fields
-from functools import lru_cache, partial
+from functools import partial
 from typing import TypeVar
 
 import casadi as ca
@@ -16,7 +16,6 @@ from tenscontrol.structure import Structure, node_mass
 from tenscontrol.validation import (
     LARGEST,
     FloatArray,
-    frozen,
     function,
     instance,
     measured,
@@ -241,9 +240,8 @@ _POWER_ITERATIONS, _DIFFERENCE = 60, 1e-6
 
 
 def state_scale(
-    equation: Equation, state: FloatArray, held: FloatArray, frequency: float,
-    taut: FloatArray | None = None,
-) -> FloatArray:  # fmt: skip
+    equation: Equation, state: FloatArray, held: FloatArray, frequency: float
+) -> FloatArray:
     """Return the size of each entry of the state, shape (states,).
 
     For positions it is the length of the longest bar or straight piece of string; for velocities
@@ -252,15 +250,13 @@ def state_scale(
     have at least. So the answer does not change with units or place. An equation that is no
     structure's has the entry itself and 1.
 
-    ``frequency`` is from :func:`largest_frequency`, rad/s; ``taut``, if it is known, tells what
-    pulls in the state.
+    ``frequency`` is from :func:`largest_frequency`, rad/s.
     """
     structure, force = equation.structure, equation.force
     if structure is None or force is None:
         return 1 + np.abs(state)
     q, v = state[: len(state) // 2], state[len(state) // 2 :]
-    if taut is None:
-        taut = (_shared(equation, "gap", lambda: equation.gap)(state, held)[0] > 0).astype(float)
+    taut = _shared(equation, "gap", lambda: equation.gap)(state, held)[0] > 0
     found = _shared(equation, "force", lambda: force)(q, v, held, taut)[0]
     forces = np.abs(found).max(initial=0.0)
     size, mass = equation.prepared.get("size and mass", partial(_size_and_mass, structure))
@@ -292,14 +288,9 @@ def largest_frequency(
     n = equation.states // 2
     size = float(np.abs(state[:n] - state[:n].mean()).max()) or 1.0
     square = by or _shared(equation, "frequency", lambda: power_iteration(equation))
-    given = (state, held, _strings_alone(equation), _DIFFERENCE * size, _random(n))
+    random = equation.prepared.get("random", lambda: np.random.default_rng(0).standard_normal(n))
+    given = (state, held, _strings_alone(equation), _DIFFERENCE * size, random)
     return float(np.sqrt(square(*given)[0][0]))
-
-
-@lru_cache(maxsize=8)
-def _random(count: int) -> FloatArray:
-    """Return a vector to start from, the same each time."""
-    return frozen(np.random.default_rng(0).standard_normal(count))
 
 
 def power_iteration(equation: Equation) -> ca.Function:

@@ -62,10 +62,7 @@ def projection(equation: Equation) -> ca.Function | None:
 
 
 class Projector:
-    """Makes the bar lengths of states exact, one a column, if wanted and there are bars.
-
-    By a compiled :func:`projection`, if there is one.
-    """
+    """Makes the bar lengths of states exact, one a column, if wanted and there are bars."""
 
     def __init__(
         self, equation: Equation, wanted: bool, compiled: ca.Function | None = None
