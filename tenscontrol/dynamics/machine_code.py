@@ -40,11 +40,13 @@ _USUAL = ("cc", "gcc", "clang")
 # (also what ISO C asks for). A square root need not set errno: that is a branch less, and the
 # same number. Without interposition the small functions that CasADi exports are put in line,
 # which saves a quarter of the instructions. ISO C keeps names such as `gamma` free for functions.
+# Nobody looks at the flags that an operation raises, so both sides of a choice may be worked out.
 FLAGS = (
     "-O3",
     "-std=c99",
     "-ffp-contract=off",
     "-fno-math-errno",
+    "-fno-trapping-math",
     "-fno-semantic-interposition",
     "-fPIC",
     "-shared",
@@ -62,6 +64,7 @@ exec "$@" 3<&-
 """
 
 _VERSION_TIMEOUT = 30.0  # s
+_which = cache(shutil.which)
 _LINES = 8  # of what the compiler says that go into a message
 
 _ADVICE = (
@@ -125,7 +128,7 @@ def compiler() -> Compiler | None:
         if asked:
             return _asked_for(variable, asked)
     for name in _USUAL:
-        path = shutil.which(name)
+        path = _which(name, path=os.getenv("PATH"))
         version = None if path is None or _is_stub(path) else _version((path,))
         if path is not None and version is not None:
             return Compiler((path,), version)
@@ -171,6 +174,16 @@ def _is_stub(path: str) -> bool:
     if platform.system() != "Darwin" or not path.startswith("/usr/bin/"):
         return False
     return _run(["/usr/bin/xcode-select", "-p"], None, _VERSION_TIMEOUT)[0] != 0
+
+
+@cache
+def _for_processor() -> tuple[str, ...]:
+    """Return flags for wider registers, where the processor has them: the same bits, sooner."""
+    if platform.machine() == "x86_64" and sys.platform.startswith("linux"):
+        with suppress(OSError):
+            if " avx2 " in Path("/proc/cpuinfo").read_text(encoding="utf-8"):
+                return ("-mavx2",)
+    return ()
 
 
 def _libraries() -> list[str]:
@@ -432,7 +445,8 @@ def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, 
     """Return the library made of C code, whether it was there already, and where."""
     machine = (sys.platform, platform.machine(), *platform.libc_ver())
     # All that a library depends on.
-    parts = (source, *found.command, found.version, str(FLAGS), ca.__version__, *machine)
+    flags = _for_processor()
+    parts = (source, *found.command, found.version, *FLAGS, *flags, ca.__version__, *machine)
     key = sha256("\0".join(parts).encode()).hexdigest()[:_DIGITS]
     kept = open_cache()
     library = kept.find(key)
@@ -441,7 +455,7 @@ def _library(source: str, found: Compiler, timeout: float) -> tuple[Path, bool, 
         with _new_folder(kept.folder) as folder:
             # Names without a folder: the library must not depend on where it was made.
             write_file(folder / "function.c", source, flush=False)
-            made = found.link([Path("function.c")], folder, "function", timeout)
+            made = found.link([Path("function.c")], folder, "function", timeout, flags)
             library = kept.add(key, made)
     return library, cached, kept
 

@@ -12,12 +12,16 @@ from tenscontrol.dynamics import Equation, SharedEvaluator, compiled_source, com
 from tenscontrol.integrate.dop853_loop import loop_source
 from tenscontrol.integrate.events import (
     POLISHES,
+    SAMPLES,
     crossing,
     distance,
+    interpolant,
     landing,
-    search,
+    room_inside,
+    switch_on_interpolant,
     switching,
     taut_strings,
+    zooms,
 )
 from tenscontrol.integrate.integrator import (
     IntegrationError,
@@ -42,7 +46,7 @@ _STAGES, _MORE_STAGES = 12, 3
 _POWERS = 7
 
 # Turns (steps tried) per call, interpreted and compiled, and the most numbers that they may record.
-_TURNS, _COMPILED_TURNS = 32, 256
+_TURNS, _COMPILED_TURNS = 32, 1024
 _MOST_RECORDED = 4e6
 
 # How the step follows the error: by a factor 0.9 error^(-1/8) within these bounds.
@@ -95,20 +99,15 @@ class DOP853(Integrator):
     ) -> None:
         super().__init__(equation, project, machine_code)
         self.tolerance = checked_tolerance(tolerance)
-        self._projected = Projector(equation, project)
         self._frequency = 0.0  # largest, rad/s
         self._held: FloatArray | None = None  # input for which it was found
         by = compiler() if machine_code else None
         built = self._kept(lambda: self._build(project, machine_code), project, machine_code, by)
-        self._chunk, self._start, self._largest, self._turns, self.back_end = built
+        self._chunk, self._start, self._largest, self._turns, self.back_end, exact = built
+        self._projected = Projector(equation, project, exact)
 
-    def _build(
-        self, project: bool, machine_code: bool
-    ) -> tuple[SharedEvaluator, SharedEvaluator, SharedEvaluator | None, int, str]:
-        """Return many turns, taut and slope at the start, what finds the largest frequency.
-
-        Then how many turns, and the back end.
-        """
+    def _build(self, project: bool, machine_code: bool) -> tuple[Any, ...]:
+        """Return what `__init__` keeps."""
         equation = self._equation
         most = int(np.clip(_MOST_RECORDED / (8 * equation.states), 1, _COMPILED_TURNS))
         functions: tuple[ca.Function | None, ...] = ()
@@ -117,13 +116,13 @@ class DOP853(Integrator):
             functions, back_end = _compiled_turns(equation, project, most, machine_code)
         if not functions:
             most = min(most, _TURNS)
-            functions = _Turn(equation, project).function().mapaccum(most), None
+            functions = _Turn(equation, project).function().mapaccum(most), None, None
         x, u, _, _ = equation.symbols(ca.MX)
         taut = taut_strings(equation, x, u)
         start = ca.Function("start", [x, u], [taut, equation.slope(x, u, taut)])
-        chunk, largest = functions
+        chunk, largest, exact = functions
         by = None if largest is None else SharedEvaluator(largest)
-        return SharedEvaluator(chunk), SharedEvaluator(start), by, most, back_end
+        return SharedEvaluator(chunk), SharedEvaluator(start), by, most, back_end, exact
 
     def advance(
         self,
@@ -141,8 +140,8 @@ class DOP853(Integrator):
         if before is None or (np.abs(of_strings - before) > 0.2 * np.abs(before)).any():
             self._frequency = largest_frequency(self._equation, state, held, self._largest)
             self._held = of_strings.copy()
-        scale = state_scale(self._equation, state, held, self._frequency)
         taut, slope = self._start(state, held)
+        scale = state_scale(self._equation, state, held, self._frequency)
         step = _first_step(slope, scale, duration)
         carried = np.concatenate([state, slope, taut, [0.0, step], np.zeros(len(_CARRIED) - 2)])
         spacing = duration / outputs
@@ -158,7 +157,7 @@ class DOP853(Integrator):
                 check()
                 with self._chunk.outputs(carried, given) as (after, recorded):
                     carried = after.reshape(len(carried), -1, order="F")[:, -1].copy()
-                    recorded = recorded.reshape(-1, self._turns, order="F")
+                    recorded = recorded.reshape(-1, self._turns, order="F").T
                     done = _interpolate(recorded, times[:-1], states, done)
                 told = dict(zip(_CARRIED, carried[2 * n + switches :].tolist(), strict=True))
                 if told["stuck"]:
@@ -186,29 +185,32 @@ class DOP853(Integrator):
 def _compiled_turns(
     equation: Equation, project: bool, count: int, wanted: bool
 ) -> tuple[tuple[ca.Function, ...], str]:
-    """Return so many turns of the loop in C, and what finds the largest frequency; or nothing.
+    """Return so many turns of the loop in C, what finds the largest frequency, and a projection.
 
-    That is where it is not wanted, or there is no compiler.
+    Or nothing, where it is not wanted, or there is no compiler.
     """
     if not wanted or compiler() is None:
         return (), "virtual machine"
     exact = projection(equation) if project else None
     functions = [equation.slope, *([] if exact is None else [exact])]
     if equation.switches:
-        functions += [each(equation) for each in (crossing, search, distance, switching)]
+        functions += [each(equation) for each in (crossing, distance, switching)]
+        functions += [interpolant(equation), room_inside(equation)]
+        functions.append(switch_on_interpolant(equation, 0.0))
     functions.append(power_iteration(equation))
     n = equation.states
     sizes = {
         "STATES": n, "INPUTS": equation.inputs, "SWITCHES": equation.switches,
         "DEGREE": equation.layout.degree, "TURNS": count, "RECORD": 2 + n * (1 + _POWERS),
         "POLISHES": POLISHES, "MOST_STALLS": _MOST_STALLS,
+        "SAMPLES": SAMPLES, "ZOOMS": zooms(equation),
     }  # fmt: skip
     numbers = {
         "SAFETY": _SAFETY, "LEAST": _LEAST, "MOST": _MOST, "ORDER": _ORDER, "STABLE": _STABLE,
         "SHORTEST": _SHORTEST, "TWICE_LATE": 2 * _LATE, "MORE": 1 + 1e-14,
     }  # fmt: skip
     source = loop_source(functions, sizes, numbers, _CARRIED, _coefficients())
-    return compiled_source(source, ("turns", "largest")), "machine code"
+    return compiled_source(source, ("turns", "largest", "exact")), "machine code"
 
 
 def _coefficients() -> Any:
@@ -232,21 +234,22 @@ def _work(told: dict[str, float]) -> Work:
 
 
 def _interpolate(recorded: FloatArray, times: FloatArray, states: FloatArray, done: int) -> int:
-    """Fill in the states at the times that the recorded steps reach, and return how many are."""
+    """Fill in states at times that the recorded steps (rows) reach, and return how many are."""
     n = len(states)
-    recorded = recorded[:, recorded[1] > 0]
-    if not recorded.size:
+    made = np.flatnonzero(recorded[:, 1] > 0)
+    if not made.size:
         return done
     # A step that reaches a time but for round-off, as one to a switch may, was recorded for it.
-    ends = (recorded[0] + recorded[1]) * (1 + 2e-14)
+    ends = recorded[made, :2].sum(axis=1) * (1 + 2e-14)
     reached = int(np.searchsorted(times, ends[-1], side="right"))
     now = times[done:reached]
-    within = recorded[:, np.minimum(np.searchsorted(ends, now), len(ends) - 1)]
-    part = (now - within[0]) / within[1]
-    value = np.zeros((n, len(now)))
-    for i, rows in enumerate(within[2 + n :].reshape(_POWERS, n, len(now))[::-1]):
-        value = (value + rows) * (part if i % 2 == 0 else 1 - part)
-    states[:, done:reached] = value + within[2 : 2 + n]
+    within = recorded[made[np.minimum(np.searchsorted(ends, now), len(ends) - 1)]]
+    part = (now[:, None] - within[:, :1]) / within[:, 1:2]
+    value = np.zeros((len(now), n))
+    for i in range(_POWERS):
+        end = within.shape[1] - i * n
+        value = (value + within[:, end - n : end]) * (part if i % 2 == 0 else 1 - part)
+    states[:, done:reached] = (value + within[:, 2 : 2 + n]).T
     return reached
 
 

@@ -24,12 +24,12 @@ def loop_source(
     carried: Sequence[str],
     method: Any,
 ) -> str:
-    """Return the C text of ``turns(z, given) -> (z, records)`` and of ``largest``.
+    """Return the C text of ``turns(z, given) -> (z, records)``, of ``largest`` and of ``exact``.
 
     The first is many turns of :class:`DOP853`, the second is the last of ``functions``, by which
-    the largest frequency is found. ``functions`` are called by name, ``sizes`` and ``numbers`` are
-    constants of the text,
-    ``carried`` names the numbers in z, and ``method`` has the coefficients.
+    the largest frequency is found, the third makes bars rigid, if one of them does. ``functions``
+    are called by name, ``sizes`` and ``numbers`` are constants of the text, ``carried``
+    names the numbers in z, and ``method`` has the coefficients.
     """
     n, switches, inputs = (sizes[name] for name in ("STATES", "SWITCHES", "INPUTS"))
     kernels = ca.CodeGenerator("kernels", {"with_header": False})
@@ -50,7 +50,7 @@ def loop_source(
         **{f"{name.upper()}_SIZE": size for name, size in memory.items()},
         "END_SLOPE": f"({first - 1} * STATES)",
         "SLOPES": f"({slopes} * STATES)",
-        "WORK": memory["w"] + (2 * slopes + 2) * n + 2 * inputs + 4 * switches,
+        "WORK": memory["w"] + (2 * slopes + 5) * n + 2 * inputs + 5 * switches,
         **{f"HAS_{each.name().upper()}": 1 for each in functions},
     }
     parts = {
@@ -73,6 +73,7 @@ def loop_source(
             _TEXT % parts,
             external_interface("turns", [z, given], [z, sizes["RECORD"] * sizes["TURNS"]]),
             external_interface("largest", [n, inputs, switches, 1, n // 2], [1]),
+            external_interface("exact", [n], [n]),
         ]
     )
 
@@ -113,7 +114,7 @@ static void of_slope(const double *x, const double *u, const double *taut, doubl
   slope(arg, res, m->iw, m->w, 0);
 }
 
-/* A step from x with slope K[0]: its end, and the slopes of all stages and of the end in K. */
+/* A step from x with slope K[0]: its end, and the slopes of all stages in K. */
 static void step_of(const double *x, const double *u, const double *taut, double h,
                     double *restrict x1, double *restrict K, const Memory *m) {
   double *restrict y = m->y;
@@ -128,7 +129,6 @@ static void step_of(const double *x, const double *u, const double *taut, double
     project(arg, res, m->iw, m->w, 0);
   }
 #endif
-  of_slope(x1, ahead(u, 1.0 * h, m), taut, K + END_SLOPE, m);
 }
 
 static double error_of(const double *K, const double *scale, double h) {
@@ -146,10 +146,11 @@ static double factor_of(double error) {
   return fmin(fmax(SAFETY * pow(fmax(error, 1e-16), -1 / ORDER), LEAST), MOST);
 }
 
-/* The record of a step, zero long if no output lies in it; whether one does. */
+/* The record of a step, zero long if no output lies in it; whether one does. K has no slope at the
+   end of a step that was cut. */
 static int record(const double *x, const double *x1, double *restrict K, const double *u,
-                  const double *taut, double h, double time, double after, const double *span,
-                  double *restrict to, const Memory *m) {
+                  const double *taut, double h, double time, double after, int cut,
+                  const double *span, double *restrict to, const Memory *m) {
   const double duration = span[0], spacing = span[1], *f = K, *f1 = K + END_SLOPE;
   const double until = floor(after / spacing * MORE), since = floor(time / spacing * MORE);
   const int needed = until > since && (after < duration || time + spacing < after);
@@ -157,6 +158,7 @@ static int record(const double *x, const double *x1, double *restrict K, const d
   to[0] = time;
   to[1] = h * needed;
   if (!needed) return 0;
+  if (cut) of_slope(x1, ahead(u, 1.0 * h, m), taut, K + END_SLOPE, m);
   memcpy(to + 2, x, STATES * sizeof(double));
 %(extra)s
   for (int i = 0; i < STATES; ++i) {
@@ -179,19 +181,44 @@ static int is_crossed(const double *x, const double *x1, const double *u, const 
   return found != 0;
 }
 
+/* Closes in on the first sample that is out, else on the lowest; whether one is out. */
+static int zoom(const double **arg, double *low, double *high, double *rooms, const Memory *m) {
+  const double width = (*high - *low) / SAMPLES;
+  double *res[RES_SIZE], least = INFINITY;
+  int first = 0, last = 1;
+  for (int j = 0; j < SAMPLES && !(least < 0); ++j) {
+    const double at = *low + (j + 1) * width;
+    double lowest = INFINITY;
+    arg[4] = &at; res[0] = rooms;
+    room(arg, res, m->iw, m->w, 0);
+    for (int i = 0; i < SWITCHES; ++i) lowest = fmin(rooms[i], lowest);
+    if (lowest < least) {
+      first = j;
+      last = lowest < 0 || j + 2 > SAMPLES ? j + 1 : j + 2;
+      least = lowest;
+    }
+  }
+  *high = *low + last * width;
+  *low += first * width;
+  return least < 0;
+}
+
 /* Ends a step at its first switch: its part, and x1 and K there; taut goes over to what follows. */
 static double land(const double *x, double *taut, const double *u, double h, double *x1, double *K,
                    double *K1, double allowed, double *strings, double *now, const Memory *m) {
   const double *arg[ARG_SIZE], *end;
   double *res[RES_SIZE], found = 0, wanted = 0, speed = 0, aim = 0, switched = 0;
-  double part = 0, gap_before = 0, *chosen = strings, *leaving = chosen + SWITCHES;
+  double part = 0, gap_before = 0, low = 0, high = 1, *chosen = strings;
+  double *leaving = chosen + SWITCHES, *rooms = leaving + 2 * SWITCHES, *within = rooms + SWITCHES;
   int taken = 0;
-  arg[0] = x; arg[1] = taut; arg[2] = u; arg[3] = &h; arg[4] = x1; arg[5] = K;
-  arg[6] = K + END_SLOPE; arg[7] = &allowed;
-  res[0] = &found; res[1] = &wanted; res[2] = &speed; res[3] = &aim; res[4] = chosen;
-  res[5] = leaving;
-  search(arg, res, m->iw, m->w, 0);
+  arg[0] = x; arg[1] = K; arg[2] = x1; arg[3] = K + END_SLOPE; arg[4] = &h; res[0] = within;
+  interpolant(arg, res, m->iw, m->w, 0);
+  arg[0] = within; arg[1] = u; arg[2] = taut; arg[3] = &h;
+  for (int i = 0; i < ZOOMS; ++i) found = zoom(arg, &low, &high, rooms, m);
   if (!found) return h;
+  arg[4] = &low; arg[5] = &high; arg[6] = &found; arg[7] = &allowed;
+  res[0] = &wanted; res[1] = &speed; res[2] = &aim; res[3] = chosen; res[4] = leaving;
+  first_out(arg, res, m->iw, m->w, 0);
   memcpy(K1, K, STATES * sizeof(double));
   for (int tried = 0; tried < POLISHES; ++tried) {
     double gap = 0, secant, before = part;
@@ -210,7 +237,6 @@ static double land(const double *x, double *taut, const double *u, double h, dou
     ++taken;
   }
   memcpy(K, K1, END_SLOPE * sizeof(double));
-  memcpy(K + END_SLOPE, K1 + END_SLOPE, STATES * sizeof(double));
   arg[0] = x1; arg[1] = ahead(u, part * h, m); arg[2] = taut; arg[3] = leaving;
   res[0] = strings + 2 * SWITCHES; res[1] = &switched;
   switching(arg, res, m->iw, m->w, 0);
@@ -231,12 +257,24 @@ EXPORTED int largest(const double **arg, double **res, casadi_int *iw, double *w
   return frequency(given, to, own, w, mem);
 }
 
+#ifndef HAS_PROJECT
+#define project(arg, res, iw, w, mem) (memcpy(res[0], arg[0], STATES * sizeof(double)), 0)
+#endif
+EXPORTED int exact(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
+  const double *given[ARG_SIZE] = {arg[0]};
+  double *to[RES_SIZE] = {res[0]};
+  casadi_int own[IW_SIZE];
+  (void)iw; (void)own; (void)mem;
+  return project(given, to, own, w, mem);
+}
+
 EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, int mem) {
   const double *input = arg[1], *span = input + INPUTS, longest = span[2], *scale = span + 3;
   const double duration = span[0];
   double *z = res[0], *x = z, *f = z + STATES, *taut = f + STATES, *now = taut + SWITCHES;
   double *x1, *K, *K1, *started, *begun, *strings;
   casadi_int own[IW_SIZE];
+  int kept = 0;
   Memory memory = {own, w, w + W_SIZE, 0}, *m = &memory;
   (void)iw;
   (void)mem;
@@ -244,7 +282,6 @@ EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, 
   m->later = begun + SWITCHES; started = m->later + INPUTS; strings = started + INPUTS;
   (void)K1; (void)strings;
   memcpy(z, arg[0], (2 * STATES + SWITCHES + NUMBERS) * sizeof(double));
-  for (int turn = 0; turn < TURNS; ++turn) res[1][turn * RECORD + 1] = 0;
   for (int turn = 0; turn < TURNS && now[TIME] < duration && !now[STUCK]; ++turn) {
     const double time = now[TIME];
     const double h = fmin(fmin(now[STEP], longest), duration - time);
@@ -266,6 +303,7 @@ EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, 
       now[STUCK] = shorter < SHORTEST * duration;
       continue;
     }
+    of_slope(x1, ahead(u, 1.0 * h, m), taut, K + END_SLOPE, m);
     memcpy(begun, taut, SWITCHES * sizeof(double));
 #ifdef HAS_CROSSING
     crossed = is_crossed(x, x1, u, taut, h, m);
@@ -276,7 +314,9 @@ EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, 
     }
 #endif
     after = taken >= duration - time ? duration : time + taken;
-    made = record(x, x1, K, u, begun, taken, time, after, span, res[1] + turn * RECORD, m);
+    made = record(x, x1, K, u, begun, taken, time, after, crossed, span,
+                  res[1] + kept * RECORD, m);
+    kept += made;
     now[INTERPOLANTS] += made;
     now[TIME] = after;
     now[STEP] = h * (crossed ? fmin(factor_of(error), 1) : factor_of(error));
@@ -290,6 +330,7 @@ EXPORTED int turns(const double **arg, double **res, casadi_int *iw, double *w, 
       memcpy(f, K + END_SLOPE, STATES * sizeof(double));
     }
   }
+  for (; kept < TURNS; ++kept) res[1][kept * RECORD + 1] = 0;
   return 0;
 }
 """

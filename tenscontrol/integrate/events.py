@@ -34,7 +34,7 @@ BAND = 1e-11
 # The search inside a step: samples, how often it zooms in on the samples next to the first
 # crossing, and true steps to the place found. The interpolant is off by O(h⁶), its slope by
 # O(h⁵), so each true step gains several digits.
-_SAMPLES = 6
+SAMPLES = 6
 _ZOOMS = 2
 POLISHES = 4
 
@@ -189,7 +189,7 @@ def switch_on_interpolant(equation: Equation, least: float = LATE) -> ca.Functio
     _, taut, u, h, _ = _symbols(equation)
     coefficients = ca.MX.sym("coefficients", equation.states // 2, 6)
     low, high, found, allowed = (ca.MX.sym(name) for name in ("low", "high", "found", "allowed"))
-    room, within = _room(equation), [coefficients, u, taut, h]
+    room, within = room_inside(equation), [coefficients, u, taut, h]
     inside, outside = room(*within, low), room(*within, high)
     # The string that is out first, by the secants; several, where they go out together.
     scale = equation.gap_scale(u)
@@ -265,7 +265,7 @@ def interpolant(equation: Equation) -> ca.Function:
     return ca.Function("interpolant", [x, xd, x1, xd1, h], [ca.horzcat(q0, v0, a0 / 2, *higher)])
 
 
-def _room(equation: Equation) -> ca.Function:
+def room_inside(equation: Equation) -> ca.Function:
     """Return ``(coefficients, u, taut, h, part) -> room`` of each string inside a step."""
     coefficients = equation.symbol("coefficients", equation.states // 2, 6)
     _, u, taut, h = equation.symbols()
@@ -287,20 +287,20 @@ def zoom_in(equation: Equation) -> ca.Function:
     The least room is sampled at equal parts of the bracket, and the bracket closes in on the
     samples next to the first that is negative; where none is, on the lowest.
     """
-    room = _room(equation)
+    room = room_inside(equation)
     written = equation.form == "flat" and room.n_instructions() <= _MOST_WRITTEN
     symbols: Any = ca.SX if written else ca.MX  # a call, not written out six times for compilers
     within = [symbols.sym(room.name_in(i), room.sparsity_in(i)) for i in range(4)]
     low, high = symbols.sym("low"), symbols.sym("high")
-    width = (high - low) / _SAMPLES
-    rooms = [ca.mmin(room(*within, low + (j + 1) * width)) for j in range(_SAMPLES)]
+    width = (high - low) / SAMPLES
+    rooms = [ca.mmin(room(*within, low + (j + 1) * width)) for j in range(SAMPLES)]
     first, last, least = symbols(0), symbols(1), symbols(ca.inf)
     for j, lowest in enumerate(rooms):
         lower = lowest < least
         first = ca.if_else(lower, j, first)
-        last = ca.if_else(lower, min(j + 2, _SAMPLES), last)
+        last = ca.if_else(lower, min(j + 2, SAMPLES), last)
         least = ca.fmin(lowest, least)
-    for j in reversed(range(_SAMPLES)):
+    for j in reversed(range(SAMPLES)):
         first = ca.if_else(rooms[j] < 0, j, first)
         last = ca.if_else(rooms[j] < 0, j + 1, last)
     ends = [low + first * width, low + last * width]

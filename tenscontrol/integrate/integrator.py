@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from tenscontrol.dynamics import ContactLaw, Equation, SharedEvaluator, compiled
-from tenscontrol.structure import node_mass
+from tenscontrol.structure import Structure, node_mass
 from tenscontrol.validation import (
     LARGEST,
     FloatArray,
@@ -255,18 +255,22 @@ def state_scale(
     structure, force = equation.structure, equation.force
     if structure is None or force is None:
         return 1 + np.abs(state)
-    q, v = np.split(state, 2)
-    gap = _shared(equation, "gap", lambda: equation.gap)(state, held)[0]
-    forces = np.abs(_shared(equation, "force", lambda: force)(q, v, held, gap > 0)[0]).max(
-        initial=0.0
-    )
-    nodes = structure.nodes
-    members = np.vstack([structure.bars, structure.segments])
-    size = np.linalg.norm(nodes[:, members[:, 1]] - nodes[:, members[:, 0]], axis=0).max()
-    mass = structure.bar_mass.sum() + structure.point_mass[structure.point_mass > 0].sum()
+    q, v = state[: len(state) // 2], state[len(state) // 2 :]
+    taut = _shared(equation, "gap", lambda: equation.gap)(state, held)[0] > 0
+    found = _shared(equation, "force", lambda: force)(q, v, held, taut)[0]
+    forces = np.abs(found).max(initial=0.0)
+    size, mass = equation.prepared.get("size and mass", partial(_size_and_mass, structure))
     speeds = (np.abs(v).max(initial=0.0), np.sqrt(forces * size / mass), 1e-3 * size * frequency)
     # Where nothing moves and nothing pulls, any speed will do.
     return np.repeat([size, max(speeds) or size], len(q))
+
+
+def _size_and_mass(structure: Structure) -> tuple[float, float]:
+    """Return the length of the longest member, m, and the mass, kg."""
+    nodes, members = structure.nodes, np.vstack([structure.bars, structure.segments])
+    size = np.linalg.norm(nodes[:, members[:, 1]] - nodes[:, members[:, 0]], axis=0).max()
+    mass = structure.bar_mass.sum() + structure.point_mass[structure.point_mass > 0].sum()
+    return float(size), float(mass)
 
 
 def largest_frequency(
@@ -284,8 +288,8 @@ def largest_frequency(
     n = equation.states // 2
     size = float(np.abs(state[:n] - state[:n].mean()).max()) or 1.0
     square = by or _shared(equation, "frequency", lambda: power_iteration(equation))
-    vector = np.random.default_rng(0).standard_normal(n)
-    given = (state, held, _strings_alone(equation), _DIFFERENCE * size, vector)
+    random = equation.prepared.get("random", lambda: np.random.default_rng(0).standard_normal(n))
+    given = (state, held, _strings_alone(equation), _DIFFERENCE * size, random)
     return float(np.sqrt(square(*given)[0][0]))
 
 

@@ -535,7 +535,8 @@ def _checked_state(
     V = np.zeros_like(N)
     if velocities is not None:
         V = structure.checked_nodes("velocities", velocities)
-    length = np.linalg.norm(structure.bar_vectors(N), axis=0)
+    bars = structure.bar_vectors(N)
+    length = np.linalg.norm(bars, axis=0)
     off = float(np.abs(length / structure.bar_length - 1).max(initial=0.0))
     if off > _PROJECTED:
         refuse_wrong_bar_lengths("nodes", structure, N)
@@ -552,8 +553,7 @@ def _checked_state(
     if input == "rest_length":
         refuse_strings_without_length("nodes", structure, N)
     state = pack_state(structure, N, V)
-    bars, rates = structure.bar_vectors(N), structure.bar_vectors(V)
-    stretching = np.abs((bars * rates).sum(axis=0)) / structure.bar_length
+    stretching = np.abs((bars * structure.bar_vectors(V)).sum(axis=0)) / structure.bar_length
     worst = float(stretching.max(initial=0.0))
     if off <= _EXACT and worst <= _EXACT * float(np.abs(V).max()):
         return state, None

@@ -240,7 +240,8 @@ class Quantities:
     ) -> list[FloatArray]:
         """Return a function of the model at all times, read-only: one array an output."""
         model, count = self.model, nodes.shape[2]
-        rows = slice(None) if self.moved else model.structure.free_rows
+        every = self.moved or not len(model.structure.fixed_rows)
+        rows = slice(None) if every else model.structure.free_rows
         function = model.of_all_nodes(name) if self.moved else getattr(model, name)
 
         def within(first: int) -> list[FloatArray]:
