@@ -218,8 +218,12 @@ def _solve(
             failure = error
             continue
         worst = np.abs(poles).max() if discrete else poles.real.max()
-        # Where Q sees nothing of what grows, doubling finds the cost of letting it grow.
-        if solve is classic or worst < discrete:
+        # Where Q sees nothing of what grows, doubling finds the cost of letting it grow; where
+        # weights are far apart, it loses digits.
+        if solve is classic or (
+            worst < discrete
+            and riccati_residual(A, B, Q, R, P, discrete=discrete) <= _RESIDUAL_TOLERANCE
+        ):
             return K, P, poles
     raise ValueError(
         f"{messages.equation} has no stabilizing solution: {str(failure).rstrip('.')}. "

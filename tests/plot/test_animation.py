@@ -85,8 +85,9 @@ def test_a_single_state_is_a_picture(slack_run, tmp_path):
         slack_run,
         time=slack_run.time[:1],
         nodes=slack_run.nodes[:, :, :1],
-        force_density=slack_run.force_density[:, :1],
+        velocities=slack_run.velocities[:, :, :1],
     )
+    vars(first)["force_density"] = slack_run.force_density[:, :1]
     pictures, _ = frames(tc.plot.animate(first, tmp_path / "one.gif", dpi=30))
     assert len(pictures) == 1
 

@@ -166,19 +166,19 @@ def pressed_in(monkeypatch):
     def press(name):
         original = getattr(loop, name)
 
-        def pressed(*arguments):
+        def pressed(*arguments, **named):
             monkeypatch.setattr(loop, name, original)
             signal.raise_signal(signal.SIGINT)
-            return original(*arguments)
+            return original(*arguments, **named)
 
         monkeypatch.setattr(loop, name, pressed)
 
     return press
 
 
-def test_a_key_while_energies_are_computed(example, pressed_in):
+def test_a_key_while_the_trajectory_is_made(example, pressed_in):
     """The motion is complete, and is finished."""
-    pressed_in("evaluate_columns")
+    pressed_in("Quantities")
     with pytest.warns(InterruptionWarning, match="complete"):
         run = tc.simulate(example.model, 1.0, rest_length=example.lengths, step=1e-3)
     assert run.time[-1] == 1.0
