@@ -38,6 +38,9 @@ SAMPLES = 6
 _ZOOMS = 2
 POLISHES = 4
 
+# Chords on the interpolant to the place of a switch.
+_CHORDS = 4
+
 # How late steps of a method without error control end at a switch, as part of the length of the
 # string: the force is wrong by the square of it. And at most, as part of the step.
 LATE, _MOST_LATE = 1e-9, 1e-3
@@ -205,12 +208,17 @@ def switch_on_interpolant(equation: Equation, least: float = LATE) -> ca.Functio
     late = ca.fmin(ca.sqrt(allowed * ca.fabs(speed) / h), _MOST_LATE * ca.fabs(speed))
     late = ca.fmax(late, least * size) if not equation.velocity_dependent else 0
     aim = ca.fmax(-ca.fmax(late, 0.2 * BAND * size), after) / 2
-    # One step of the secant method on the interpolant.
-    guess = ca.fmin(ca.fmax(low + (aim - before) / speed, low), high)
-    there = ca.dot(chosen, room(*within, guess)) / ca.sum1(chosen) - edge
-    secant = (there - before) / ca.if_else(guess > low, guess - low, 1)
-    speed = ca.if_else(ca.logic_and(guess > low, secant < 0), secant, speed)
-    part = guess + (aim - there) / speed
+    # The Illinois method on the interpolant: the chord of a string that starts at rest on the border
+    # is far from its slope there, and others that start next to it are not to be passed as well.
+    left, right, over, under = low, high, before - aim, after - aim
+    for _ in range(_CHORDS):
+        part = ca.fmin(ca.fmax(left + over * (right - left) / (over - under), left), right)
+        there = ca.dot(chosen, room(*within, part)) / ca.sum1(chosen) - edge - aim
+        is_left = there > 0
+        over, under = (
+            ca.if_else(is_left, there, over / 2), ca.if_else(is_left, under / 2, there)
+        )  # fmt: skip
+        left, right = ca.if_else(is_left, part, left), ca.if_else(is_left, right, part)
     outputs = [part, speed, aim, chosen, outside < inside]
     names = [*within, low, high, found, allowed]
     return ca.Function("first_out", names, [ca.densify(each) for each in outputs])
