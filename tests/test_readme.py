@@ -40,7 +40,7 @@ def ran(page, count):
 def test_the_way_from_a_shape_to_winch_commands_runs(capsys, monkeypatch):
     monkeypatch.syspath_prepend(DOCS.parent / "examples")  # the study is a file to copy
     with pytest.warns(RuntimeWarning, match=r"no string reaches 1 mode of .*at 2\.013 Hz"):
-        names = ran("control", 10)
+        names = ran("control", 11)
     limits = [names["report"].limit("MPC", held) for held in ("force_density", "rest_length")]
     assert limits == [1e2, 1e4]
     assert "winch 6 stuck from 0.3 s to 0.5 s" in capsys.readouterr().out

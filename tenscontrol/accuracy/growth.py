@@ -108,6 +108,7 @@ class Growth:
         quantity : {"seconds", "memory"}
             Times below 0.02 s and memory below 20 MB are not fitted.
         """
+        choice("quantity", quantity, ("seconds", "memory"))
         least = _MEASURABLE_TIME if quantity == "seconds" else _MEASURABLE_MEMORY
         found = [(row.members, getattr(row, quantity)) for row in self.of(stop)]
         return _fitted([pair for pair in found if pair[1] >= least][-_FITTED:])

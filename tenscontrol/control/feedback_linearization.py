@@ -152,7 +152,7 @@ class FeedbackLinearization(Controller):
     >>> bool((command.value >= 0).all()), command.value.shape
     (True, (9,))
     >>> print(command)  # the mechanism of the prism
-    error dynamics not reached: off by up to 2 m/s²
+    error dynamics not reached: off by up to 1 m/s²
     """
 
     def __init__(

@@ -208,8 +208,8 @@ def switch_on_interpolant(equation: Equation, least: float = LATE) -> ca.Functio
     late = ca.fmin(ca.sqrt(allowed * ca.fabs(speed) / h), _MOST_LATE * ca.fabs(speed))
     late = ca.fmax(late, least * size) if not equation.velocity_dependent else 0
     aim = ca.fmax(-ca.fmax(late, 0.2 * BAND * size), after) / 2
-    # The Illinois method on the interpolant: the chord of a string that starts at rest on the border
-    # is far from its slope there, and others that start next to it are not to be passed as well.
+    # The Illinois method on the interpolant: the chord of a string that starts at rest on the
+    # border is far from its slope there, and others that start next to it are not to be passed.
     left, right, over, under = low, high, before - aim, after - aim
     for _ in range(_CHORDS):
         part = ca.fmin(ca.fmax(left + over * (right - left) / (over - under), left), right)

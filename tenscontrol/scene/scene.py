@@ -482,8 +482,16 @@ def save_trajectory(run: Trajectory, file: str | Path) -> Path:
     """
     instance("run", run, Trajectory, "make one by simulate(model, ...)")
     path, buffer = file_path("file", file), BytesIO()
-    np.savez_compressed(buffer, **_arrays("", run))
+    evaluated = {name: getattr(run, name) for name in _EVALUATED}
+    np.savez_compressed(buffer, **_arrays("", run), **evaluated)
     return write_file(path, buffer.getbuffer())
+
+
+# What a run evaluates when it is read.
+_EVALUATED = (
+    "force_density", "kinetic_energy", "potential_energy", "momentum", "angular_momentum",
+    "bar_length_error",
+)  # fmt: skip
 
 
 def _arrays(prefix: str, value: Any) -> dict[str, Any]:
@@ -491,6 +499,8 @@ def _arrays(prefix: str, value: Any) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for field in fields(value):
         part = getattr(value, field.name)
+        if field.name.startswith("_"):
+            continue
         if is_dataclass(part):
             found |= _arrays(f"{prefix}{field.name}_", part)
         elif field.name == "fallback":

@@ -168,6 +168,13 @@ ABSTRACT = {
 
 # Methods of symbols, of a base class, or of a solver that is handed what was checked before.
 WITHIN = {
+    "dynamics.Equation.masses",
+    "simulation.Trajectory.health_of",
+    *(
+        f"integrate.{method}.{name}"
+        for method in ("RK4", "Rattle", "Rattle4", "Rattle6")
+        for name in ("smooth_step", "steps_between", "work_of")
+    ),
     "ElasticStrings.tension",
     "ElasticStrings.taut_rest_length",
     "ElasticStrings.stored_energy",

@@ -30,7 +30,7 @@ LQR = "[controller]\nkind = 'lqr'\ninput = 'rest_length'\nsample_time = 0.02\n"
 
 
 def commands_alike(one, other, plant):
-    pushed = plant.to_nodes(0.01 * np.arange(plant.degrees_of_freedom))
+    pushed = plant.to_nodes(-0.01 * np.arange(plant.degrees_of_freedom))
     still = np.zeros_like(pushed)
     for each in (one, other):
         each.reset()
@@ -61,7 +61,7 @@ time_limit = 60.0
     )
     # The limit of the output is felt.
     other = tc.NMPC(plant, horizon=3, sample_time=0.02, **given | {"outputs": ()})
-    pushed = plant.to_nodes(0.01 * np.arange(9))
+    pushed = plant.to_nodes(-0.01 * np.arange(9))
     for k in range(2):
         without = other.command(0.02 * k, pushed, np.zeros((3, 6))).value
     assert np.abs(without - first).max() > 1e-4

@@ -88,7 +88,7 @@ def test_inputs_are_those_of_the_optimality_conditions(scene):
         assert command.status == "ok"
         data = law.stage_data(law.preview(0.0), None)
         previous = data.previous_origin if previous is None else previous
-        first = law._first_state(data, measured, previous)
+        first = law.first_state(data, measured, previous)
         y = solved[0].y
         exact, violations = by_elimination(problem, data, first, previous - data.origin[0], y)
         error = np.abs(law.inputs(solved[0].x, data, measured, previous) - data.origin - exact)
