@@ -96,6 +96,7 @@ class Growth:
         ----------
         stop : str
         """
+        choice("stop", stop, self.stops)
         found = [row for row in self.rows if row.stop == stop and not np.isnan(row.seconds)]
         return tuple(sorted(found, key=lambda row: row.members))
 

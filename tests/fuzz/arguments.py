@@ -89,6 +89,7 @@ MAY_BE_INFINITE = {
     "ConvergenceOrder.order",
     "Fault.end",
     "FilterStatistics.normalized_innovation",
+    "ReducedPlant.error_bound",
     "Ratios.least",
     "Ratios.ratio",
     "Ratios.time",
