@@ -39,7 +39,7 @@ _ZOOMS = 2
 POLISHES = 4
 
 # Chords on the interpolant to the place of a switch.
-_CHORDS = 4
+_CHORDS = 6
 
 # How late steps of a method without error control end at a switch, as part of the length of the
 # string: the force is wrong by the square of it. And at most, as part of the step.
