@@ -126,7 +126,7 @@ def test_control_shape():
     assert largest["force_density", "shape control"] < 0.5 * largest["force_density", "MPC"]
     assert largest["rest_length", "MPC"] < 0.5 * largest["rest_length", "shape control"]
     assert max(off[-25:].max() for off in errors.values()) < 5e-4
-    assert 0.01 < found["left"].largest_residual < 0.2
+    assert 0.01 < found["left"].largest_residual < 0.4
 
 
 def test_control_own():
