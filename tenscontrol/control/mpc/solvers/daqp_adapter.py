@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver
+from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, check_values
 from tenscontrol.control.status import Status
 from tenscontrol.validation import FloatArray, IntArray, program_vectors
 
@@ -129,8 +129,7 @@ class DAQPSolver(QPSolver):
 
     def update(self, A: FloatArray) -> None:
         """See :meth:`QPSolver.update`."""
-        if A.shape != (self._nonzeros,) or not np.isfinite(A).all():
-            raise ValueError(f"A needs {self._nonzeros} finite values, got shape {A.shape}")
+        check_values(A, self._nonzeros)
         linked = np.array_equal(A[self._linked], self._values[self._linked])
         self._values, self._changed = A.copy(), True
         self._fill()

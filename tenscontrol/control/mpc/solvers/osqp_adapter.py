@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver
+from tenscontrol.control.mpc.solvers.solver import QPSolution, QPSolver, check_values
 from tenscontrol.control.status import Status
 from tenscontrol.validation import FloatArray, program_vectors
 
@@ -106,8 +106,7 @@ class OSQPSolver(QPSolver):
 
     def update(self, A: FloatArray) -> None:
         """See :meth:`QPSolver.update`."""
-        if A.shape != (self._nonzeros,) or not np.isfinite(A).all():
-            raise ValueError(f"A needs {self._nonzeros} finite values, got shape {A.shape}")
+        check_values(A, self._nonzeros)
         began = perf_counter()
         self._solver.update(Ax=A)
         self._rescaled = self._scales

@@ -111,3 +111,9 @@ class QPSolver(ABC):
     @abstractmethod
     def reset(self) -> None:
         """Forget the last solution, and all that was adapted to it."""
+
+
+def check_values(A: FloatArray, nonzeros: int) -> None:
+    """Raise for values of A that are too many, too few or not finite."""
+    if A.shape != (nonzeros,) or not np.isfinite(A).all():
+        raise ValueError(f"A needs {nonzeros} finite values, got shape {A.shape}")
