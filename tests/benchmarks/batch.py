@@ -22,6 +22,7 @@ from tenscontrol.accuracy.peers.rigid_bodies import RigidScene
 from tenscontrol.dynamics import pack_state, unpack_states
 from tenscontrol.integrate import Projector
 from tests.benchmarks.command_line import options
+from tests.benchmarks.jax_peers import rk4_step
 
 STIFFNESS, SPEED, WITHIN, PART = 100.0, 0.5, 1e-3, 0.99
 STEPS = (0.1, 0.0625, 0.05, 0.025, 0.0125, 0.01, 0.005, 0.0025, 0.001)
@@ -134,18 +135,6 @@ def _differences(pairs: np.ndarray) -> np.ndarray:
     matrix[np.arange(len(pairs)), pairs[:, 0]] = -1.0
     matrix[np.arange(len(pairs)), pairs[:, 1]] = 1.0
     return matrix
-
-
-def rk4_step(accelerations: Callable[..., Any], N: Any, V: Any, h: float) -> tuple[Any, Any]:
-    """Return nodes and velocities after a step."""
-    a1 = accelerations(N, V)
-    v2 = V + h / 2 * a1
-    a2 = accelerations(N + h / 2 * V, v2)
-    v3 = V + h / 2 * a2
-    a3 = accelerations(N + h / 2 * v2, v3)
-    v4 = V + h * a3
-    a4 = accelerations(N + h * v3, v4)
-    return N + h / 6 * (V + 2 * v2 + 2 * v3 + v4), V + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
 
 
 def columns_slope(prism: tc.Structure, lengths: np.ndarray) -> Callable[..., Any]:
