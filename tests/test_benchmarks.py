@@ -146,6 +146,7 @@ def test_batch(printed, monkeypatch):
     text = printed("batch", "--runs 5 --duration 0.1 --repeats 1")
     for label in ("tenscontrol rk4", "NumPy RK4", "JAX vmap, matrices"):
         assert row(text, label)[1] < 1e-3
+    assert re.search(r"compiled, one by one .*True", text)
 
 
 def test_ground_drop(printed):

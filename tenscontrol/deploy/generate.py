@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tenscontrol.control import LQR, MPC, NMPC, Controller, FunctionController
 from tenscontrol.deploy.code_text import code_files
-from tenscontrol.deploy.compiled_controller import CompiledController
+from tenscontrol.deploy.compiled_controller import CompiledController, compiled
 from tenscontrol.deploy.controllers import LawCode, lqr_code, mpc_code, nmpc_code
 from tenscontrol.dynamics import builds
 from tenscontrol.files import make_folder, write_file
@@ -79,14 +79,9 @@ class GeneratedController:
             If the timeout is not positive, or longer than a day.
         """
         sources = [file for file in self.files if file.endswith(".c") and file != "main.c"]
-        return CompiledController(
-            self.name,
-            [self.folder / file for file in sources],
-            self.plant,
-            self.sample_time,
-            (self.low, self.high),
-            timeout,
-        )
+        library = compiled(self.name, [self.folder / file for file in sources], timeout)
+        bounds = self.low, self.high
+        return CompiledController(self.name, library, self.plant, self.sample_time, bounds)
 
     def __repr__(self) -> str:
         return (

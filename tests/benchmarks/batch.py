@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Any
 
@@ -43,11 +45,14 @@ def thrown(prism: tc.Structure, runs: int) -> np.ndarray:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
     given = options(
-        __doc__, arguments, runs=1000, duration=1.0, repeats=5, scenes=("taut", "slack")
-    )
+        __doc__, arguments, runs=1000, duration=1.0, repeats=5,
+        scenes=("taut", "slack", "controlled"),
+    )  # fmt: skip
     prism = tc.prism()
     V = thrown(prism, given.runs)
-    for name in given.scenes:
+    if "controlled" in given.scenes:
+        controlled(prism, given.runs, given.duration)
+    for name in (each for each in given.scenes if each != "controlled"):
         vertical = {"taut": np.sqrt(3) * 17.3205, "slack": 9.0}[name]
         model = tc.Model(prism, strings=tc.LinearStrings(STIFFNESS))
         gamma = np.repeat([17.3205, 17.3205, vertical], 3)
@@ -62,6 +67,54 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"{name}: {given.runs} prisms, {given.duration:g} s, {switched:.1f} switches a run")
         print("method                     step s  error of 99 %  simulated s / s  first / method")
         table(batches, truth.nodes[..., -1], given.runs * given.duration, given.repeats)
+
+
+def controlled(prism: tc.Structure, runs: int, duration: float) -> None:
+    """Print what loops closed by an MPC take, at once and one by one."""
+    plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=60.0)
+    with TemporaryDirectory() as folder:
+        code = tc.generate_c(mpc, Path(folder) / "mpc").compile()
+    offsets = np.random.default_rng(0).normal(size=(runs, 9))
+    starts = np.array([plant.to_nodes(0.02 * q) for q in offsets])
+    how = {"method": "rk4", "step": 5e-3}
+
+    def at_once() -> np.ndarray:
+        batch = tc.simulate_many(
+            plant.model, duration, starts, controller=code, threads=1, output_step=0.02, **how
+        )
+        return batch.nodes
+
+    def one_by_one(controller: Any) -> np.ndarray:
+        runs = (
+            tc.simulate(
+                plant.model, duration, start, controller=controller, output_step=0.02,
+                machine_code=True, **how,
+            )
+            for start in starts[:_SINGLE]
+        )  # fmt: skip
+        return np.array([run.nodes for run in runs])
+
+    print(f"controlled: {runs} prisms, {duration:g} s, MPC of {mpc.horizon} samples of 0.02 s")
+    print("loops                      simulated s / s  first / these  same bits")
+    ways = {
+        "compiled, at once": (at_once, runs),
+        "compiled, one by one": (lambda: one_by_one(code), len(starts[:_SINGLE])),
+        "Python, one by one": (lambda: one_by_one(mpc), len(starts[:_SINGLE])),
+    }
+    rates, nodes = {}, {}
+    for label, (run, count) in ways.items():
+        run()
+        began = process_time()
+        nodes[label] = run()
+        rates[label] = count * duration / (process_time() - began)
+    first, *_ = ways
+    for label, rate in rates.items():
+        same = np.array_equal(nodes[first][:_SINGLE], nodes[label][:_SINGLE])
+        print(f"{label:25s} {rate:16.0f} {rates[first] / rate:14.1f} {same!s:>10s}")
+
+
+_SINGLE = 50  # runs that are done one by one
 
 
 def table(batches: dict[str, Batch], truth: np.ndarray, simulated: float, repeats: int) -> None:

@@ -1584,6 +1584,7 @@ call(
     share=0.3,
 )
 call("deploy.GeneratedController.compile", lambda: {"timeout": 60.0}, generated, 0.02)
+call("deploy.CompiledController.another", on=compiled)
 call(
     "plot.structure",
     lambda: {

@@ -268,15 +268,32 @@ class BatchInputs:
             parts.append(Pieces.constant(np.zeros(self.given["load"].shape[1])))
         return Pieces.stacked(parts)
 
-    def spans(self, output_step: float | None) -> list[InputSpan]:
-        """Return the parts of the run in which inputs are one polynomial, as a single run has."""
+    def spans(
+        self, output_step: float | None, samples: list[tuple[float, float]] | None = None
+    ) -> list[InputSpan]:
+        """Return the parts of the run in which inputs are one polynomial, as a single run has.
+
+        Under a controller these are its samples: start and length of each.
+        """
         pieces, now, left = self.pieces, 0.0, self.duration
         close = 1e-9 * self.duration
         found = []
+
+        def outputs_of(length: float) -> int:
+            return 1 if output_step is None else max(1, ceil(length / output_step - 1e-9))
+
+        if samples is not None:
+            if pieces.degree or pieces.breaks(close, self.duration - close):
+                raise ValueError(
+                    "external_force changes in time, which many runs under a controller do not "
+                    "follow: simulate does"
+                )
+            held = pieces.piece(close)[1]
+            return [InputSpan(*part, outputs_of(part[1]), held, None) for part in samples]
         for end in [*pieces.breaks(close, self.duration - close), None]:
             length = left if end is None else end - now
             origin, coefficients = pieces.piece(now + close)
-            outputs = 1 if output_step is None else max(1, ceil(length / output_step - 1e-9))
+            outputs = outputs_of(length)
             time = now - origin if pieces.degree else None
             found.append(InputSpan(now, length, outputs, coefficients, time))
             now = now + length
