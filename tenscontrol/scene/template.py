@@ -82,7 +82,7 @@ def scene_template(name: str) -> str:
 
     Raises
     ------
-    TypeError, ValueError
+    ValueError
         If ``name`` is not one of :func:`scene_names`.
 
     Examples

@@ -81,5 +81,5 @@ def test_keys_of_a_written_table_are_all_listed():
 def test_other_names_are_refused():
     with pytest.raises(ValueError, match="name is 'ball', expected one of 'arm'"):
         scene_template("ball")
-    with pytest.raises(TypeError, match="name"):
+    with pytest.raises(ValueError, match="name is 3, expected one of"):
         scene_template(3)
