@@ -88,8 +88,12 @@ def scene_template(name: str) -> str:
     Examples
     --------
     >>> import tenscontrol as tc
-    >>> print(tc.scene.scene_template("d_bar")[:80])
-    # The D-bar: a diamond of four bars joined at their ends, with strings as diago
+    >>> text = tc.scene.scene_template("six_bar_ball")
+    >>> print(text[text.index("[start]") : text.index("# velocities")])
+    [start]  # how the motion begins, if not at rest in the shape of the structure
+    disturbance = 0.02  # m: a random change of shape: distance of the node that moves most
+    seed = 1            # seed of the random numbers
+    <BLANKLINE>
     """
     choice("name", name, tuple(scene_names()))
     make = GENERATORS[name]
