@@ -27,7 +27,7 @@ from tenscontrol.validation import (
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A motion in open loop, for measuring how well methods integrate it.
+    """A motion in open loop, on which integration methods are compared.
 
     ``dataclasses.replace(case, duration=0.1)`` gives the case with another duration.
 

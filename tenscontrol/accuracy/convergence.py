@@ -99,7 +99,7 @@ def convergence_order(
     outputs: int = 20,
     progress: bool = False,
 ) -> ConvergenceOrder:
-    """Return the order of a method on a motion, also one through slack/taut switches.
+    """Return the measured order of convergence of a method on a motion.
 
     Parameters
     ----------
