@@ -80,7 +80,7 @@ class Distribution(ABC):
 @final
 @dataclass(frozen=True, eq=False)
 class Uniform(Distribution):
-    """Numbers between two bounds, all equally likely.
+    """Uniform distribution between two bounds.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Uniform(Distribution):
 @final
 @dataclass(frozen=True, eq=False)
 class Normal(Distribution):
-    """Numbers of a normal distribution.
+    """Normal distribution.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ class Normal(Distribution):
 @final
 @dataclass(frozen=True, eq=False)
 class OneOf(Distribution):
-    """One of some given numbers, all equally likely.
+    """Discrete uniform distribution over given numbers.
 
     Parameters
     ----------

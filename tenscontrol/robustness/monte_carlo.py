@@ -41,10 +41,10 @@ def sweep(
     file: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> SweepReport:
-    """Do many runs of a case with parameters drawn at random, and report how many succeed.
+    """Run a Monte Carlo study: many runs with random parameters, and how many succeed.
 
-    The numbers of a run hang on the seed and the index of the run alone: any executor, with any
-    number of workers, gives the same report to the last bit on one machine.
+    The random numbers of a run depend on the seed and the index of the run only. On one machine,
+    any executor with any number of workers gives the same report, bit by bit.
 
     Parameters
     ----------
