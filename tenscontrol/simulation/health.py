@@ -67,7 +67,7 @@ class Health:
 
 @dataclass(frozen=True)
 class HealthLimits:
-    """Limits on the figures of :class:`Health`, in their units; None for no limit.
+    """Limits on the accuracy figures of a run (:class:`Health`); None for no limit.
 
     Parameters
     ----------

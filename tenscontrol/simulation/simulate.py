@@ -81,7 +81,7 @@ def simulate(
     start: Trajectory | None = None,
     support_motion: object = None,
 ) -> Trajectory:
-    """Return the motion of a model.
+    """Return the simulated motion of a model, in open loop or under a controller.
 
     Give one of ``force_density`` (γ held), ``rest_length`` (rest length held)
     and ``controller``. What is held may change in time as it is told. Under a controller the
