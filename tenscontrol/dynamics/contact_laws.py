@@ -307,8 +307,8 @@ class ContactLaw(ABC):
 class Ground(ContactLaw):
     """Ground of constant stiffness: ``F_n = max(0, k p (1 + d ṗ))`` at depth p, with friction.
 
-    Hunt & Crossley with exponent 1. A point that meets it with the speed v, without gravity,
-    leaves it slower by 2/3 d v², as long as d v is small.
+    The law of Hunt & Crossley with exponent 1. Without gravity, a point that hits the ground at
+    speed v leaves it slower by 2/3 d v², for small d v.
 
     Parameters
     ----------

@@ -57,9 +57,9 @@ _OF_ALL_NODES = (
 
 
 class Model:
-    """The dynamics of a structure, with the force densities γ as the input.
+    """Equations of motion of a structure: rigid bars, strings, loads, supports and ground.
 
-    The functions are built for the scene: what is absent takes no input and no instruction. The
+    Without a load, damping or ground, its functions have no input and no code for them. The
     state is ``x = [vec(N); vec(Ṅ)]``, node by node: x1 y1 z1 x2 …, then the velocities.
 
     Parameters

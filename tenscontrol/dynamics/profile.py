@@ -28,7 +28,7 @@ _LOOKS = 33
 @final
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Values over time, for the arguments of :func:`simulate` that may change.
+    """A function of time by interpolation, for the inputs and loads of :func:`simulate`.
 
     Before the first time the first value holds, and after the last time the last one.
 

@@ -363,7 +363,7 @@ class LinearStrings(StringLaw):
 class ElasticStrings(StringLaw):
     """Strings of constant axial rigidity: ``T = EA (l − l0)/l0 + c l̇`` while taut.
 
-    Winding such a string shortens and so stiffens it.
+    A string becomes stiffer when its rest length is reduced.
 
     Parameters
     ----------
