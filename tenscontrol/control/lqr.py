@@ -29,13 +29,12 @@ from tenscontrol.validation import FloatArray, frozen, instance, positive_number
 class LQR(Controller):
     """Linear-quadratic regulator: the state feedback that minimizes ``∫ zᵀ Q z + vᵀ R v dt``.
 
-    It commands ``u = u₀ − K z``, kept within bounds. With a ramp input the state at the end of a
-    sample depends on the previous input too: ``u = u₀ − K z − H (u_previous − u₀)``.
+    The command is ``u = u₀ − K z``, clipped to the bounds. With a ramp input, the state at the end
+    of a sample depends on the previous input too: ``u = u₀ − K z − H (u_previous − u₀)``.
 
-    If the desired input is beyond the bounds, or farther from the previous input
-    (:meth:`applied`) than a change may be, the status is ``"saturated"``. If the structure
-    cannot have the measurement, γ of the operating point is commanded, or the previous
-    rest lengths.
+    The status is ``"saturated"`` where the desired input is out of bounds, or differs from the
+    previous input (:meth:`applied`) by more than ``max_change``. If the structure cannot have the
+    measured shape, the command is γ of the operating point, or the previous rest lengths.
 
     Parameters
     ----------
