@@ -118,7 +118,7 @@ class Demand(ABC):
 @final
 @dataclass(frozen=True, eq=False)
 class NodesAt(Demand):
-    """Nodes at given places.
+    """Demand: the positions of some nodes.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ class NodesAt(Demand):
 @final
 @dataclass(frozen=True, eq=False)
 class PointAt(Demand):
-    """A point of the structure at a given place: the mean of some nodes.
+    """Demand: the position of a point of the structure, the mean of some nodes.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ class PointAt(Demand):
 @final
 @dataclass(frozen=True, eq=False)
 class Height(Demand):
-    """A distance between the centres of two sets of nodes, measured along an axis.
+    """Demand: the distance between the centres of two sets of nodes along an axis.
 
     Parameters
     ----------
@@ -333,11 +333,11 @@ class Height(Demand):
 @final
 @dataclass(frozen=True, eq=False)
 class Twist(Demand):
-    """A turn of one set of nodes against another, about the line through their centres.
+    """Demand: the rotation of one set of nodes against another about the line of their centres.
 
-    Positive as a right-handed screw, whichever set is called top:
-    :func:`prism` has ``π/2 − π/q`` if right-handed, and the opposite if
-    left-handed. In the plane, the turn from bottom to top, positive counterclockwise.
+    Positive for a right-handed screw, whichever set is the top. A right-handed :func:`prism` has
+    ``π/2 − π/q``, a left-handed one the negative of it. In the plane it is the angle from the
+    bottom to the top set, positive counterclockwise.
 
     Parameters
     ----------

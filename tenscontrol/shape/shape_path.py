@@ -202,11 +202,11 @@ def shape_path(
     place: str = "anywhere",
     require_stable: bool = True,
 ) -> ShapePath:
-    """Return a path from shape to shape on which every shape is an equilibrium.
+    """Return a path between two shapes through equilibrium shapes.
 
-    The path follows the straight line from start to goal, in node positions and
-    γ, as closely as equilibria do. Where the winches have a limit of rate, one of
-    them runs at its limit all the time but for the ramps.
+    It stays as close to the straight line from start to goal, in node positions and γ, as
+    equilibria allow. If the winches have a speed limit, one of them runs at its limit at any time,
+    except while speeding up and slowing down.
 
     Parameters
     ----------

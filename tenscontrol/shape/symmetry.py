@@ -32,7 +32,7 @@ _TOLERANCE = 1e-8
 @final
 @dataclass(frozen=True, eq=False)
 class RotationalSymmetry:
-    """Shapes that a turn about an axis maps onto themselves.
+    """Symmetry demand: a rotation about an axis maps the shape onto itself.
 
     Parameters
     ----------

@@ -154,12 +154,12 @@ def shape_target(
     place: str = "anywhere",
     require_stable: bool = True,
 ) -> ShapeTarget:
-    """Return an equilibrium shape that meets demands.
+    """Return an equilibrium shape that meets given demands, and its force densities.
 
-    Of the shapes that meet them, the one nearest to ``start`` is taken (least sum
-    of squares of the node displacements). Weights and the built-in load of the
-    model act. Members have no thickness: ``clearance`` says how near bars come. No
-    string shrinks to less than a hundredth of its length in ``start``.
+    Of the shapes that meet them, it is the one nearest to ``start`` (least sum of squares of the
+    node displacements). Weights and the constant load of the model act. Members have no
+    thickness: ``clearance`` sets the least distance of bars. Each string keeps at least a
+    hundredth of its length in ``start``.
 
     Parameters
     ----------
