@@ -153,17 +153,17 @@ class Tally:
 
 @final
 class KalmanFilter:
-    """Estimates the motion of a plant from readings, sample by sample.
+    """Kalman filter: estimates node positions and velocities from readings at each sample.
 
-    At each sample call :meth:`update` with the readings, and :meth:`predict` with
-    the input that is then held. The covariance is carried along, since readings are lost
-    and refused; while all are used near the operating point it settles at the steady one. A
-    pickled filter is loaded without memory.
+    At each sample call :meth:`update` with the readings, then :meth:`predict` with the input that
+    is held over the sample. The covariance is updated at each sample, as readings may be lost or
+    refused. While all are used near the operating point, it converges to the steady one. A filter
+    that was pickled starts anew.
 
-    The plant's input must be what the actuators hold between samples: for winches linearize
-    with ``input="rest_length"``, whatever the controller commands. To internal coordinates the
-    motions as one body that the readings see are added. Undamped modes that neither readings show
-    nor strings reach are left alone: :attr:`left_alone`.
+    The input of the plant must be what the actuators hold between samples: for winches linearize
+    with ``input="rest_length"``, whatever the controller commands. With internal coordinates, the
+    filter adds the rigid-body motions that the readings observe. Undamped modes that are neither
+    observed nor reached by strings are left out: see :attr:`left_alone`.
 
     Parameters
     ----------
