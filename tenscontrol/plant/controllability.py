@@ -86,7 +86,7 @@ class Controllability:
 
 
 def controllability(plant: LinearPlant, count: int | None = None) -> Controllability:
-    """Test whether the inputs reach every mode, or each of the lowest.
+    """Return whether the strings can control every mode, or each of the lowest.
 
     Parameters
     ----------

@@ -89,12 +89,11 @@ def equilibrium(
     external_force: object = None,
     settle: object = False,
 ) -> Prestress:
-    """Return the shape at which a structure rests under its weights and loads.
+    """Return the equilibrium shape of a structure under its weights and loads.
 
-    The energy of the strings and the loads is minimized over the shapes that
-    keep the bar lengths. An equilibrium at which the energy is not least near
-    by, such as a pendulum upside down, is left again: what is returned is stable.
-    Bars may share nodes, strings be clustered, nearly without tension, or all slack.
+    It minimizes the energy of strings and loads over the shapes that keep the bar lengths. The
+    result is stable: an equilibrium that is not a minimum, such as an inverted pendulum, is
+    rejected. Bars may share nodes. Strings may be clustered, nearly without tension, or all slack.
 
     Parameters
     ----------

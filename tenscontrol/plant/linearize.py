@@ -71,7 +71,7 @@ _SLACK_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class OperatingPoint:
-    """A shape at zero velocity with force densities, in balance or not.
+    """A shape at rest and its force densities, in equilibrium or not: the point of linearization.
 
     Parameters
     ----------

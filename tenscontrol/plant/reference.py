@@ -50,7 +50,7 @@ STRINGS_MOVE_NO_CENTRE = (
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Shapes at given times, held before the first and after the last, straight in between.
+    """Reference trajectory: shapes at given times, linear in between, constant before and after.
 
     Parameters
     ----------

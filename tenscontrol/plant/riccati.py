@@ -263,7 +263,7 @@ def _doubled(
 
 
 def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArray, FloatArray]:
-    """Return weights that make displacement, speed and input commensurate.
+    """Return LQR weights from the energy: displacement, velocity and input on one scale.
 
     With ω the highest frequency of the plant (1 rad/s if all are zero) and b
     the largest acceleration that a unit input gives: ω² for displacements and
