@@ -102,8 +102,8 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
 
     The code is C99, allocates no memory and needs nothing but a C compiler:
     ``cc -O2 *.c -lm`` in the folder builds a program that runs it on samples
-    from a file. It commands what the controller in Python does, to round-off,
-    its fallbacks included, from a fresh start. See ``README.txt`` in the folder.
+    from a file. Its commands agree with those of the controller in Python to round-off, fallbacks
+    included, from the state after ``reset()``. See ``README.txt`` in the folder.
 
     Parameters
     ----------
