@@ -21,7 +21,7 @@ from tenscontrol.validation import (
 def net(
     rows: int, columns: int, spacing: float, node_mass: float, fixed: object = "corners"
 ) -> Structure:
-    """Return a flat rectangular net of strings, point masses at its knots.
+    """Return a flat rectangular net of strings with point masses at its knots.
 
     Node ``columns · i + j`` is knot j of row i, at (j, i, 0) times ``spacing``. The strings along
     the rows come first, group ``"row"``, then those along the columns, group ``"column"``.

@@ -39,7 +39,7 @@ def subdivide(
     node_mass: float | None = None,
     string_mass: object = None,
 ) -> Structure:
-    """Return the structure with its strings cut into segments, joined by point masses.
+    """Return the structure with its strings divided into segments, with point masses between.
 
     Each string becomes a straight chain of equal segments. The nodes of ``structure`` come first,
     in their order; the new ones follow string by string, each string from its start to its end.

@@ -41,7 +41,7 @@ def skin(
     areal_density: object = None,
     group: str = "skin",
 ) -> Structure:
-    """Return the structure with panels covered by an elastic skin, a mesh of strings.
+    """Return the structure with an elastic skin on its panels: a mesh of strings.
 
     Each panel gets a node at its centre, the mean of its corners, and strings from it to the
     corners. This is repeated inside each new triangle, n ``iterations`` in all. Nodes and strings
