@@ -187,9 +187,9 @@ def prestress(
     min_force_density: object = None,
     max_force_density: object = None,
 ) -> Prestress:
-    """Return the force densities at which a structure rests in its reference shape.
+    """Return force densities (tension per length) that hold a structure in equilibrium.
 
-    Bars may push or pull; ``bars_in_tension`` of the result says which ones pull.
+    Bars may be in compression or in tension: see ``bars_in_tension`` of the result.
 
     Parameters
     ----------
