@@ -64,7 +64,7 @@ class RestLengths:
 
 
 def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLengths:
-    """Return the rest lengths at which the strings have these force densities in this shape.
+    """Return the rest lengths that give the strings these force densities in a given shape.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLe
 
 
 def to_force_density(model: Model, nodes: object, rest_length: object) -> FloatArray:
-    """Return the force densities of strings with these rest lengths in this shape, at rest.
+    """Return the force densities of strings from their rest lengths, in a given shape at rest.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ class WinchMove:
 
 @dataclass(frozen=True, eq=False)
 class Winches:
-    """Limits of the winches that set the rest lengths.
+    """Limits of the winches that set the rest lengths: speed, range, motors.
 
     Parameters
     ----------
