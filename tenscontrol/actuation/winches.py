@@ -141,7 +141,7 @@ def _law_and_length(model: Model, nodes: object) -> tuple[StringLaw, FloatArray]
     instance("model", model, Model, "make one by Model(structure, strings=...)")
     if model.strings is None:
         raise ValueError(
-            "the model has no string law, so rest lengths mean nothing to it; "
+            "the model has no string law, so rest lengths have no meaning for it; "
             "build it as Model(structure, strings=LinearStrings(stiffness=...))"
         )
     shape = model.structure.checked_nodes("nodes", nodes)

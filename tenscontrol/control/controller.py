@@ -561,6 +561,6 @@ def warn_of_unreached(controller: Controller, stacklevel: int) -> None:
     warn_of_left_alone(
         controller.left_alone,
         "no string reaches",
-        "What swings there goes on swinging whatever is commanded; the other modes are controlled.",
+        "No command changes a vibration in these modes; the other modes are controlled.",
         stacklevel + 1,
     )

@@ -451,8 +451,8 @@ def _check_height(height: ca.Function, normal: FloatArray | None) -> None:
         )
     if normal is not None and (normal[:-1].any() or normal[-1] < 0):
         raise ValueError(
-            f"normal is {normal}, expected none beside a height that is a function: it is measured "
-            "upward, along the last axis"
+            f"normal is {normal}, expected None where height is a function, which is measured "
+            "along the last axis"
         )
 
 

@@ -287,7 +287,7 @@ class Coordinates:
         if room.size and room.min() <= 0:
             raise ValueError(
                 f"q turns bar {alone[int(room.argmin())]} by a right angle or more from the "
-                "reference shape; these coordinates do not reach so far"
+                "reference shape, which is too far for these coordinates"
             )
         self._stretch(nodes, (np.sqrt(room) - along) * axes)
         for block, normal in self._normals:
@@ -468,8 +468,8 @@ class Coordinates:
             total -= np.linalg.solve(slope, excess)
         raise ValueError(
             f"q is a shape in which bars {sorted(block.bars.tolist())}, which are joined to one "
-            "another, cannot keep their lengths, or would have to turn over; these coordinates do "
-            "not reach so far from the reference shape"
+            "another, cannot keep their lengths, or would have to turn over; it is too far from "
+            "the reference shape for these coordinates"
         )
 
     def _columns(self, flat: FloatArray) -> FloatArray:

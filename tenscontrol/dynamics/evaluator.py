@@ -150,8 +150,8 @@ class Exclusive:
             # No other thread can come between these two lines: nothing is called.
             if self._user:
                 raise RuntimeError(
-                    f"{self._what} is used by another thread at this moment: it has a memory. "
-                    "Give each thread its own, for example a copy by copy.deepcopy or pickle"
+                    f"{self._what} is in use by another thread, and it keeps state between "
+                    "calls. Give each thread a copy, for example by copy.deepcopy or pickle"
                 )
             self._user = me
         self._depth += 1

@@ -587,7 +587,7 @@ class Model:
     def _needed_strings(self) -> StringLaw:
         if self._strings is None:
             raise ValueError(
-                "the model has no string law, so rest lengths mean nothing to it; "
+                "the model has no string law, so rest lengths have no meaning for it; "
                 "build it as Model(structure, strings=LinearStrings(stiffness=...))"
             )
         return self._strings

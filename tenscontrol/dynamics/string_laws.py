@@ -267,7 +267,7 @@ class StringLaw(ABC):
             raise ValueError(
                 f"force_density[{i}] is {np.atleast_1d(gamma)[i]:g} N/m, expected less than the "
                 f"stiffness {np.atleast_1d(limit)[i]:g} N/m: the rest length would not be "
-                "positive. Use stiffer strings or less force"
+                "positive. Use stiffer strings or a lower force density"
             )
         rest = self._evaluated("rest_length", length, gamma)
         return _representable("rest length", rest, bool((rest > 0).all()))

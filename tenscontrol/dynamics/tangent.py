@@ -169,9 +169,9 @@ def _scaled_rows(structure: Structure, block: Block, nodes: FloatArray, L: Any) 
     sizes = np.linalg.svd(rows, compute_uv=False)
     if sizes.size and sizes.min() <= _RANK_TOLERANCE * sizes.max():
         raise ValueError(
-            f"in nodes, bars {sorted(block.bars.tolist())}, which are joined to one another, are "
-            "in a dead centre: their lengths do not determine their motion. Change the nodes a "
-            "little"
+            f"in nodes, bars {sorted(block.bars.tolist())}, which are joined to one another, "
+            "are at a dead centre, where their lengths do not determine their motion. Change "
+            "the nodes slightly"
         )
     return np.asarray(rows)
 

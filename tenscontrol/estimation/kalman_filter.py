@@ -290,7 +290,7 @@ class KalmanFilter:
         warn_of_left_alone(
             self.left_alone,
             "no reading shows and no string reaches",
-            "What swings there is predicted from the start, as uncertain as that.",
+            "A vibration in these modes is predicted from the start, with its uncertainty.",
             stacklevel=2,
         )
 
@@ -382,7 +382,9 @@ class KalmanFilter:
             try:
                 self.plant.to_nodes(z[: self.plant.degrees_of_freedom])
             except ValueError as error:
-                raise ValueError(f"state is of no shape of the structure: {error}") from error
+                raise ValueError(
+                    f"state is not a possible shape of the structure: {error}"
+                ) from error
         if covariance is not None:
             P = _checked_covariance(covariance, self._size)
         self._z, self._P = z, P

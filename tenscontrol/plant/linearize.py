@@ -223,8 +223,8 @@ def linearize(
         wound = _rest_length(model.strings, length, gamma, rest_length)
     elif input == "rest_length" or rest_length is not None:
         raise ValueError(
-            "the model has no string law, so the rest length is no input; "
-            "build it as Model(structure, strings=LinearStrings(stiffness=...))"
+            "the model has no string law, so the rest length cannot be the input; build it as "
+            "Model(structure, strings=LinearStrings(stiffness=...))"
         )
     held = gamma if input == "force_density" else wound
     here = tangent(model, nodes, input, held, load)
@@ -235,10 +235,10 @@ def linearize(
     plant = _reduced(model, input, coordinates, here, nodes, gamma, wound, load)
     if require_equilibrium and plant.invariance_residual > _INVARIANCE_TOLERANCE:
         raise ValueError(
-            f"coordinates={coordinates!r} leave out motions that take part: "
-            f"{plant.invariance_residual:.1e} of the accelerations belong to those. A load "
-            "that stays as it is while the structure turns gives turning a stiffness, and couples "
-            "it with changes of shape; use coordinates='minimal'"
+            f"coordinates={coordinates!r} leave out motions that are coupled with the others: "
+            f"{plant.invariance_residual:.1e} of the accelerations are in those. A load of "
+            "constant direction gives a rotation of the structure a stiffness, and couples it "
+            "with changes of shape; use coordinates='minimal'"
         )
     return plant
 
@@ -492,7 +492,7 @@ def _refuse_unbalanced(at: Tangent, gamma: FloatArray) -> None:
             f"not an equilibrium: node {worst} is left with an unbalanced force of "
             f"{unbalanced[worst]:.3g} N, expected less than "
             f"{_EQUILIBRIUM_TOLERANCE * scale:.1e} N. Start from prestress(...), or pass "
-            "require_equilibrium=False to get a plant that drifts"
+            "require_equilibrium=False to get a plant with a drift"
         )
 
 
@@ -543,5 +543,5 @@ def _refuse_kink(model: Model, gamma: FloatArray, share: FloatArray) -> None:
         raise ValueError(
             f"string {slack[0]} has γ = {gamma[slack[0]]:g} N/m, at the border between taut and "
             "slack, where its force has no derivative by the rest length. Give it some "
-            "prestress, say by rest_length=... how slack it is, or use input='force_density'"
+            "prestress, give rest_length=... if it is slack, or use input='force_density'"
         )

@@ -264,7 +264,7 @@ def shape_target(
     if solved is None:
         level = f", {limits.level:g} N/m in the reference strings" if limits.level else ""
         raise ShapeError(
-            "no equilibrium found with bars of their lengths and γ of at least "
+            "no equilibrium found with the bar lengths of the structure and γ of at least "
             f"min_force_density{level}. Start from another shape, or lower "
             "min_force_density",
             None,
@@ -275,14 +275,14 @@ def shape_target(
         why = f" {STRINGS_MOVE_NO_CENTRE}." if len(asked) > len(wanted) else ""
         raise ShapeError(
             f"no equilibrium found that meets the demands. The nearest one found, .nearest, "
-            f"misses {len(target.missed)} of {len(target.demands)}: {misses}.{why} Another start "
-            "may lead nearer; tolerances, wider bounds or more strings leave more room",
+            f"misses {len(target.missed)} of {len(target.demands)}: {misses}.{why} Try another "
+            "start, larger tolerances, wider bounds or more strings",
             target,
         )
     gone = moved_as_one_body(model, begin, target.nodes)
     if gone and wanted:
         raise ShapeError(
-            f"the demands ask the structure only to move as one body: the shape found is that of "
+            f"the demands are met by a rigid-body motion only: the shape found is that of "
             f"start, moved by up to {gone:.3g} m. {STRINGS_MOVE_NO_CENTRE}. To put the structure "
             "there by hand, move the nodes of start",
             target,
@@ -291,10 +291,9 @@ def shape_target(
         slack = np.flatnonzero(target.force_density == 0)
         why = f" with strings {slack.tolist()} slack" if len(slack) else ""
         raise ShapeError(
-            f"the equilibrium found{why} gives way to a push: its stability margin is "
+            f"the equilibrium found{why} is unstable: its stability margin is "
             f"{target.stability_margin:.3g} N/m, expected more than 0. Ask for a higher "
-            "min_force_density, start from another shape, or take it all the same by "
-            "require_stable=False",
+            "min_force_density, start from another shape, or accept it by require_stable=False",
             target,
         )
     return target

@@ -76,7 +76,7 @@ def net(
     held = _held(fixed, knots)
     if held.size == 0:
         warnings.warn(
-            "nothing holds the net: no knot is fixed, and its strings can only pull it together; "
+            "no knot of the net is fixed, and its strings would only pull it together; "
             "give fixed='corners', 'edges' or node indices",
             UserWarning,
             stacklevel=2,

@@ -238,8 +238,8 @@ def prism_tower(
     overlap = positive_number("overlap", overlap, "stage heights")
     if overlap > _LARGEST_OVERLAP:
         raise ValueError(
-            f"overlap is {overlap:g}, expected at most {_LARGEST_OVERLAP:g}: with more, "
-            "strings of the tower would have to push"
+            f"overlap is {overlap:g}, expected at most {_LARGEST_OVERLAP:g}: with more, no "
+            "self-stress of the tower has all strings in tension"
         )
     mirror = 1.0 if choice("handedness", handedness, ("left", "right")) == "left" else -1.0
 

@@ -410,7 +410,7 @@ def _refuse_bad_shape(name: str, loop: Loop, nodes: FloatArray) -> None:
     if fan.min() <= _ZERO or abs(turns) > 1.5:
         a, b = _edges(loop)[int(fan.argmin())]
         raise ValueError(
-            f"{name} crosses itself or is bent inwards: its edge {a} to {b} is not seen from its "
-            "centre, the mean of its corners, or is passed twice; give the nodes in order around "
+            f"{name} crosses itself or is not convex: its edge {a} to {b} is hidden from its "
+            "centre, the mean of its corners, or occurs twice; give the nodes in order around "
             "the panel, and cut it into convex panels"
         )

@@ -204,7 +204,7 @@ ROBUSTNESS = [
             r"in target at 0 s, bar \d has length 2\.\d+ m, expected 1\."),
     refused("loop case target mirrored",
             lambda: loop_case(target=nodes() * [[-1.0], [1.0], [1.0]]), ValueError,
-            r"in target at 0 s, bars 0 and 1 pass one another"),
+            r"in target at 0 s, bars 0 and 1 have changed sides"),
     refused("loop case target nan", lambda: loop_case(target=with_entry(nodes(), (0, 0), NAN)),
             ValueError, r"target\[0, 0\] is nan"),
     refused("loop case gravity", lambda: loop_case(gravity=[1.0, 2.0]), ValueError, r"gravity"),
