@@ -197,7 +197,7 @@ class FeedbackLinearization(Controller):
         most = float(np.linalg.norm(matrix, 2) * np.linalg.norm(moved, 2))
         if not np.linalg.norm(response, 2) > _ROUND_OFF * most:
             raise ValueError(
-                "tracked combinations are moved by no string at the operating point; expected "
+                "no string moves the tracked combinations at the operating point; expected "
                 "coordinates of free nodes, relative to each other where no node is fixed"
             )
         size = float(np.ptp(plant.nodes, axis=1).max())

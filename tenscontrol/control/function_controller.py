@@ -124,7 +124,7 @@ class FunctionController(BaseController):
             input = _own("input", function)
             if input is None:
                 raise ValueError(
-                    "input is not given, and function has none: say what it commands by "
+                    "input is not given, and function has none: give what it commands by "
                     "input='rest_length' or input='force_density'"
                 )
         if sample_time is None:

@@ -201,10 +201,10 @@ def _checked_name(name: object) -> str:
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name):
         raise ValueError(
             f"name is {name!r}, expected a letter, then letters, digits and _, 31 at most: "
-            "names of C begin with it"
+            "C names begin with it"
         )
     if name.lower() in _TAKEN:
-        raise ValueError(f"name is {name!r}, which is taken; give another")
+        raise ValueError(f"name is {name!r}, which is reserved; give another")
     return name
 
 

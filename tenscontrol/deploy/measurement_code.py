@@ -114,9 +114,9 @@ def _independent_rows(plant: LinearPlant) -> list[int]:
         found.append(sorted(order[: np.count_nonzero(sizes > _RANK * sizes[0])]))
     if len(found[0]) < len(found[1]):
         raise ValueError(
-            "controller is for a structure whose supports hold other motions as one body in its "
-            "operating point than in shapes next to it, so that its measurement cannot be written "
-            "as C code: move a roller, or fix another coordinate"
+            "controller is for a structure whose supports allow other rigid-body motions at its "
+            "operating point than in neighbouring shapes, so that its measurement cannot be "
+            "written as C code: move a roller, or fix another coordinate"
         )
     return found[0]
 

@@ -306,8 +306,9 @@ class ClosedLoopCase:
         known = self._coordinates
         if known.nodes.shape != self.structure.nodes.shape:
             raise SweepError(
-                f"start gives the {known.nodes.shape[1]} nodes of the controller's plant a place, "
-                f"but the structure has {self.structure.nodes.shape[1]}: give nodes instead"
+                f"start gives the {known.nodes.shape[1]} nodes of the controller's plant a "
+                f"position, but the structure has {self.structure.nodes.shape[1]}: give nodes "
+                "instead"
             )
         return known.to_nodes(parameters["start"])
 

@@ -132,7 +132,10 @@ def sweep(
             "executor", executor, Executor, "of concurrent.futures; Dask's is client.get_executor()"
         )
         if processes is not None:
-            raise ValueError("processes goes without executor, which has workers of its own")
+            raise ValueError(
+                "processes and executor are both given, expected one: an executor "
+                "has its own workers"
+            )
     if processes is not None:
         processes = whole_number("processes", processes, least=1)
     if in_flight is not None:
@@ -190,7 +193,8 @@ def _pickled(case: object) -> bytes:
         return pickle.dumps(case)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise TypeError(
-            f"case cannot be pickled, so no worker can have it: {error}. Make it a function at "
+            f"case cannot be pickled, so it cannot be sent to a worker: {error}. Make it a "
+            "function at "
             "the top of a module, or an object of a class there whose attributes can be pickled"
         ) from error
 

@@ -354,7 +354,7 @@ def simulate(
         found = [] if run.control is None else run.control.problems
         if found:
             warnings.warn(
-                f"under {type(controller).__name__} the run did not do what was asked: "
+                f"under {type(controller).__name__} the run did not reach its goal: "
                 f"{'; '.join(found)}. run.control.summary() says more",
                 ControlWarning,
                 stacklevel=2,
@@ -446,8 +446,8 @@ def checked_inputs(
     if least < -round_off or (least <= 0 and name == "rest_length"):
         what = "a positive length in m" if name == "rest_length" else "at least 0"
         raise ValueError(
-            f"{name} falls to {least:.3g} at {time:.6g} s, expected {what}. Cubic pieces may swing "
-            "below the values given; linear ones do not"
+            f"{name} falls to {least:.3g} at {time:.6g} s, expected {what}. Cubic interpolation "
+            "may go below the values given; linear interpolation does not"
         )
     return pieces
 
@@ -482,7 +482,7 @@ def _beside(
     carried = carried_by_supports(structure)
     before = np.zeros_like(N) if V is None else np.where(carried >= 0, V[:, carried], 0.0)
     if loop.offset is None and before.any():
-        raise ValueError("supports move at the end of start: give support_motion, how it goes on")
+        raise ValueError("supports move at the end of start: give support_motion, how they go on")
     if loop.offset is not None:
         loop.offset_rate = before.ravel(order="F")
         displaced = loop.offset.at(np.array([loop.now])).reshape(N.shape, order="F")

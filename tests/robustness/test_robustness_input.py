@@ -153,7 +153,7 @@ ROBUSTNESS = [
             r"executor is a str, expected Executor"),
     refused("sweep executor and processes",
             lambda: sweep(executor=ThreadPoolExecutor(1), processes=2), ValueError,
-            r"processes goes without executor"),
+            r"processes and executor are both given"),
     refused("sweep processes zero", lambda: sweep(processes=0), ValueError, r"processes is 0"),
     refused("sweep in_flight zero", lambda: sweep(in_flight=0), ValueError, r"in_flight is 0"),
     refused("sweep progress text", lambda: sweep(progress="no"), TypeError, r"progress is 'no'"),

@@ -218,7 +218,7 @@ def broken_limits(
                         "limit or the shape, or give a finite penalty"
                     )
                 if at is not None and path.given:
-                    found.append(f"{text}: the loop will rest between the two")
+                    found.append(f"{text}: the loop will settle between the two")
     return found
 
 

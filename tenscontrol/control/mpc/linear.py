@@ -442,9 +442,9 @@ class MPC(PredictiveController):
         if growth > _GROWS:
             what = f"lets errors grow by a factor e in {1 / growth:.2g} s"
         found.append(
-            f"the reference at {end:g} s is farther than the linear plant holds: there its loop "
-            f"{what}. Linearize nearer to it, take NMPC, or a GainSchedule in which another "
-            "controller takes over before"
+            f"the reference at {end:g} s is outside the range of the linear plant: there the "
+            "closed loop "
+            f"{what}. Linearize nearer to it, or use NMPC or a GainSchedule"
         )
         return found
 
