@@ -1,4 +1,4 @@
-"""What is measured: a motion in open loop, and how fast it can change."""
+"""The motion on which integration methods are compared: model, start, inputs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The motion that others are measured against, with an estimate of its own error.
+"""The reference solution for error measurements, with an estimate of its own error.
 
 Switches of strings and contacts are located here a second time, beside ``tenscontrol.integrate``,
 and by other means, on purpose: the reference shares no code with the integrators that are measured,

@@ -1,4 +1,4 @@
-"""Growth: processor time and memory of each stop of the road, from few members to many."""
+"""Processor time and memory of each step from structure to control, by number of members."""
 
 from __future__ import annotations
 

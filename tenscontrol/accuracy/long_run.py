@@ -1,4 +1,4 @@
-"""What is left of energy, momentum and bar lengths after very many steps."""
+"""Drift of energy, momentum and bar lengths over very many steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One method at one setting: its error, its run time, what it conserves, what it cost."""
+"""One run of one method: its error, run time, conserved quantities and work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long a motion can be predicted: growth of a perturbation of its start."""
+"""Predictability of a motion: growth of a perturbation of its start."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motors of winches and of force-controlled cables, and what they did in a run."""
+"""Motors of winches and of force-controlled cables, and their record in a run."""
 
 from __future__ import annotations
 

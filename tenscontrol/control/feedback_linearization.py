@@ -1,4 +1,4 @@
-"""Feedback linearization: errors of node positions decay as a damped oscillator."""
+"""Feedback linearization: errors of node positions decay like those of a damped oscillator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A command, its status, and the fallback that replaced a decision."""
+"""A command of a controller, its status and its fallback."""
 
 from __future__ import annotations
 

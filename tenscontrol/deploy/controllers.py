@@ -1,4 +1,4 @@
-"""Numbers of a law in C code: LQR, linear MPC, nonlinear MPC.
+"""Data of a controller for C code: LQR, linear MPC, nonlinear MPC.
 
 The vectors of the program of linear MPC are affine in the state, the previous input, the same
 within bounds, and the estimated load; so are the planned inputs. Their matrices are

@@ -1,4 +1,4 @@
-"""Contact laws: the force of the ground on nodes from their depth in it, and how fast they sink.
+"""Contact laws: the force of the ground on a node from its penetration and velocity.
 
 Sign convention::
 

@@ -1,4 +1,4 @@
-"""The state equation as integrators see it: smooth between switches of strings and contacts."""
+"""The state equation for integrators: smooth between switches of strings and contacts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""CasADi functions: built by one thread at a time, kept, and called without allocation.
+"""CasADi functions: built by one thread at a time, cached, and called without allocation.
 
 CasADi's Python wrapper lets other threads run during every call. It counts the references to the
 elements of SX without a lock, and all expressions share their constants; so what makes, copies or

@@ -1,4 +1,4 @@
-"""Inputs, loads and motions of supports that change in time: profiles and piecewise polynomials."""
+"""Inputs, loads and support motions as functions of time: profiles, piecewise polynomials."""
 
 from __future__ import annotations
 

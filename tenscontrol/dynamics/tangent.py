@@ -1,4 +1,4 @@
-"""Motions that keep bar lengths, and a model at rest on them, as sparse matrices."""
+"""Motions that keep bar lengths, and the mass and stiffness of a model on them, sparse."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kalman filter: correction by readings, refusals, delay, prediction."""
+"""Kalman filter: correction, gate for outliers, delayed readings, prediction."""
 
 from __future__ import annotations
 

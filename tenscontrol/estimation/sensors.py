@@ -1,4 +1,4 @@
-"""What is measured of a structure, how well, how late, and how often it is lost or corrupt."""
+"""Sensors: measured quantities, noise, delay, lost readings and outliers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What strings reach of a linear plant, mode by mode, and what has to be left alone."""
+"""Controllability of a linear plant by its strings, mode by mode."""
 
 from __future__ import annotations
 

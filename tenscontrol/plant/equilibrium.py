@@ -1,4 +1,4 @@
-"""Equilibrium under load, where the shape must give."""
+"""Equilibrium shapes under loads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A linear plant, as controllers are designed on, and its exact sampled models."""
+"""The linear plant for the design of controllers, and its exact discretizations."""
 
 from __future__ import annotations
 

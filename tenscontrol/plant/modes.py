@@ -1,4 +1,4 @@
-"""Modes of a linear plant: frequencies, damping, shapes, and what kind of motion each is."""
+"""Modes of a linear plant: frequencies, damping ratios, mode shapes and their kind."""
 
 from __future__ import annotations
 

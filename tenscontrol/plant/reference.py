@@ -1,4 +1,4 @@
-"""References of controllers: shapes over time, and what holds the plant in them."""
+"""Reference trajectories of controllers, and the inputs that hold the plant at their shapes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Algebraic Riccati equations of regulators and filters, solved in scaled units and checked."""
+"""Algebraic Riccati equations of regulators and filters, solved in scaled units, with checks."""
 
 from __future__ import annotations
 

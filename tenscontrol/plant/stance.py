@@ -1,4 +1,4 @@
-"""Stances: shapes that stand on the ground, their contact forces and margin against tipping."""
+"""Stances: equilibria on the ground, with contact forces and the margin against tipping."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A case for sweeps: a controller on a plant that is not the one it was designed on."""
+"""A closed loop for Monte Carlo studies: the plant differs from that of the design."""
 
 from __future__ import annotations
 

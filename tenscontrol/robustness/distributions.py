@@ -1,4 +1,4 @@
-"""What a parameter of a sweep is drawn from."""
+"""Distributions of the random parameters of a sweep."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many runs of one case with parameters drawn at random."""
+"""Monte Carlo studies: many runs of one case with random parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a sweep found, or what stopped it."""
+"""Report of a sweep, and the error that carries one if it stops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables of a scene that close the loop: controller, winches, sensors, estimator, faults."""
+"""Tables of a scene for the closed loop: controller, winches, sensors, estimator, faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scene file as it was read: its tables, checked, and the line of each key."""
+"""A scene file as read: its tables, checked, and the line of each key."""
 
 from __future__ import annotations
 

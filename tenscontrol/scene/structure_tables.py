@@ -1,4 +1,4 @@
-"""The tables of a scene that say what moves: structure, strings, loads, prestress, start."""
+"""Tables of a scene for the structure: members, strings, loads, ground, prestress, start."""
 
 from __future__ import annotations
 

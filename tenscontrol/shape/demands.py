@@ -1,4 +1,4 @@
-"""Demands on a shape: places of nodes and points, a height, a twist."""
+"""Demands on a shape: positions of nodes and points, height, twist."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Equilibria between two equilibria, and how they are laid out in time."""
+"""Equilibria between two equilibria, by continuation, and their timing."""
 
 from __future__ import annotations
 

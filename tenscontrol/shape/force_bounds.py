@@ -1,4 +1,4 @@
-"""Level and bounds of the forces in a shape, and the forces chosen between them."""
+"""Level and bounds of the force densities in a shape, and the choice between them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rolling: steps in which a structure tips over an edge of what it stands on."""
+"""Rolling: steps in which a structure tips over an edge of its base."""
 
 from __future__ import annotations
 

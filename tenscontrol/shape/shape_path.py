@@ -1,4 +1,4 @@
-"""A path from shape to shape through equilibria, timed for the winches."""
+"""A path between two shapes through equilibria, timed for the winches."""
 
 from __future__ import annotations
 

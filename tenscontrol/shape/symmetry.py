@@ -1,4 +1,4 @@
-"""A symmetry of rotation that a shape is to keep, and the coordinates that keep it."""
+"""Rotational symmetry of a shape, and coordinates that keep it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The actuators of a closed loop: commands become force densities, or rest lengths by winches."""
+"""Actuators of a closed loop: they turn commands into force densities or rest lengths."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What touched the ground in a run: when, how deep, by which forces, and what that cost."""
+"""Ground contacts of a run: times, penetration, forces and lost energy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults of a simulation: cut strings, stuck winches, lost measurements."""
+"""Faults in a simulation: cut strings, stuck winches, lost measurements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures that tell whether to trust a motion, and limits on them."""
+"""Accuracy figures of a simulated motion, and limits on them."""
 
 from __future__ import annotations
 

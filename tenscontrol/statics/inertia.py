@@ -1,4 +1,4 @@
-"""Sparse symmetric matrices: LDLᵀ factors, their signs, and the null space that they show."""
+"""Sparse symmetric matrices: LDLᵀ factors, inertia (signs of the eigenvalues), null space."""
 
 from __future__ import annotations
 

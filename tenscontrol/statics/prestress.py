@@ -1,4 +1,4 @@
-"""Prestress: force densities at which a structure rests, and what they make of it."""
+"""Prestress: force densities in equilibrium, and the self-stress and mechanisms of a structure."""
 
 from __future__ import annotations
 

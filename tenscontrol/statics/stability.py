@@ -1,4 +1,4 @@
-"""Stability of a prestressed shape: what the forces stiffen, and how stiff the whole is."""
+"""Stability of a prestressed shape: geometric and material stiffness."""
 
 from __future__ import annotations
 

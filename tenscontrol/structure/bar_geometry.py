@@ -1,4 +1,4 @@
-"""Members in a shape: lengths checked, those of bars restored, and how far bars are apart."""
+"""Geometry of bars and strings: length checks, restored bar lengths, distances between bars."""
 
 from __future__ import annotations
 

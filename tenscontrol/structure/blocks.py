@@ -1,4 +1,4 @@
-"""Blocks: bars that hang together by nodes that move, and which of them determine the motion."""
+"""Blocks of bars joined at free nodes, and which of their length constraints are independent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Connectivity as it is given: members, paths of strings and supports, checked."""
+"""Checks of the connectivity that a user gives: members, paths of strings, supports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A net: strings only, held at its fixed nodes."""
+"""A rectangular net of strings with fixed nodes."""
 
 from __future__ import annotations
 

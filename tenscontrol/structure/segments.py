@@ -1,4 +1,4 @@
-"""Strings cut into segments, and the only map between values of whole strings and of segments."""
+"""Strings divided into segments, and the map between values of strings and of segments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Skins: panels of a structure covered by a mesh of strings, finer with each iteration."""
+"""Elastic skins: panels of a structure covered by a mesh of strings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Supports: which coordinates they hold, and which motions of the whole structure they leave.
+"""Supports: the coordinates that they fix, and the rigid-body motions that remain.
 
 Coordinates are counted as in ``vec(N)``: x, y, z of node 0, then of node 1, and so on.
 ``Structure.fixed_rows`` says which of them are held; the rest follows from it.

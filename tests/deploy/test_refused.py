@@ -85,7 +85,7 @@ def test_folder_with_something_in_it(tmp_path):
     "name", [None, "", "1st", "my controller", "a/b", "ä", "x" * 32, "main", "stages"]
 )
 def test_name_that_is_none_in_c(name, tmp_path):
-    with pytest.raises(ValueError, match=r"name is .*, (expected a letter|which is taken)"):
+    with pytest.raises(ValueError, match=r"name is .*, (expected a letter|which is reserved)"):
         tc.generate_c(regulator(), tmp_path / "code", name=name)
     assert not (tmp_path / "code").exists()
 

@@ -1,4 +1,4 @@
-"""What another package must offer to be measured beside our own methods."""
+"""Interface of an integrator of another package, to be compared with our methods."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits that a user sets on combinations of node positions."""
+"""Output limits: bounds on linear combinations of node positions."""
 
 from __future__ import annotations
 

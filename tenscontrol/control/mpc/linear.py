@@ -1,4 +1,4 @@
-"""Linear model predictive control of strings that cannot push, and its condensed program."""
+"""Linear model predictive control with γ ≥ 0, and its condensed quadratic program."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What MPC and NMPC share: settings, the problem that they make of a plant, and a base class."""
+"""Settings, problem and base class of MPC and NMPC."""
 
 from __future__ import annotations
 

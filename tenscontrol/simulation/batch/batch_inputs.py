@@ -1,4 +1,4 @@
-"""What many runs are given: starts, inputs, loads and parameters, checked, run by run."""
+"""Inputs of many runs, checked: starts, inputs, loads and parameters."""
 
 from __future__ import annotations
 
