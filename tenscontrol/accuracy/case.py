@@ -113,7 +113,7 @@ class Case:
 
     @property
     def load(self) -> FloatArray:
-        """All that acts on the nodes from outside, N, shape (d, n): weights and loads."""
+        """Weights and external loads on the nodes, N, shape (d, n)."""
         return checked_load(self.model, self.external_force)
 
     @property

@@ -43,7 +43,7 @@ _SHARED = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """How a conserved quantity moves off over a long run.
+    """Drift of a conserved quantity over a long run.
 
     Attributes
     ----------

@@ -173,7 +173,7 @@ def deviations(
 
 @dataclass(frozen=True)
 class Measurement:
-    """What one run of one method gave. A number that is not known is NaN or None.
+    """Error, run time and work of one run of a method. Numbers not known are NaN or None.
 
     Attributes
     ----------

@@ -39,7 +39,7 @@ _PART = 20
 
 @dataclass(frozen=True, eq=False)
 class Predictability:
-    """How a small perturbation of the start grows. Made by :func:`predictability`.
+    """Growth of a small perturbation of the start. Made by :func:`predictability`.
 
     Attributes
     ----------

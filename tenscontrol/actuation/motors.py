@@ -223,7 +223,7 @@ def each_motor(motor: Motor, count: int) -> EachMotor:
 
 @dataclass(frozen=True, eq=False)
 class MotorRecord:
-    """Motors of the winches, or of force-controlled cables, at the times of a run.
+    """Angle, speed, torque, power and energy of the motors during a run.
 
     Attributes
     ----------

@@ -151,7 +151,7 @@ def _law_and_length(model: Model, nodes: object) -> tuple[StringLaw, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class WinchMove:
-    """What winches made of a command. Made by :meth:`Winches.move`.
+    """Rest lengths that winches reach after a command. Made by :meth:`Winches.move`.
 
     Attributes
     ----------

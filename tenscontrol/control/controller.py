@@ -108,7 +108,7 @@ def clipped(value: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 class BaseController(ABC):
-    """What every controller has: check of measurements, bounds, fallback, counts.
+    """Base class of controllers: check of measurements, bounds, fallback, counts.
 
     Parameters
     ----------
@@ -426,7 +426,7 @@ class BaseController(ABC):
 
 
 class Controller(BaseController):
-    """Turns measured motion into commands, one a sample, by a law designed on a linear plant.
+    """Base class of controllers designed on a linear plant: one command in each sample.
 
     A controller of your own is a subclass with ``_decide``. Give it ``_fall_back`` if holding the
     previous input is not safe, and ``reset`` if it has a memory. A function needs no class: see

@@ -46,7 +46,7 @@ _ROOTED, _SHORT = 1e-30, 1e-12
 
 @dataclass(frozen=True, eq=False)
 class ContactLaw(ABC):
-    """How the ground pushes on nodes that have sunk into it, and rubs on them.
+    """Base class of contact laws: normal force and friction of the ground on nodes.
 
     A law of your own is a frozen dataclass with one formula, :meth:`normal_force`; with a second,
     :meth:`gap`, where its force vanishes elsewhere than at the surface or by Hunt & Crossley's
@@ -378,7 +378,7 @@ class HertzGround(ContactLaw):
 @final
 @dataclass(frozen=True, eq=False)
 class SmoothGround(ContactLaw):
-    """Ground without a border, for predictions: the force of :class:`Ground` rounded at its foot.
+    """Smooth ground, for predictions: the force of :class:`Ground`, rounded near the surface.
 
     From ``width`` above the surface to as far below, the depth p is replaced by (p + w)²/4w, and
     the factor 1 + d ṗ by one that stays positive. So no switch is to be located, and the force has
@@ -499,7 +499,7 @@ def checked_grounds(ground: object, structure: Structure) -> tuple[ContactLaw, .
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """The nodes that can touch, law by law, and their places among the switches of a model.
+    """The nodes that can touch the ground, by contact law, and their switches.
 
     Attributes
     ----------

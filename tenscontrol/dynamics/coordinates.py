@@ -63,7 +63,7 @@ KINDS = ("nodes", "minimal", "internal")
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """A basis of node displacements around a reference shape, and the maps both ways.
+    """Coordinates: a basis of node displacements about a reference shape, and its maps.
 
     Made by :func:`coordinates`.
 

@@ -86,7 +86,7 @@ class InputLayout:
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """A state equation ``ẋ = f(x, u)`` that is smooth while nothing switches.
+    """The state equation ``ẋ = f(x, u)``, smooth between switches.
 
     Strings whose rest length is held pull or are slack, and nodes press on the ground or do not;
     ``taut`` says which, 1 or 0 for each string, then for each contact, and is an input of its own

@@ -322,7 +322,7 @@ def _refuse_unsafe(path: Path, kind: str, remedy: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Compiled:
-    """A function in machine code.
+    """A CasADi function in machine code.
 
     Attributes
     ----------

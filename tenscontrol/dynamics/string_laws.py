@@ -31,7 +31,7 @@ _MOST_STRINGS = 10_000_000
 
 @dataclass(frozen=True, eq=False)
 class StringLaw(ABC):
-    """How a string turns length and rest length into force density.
+    """Base class of string laws: tension from length, rest length and rate.
 
     A string pulls or is slack; it never pushes. Parameters are one number for
     all strings or one per string. With damping c the tension while

@@ -28,7 +28,7 @@ _NOTHING_KNOWN = 1e12
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Motion estimated by a filter. Made by :meth:`KalmanFilter.update`.
+    """Estimated positions and velocities. Made by :meth:`KalmanFilter.update`.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class FilterStatistics:
-    """Use of the readings of K samples. Made by :attr:`KalmanFilter.statistics`.
+    """Readings used and refused in K samples. Made by :attr:`KalmanFilter.statistics`.
 
     Attributes
     ----------
@@ -358,7 +358,7 @@ class KalmanFilter:
 
     @exclusive
     def reset(self, state: object = None, covariance: object = None, held: object = None) -> None:
-        """Restart without memory.
+        """Restart from the start shape, as if newly made.
 
         Parameters
         ----------

@@ -46,7 +46,7 @@ _DEPENDENT = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Controllability:
-    """What the inputs reach. Made by :func:`controllability`.
+    """Controllability of each mode. Made by :func:`controllability`.
 
     Attributes
     ----------

@@ -474,7 +474,7 @@ def _null(matrix: FloatArray, tolerance: float = _ZERO) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class ReducedPlant(LinearPlant):
-    """A linear plant in a few of its modes. Made by :func:`reduce`; controllers take it as any.
+    """A linear plant reduced to a few modes. Made by :func:`reduce`; controllers accept it.
 
     Attributes
     ----------

@@ -72,7 +72,7 @@ class StanceContacts:
 
 @dataclass(frozen=True)
 class Tipping:
-    """How far a stance is from tipping over an edge of its support polygon.
+    """Margin of a stance against tipping over an edge of its support polygon.
 
     Attributes
     ----------
@@ -427,7 +427,7 @@ def refuse_slip(contacts: StanceContacts) -> None:
 
 
 def set_down(model: Model, feet: object, nodes: object = None) -> FloatArray:
-    """Return the nodes turned and moved as one body so that given nodes stand on the ground.
+    """Return the nodes after a rigid-body motion that puts given nodes on the ground.
 
     The plane through the feet (the one nearest to them, if they are more than three) is laid on
     the first law of ``model.ground``, by the least turn that has the centre of the nodes above it.

@@ -49,7 +49,7 @@ _SETTLED = 0.1
 @final
 @dataclass(frozen=True, init=False)
 class Outcome:
-    """What a case returns: whether the run was a success, and its figures.
+    """Result of one run of a case: success or not, and its figures.
 
     Parameters
     ----------
@@ -379,7 +379,7 @@ def _varied_sensors(sensors: Sensors | None, parameters: Mapping[str, object]) -
 
 
 def farthest_node(plant: LinearPlant | Coordinates, nodes: FloatArray, target: FloatArray) -> float:
-    """Return the largest distance of a node from its place, m, over all moments.
+    """Return the largest distance of a node from its target over a motion, m.
 
     Motions that the coordinates of the plant, or those given in its place, leave out do not
     count: in internal coordinates, those of the structure as one body.

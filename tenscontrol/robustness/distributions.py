@@ -30,7 +30,7 @@ _PARAMETERS, CASE = 0, 1
 
 @dataclass(frozen=True, eq=False)
 class Distribution(ABC):
-    """Numbers to draw, independent of each other.
+    """Base class of distributions of independent random numbers.
 
     Attributes
     ----------

@@ -445,7 +445,7 @@ def _refuse_contradictions(document: Document, input: str, sample_time: float | 
 
 
 def save_trajectory(run: Trajectory, file: str | Path) -> Path:
-    """Write everything that a motion holds to a NumPy archive.
+    """Write a simulated motion to a NumPy archive (npz).
 
     Parameters
     ----------

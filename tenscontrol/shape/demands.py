@@ -42,7 +42,7 @@ MOST_NODES = 10**9
 
 
 class Demand(ABC):
-    """A demand on a shape; it is exact if the tolerance is 0.
+    """Base class of demands on a shape; a demand with tolerance 0 is met exactly.
 
     Attributes
     ----------

@@ -97,7 +97,7 @@ class ShapePath:
         freeze_arrays(self)
 
     def reference(self, times: object = None) -> Reference:
-        """Return the path as a controller takes it, for example ``MPC(..., reference=...)``.
+        """Return the path as the reference of a controller, as in ``MPC(..., reference=...)``.
 
         Parameters
         ----------
@@ -131,7 +131,7 @@ class ShapePath:
         return Reference(at, np.stack(kept, axis=-1), gamma)
 
     def plants(self, count: int, input: str) -> tuple[LinearPlant, ...]:
-        """Return linear plants along the way, evenly by the distance that nodes travel.
+        """Return linear plants along the path, at equal distances of node travel.
 
         Parameters
         ----------

@@ -35,7 +35,7 @@ _UNCHANGED, _STAYED = 1e-3, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class DemandCheck:
-    """One demanded number, and the number found.
+    """A demanded number, and the number of the shape found.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class ShapeTarget:
 
     @property
     def is_stable(self) -> bool:
-        """Whether a small push is answered by a force back, in every direction."""
+        """Whether the equilibrium is stable: positive stiffness in every direction."""
         return self.stability_margin > STIFF * float(self.force_density.max(initial=0.0))
 
     @property
@@ -124,7 +124,7 @@ class ShapeTarget:
 
 
 class ShapeError(ValueError):
-    """No equilibrium shape meets the demands, as far as was found.
+    """No equilibrium shape was found that meets the demands.
 
     Attributes
     ----------

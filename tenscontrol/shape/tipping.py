@@ -48,7 +48,7 @@ _SHORTEST_STEP = 1e-5
 
 
 class TippingError(ValueError):
-    """No winding was found that brings the centre of mass over the edge.
+    """No rest lengths were found that bring the centre of mass over the edge.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class TippingError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class TippingPath:
-    """Equilibria on the way over an edge. Made by :func:`tipping_path`.
+    """Equilibria until a structure tips over an edge. Made by :func:`tipping_path`.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ def tipping_path(
     step: float | None = None,
     clearance: float = 0.0,
 ) -> TippingPath:
-    """Return rest lengths that bring the centre of mass over an edge of the base.
+    """Return a path of rest lengths that tips a structure over an edge of its base.
 
     The structure stands on its feet, which slide without friction on the plane that they span. Of
     the edges of their convex hull, the one is taken that looks most in the direction. From

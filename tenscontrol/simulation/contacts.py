@@ -136,7 +136,7 @@ class ContactRecord:
         return max((float(np.hypot.reduce(p)) for p in self.node_impulse.values()), default=0.0)
 
     def summary(self) -> str:
-        """Return what touched, how deep, and what was lost, as text.
+        """Return the nodes in contact, penetration and lost energy, as text.
 
         Returns
         -------

@@ -48,13 +48,13 @@ class Fault(ABC):
 
     @property
     def end(self) -> float:
-        """When it is over, s; infinite if never."""
+        """End, s; infinite if it never ends."""
         return np.inf if self.until is None else self.until
 
     @property
     @abstractmethod
     def label(self) -> str:
-        """What is broken, in a few words."""
+        """What fails, in a few words."""
 
 
 @final

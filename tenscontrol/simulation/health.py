@@ -15,12 +15,12 @@ _PHYSICAL = {
 
 
 class AccuracyWarning(RuntimeWarning):
-    """A motion that is not accurate, or not what was meant."""
+    """A motion that is not accurate, or probably not what was meant."""
 
 
 @dataclass(frozen=True)
 class Health:
-    """Figures that tell whether to trust a motion. Made by :attr:`Trajectory.health`.
+    """Accuracy figures of a simulated motion. Made by :attr:`Trajectory.health`.
 
     Attributes
     ----------

@@ -56,7 +56,7 @@ _JUMP, _ALIKE = 1e-9, 1e-12
 
 
 class SimulationError(ArithmeticError):
-    """A simulation that could not go on.
+    """A simulation that stopped before its end; it carries the motion up to there.
 
     Attributes
     ----------

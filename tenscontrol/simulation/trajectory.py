@@ -136,7 +136,7 @@ class ControlRecord:
         return found
 
     def summary(self) -> str:
-        """Return how the controller did, as text.
+        """Return a summary of the closed loop, as text: status, errors, computing time.
 
         Returns
         -------
@@ -508,7 +508,7 @@ class Trajectory:
 
     @property
     def lost_energy(self) -> FloatArray:
-        """What damping and friction of the ground took before each time, J, shape (T,)."""
+        """Energy lost to damping and friction of the ground before each time, J, shape (T,)."""
         return np.zeros(len(self.time)) if self.contacts is None else self.contacts.lost_energy
 
     def summary(self) -> str:

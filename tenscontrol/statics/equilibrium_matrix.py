@@ -37,7 +37,7 @@ _NO_LENGTH = 1e-12
 
 
 def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray:
-    """Return E with ``vec(N K_s) = E [γ; λ]``: what the members need as load to be at rest.
+    """Return the equilibrium matrix E: ``vec(N K_s) = E [γ; λ]`` is the load in equilibrium.
 
     Parameters
     ----------

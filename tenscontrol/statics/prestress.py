@@ -106,7 +106,7 @@ class Prestress:
 
     @cached_property
     def stability(self) -> Stability:
-        """What the prestress makes of the mechanisms; see :class:`Stability`."""
+        """Stiffness of the mechanisms by the prestress; see :class:`Stability`."""
         return stability(
             self.structure, self.force_density, self.bar_force_density, self._is_loaded
         )
@@ -424,7 +424,7 @@ def _at_rest(
 def prism_force_density(
     sides: int, force_density: float, radius: float = 1.0, top_radius: float | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the force densities at which a prism rests, in the order of :func:`prism`.
+    """Return the force densities of a prism in equilibrium, in the order of :func:`prism`.
 
     With top radius a and bottom radius b::
 

@@ -49,7 +49,7 @@ _ROUND_OFF = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Stability:
-    """What a prestress makes of the motions that the members leave free.
+    """Stability of a prestress: the stiffness that it gives to mechanisms.
 
     Motions as one body, which the supports leave and the load does not resist, are left out.
 

@@ -15,7 +15,7 @@ _TOLERANCE = 1e-8
 
 
 def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
-    """Return the nodes with every bar stretched to its true length.
+    """Return the nodes, corrected so that every bar has its true length.
 
     A bar is stretched about its centre, or about its fixed end. Bars that share nodes are moved
     together, as little as can be in the metric of their mass.

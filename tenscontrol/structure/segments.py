@@ -267,7 +267,7 @@ def segment_counts(structure: Structure) -> IntArray:
 
 
 def spread_force_density(structure: Structure, force_density: object) -> FloatArray:
-    """Return the γ of segments, N/m, shape (α′,), under the tension that their strings had whole.
+    """Return the γ of segments, N/m, shape (α′,), with the tension of their whole strings.
 
     Parameters
     ----------

@@ -170,7 +170,7 @@ def skin(
 def skin_rest_length(
     structure: Structure, rest_length: object, prestretch: float = 0.0
 ) -> FloatArray:
-    """Return the rest lengths of a skinned structure: as given, and those of the skin.
+    """Return the rest lengths of a structure with skin: those given, and those of the skin.
 
     Parameters
     ----------

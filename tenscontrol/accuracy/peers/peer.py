@@ -23,7 +23,7 @@ from tenscontrol.validation import (
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A motion as a method found it.
+    """A motion computed by an integrator.
 
     Attributes
     ----------

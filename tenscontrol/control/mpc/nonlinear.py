@@ -35,7 +35,7 @@ CONVERGED = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class NMPCStatistics:
-    """What became of the samples since the last reset.
+    """Counts and times of the samples since the last reset.
 
     The arrays have an entry for each of the K samples whose measurement was used; a fallback for
     want of a measurement is counted in ``status_count`` alone.
@@ -273,7 +273,7 @@ class NMPC(PredictiveController):
 
     @property
     def statistics(self) -> NMPCStatistics:
-        """What became of the samples since the last reset."""
+        """Counts and times of the samples since the last reset."""
         table = np.array(self._records).reshape(-1, 5)
         return NMPCStatistics(
             status_count=self.status_count,

@@ -99,7 +99,7 @@ class SettingsKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MPCSettings:
-    """Bounds, weights, limits and solver of :class:`MPC` and :class:`NMPC`, which share them.
+    """Settings of :class:`MPC` and :class:`NMPC`: horizon, bounds, weights, limits, solver.
 
     Parameters
     ----------
