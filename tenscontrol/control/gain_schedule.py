@@ -36,7 +36,7 @@ class GainSchedule(Controller):
 
     Notes
     -----
-    The distance of shapes is ``|q|``, weighted by mass, without motion as one body. At a
+    The distance of shapes is ``|q|``, weighted by mass, without rigid-body motion. At a
     switch the previous input is handed over, so that limits of change hold; an
     estimated load is not.
 

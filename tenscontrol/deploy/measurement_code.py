@@ -18,7 +18,7 @@ _SWEEPS = 6
 # to that of the structure, in each.
 _STEPS = 20
 
-# Motions as one body that move a support by less than this fraction of what they move leave it.
+# Rigid-body motions that move a support by less than this fraction of what they move leave it.
 _RANK = 1e-9
 
 # Shapes next to the operating point are aside by this part of the size.
@@ -65,7 +65,7 @@ def measurement(plant: LinearPlant) -> ca.Function:
 def _along_supports(plant: LinearPlant, nearest: bool) -> ca.Function:
     """Return ``[N, R] -> [N', R']``: a step of a shape along the supports towards the reference.
 
-    The displacement is then M-orthogonal to the motions as one body that the supports leave: those
+    The displacement is then M-orthogonal to the rigid-body motions that the supports leave: those
     of the shape, for the nearest shape, or those of the reference. What the supports hold is at its
     place. R is the turn up to here.
     """

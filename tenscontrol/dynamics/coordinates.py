@@ -129,7 +129,7 @@ class Coordinates:
 
     @property
     def is_sparse(self) -> bool:
-        """Whether they are all of the minimal coordinates y but for motions as one body."""
+        """Whether they are all of the minimal coordinates y but for rigid-body motions."""
         return self.kind != "nodes" and not isinstance(self._inside, np.ndarray)
 
     def within(self, inside: FloatArray) -> Coordinates:
@@ -144,7 +144,7 @@ class Coordinates:
 
     @cached_property
     def rigid(self) -> FloatArray:
-        """Orthonormal basis, in y, of the motions as one body that supports leave, shape (m, k)."""
+        """Orthonormal basis, in y, of the rigid-body motions that supports leave, shape (m, k)."""
         found = self._inside
         if not isinstance(found, Complement):
             left = left_by_supports(self.structure, rigid_motions(self.nodes))
@@ -498,7 +498,7 @@ class Coordinates:
 
     @cached_property
     def is_loose(self) -> bool:
-        """Whether the supports leave a motion as one body."""
+        """Whether the supports leave a rigid-body motion."""
         return bool(rigid_basis(self.structure).shape[1])
 
     def _centre(self, nodes: FloatArray) -> FloatArray:
@@ -565,7 +565,7 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
         ``"nodes"``: the node positions themselves, as far as supports leave them free.
         ``"minimal"``: without bar-length changes; in space 5 a bar and 3 a string node, in the
         plane 3 and 2, and fewer where bars share nodes: those of the nodes less the rank of the
-        bar constraints. ``"internal"``: minimal less motion as one body that the supports leave.
+        bar constraints. ``"internal"``: minimal less rigid-body motion that the supports leave.
 
     Raises
     ------

@@ -114,7 +114,7 @@ def bar_basis(structure: Structure, nodes: FloatArray) -> csr_array:
 
 
 def motions_kept(fields: FloatArray, held: IntArray) -> FloatArray:
-    """Return the combinations of motions as one body, shape (k, ·), that move no held row."""
+    """Return the combinations of rigid-body motions, shape (k, ·), that move no held row."""
     from scipy.linalg import null_space
 
     size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)

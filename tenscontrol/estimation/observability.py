@@ -29,7 +29,7 @@ from tenscontrol.plant import (
 from tenscontrol.structure import Structure, left_by_supports, rigid_motions
 from tenscontrol.validation import FloatArray, IntArray, frozen
 
-# A motion as one body that moves the readings less than this fraction of another is not seen.
+# A rigid-body motion that moves the readings less than this fraction of another is not seen.
 _UNSEEN = 1e-9
 
 # A singular value below this fraction of the largest is zero.
@@ -104,7 +104,7 @@ def output_matrix(plant: LinearPlant, sensors: Sensors) -> FloatArray:
 
 
 def observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
-    """Return the plant with the motions as one body that the sensors see.
+    """Return the plant with the rigid-body motions that the sensors see.
 
     Internal coordinates have none. Positions, directions and rates see some: those are added,
     so that a structure that drifts or turns is not mistaken for one that changes its shape.

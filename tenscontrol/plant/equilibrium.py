@@ -540,7 +540,7 @@ def _polished(
         rows = np.concatenate([np.full(count, unit), np.full(len(point) - count, size)])
         columns = np.concatenate([np.ones(count), np.full(len(point) - count, unit / size)])
         off = residual.ravel() / rows
-        # Least squares: motions as one body that nothing holds leave a null space.
+        # Least squares: rigid-body motions that nothing holds leave a null space.
         system = jacobian / rows[:, None] * columns
         if not (np.isfinite(system).all() and np.isfinite(off).all()):
             raise ValueError("no equilibrium found: the forces overflow")

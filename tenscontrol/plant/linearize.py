@@ -426,7 +426,7 @@ def _reduced(
 
 
 def _left_out(frame: Coordinates, stiffness: csr_array, damping: csr_array, least: float) -> float:
-    """Return what motions as one body, which internal coordinates leave out, meet and are given."""
+    """Return what rigid-body motions, which internal coordinates leave out, meet and are given."""
     if frame.kind != "internal":
         return 0.0
     R, found = frame.rigid, [0.0]

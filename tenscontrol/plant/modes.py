@@ -157,7 +157,7 @@ def modes(plant: LinearPlant, count: int | None = None) -> Modes:
     if plant.degrees_of_freedom == 0:
         raise ValueError(
             f"plant has no {plant.coordinates.kind} coordinates, so there are no modes; "
-            "'minimal' coordinates hold the motions as one body"
+            "'minimal' coordinates hold the rigid-body motions"
         )
     r = plant.degrees_of_freedom
     if count is not None:

@@ -101,7 +101,7 @@ def _motion(
 def refuse_lost_place(plant: LinearPlant) -> None:
     """Raise if forces of the ground depend on where the structure is, and coordinates do not say.
 
-    Where supports leave no motion as one body, internal coordinates say it.
+    Where supports leave no rigid-body motion, internal coordinates say it.
     """
     frame = plant.coordinates
     if plant.model.contacts is not None and frame.kind == "internal" and frame.is_loose:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-# A motion as one body whose speed is less than this part of the largest is none.
+# A rigid-body motion whose speed is less than this part of the largest is none.
 _STILL = 1e-9
 
 # Indices beyond are of no structure, and not all whole.
@@ -417,7 +417,7 @@ class Twist(Demand):
 @final
 @dataclass(frozen=True, eq=False)
 class CentreKept(Demand):
-    """No part of the way from a shape is a motion as one body that the supports leave.
+    """No part of the way from a shape is a rigid-body motion that the supports leave.
 
     Internal forces leave momenta at zero: the centre of mass stays, and as far as the way is
     straight, the structure does not turn.
@@ -445,7 +445,7 @@ class CentreKept(Demand):
 def centre_kept(structure: Structure, start: FloatArray) -> tuple[CentreKept, ...]:
     """Return the demand that internal forces can bring the structure from this shape, at rest.
 
-    Empty where the supports leave no motion as one body.
+    Empty where the supports leave no rigid-body motion.
     """
     if not rigid_basis(structure).shape[1]:
         return ()

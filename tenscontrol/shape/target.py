@@ -300,7 +300,7 @@ def shape_target(
 
 
 def moved_as_one_body(model: Model, before: FloatArray, after: FloatArray) -> float:
-    """Return how far nodes move, m, where two shapes differ by a motion as one body alone; or 0."""
+    """Return how far nodes move, m, where two shapes differ by a rigid-body motion alone; or 0."""
     laid = coordinates(model, before, "nodes").laid_over(after, np.zeros_like(after))[0]
     gone, changed = (float(np.linalg.norm(nodes - before, axis=0).max()) for nodes in (after, laid))
     size = float(np.ptp(before, axis=1).max())

@@ -67,7 +67,7 @@ class ControlRecord:
     tracking_error : ndarray, shape (K + 1,), or None
         Distance of the node that is farthest off its place in the reference of the controller, at
         the start of each sample and at the end of the run, m. The shape is first laid over that
-        of the plant by what supports leave of motion as one body. None where the controller has
+        of the plant by what supports leave of rigid-body motion. None where the controller has
         no reference.
     at_bound : ndarray of int, shape (K,), or None
         Number of strings commanded at a bound of the controller, or of its change.

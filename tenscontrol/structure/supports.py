@@ -63,7 +63,7 @@ def left_by_supports(structure: Structure, fields: FloatArray) -> FloatArray:
 
 
 def rigid_basis(structure: Structure) -> FloatArray:
-    """Return an orthonormal basis of the motions as one body that the supports leave."""
+    """Return an orthonormal basis of the rigid-body motions that the supports leave."""
     motions = rigid_motions(structure.nodes)
     U, sizes, _ = np.linalg.svd(left_by_supports(structure, motions), full_matrices=False)
     largest = np.linalg.norm(motions, 2)

@@ -68,7 +68,7 @@ _MOST_CONDENSED = 5000
 
 @dataclass(frozen=True, eq=False)
 class MPCStatistics:
-    """Counts and times of the programs solved since the last reset.
+    """Counts and iterations of the programs solved since the last reset.
 
     Attributes
     ----------
@@ -469,7 +469,7 @@ class MPC(PredictiveController):
 
     @property
     def statistics(self) -> MPCStatistics:
-        """Counts and times of the programs solved since the last reset."""
+        """Counts and iterations of the programs solved since the last reset."""
         iterations = frozen(np.array(self._iterations, dtype=np.int64))
         return MPCStatistics(self.status_count, self.fallback_count, iterations)
 
