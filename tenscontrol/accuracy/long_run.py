@@ -153,9 +153,9 @@ def long_run(
 ) -> LongRun:
     """Return how far energy, momentum and bar lengths drift over very many steps.
 
-    The state is looked at ``outputs`` times and then dropped, so memory does
-    not grow with the steps. Quantities that the motion does not conserve,
-    under damping, loads or supports, are left out.
+    The state is evaluated ``outputs`` times and then dropped, so memory does not grow with the
+    number of steps. Quantities that the motion does not conserve, under damping, loads or
+    supports, are left out.
 
     Parameters
     ----------

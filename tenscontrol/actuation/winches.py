@@ -182,13 +182,13 @@ class Winches:
     shortest, longest : float or array_like, shape (α,), optional
         Range of the rest length, m; any positive length if not given.
     ramp : bool
-        Whether rest lengths ramp through a sample (first-order hold). If not, a winch
-        jumps at the start of a sample and stands still (zero-order hold).
+        Whether rest lengths change linearly through a sample (first-order hold). If not, they
+        jump at the start of a sample and stay (zero-order hold).
     substeps : int, optional
-        Parts of a ramp, 10 if not given; more than 1 means a ramp. The ramp is straight. In each
-        part the torque and the play of motors are looked at, and a Kalman filter that predicts by
-        nonlinear equations takes a step, which should be shorter than the stretch of the strings,
-        T/k.
+        Number of parts of a ramp, 10 if not given; more than 1 means a ramp, which is linear. In
+        each part, torque and backlash of the motors are evaluated, and a Kalman filter with
+        nonlinear prediction takes a step. The change of rest length in it should be below the
+        stretch of the strings, T/k.
     motor : Motor, optional
         The motors: limits of torque and speed, inertia, lag, backlash. A run then reports their
         angle, speed, torque, power and energy, ``run.control.motors``.

@@ -89,9 +89,9 @@ class Model:
     Goyal & Skelton, *Dynamics of Class 1 Tensegrity Systems Including Cable
     Mass*, eqs. (2), (7)–(9). Bars that share nodes are solved for together, by Lagrange's
     multipliers λ and sparse factors; all others in closed form. N̈ is affine in γ at any state.
-    Where nodes are fixed, all functions are in the free nodes only: n is then their number,
-    and the fixed ones stand in the functions as constants. Nodes on rollers are among the free
-    ones; what is given for them along the axis that holds them does nothing, and x leaves it out.
+    If nodes are fixed, all functions are in the free nodes only: n is then their number, and
+    the positions of fixed nodes are constants. Nodes on rollers count as free. Their components
+    along the fixed axis have no effect, and x leaves them out.
 
     Examples
     --------

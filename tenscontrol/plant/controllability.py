@@ -92,9 +92,9 @@ def controllability(plant: LinearPlant, count: int | None = None) -> Controllabi
     ----------
     plant : LinearPlant
     count : int, optional
-        How many modes, those of the lowest frequencies, of a large plant: that of
-        :func:`reduce`. The states that are counted are theirs; margins are over the largest
-        acceleration of any motion all the same. All modes if not given.
+        Number of modes of lowest frequency to test, for a large plant, as in :func:`reduce`.
+        Only their states are counted; margins still refer to the largest acceleration of any
+        motion. All modes if not given.
 
     Returns
     -------

@@ -148,11 +148,11 @@ def linearize(
     ----------
     model : Model
     at : Prestress, Stance or OperatingPoint
-        The shape and its force densities. Of a :class:`Stance`, contacts become supports; see the
+        The shape and its force densities. Contacts of a :class:`Stance` become supports; see the
         notes.
     input : {"force_density", "rest_length"}
-        What an actuator holds: a force-controlled cable holds γ, a winch holds
-        the rest length. They are different plants.
+        The input: γ for force-controlled cables, the rest length for winches. The two plants have
+        different modes.
     coordinates : {"internal", "minimal", "nodes"}
         See :func:`coordinates`.
     require_equilibrium : bool
@@ -184,10 +184,10 @@ def linearize(
     so that nothing is lost by the reduction; ``invariance_residual`` says so.
 
     About a **stance**, which :func:`equilibrium` returns for a model with ground, the nodes that
-    touch are fixed where they stand: ``plant.model`` has them as fixed nodes, and no ground.
-    Controllers designed on it run on the model with ground, whose feet sink and creep a little:
-    z is measured relative to the feet, ``plant.feet``, laid over their places by the small motion
-    as one body that is nearest.
+    touch are fixed at their places: ``plant.model`` has them as fixed nodes, and no ground.
+    Controllers designed on it run on the model with ground, where the feet sink and creep a little.
+    So z is measured relative to the feet, ``plant.feet``, after the nearest small rigid-body motion
+    that aligns them with their places.
     About an :class:`OperatingPoint`, or any other ``Prestress``, the ground of the model stays what
     it is: springs at the nodes that are in it, with the damping and friction of their laws, which
     is μ F_n/v_s per unit of speed at rest. Both agree in the limit of stiff ground and a small slip

@@ -60,9 +60,9 @@ class Reference:
     nodes : array_like, shape (d, n, K)
         Node positions at these times, m.
     force_density : array_like, shape (α, K), optional
-        γ that holds the shapes, N/m, at least 0. Where several balance in a shape, it says which
-        is wanted; if not given, the nearest to the operating point of the controller. For
-        controllers of rest lengths: those of γ aim at γ of their operating point.
+        γ that holds the shapes, N/m, at least 0. Several γ may balance in a shape. If not given,
+        controllers of rest lengths take the one nearest to their operating point. Controllers
+        of γ always aim at the γ of their operating point.
 
     Raises
     ------

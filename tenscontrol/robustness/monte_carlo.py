@@ -70,10 +70,10 @@ def sweep(
         How many runs are handed out at a time, at least the number of workers. Two
         a process if not given, 64 on an executor that is given.
     file : path, optional
-        Where each run is written down as soon as it is done. If the file is there, the sweep goes
-        on from it: all parameters and one of its runs must come out the same again. ``count`` may
-        differ from that of the file: a larger one adds runs to it, with a smaller one the first
-        ``count`` runs are reported, and the file keeps all.
+        Each run is written to it as soon as it is done. If the file exists, the sweep continues it:
+        all parameters and one of its runs must be reproduced. ``count`` may differ from that of
+        the file: a larger one adds runs, and with a smaller one the first ``count`` runs are
+        reported while the file keeps all.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 
@@ -91,15 +91,15 @@ def sweep(
         If the file cannot be read or written, or another sweep writes to it. It keeps all runs
         that were written.
     SweepError
-        If a worker dies, the case is none, or a run of the file gives other
-        numbers now. It carries the report of what is done.
+        If a worker process dies, the case returns no :class:`Outcome`, or a run of the file is not
+        reproduced. It carries the report of the runs done.
 
     Warns
     -----
     RuntimeWarning
-        If the user interrupts: the report of what is done is returned, and runs at
-        work are given up; an executor that is given ends those by itself. If the last
-        line of the file is torn: it is dropped. If the file system has no locks.
+        If the user interrupts: the report of the runs done is returned, and running ones are
+        abandoned, except on an executor that was given. If the last line of the file is
+        incomplete: it is ignored. If the file system has no locks.
 
     Examples
     --------

@@ -206,10 +206,10 @@ def prestress(
         Load W on the nodes, N.
     min_force_density : float or array_like, shape (α,), optional
         Least γ of each string, N/m: a positive number makes every string taut. Without
-        ``force_density``, the level is the least that this takes: among all γ that balance
-        within the bounds, the one nearest (least sum of squares) to a uniform γ of the largest
-        entry. With 0 for all, the least γ that carry the load. Strings between fixed nodes move
-        nothing, and get their entry.
+        ``force_density``, the result is, of all γ in equilibrium within the bounds, the one
+        nearest (least sum of squares) to a uniform γ of the largest entry. With 0 for all it is
+        the least γ that carries the load. Strings with both ends fixed get their entry, as they
+        have no effect.
     max_force_density : float or array_like, shape (α,), optional
         Largest γ of each string, N/m. Alone, it makes the least γ of all strings with a free end as
         large as can be (but for a part in 1e6), and of the γ that do, takes the most uniform one.
