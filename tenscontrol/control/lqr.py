@@ -93,8 +93,8 @@ class LQR(Controller):
     The Riccati equation is solved by doubling. SciPy solves continuous ones of up to 100 states,
     and those in which Q has no weight on growing states. The solution is checked, as it can be
     wrong without an error if an undamped mode is not controllable. It covers the controllable
-    states. The gain on the others is a feedforward from a Sylvester equation: zero if they neither disturb
-    the controllable states nor share a weight with them.
+    states. The gain on the others is a feedforward from a Sylvester equation: zero if they neither
+    disturb the controllable states nor share a weight with them.
 
     Examples
     --------

@@ -175,9 +175,8 @@ class KalmanFilter:
         Sample time, s; a reading is taken at the start of each sample.
     process_noise : float
         Standard deviation of an unknown acceleration in each coordinate, constant over a
-        sample and independent from one to the next, as a part of the root mean square
-        acceleration that each string would give if it pulled alone with its tension
-        at the operating point.
+        sample and independent from one sample to the next. Its unit is the root mean square of the
+        accelerations that single strings give by their tension at the operating point.
     load : bool
         Whether to estimate an unknown load, an acceleration q̈ in each coordinate. Without it
         such a load, or strings of another stiffness, shift the estimate.
@@ -189,8 +188,8 @@ class KalmanFilter:
     gate : float
         Probability that a good reading is refused, above 0 and below 1.
     patience : int
-        After so many samples in a row with most readings refused, the filter restarts from the
-        readings. At least 1.
+        Number of samples in a row with most readings refused after which the filter restarts
+        from the readings. At least 1.
     start : array_like, shape (d, n), optional
         Expected shape at the start, m, at rest; the operating point if not given.
     start_spread : float
