@@ -574,7 +574,7 @@ class Trajectory:
         if self.choice.back_end != "virtual machine":
             lines.append(f"steps run in      {self.choice.back_end}")
         if self.position_error is not None:
-            lines.append(f"position error    about {self.position_error:.1e} of the size (estimate)")
+            lines.append(f"position error    {self.position_error:.1e} of the size, estimated")
         if self.work.rejections:
             lines.append(f"rejected steps    {self.work.rejections}")
         if self.work.switches:
