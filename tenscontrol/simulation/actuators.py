@@ -240,8 +240,8 @@ class Actuators:
         if self._current is None:
             how = "give rest_length, or" if self._held == "rest_length" else "give"
             raise ValueError(
-                f"faults has winch {stuck[0]} stuck from the start, but its rest length is not "
-                f"known then: {how} a time after the first sample"
+                f"faults has winch {stuck[0]} stuck from the start, but the value that it "
+                f"holds is not known then: {how} a time after the first sample"
             )
         moved = desired.copy()
         moved[stuck] = self._current[stuck]
