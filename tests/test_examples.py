@@ -210,7 +210,7 @@ def test_control_estimation():
     assert left["lengths and directions"] < 5e-3
     assert left["lengths and directions"] < left["lengths"] < 15e-3
     assert left["directions"] < 25e-3
-    assert "of the 18 states are not seen" in found["refusal"]
+    assert "of the 18 states are not observable" in found["refusal"]
     assert found["statistics"].refused.sum() > 20
     assert found["statistics"].restarts == 0
 

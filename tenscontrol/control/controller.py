@@ -108,7 +108,7 @@ def clipped(value: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 class BaseController(ABC):
-    """What every controller has: check of measurements, bounds, fallback, counts.
+    """Base class of controllers: check of measurements, bounds, fallback, counts.
 
     Parameters
     ----------
@@ -426,7 +426,7 @@ class BaseController(ABC):
 
 
 class Controller(BaseController):
-    """Turns measured motion into commands, one a sample, by a law designed on a linear plant.
+    """Base class of controllers designed on a linear plant: one command in each sample.
 
     A controller of your own is a subclass with ``_decide``. Give it ``_fall_back`` if holding the
     previous input is not safe, and ``reset`` if it has a memory. A function needs no class: see
@@ -561,6 +561,6 @@ def warn_of_unreached(controller: Controller, stacklevel: int) -> None:
     warn_of_left_alone(
         controller.left_alone,
         "no string reaches",
-        "What swings there goes on swinging whatever is commanded; the other modes are controlled.",
+        "No command changes a vibration in these modes; the other modes are controlled.",
         stacklevel + 1,
     )

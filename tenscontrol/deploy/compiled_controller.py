@@ -48,7 +48,7 @@ OPTIMIZATION = "-O1"
 
 @final
 class CompiledController(Controller):
-    """The C code of a controller, used like any other controller.
+    """The compiled C code of a controller, used like any other controller.
 
     Give it to :func:`simulate` to run the code itself in the loop. Made by
     :meth:`GeneratedController.compile`.

@@ -57,7 +57,7 @@ KINDS = ("nodes", "minimal", "internal")
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """A basis of node displacements around a reference shape, and the maps both ways.
+    """Coordinates: a basis of node displacements about a reference shape, and its maps.
 
     Made by :func:`coordinates`.
 
@@ -123,7 +123,7 @@ class Coordinates:
 
     @property
     def is_sparse(self) -> bool:
-        """Whether they are all of the minimal coordinates y but for motions as one body."""
+        """Whether they are all of the minimal coordinates y but for rigid-body motions."""
         return self.kind != "nodes" and not isinstance(self._inside, np.ndarray)
 
     def within(self, inside: FloatArray) -> Coordinates:
@@ -138,7 +138,7 @@ class Coordinates:
 
     @cached_property
     def rigid(self) -> FloatArray:
-        """Orthonormal basis, in y, of the motions as one body that supports leave, shape (m, k)."""
+        """Orthonormal basis, in y, of the rigid-body motions that supports leave, shape (m, k)."""
         found = self._inside
         if not isinstance(found, Complement):
             left = left_by_supports(self.structure, rigid_motions(self.nodes))
@@ -284,7 +284,7 @@ class Coordinates:
         if room.size and room.min() <= 0:
             raise ValueError(
                 f"q turns bar {alone[int(room.argmin())]} by a right angle or more from the "
-                "reference shape; these coordinates do not reach so far"
+                "reference shape, which is too far for these coordinates"
             )
         self._stretch(nodes, (np.sqrt(room) - along) * axes)
         for block, normal in self._normals:
@@ -465,8 +465,8 @@ class Coordinates:
             total -= np.linalg.solve(slope, excess)
         raise ValueError(
             f"q is a shape in which bars {sorted(block.bars.tolist())}, which are joined to one "
-            "another, cannot keep their lengths, or would have to turn over; these coordinates do "
-            "not reach so far from the reference shape"
+            "another, cannot keep their lengths, or would have to turn over; it is too far from "
+            "the reference shape for these coordinates"
         )
 
     def _columns(self, flat: FloatArray) -> FloatArray:
@@ -495,7 +495,7 @@ class Coordinates:
 
     @cached_property
     def is_loose(self) -> bool:
-        """Whether the supports leave a motion as one body."""
+        """Whether the supports leave a rigid-body motion."""
         return bool(rigid_basis(self.structure).shape[1])
 
     @cached_property
@@ -545,7 +545,7 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
         ``"nodes"``: the node positions themselves, as far as supports leave them free.
         ``"minimal"``: without bar-length changes; in space 5 a bar and 3 a string node, in the
         plane 3 and 2, and fewer where bars share nodes: those of the nodes less the rank of the
-        bar constraints. ``"internal"``: minimal less motion as one body that the supports leave.
+        bar constraints. ``"internal"``: minimal less rigid-body motion that the supports leave.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""CasADi functions: built by one thread at a time, kept, and called without allocation.
+"""CasADi functions: built by one thread at a time, cached, and called without allocation.
 
 CasADi's Python wrapper lets other threads run during every call. It counts the references to the
 elements of SX without a lock, and all expressions share their constants; so what makes, copies or
@@ -150,8 +150,8 @@ class Exclusive:
             # No other thread can come between these two lines: nothing is called.
             if self._user:
                 raise RuntimeError(
-                    f"{self._what} is used by another thread at this moment: it has a memory. "
-                    "Give each thread its own, for example a copy by copy.deepcopy or pickle"
+                    f"{self._what} is in use by another thread, and it keeps state between "
+                    "calls. Give each thread a copy, for example by copy.deepcopy or pickle"
                 )
             self._user = me
         self._depth += 1

@@ -1,4 +1,4 @@
-"""Motions that keep bar lengths, and a model at rest on them, as sparse matrices."""
+"""Motions that keep bar lengths, and the mass and stiffness of a model on them, sparse."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def bar_basis(structure: Structure, nodes: FloatArray) -> csr_array:
 
 
 def motions_kept(fields: FloatArray, held: IntArray) -> FloatArray:
-    """Return the combinations of motions as one body, shape (k, ·), that move no held row."""
+    """Return the combinations of rigid-body motions, shape (k, ·), that move no held row."""
     from scipy.linalg import null_space
 
     size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)
@@ -202,9 +202,9 @@ def _scaled_rows(structure: Structure, block: Block, nodes: FloatArray, L: Any) 
     sizes = np.linalg.svd(rows, compute_uv=False)
     if sizes.size and sizes.min() <= _RANK_TOLERANCE * sizes.max():
         raise ValueError(
-            f"in nodes, bars {sorted(block.bars.tolist())}, which are joined to one another, are "
-            "in a dead centre: their lengths do not determine their motion. Change the nodes a "
-            "little"
+            f"in nodes, bars {sorted(block.bars.tolist())}, which are joined to one another, "
+            "are at a dead centre, where their lengths do not determine their motion. Change "
+            "the nodes slightly"
         )
     return np.asarray(rows)
 

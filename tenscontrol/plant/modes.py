@@ -1,4 +1,4 @@
-"""Modes of a linear plant: frequencies, damping, shapes, and what kind of motion each is."""
+"""Modes of a linear plant: frequencies, damping ratios, mode shapes and their kind."""
 
 from __future__ import annotations
 
@@ -105,12 +105,11 @@ class Modes:
 
 
 def modes(plant: LinearPlant, count: int | None = None) -> Modes:
-    """Return the modes of a linear plant, or the lowest of them.
+    """Return the natural frequencies, damping ratios and mode shapes of a linear plant.
 
-    Motions that meet neither stiffness nor damping are set apart first, so
-    that their zero frequencies are exact. Where several modes share a
-    frequency, the shapes are chosen so that rigid, affine and mechanism
-    motions show unmixed.
+    Motions without stiffness and damping are separated first, so that their frequencies are
+    exactly zero. Where several modes have the same frequency, their shapes are chosen so that
+    rigid, affine and mechanism motions are not mixed.
 
     Parameters
     ----------
@@ -158,7 +157,7 @@ def modes(plant: LinearPlant, count: int | None = None) -> Modes:
     if plant.degrees_of_freedom == 0:
         raise ValueError(
             f"plant has no {plant.coordinates.kind} coordinates, so there are no modes; "
-            "'minimal' coordinates hold the motions as one body"
+            "'minimal' coordinates hold the rigid-body motions"
         )
     r = plant.degrees_of_freedom
     if count is not None:
@@ -475,7 +474,7 @@ def _null(matrix: FloatArray, tolerance: float = _ZERO) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class ReducedPlant(LinearPlant):
-    """A linear plant in a few of its modes. Made by :func:`reduce`; controllers take it as any.
+    """A linear plant reduced to a few modes. Made by :func:`reduce`; controllers accept it.
 
     Attributes
     ----------
@@ -530,10 +529,11 @@ class ReducedPlant(LinearPlant):
 
 
 def reduce(plant: LinearPlant, modes: object = 20) -> ReducedPlant:
-    """Return a linear plant in a few of its modes, to design controllers and filters on.
+    """Return a linear plant reduced to a few of its modes, for the design of controllers.
 
-    The coordinates are those modes, of unit mass, and the state is measured of the whole structure:
-    modes that are left out do not show in it. Laws designed on it run on the whole model.
+    Its coordinates are those modes, scaled to unit mass. Its state is measured on the whole
+    structure, without the modes that are left out. Controllers and filters designed on it run with
+    the whole model.
 
     Parameters
     ----------

@@ -101,7 +101,7 @@ def _motion(
 def refuse_lost_place(plant: LinearPlant) -> None:
     """Raise if forces of the ground depend on where the structure is, and coordinates do not say.
 
-    Where supports leave no motion as one body, internal coordinates say it.
+    Where supports leave no rigid-body motion, internal coordinates say it.
     """
     frame = plant.coordinates
     if plant.model.contacts is not None and frame.kind == "internal" and frame.is_loose:
@@ -123,8 +123,7 @@ def sampled_motion(plant: LinearPlant, sample_time: float) -> ca.Function:
         raise ValueError(
             f"plant vibrates with up to {plant.spectral_radius:.3g} rad/s: a sample of "
             f"{sample_time:g} s takes {count} steps of RK4 to predict, expected at most "
-            f"{_MOST_SUBSTEPS}; give a shorter sample_time, or take what predicts by the linear "
-            "plant"
+            f"{_MOST_SUBSTEPS}; give a shorter sample_time, or use a linear prediction"
         )
     motion = _rk4_step(plant, sample_time / count)
     if count == 1:

@@ -2,5 +2,13 @@
 
 from tenscontrol.scene.document import SceneError
 from tenscontrol.scene.scene import Scene, load_scene, save_trajectory
+from tenscontrol.scene.template import scene_names, scene_template
 
-__all__ = ["Scene", "SceneError", "load_scene", "save_trajectory"]
+__all__ = [
+    "Scene",
+    "SceneError",
+    "load_scene",
+    "save_trajectory",
+    "scene_names",
+    "scene_template",
+]

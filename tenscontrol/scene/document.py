@@ -1,4 +1,4 @@
-"""A scene file as it was read: its tables, checked, and the line of each key."""
+"""A scene file as read: its tables, checked, and the line of each key."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ def _hint(key: str, known: Mapping[str, Any], what: str = "The keys") -> str:
         unit = known[name][1]
         return (
             f"; did you mean {name!r}{f', in {unit}' if unit else ''}? "
-            f"Quantities are in SI units, and no key names another. {listed}"
+            f"Quantities are in SI units, and keys do not name units. {listed}"
         )
     return f"; did you mean {near[0]!r}? {listed}" if near else f". {listed}"
 
@@ -242,7 +242,7 @@ def headings(name: str, text: str) -> list[tuple[int, str]]:
         dots += text.count(".", end, start) - text.count(",", end, start)
         end = token.end()
         if keys > _MOST_KEYS or lists > _MOST_LISTS or max(depth, dots) > _DEEPEST:
-            raise SceneError(f"{name}:{line}: goes beyond what is read: {_LIMITS}")
+            raise SceneError(f"{name}:{line}: exceeds the limits: {_LIMITS}")
         if sign == "=":
             keys += 1
             if depth == 0 and not in_value:

@@ -192,7 +192,7 @@ class Scene:
             )
         except ValueError as error:
             raise ValueError(
-                f"the scene has no linear plant, as it is not at rest: {error}"
+                f"the scene cannot be linearized, as it is not at rest: {error}"
             ) from error
         return linearize(self.model, rest, self.input if input is None else input, coordinates)
 
@@ -445,7 +445,7 @@ def _refuse_contradictions(document: Document, input: str, sample_time: float | 
 
 
 def save_trajectory(run: Trajectory, file: str | Path) -> Path:
-    """Write everything that a motion holds to a NumPy archive.
+    """Write a simulated motion to a NumPy archive (npz).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The tables of a scene that say what moves: structure, strings, loads, prestress, start."""
+"""Tables of a scene for the structure: members, strings, loads, ground, prestress, start."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def build_loads(document: Document, structure: Structure) -> tuple[object, Float
         node = entry.index("node", count, "nodes", f"{said} is on node")
         force = np.array(entry.need("force"), dtype=float)  # of whole numbers of any size too
         if node in seen:
-            raise entry.error("node", f"{said} is on node {node} once more")
+            raise entry.error("node", f"{said} is on node {node} a second time")
         if len(force) != structure.dimension:
             raise entry.error(
                 "force",
@@ -220,9 +220,9 @@ def build_force_density(document: Document, structure: Structure, load: FloatArr
         if load[:, count:].any():
             raise table.error(
                 key,
-                f"in [prestress], {key} is a {'bound' if bounds else 'single number'}, for which a "
-                "balance is sought, but the loads act on the nodes within strings, which are in no "
-                "balance while the strings are straight; give a table by string group",
+                f"in [prestress], {key} is a {'bound' if bounds else 'single number'}, which "
+                "asks for an equilibrium, but loads act on nodes within strings, and straight "
+                "strings cannot balance them; give a table by string group",
             )
         settings: dict[str, Any] = {each: per_string(table, each, given) for each in bounds}
         settings |= table.given("force_density", "reference")

@@ -1,4 +1,4 @@
-"""What touched the ground in a run: when, how deep, by which forces, and what that cost."""
+"""Ground contacts of a run: times, penetration, forces and lost energy."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ class ContactRecord:
         return max((float(np.hypot.reduce(p)) for p in self.node_impulse.values()), default=0.0)
 
     def summary(self) -> str:
-        """Return what touched, how deep, and what was lost, as text.
+        """Return the nodes in contact, penetration and lost energy, as text.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Figures that tell whether to trust a motion, and limits on them."""
+"""Accuracy figures of a simulated motion, and limits on them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _PHYSICAL = {
 
 
 class AccuracyWarning(RuntimeWarning):
-    """A motion that is not accurate, or not what was meant."""
+    """A motion that is not accurate, or probably not what was meant."""
 
 
 @dataclass(frozen=True)
 class Health:
-    """Figures that tell whether to trust a motion. Made by :attr:`Trajectory.health`.
+    """Accuracy figures of a simulated motion. Made by :attr:`Trajectory.health`.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Health:
 
 @dataclass(frozen=True)
 class HealthLimits:
-    """Limits on the figures of :class:`Health`, in their units; None for no limit.
+    """Limits on the accuracy figures of a run (:class:`Health`); None for no limit.
 
     Parameters
     ----------

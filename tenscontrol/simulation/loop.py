@@ -56,7 +56,7 @@ _JUMP, _ALIKE = 1e-9, 1e-12
 
 
 class SimulationError(ArithmeticError):
-    """A simulation that could not go on.
+    """A simulation that stopped before its end; it carries the motion up to there.
 
     Attributes
     ----------
@@ -180,9 +180,10 @@ class Loop:
         if equation.layout.degree and not method.follows:
             able = [name for name, each in METHODS.items() if each.follows]
             raise ValueError(
-                f"method {method.name!r} takes held inputs only, but an input changes in time; "
-                f"these follow it: {able}. A method of your own that asks equation.ahead(u, t) for "
-                "the input at each time says so by Method(follows=True)"
+                f"method {method.name!r} takes inputs that are constant over a step only, but "
+                f"an input changes in time; methods that follow it are: {able}. For a method of "
+                "your own that evaluates the input by equation.ahead(u, t), give "
+                "Method(follows=True)"
             )
         if method.differentiates and equation.form == "loops":
             equation = self._equation_of("mapped")

@@ -67,7 +67,7 @@ class ControlRecord:
     tracking_error : ndarray, shape (K + 1,), or None
         Distance of the node that is farthest off its place in the reference of the controller, at
         the start of each sample and at the end of the run, m. The shape is first laid over that
-        of the plant by what supports leave of motion as one body. None where the controller has
+        of the plant by what supports leave of rigid-body motion. None where the controller has
         no reference.
     at_bound : ndarray of int, shape (K,), or None
         Number of strings commanded at a bound of the controller, or of its change.
@@ -136,7 +136,7 @@ class ControlRecord:
         return found
 
     def summary(self) -> str:
-        """Return how the controller did, as text.
+        """Return a summary of the closed loop, as text: status, errors, computing time.
 
         Returns
         -------
@@ -508,7 +508,7 @@ class Trajectory:
 
     @property
     def lost_energy(self) -> FloatArray:
-        """What damping and friction of the ground took before each time, J, shape (T,)."""
+        """Energy lost to damping and friction of the ground before each time, J, shape (T,)."""
         return np.zeros(len(self.time)) if self.contacts is None else self.contacts.lost_energy
 
     def summary(self) -> str:
@@ -574,7 +574,7 @@ class Trajectory:
         if self.choice.back_end != "virtual machine":
             lines.append(f"steps run in      {self.choice.back_end}")
         if self.position_error is not None:
-            lines.append(f"nodes off by      some {self.position_error:.1e} of the size, estimated")
+            lines.append(f"position error    {self.position_error:.1e} of the size, estimated")
         if self.work.rejections:
             lines.append(f"rejected steps    {self.work.rejections}")
         if self.work.switches:

@@ -81,8 +81,8 @@ class Structure:
         For each string, the index of the string of ``parent`` that it is a
         segment of; :func:`subdivide` sets it.
     point_mass : array_like, shape (n,), optional
-        Mass at each node, kg, beside that of the bars: a payload, a motor, a string node. Every
-        string node needs one; fixed nodes have none.
+        Mass at each node, kg, in addition to that of the bars: a payload, a motor, a string node.
+        Every string node needs one; fixed nodes have none.
     rollers : sequence of (int, str), optional
         More pairs like those of ``fixed``, which end up here.
     paths : sequence of sequence of int, optional
@@ -97,7 +97,7 @@ class Structure:
         If a shape does not fit, an index is out of range, a member joins a node to itself, a bar
         repeats another, a clustered string passes a node twice, a node has no member, a bar has no
         length, a mass is missing or not positive, a fixed node is named twice, or ``string_parent``
-        does not fit ``parent``. The message names the culprit.
+        does not fit ``parent``. The message names what is wrong.
 
     Notes
     -----

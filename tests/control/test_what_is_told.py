@@ -225,7 +225,7 @@ def test_a_reference_farther_than_the_linear_plant_holds_is_warned_of():
     assert caught[0].filename == __file__
     follows = law(tc.MPC, "force_density", reference=near, max_force_density=300.0)
     quiet = law(tc.MPC, reference=far, max_force_density=None)
-    with pytest.warns(ControlWarning, match="farther than the linear plant holds") as caught:
+    with pytest.warns(ControlWarning, match="outside the range of the linear plant") as caught:
         follows.follow(far)
     assert caught[0].filename == __file__
     law(tc.NMPC, "force_density", reference=far, max_force_density=300.0)

@@ -110,7 +110,7 @@ def test_it_is_refused_exactly_where_the_test_of_hautus_fails_at_zero(held, sens
     if not lost:
         assert tc.KalmanFilter(held, sensors, sample_time=STEP, load=True).riccati_residual < 1e-8
         return
-    message = rf"load: {lost} of the {r} ways to shift .*Measure in addition .*node_position"
+    message = rf"load: {lost} of the {r} directions of a load .*Measure in addition .*node_position"
     with pytest.raises(ValueError, match=message):
         tc.KalmanFilter(held, sensors, sample_time=STEP, load=True)
 

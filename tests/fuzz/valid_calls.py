@@ -1359,6 +1359,8 @@ call(
     0.2,
 )
 call("load_scene", lambda: {"file": str(SCENE)}, share=0.3)
+call("scene.scene_names")
+call("scene.scene_template", lambda: {"name": "d_bar"}, share=0.3)
 call("scene.save_trajectory", lambda: {"run": run(), "file": scratch("run.npz")}, share=0.3)
 
 # ---- accuracy ----

@@ -734,8 +734,8 @@ BROKEN = {
     ),
     "weight of segments": (
         PRISM + "[loads]\ngravity = 9.81\n[subdivide]\nsegments = 2\nnode_mass = 0.1\n",
-        r":7: in \[prestress\], force_density is a single number, for which a balance is "
-        r"sought, but",
+        r":7: in \[prestress\], force_density is a single number, which asks for an "
+        r"equilibrium, but",
     ),
     "panel": (
         PRISM + "[skin]\npanels = ['lid']\nnode_mass = 0.1\n",
@@ -984,7 +984,7 @@ BROKEN = {
     ),
     "plants without reference": (
         PRISM + MPC + "max_force_density = 60\nplants = 2\n",
-        r":16: .*plants counts those along the reference, but there is none",
+        r":16: .*plants is a number of shapes along the reference, but there is none",
     ),
     "no plants": (
         PRISM + MPC + "max_force_density = 60\nplants = 0\n" + AIM + "time = 1.0\nheight = 0.9\n",
@@ -1045,7 +1045,7 @@ BROKEN = {
     ),
     "seen too little": (
         PRISM + LQR + "[sensors]\nstring_length=0.001\nstrings=[0]\n[estimator]\nkind='kalman'\n",
-        r":16: in \[estimator\], .*of the 18 states are not seen",
+        r":16: in \[estimator\], .*of the 18 states are not observable",
     ),
     "faults no list": (
         PRISM + "[faults]\nkind = 'cut_string'\n",
@@ -1148,7 +1148,7 @@ def test_a_mark_of_the_byte_order_is_left_out(load):
 MANY = "a scene file has at most 10,000,000 bytes, 100,000 keys and tables, 250,000 lists and 16 "
 TOO_MUCH = {
     "bytes": ("#" * 10_000_001, r": is too large: " + MANY),
-    "parts": ("\n" + "a." * 100_000 + "b = 1", r":2: goes beyond what is read: " + MANY),
+    "parts": ("\n" + "a." * 100_000 + "b = 1", r":2: exceeds the limits: " + MANY),
     "parts of a heading": ("[" + "a." * 100_000 + "b]", r":1: goes beyond"),
     "parts without an end": ("[" + "a." * 100_000, r":1: goes beyond"),
     "parts in a table": ("x = {y = 1.5, " + "a . 'b'." * 50_000 + "b = 1}", r":1: goes beyond"),

@@ -179,7 +179,7 @@ def test_some_nodes_are_kept():
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"rest_length": np.ones(9)}, "nothing differs from run to run"),
+        ({"rest_length": np.ones(9)}, "all runs are the same"),
         ({"rest_length": np.ones((2, 8))}, "rest_length has shape"),
         ({"nodes": np.zeros((2, 3, 6)), "rest_length": np.ones((3, 9))}, "has 3 runs, but nodes"),
         ({"rest_length": np.ones((2, 9)), "vary": {"colour": [1, 2]}}, "vary"),

@@ -35,7 +35,7 @@ CONVERGED = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class NMPCStatistics:
-    """What became of the samples since the last reset.
+    """Counts and times of the samples since the last reset.
 
     The arrays have an entry for each of the K samples whose measurement was used; a fallback for
     want of a measurement is counted in ``status_count`` alone.
@@ -137,20 +137,19 @@ class NMPCLaw(PredictiveLaw):
 
 @final
 class NMPC(PredictiveController):
-    """Nonlinear MPC: the plant is linearized along the motion that was predicted.
+    """Nonlinear model predictive control by real-time iterations (SQP).
 
-    At each sample the last plan, moved on by a sample, is linearized exactly
-    (preparation, before the measurement); with the measured state one
-    quadratic program of fixed sparsity is solved (feedback). That is one step of
-    sequential quadratic programming with the Gauss-Newton Hessian a sample; more
-    on request. Motion is measured anew in reduced coordinates at each sample,
-    in which bars keep their lengths and need no states.
+    Before each sample, the last solution is shifted by a sample and the dynamics are linearized
+    along it (preparation). With the measured state, one quadratic program of fixed sparsity is
+    solved (feedback). This is one iteration of sequential quadratic programming with the
+    Gauss-Newton Hessian; ``iterations`` asks for more. The states are reduced coordinates in which
+    bars keep their lengths. They are chosen anew at each sample.
 
-    If a program is not solved, or the measurement is not one that the structure can
-    have, the plan is followed for another sample; after its end γ of the operating
-    point is commanded, or the rest lengths that the actuators hold. The status says so. Changes
-    are limited from what the actuators hold (:meth:`applied`). A plan that was followed
-    to its end is forgotten, and the next measurement starts a new one.
+    If the program is not solved, or the structure cannot have the measured shape, the command is
+    the next input of the last solution. After its end it is γ of the operating point, or the rest
+    lengths that the actuators hold, and the next measurement starts a new solution. The status
+    shows these cases. ``max_change`` counts from the input that the actuators reached
+    (:meth:`applied`).
 
     Parameters
     ----------
@@ -274,7 +273,7 @@ class NMPC(PredictiveController):
 
     @property
     def statistics(self) -> NMPCStatistics:
-        """What became of the samples since the last reset."""
+        """Counts and times of the samples since the last reset."""
         table = np.array(self._records).reshape(-1, 5)
         return NMPCStatistics(
             status_count=self.status_count,

@@ -1,4 +1,4 @@
-"""What many runs are given: starts, inputs, loads and parameters, checked, run by run."""
+"""Inputs of many runs, checked: starts, inputs, loads and parameters."""
 
 from __future__ import annotations
 
@@ -67,15 +67,15 @@ def given_by_run(model: Model, vary: object, **values: object) -> dict[str, Floa
         found[name], runs[label] = array, len(array)
     if not runs:
         raise ValueError(
-            "nothing differs from run to run: give one of nodes, velocities, rest_length, "
-            "force_density, external_force and vary a first axis, one entry a run"
+            "all runs are the same: give one of nodes, velocities, rest_length, "
+            "force_density, external_force and vary a first axis with one entry for each run"
         )
     (first, count), *others = runs.items()
     for name, other in others:
         if other != count:
             raise ValueError(f"{name} has {other} runs, but {first} has {count}")
     if not count:
-        raise ValueError(f"{first} has no run, expected at least one")
+        raise ValueError(f"{first} has 0 runs, expected at least one")
     return found
 
 

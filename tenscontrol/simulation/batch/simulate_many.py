@@ -340,7 +340,8 @@ class _Runner:
             )
         if scene.pieces.degree and not method.follows:
             raise ValueError(
-                f"method {method.name!r} takes held inputs only, but an input changes in time"
+                f"method {method.name!r} takes inputs that are constant over a step only, but "
+                "an input changes in time"
             )
         self._method = method
         self._project = how.project if method.drifts or how.method is not None else None
