@@ -197,6 +197,8 @@ class _Document:
         default = SubElement(self.root, "default")
         SubElement(default, "site", size=_number(_BALL * self.size))
         SubElement(default, "tendon", width=_number(_STRING * self.size), rgba="0.2 0.4 0.8 1")
+        for group in dict.fromkeys(self.structure.string_groups):
+            SubElement(default, "default", {"class": f"string-{group}"})
         bar = SubElement(default, "default", {"class": "bar"})
         SubElement(
             bar, "geom", type="capsule", size=_number(_BAR * self.size), contype="0",
@@ -307,7 +309,10 @@ class _Document:
         springs, actuate = self._springs(), self._actuation()
         paths = structure.paths or structure.strings.tolist()
         for k, path in enumerate(paths):
-            tendon = SubElement(tendons, "spatial", {"name": f"s{k}"} | springs(k))
+            group = f"string-{structure.string_groups[k]}"
+            tendon = SubElement(
+                tendons, "spatial", {"name": f"s{k}", "class": group} | springs(k)
+            )
             for node in path:
                 SubElement(tendon, "site", site=f"n{node}")
             if actuate is not None:
@@ -317,6 +322,8 @@ class _Document:
     def _springs(self) -> Callable[[int], dict[str, str]]:
         """Return the spring of a tendon by its string."""
         held, law, zero = self.held, self.model.strings, np.zeros_like(self.held)
+        if self.actuators == "rest_length":
+            return lambda k: {"springlength": _numbers([0.0, held[k]])}
         if self.actuators != "none":
             return lambda k: {}
         stiffness, rest, damping = held, zero, zero  # T = γ l is a spring without rest length
