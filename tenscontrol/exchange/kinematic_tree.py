@@ -38,7 +38,7 @@ class Joint:
     """One of ``free``, ``ball``, ``hinge`` and ``slide``; the last two have an axis."""
 
     kind: str
-    axis: FloatArray | None = None
+    axis: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     @property
     def freedoms(self) -> int:
@@ -288,4 +288,4 @@ class _Growth:
 
     def _other(self, bar: int, node: int) -> int:
         start, end = self.structure.bars[bar].tolist()
-        return end if node == start else start
+        return int(end if node == start else start)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -235,7 +234,7 @@ def _root(source: object) -> Element:
         path: Path = file_path("source", source)
         text, where = path.read_text("utf-8"), str(path)
     try:
-        root: Any = ElementTree.fromstring(text)
+        root: Element = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise ValueError(f"{where} is not XML: {error}") from None
     if root.tag != "mujoco":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -10,11 +10,10 @@ from xml.etree.ElementTree import Element, SubElement
 import casadi as ca
 import numpy as np
 
-from tenscontrol.dynamics import ElasticStrings, Ground, LinearStrings, Model
-from tenscontrol.exchange.kinematic_tree import WORLD, KinematicTree, axes_of, in_space
+from tenscontrol.dynamics import ElasticStrings, Ground, LinearStrings, Model, StringLaw
+from tenscontrol.exchange.kinematic_tree import WORLD, KinematicTree, in_space
 from tenscontrol.plant import held_value
 from tenscontrol.simulation import checked_load, initial_state
-from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, choice, instance, positive_number
 
 # MuJoCo's contacts are springs and dashpots where their impedance is its least: its default takes
@@ -124,9 +123,7 @@ def to_mujoco(
     return _Document(model, N, V, held, kind, actuators, load, timestep, integrator).text()
 
 
-def _held(
-    model: Model, rest_length: object, force_density: object, actuators: str
-) -> FloatArray:
+def _held(model: Model, rest_length: object, force_density: object, actuators: str) -> FloatArray:
     """Return the rest lengths or force densities, shape (α,), if the string law allows them."""
     if rest_length is not None and force_density is not None:
         raise ValueError("both rest_length and force_density are given, expected one of them")
@@ -153,6 +150,14 @@ def _held(
     return held_value(model, rest_length, force_density)
 
 
+def _spring_stiffness(law: StringLaw | None, rest_length: FloatArray) -> FloatArray:
+    """Return the stiffness of strings that are springs at held rest lengths, N/m, shape (α,)."""
+    if isinstance(law, ElasticStrings):
+        return np.asarray(law.axial_rigidity / rest_length)
+    assert isinstance(law, LinearStrings)  # others were refused
+    return law.stiffness
+
+
 class _Document:
     """The elements of a model, and their text."""
 
@@ -166,9 +171,7 @@ class _Document:
         self.length = self.structure.string_length(nodes)
         self.size = float(np.ptp(nodes, axis=1).max())
         self.load, self.own_load = load, load - (model.constant_force - model.built_in_load)
-        self.grounds = [
-            (_flat(law), set(of.tolist())) for law, of, _ in (model.contacts or ())
-        ]
+        self.grounds = [(_flat(law), set(of.tolist())) for law, of, _ in (model.contacts or ())]
         if len(self.grounds) > _MOST_PLANES:
             raise ValueError(f"MuJoCo tells at most {_MOST_PLANES} planes with own nodes apart")
         self.root = Element("mujoco", model="tenscontrol")
@@ -219,14 +222,14 @@ class _Document:
             geom = self._bar(world, bar, np.zeros(3))
             geom.set("mass", _number(structure.bar_mass[bar]))
         elements = {WORLD: world}
-        weights = self.tree.inverse_weights() if self.grounds else []
+        weights = self.tree.inverse_weights() if self.grounds else np.zeros(len(self.tree.bodies))
         for i, body in enumerate(self.tree.bodies):
             parent = np.zeros(3) if body.parent == WORLD else self.tree.bodies[body.parent].origin
             element = elements[i] = SubElement(
                 elements[body.parent], "body", name=body.name, pos=_numbers(body.origin - parent)
             )
             for joint in body.joints:
-                axis = {} if joint.axis is None else {"axis": _numbers(joint.axis)}
+                axis = {"axis": _numbers(joint.axis)} if joint.axis.any() else {}
                 SubElement(element, "joint", {"type": joint.kind} | axis)
             # MuJoCo wants an inertia of what slides, too: that of a point does nothing.
             inertia = body.mass if body.bar is None else body.inertia
@@ -236,7 +239,7 @@ class _Document:
             for node in body.nodes:
                 at = start[:, node] - body.origin
                 self._site(element, node, at)
-                self._balls(element, node, at, weights[i] if self.grounds else 0.0)
+                self._balls(element, node, at, weights[i])
                 if body.bar is not None and structure.point_mass[node]:
                     payload = SubElement(element, "body", name=f"mass{node}", pos=_numbers(at))
                     _inertial(payload, np.zeros(3), structure.point_mass[node], 0.0)
@@ -310,9 +313,7 @@ class _Document:
         paths = structure.paths or structure.strings.tolist()
         for k, path in enumerate(paths):
             group = f"string-{structure.string_groups[k]}"
-            tendon = SubElement(
-                tendons, "spatial", {"name": f"s{k}", "class": group} | springs(k)
-            )
+            tendon = SubElement(tendons, "spatial", {"name": f"s{k}", "class": group} | springs(k))
             for node in path:
                 SubElement(tendon, "site", site=f"n{node}")
             if actuate is not None:
@@ -328,10 +329,8 @@ class _Document:
             return lambda k: {}
         stiffness, rest, damping = held, zero, zero  # T = γ l is a spring without rest length
         if self.kind == "rest_length":
-            assert isinstance(law, LinearStrings | ElasticStrings)  # others were refused
-            rest, damping = held, law.damping
-            stiff = isinstance(law, LinearStrings)
-            stiffness = law.stiffness if stiff else law.axial_rigidity / held
+            stiffness, rest = _spring_stiffness(law, held), held
+            damping = np.zeros_like(held) if law is None else law.damping
         return lambda k: {
             "stiffness": _number(stiffness[k]),
             "springlength": _numbers([0.0, rest[k]]),
@@ -384,7 +383,7 @@ class _Document:
 
     def _keyframe(self, velocities: FloatArray) -> None:
         keyframe = SubElement(self.root, "keyframe")
-        parts = {
+        parts: dict[str, Sequence[float] | FloatArray] = {
             "qpos": self.tree.start_coordinates(),
             "qvel": self.tree.joint_velocities(velocities),
             "ctrl": self.controls,

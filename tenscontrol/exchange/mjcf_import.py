@@ -86,9 +86,7 @@ class _Assembly:
         self.same: list[int] = []
         self.mass: dict[int, float] = {}
         self.rolling: list[tuple[int, int]] = []
-        self.planar = any(
-            kind == "hinge" for body in document.bodies for kind, *_ in body.joints
-        )
+        self.planar = any(kind == "hinge" for body in document.bodies for kind, *_ in body.joints)
         places = [geom.place for body in document.bodies for geom in body.geoms if geom.ends
                   is not None] + [at for _, at in document.sites.values()]  # fmt: skip
         if not places:
@@ -110,7 +108,9 @@ class _Assembly:
         fall = gravity if gravity.any() else None
         planes = [g.name for b in self.document.bodies for g in b.geoms if g.kind == "plane"]
         if planes:
-            self._note(f"contacts are left out, with the plane {planes[0]!r}: give the model ground")
+            self._note(
+                f"contacts are left out, with the plane {planes[0]!r}: give the model ground"
+            )
         return Imported(Model(structure, law, gravity=fall), rest, tuple(self.document.notes))
 
     def _note(self, note: str) -> None:
@@ -262,7 +262,9 @@ class _Assembly:
         if ("slide" in kinds or "free" in kinds) and self.group[body.parent]:
             raise ValueError(f"{name} slides on another body: only supports can have slides")
         if self.planar and {"ball", "free"} & set(kinds):
-            raise ValueError(f"{name} moves in space, and others have hinges: bars have ball joints")
+            raise ValueError(
+                f"{name} moves in space, and others have hinges: bars have ball joints"
+            )
         for kind, _, axis in body.joints:
             if kind == "hinge" and abs(axis[1]) < 1 - _SAME:
                 raise ValueError(
@@ -312,9 +314,7 @@ class _Assembly:
                 raise ValueError(f"the MJCF has the constraint <{element.tag}>, which no bar has")
             what = f"the constraint {given.get('name', 'connect')!r}"
             if "site1" in given:
-                spots = [
-                    self._spot(*self._site(given[name]), what) for name in ("site1", "site2")
-                ]
+                spots = [self._spot(*self._site(given[name]), what) for name in ("site1", "site2")]
             else:
                 number = self.document.numbered(given["body1"])
                 other = self.document.numbered(given.get("body2", "world"))
@@ -336,7 +336,9 @@ class _Assembly:
         self.tendons: list[tuple[Element, dict[str, str]]] = []
         for element, given in self.document.members("tendon"):
             if element.tag != "spatial":
-                raise ValueError(f"tendon {given.get('name', '')!r} is <{element.tag}>, not spatial")
+                raise ValueError(
+                    f"tendon {given.get('name', '')!r} is <{element.tag}>, not spatial"
+                )
             path = []
             for part in element:
                 if part.tag != "site":
@@ -356,15 +358,13 @@ class _Assembly:
             self.tendons.append((element, given))
         return paths, groups
 
-    def _structure(
-        self, paths: list[list[int]], groups: list[str]
-    ) -> tuple[Structure, list[int]]:
+    def _structure(self, paths: list[list[int]], groups: list[str]) -> tuple[Structure, list[int]]:
         """Return the structure, and the order of its strings among the tendons."""
-        for name, (number, at) in self.document.sites.items():  # names of nodes without strings
+        for name, (number, where) in self.document.sites.items():  # of nodes without strings
             if self.group[number] in self.bar_of or self.group[number] == 0:
                 spots = [i for i, (group, place) in enumerate(self.spots)
                          if group == self.group[number]
-                         and np.linalg.norm(place - at) <= _SAME * self.size]  # fmt: skip
+                         and np.linalg.norm(place - where) <= _SAME * self.size]  # fmt: skip
                 for spot in spots:
                     self.names.setdefault(spot, []).append(name)
         firsts = sorted({self._first(i) for i in range(len(self.spots))})
@@ -375,7 +375,7 @@ class _Assembly:
         ]  # fmt: skip
         firsts = [firsts[i] for i in _numbered([min(own, default="") for own in labels])]
         node = {first: i for i, first in enumerate(firsts)}
-        at = {spot: node[self._first(spot)] for spot in range(len(self.spots))}
+        at: dict[int, int] = {i: node[self._first(i)] for i in range(len(self.spots))}
         bars = [self.bars[i] for i in _numbered([bar[0] for bar in self.bars])]
         order = _numbered([given.get("name", "") for _, given in self.tendons])
         keep = [0, 2] if self._flat() else [0, 1, 2]
@@ -394,7 +394,8 @@ class _Assembly:
             [[at[spot] for spot in paths[i]] for i in order],
             [kg for *_, kg in bars],
             string_groups=[groups[i] for i in order],
-            fixed=[*fixed, *(pair for pair in rollers if pair[0] not in fixed)],
+            fixed=fixed,
+            rollers=[pair for pair in rollers if pair[0] not in fixed],
             point_mass=mass if mass.any() else None,
         )
         return structure, order
@@ -418,7 +419,9 @@ class _Assembly:
         length = structure.string_length()
         rest = [own if own >= 0 else float(length[i]) for i, (*_, own) in enumerate(springs)]
         if min(rest) == 0:
-            self._note("strings of rest length 0 have constant force density, which is their stiffness")
+            self._note(
+                "strings of rest length 0 have constant force density, which is their stiffness"
+            )
             return None, None
         return law, np.array(rest)
 

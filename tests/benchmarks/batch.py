@@ -19,7 +19,6 @@ import numpy as np
 
 import tenscontrol as tc
 from tenscontrol.accuracy.peers.rigid_bodies import NodeReader
-from tenscontrol.exchange import to_mujoco
 from tenscontrol.dynamics import pack_state, unpack_states
 from tenscontrol.integrate import Projector
 from tests.benchmarks.command_line import options
@@ -255,8 +254,7 @@ def mujoco_rollout(
     except ImportError:
         print("MuJoCo is not installed: pip install '.[bench]'")
         return {}
-    prism = model.structure
-    texts = [to_mujoco(model, rest_length=lengths, velocities=rates) for rates in V]
+    texts = [tc.exchange.to_mujoco(model, rest_length=lengths, velocities=rates) for rates in V]
     made = mujoco.MjModel.from_xml_string(texts[0])
     data, reader = mujoco.MjData(made), NodeReader(made, model.structure)
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS

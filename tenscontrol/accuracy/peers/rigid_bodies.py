@@ -11,7 +11,6 @@ import numpy as np
 
 from tenscontrol.accuracy.case import Case
 from tenscontrol.accuracy.peers.peer import Peer, Solution, checked_run, peer_settings, spaced
-from tenscontrol.dynamics import ElasticStrings, LinearStrings
 from tenscontrol.exchange import to_mujoco
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, choice
@@ -112,7 +111,7 @@ class MuJoCo(Peer):
 
 def _description(case: Case, step: float) -> str:
     """Return the case as MuJoCo's text."""
-    held = {case.input: case.value} if len(case.value) else {}
+    held: dict[str, Any] = {case.input: case.value} if len(case.value) else {}
     return to_mujoco(
         case.model, nodes=case.nodes, velocities=case.velocities,
         external_force=case.external_force, step=step, **held,
@@ -163,9 +162,7 @@ def _refuse_damped_slack(case: Case, nodes: FloatArray, velocities: FloatArray) 
     law, rest = case.model.strings, case.value
     if case.input == "force_density" or law is None or not law.is_damped:
         return
-    assert isinstance(law, LinearStrings | ElasticStrings)  # others were refused
-    linear = isinstance(law, LinearStrings)
-    stiffness = law.stiffness if linear else law.axial_rigidity / rest
+    stiffness = law.tension(2 * rest, rest) / rest  # constant: other laws were refused
     structure, damping = case.structure, law.damping
     start, end = structure.segments.T
     S, Sd = nodes[:, end] - nodes[:, start], velocities[:, end] - velocities[:, start]
