@@ -288,16 +288,16 @@ class _Assembly:
 
     def _held(self, body: Placed, slides: Sequence[FloatArray]) -> list[int]:
         """Return the axes along which slides do not let a body move."""
-        free = []
-        for axis in slides:
-            along = int(np.abs(axis).argmax())
-            if abs(axis[along]) < 1 - _SAME:
-                raise ValueError(
-                    f"body {body.name!r} slides along {np.round(axis, 4)}: rollers are along axes"
-                )
-            free.append(along)
         every = [0, 2] if self._flat() else [0, 1, 2]
-        return [axis for axis in every if axis not in free]
+        span = np.linalg.qr(np.array(slides).T)[0]
+        along = np.linalg.norm(span, axis=1)  # of each axis, the part that is free
+        askew = (along > _SAME) & (along < 1 - _SAME)
+        if askew.any():
+            raise ValueError(
+                f"body {body.name!r} slides along {np.round(slides[0], 4)}, and not along all "
+                "axes: what rollers hold is an axis"
+            )
+        return [axis for axis in every if along[axis] <= _SAME]
 
     def _flat(self) -> bool:
         """Whether all moves in the plane of x and z."""
