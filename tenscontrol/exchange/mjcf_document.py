@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
@@ -18,8 +19,11 @@ _IGNORED = {
 }  # fmt: skip
 _READ = {"worldbody", "tendon", "actuator", "equality"}
 
+# Attributes of joints that bars do not have.
+_OF_JOINTS = ("stiffness", "damping", "armature", "frictionloss", "range")
+
 # kg/m³ of geoms without a mass.
-_DENSITY = 1000.0
+_DENSITY = "1000"
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,8 @@ class MjcfDocument:
         compiler = self._child("compiler")
         self._degrees = compiler.get("angle", "degree") == "degree"
         self._sequence = compiler.get("eulerseq", "xyz")
+        if len(self._sequence) != 3 or not set(self._sequence.lower()) <= set("xyz"):
+            raise ValueError(f"the MJCF has eulerseq={self._sequence!r}, expected as xyz")
         self._defaults: dict[str, dict[str, dict[str, str]]] = {}
         for default in self.root.findall("default"):
             self._read_defaults(default, default.get("class", "main"), {})
@@ -84,7 +90,7 @@ class MjcfDocument:
 
     def gravity(self) -> FloatArray:
         """Return the acceleration of free fall, m/s²."""
-        return numbers(self._child("option").get("gravity", "0 0 -9.81"), 3, "gravity")
+        return numbers(self._child("option").attrib, "gravity", 3, "0 0 -9.81")
 
     def _child(self, tag: str) -> Element:
         found = self.root.find(tag)
@@ -124,23 +130,26 @@ class MjcfDocument:
                 self._read_body(part, len(self.bodies) - 1, around)
             elif part.tag in ("joint", "freejoint"):
                 kind = "free" if part.tag == "freejoint" else given.get("type", "hinge")
-                at = body.place + body.turn @ numbers(given.get("pos", "0 0 0"), 3, "pos")
-                axis = body.turn @ numbers(given.get("axis", "0 0 1"), 3, "axis")
-                body.joints.append((kind, at, axis / np.linalg.norm(axis)))
+                at = body.place + body.turn @ numbers(given, "pos", 3, "0 0 0")
+                axis = body.turn @ numbers(given, "axis", 3, "0 0 1")
+                body.joints.append((kind, at, _unit(axis, "an axis")))
+                if any(any(row(given, key)) for key in _OF_JOINTS):
+                    self.notes.append(f"springs and friction of {body.name!r}'s joint are left out")
             elif part.tag == "geom":
                 body.geoms.append(self._geom(given, body))
             elif part.tag == "site":
                 if "name" in given:
                     self.sites[given["name"]] = number, self._frame(given, body)[1]
             elif part.tag == "inertial":
-                body.inertial = self._inertial(given, body)
+                if self._child("compiler").get("inertiafromgeom") != "true":
+                    body.inertial = self._inertial(given, body)
             elif part.tag not in _IGNORED:
                 raise ValueError(
                     f"body {body.name!r} of the MJCF has <{part.tag}>, which is not understood"
                 )
 
     def _frame(self, given: dict[str, str], body: Placed) -> tuple[FloatArray, FloatArray]:
-        place = body.place + body.turn @ numbers(given.get("pos", "0 0 0"), 3, "pos")
+        place = body.place + body.turn @ numbers(given, "pos", 3, "0 0 0")
         return body.turn @ self._turn(given), place
 
     def _turn(self, given: dict[str, str]) -> FloatArray:
@@ -148,55 +157,56 @@ class MjcfDocument:
         from scipy.spatial.transform import Rotation
 
         if "quat" in given:
-            w, x, y, z = numbers(given["quat"], 4, "quat")
+            w, x, y, z = _unit(numbers(given, "quat", 4), "a quaternion")
             return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
         if "euler" in given:
-            angles = numbers(given["euler"], 3, "euler")
+            angles = numbers(given, "euler", 3)
             # Small letters are axes that turn along, which SciPy writes in capitals.
             turn = Rotation.from_euler(self._sequence.swapcase(), angles, degrees=self._degrees)
             return np.asarray(turn.as_matrix())
         if "axisangle" in given:
-            *axis, angle = numbers(given["axisangle"], 4, "axisangle")
-            unit = np.array(axis) / np.linalg.norm(axis)
+            *axis, angle = numbers(given, "axisangle", 4)
+            unit = _unit(np.array(axis), "an axis")
             angle = np.deg2rad(angle) if self._degrees else angle
             return np.asarray(Rotation.from_rotvec(angle * unit).as_matrix())
         if "xyaxes" in given:
-            x, y = numbers(given["xyaxes"], 6, "xyaxes").reshape(2, 3)
-            x = x / np.linalg.norm(x)
-            y = y - (x @ y) * x
-            y /= np.linalg.norm(y)
+            x, y = numbers(given, "xyaxes", 6).reshape(2, 3)
+            x = _unit(x, "an axis")
+            y = _unit(y - (x @ y) * x, "an axis")
             return np.column_stack([x, y, np.cross(x, y)])
         if "zaxis" in given:
-            z = numbers(given["zaxis"], 3, "zaxis")
-            return np.asarray(Rotation.align_vectors([z / np.linalg.norm(z)], [[0, 0, 1]])[0]
+            z = _unit(numbers(given, "zaxis", 3), "an axis")
+            return np.asarray(Rotation.align_vectors([z], [[0, 0, 1]])[0]
                               .as_matrix())  # fmt: skip
         return np.eye(3)
 
     def _geom(self, given: dict[str, str], body: Placed) -> Geom:
         kind, name = given.get("type", "sphere"), given.get("name", "")
         turn, place = self._frame(given, body)
-        size = [float(x) for x in given.get("size", "0").split()]
+        size = row(given, "size") or [0.0]
         ends = None
         if kind in ("capsule", "cylinder"):
             if "fromto" in given:
-                local = numbers(given["fromto"], 6, "fromto").reshape(2, 3)
+                local = numbers(given, "fromto", 6).reshape(2, 3)
                 ends = body.place + local @ body.turn.T
             elif len(size) > 1:
                 ends = place + np.outer([-size[1], size[1]], turn[:, 2])
             else:
                 raise ValueError(f"geom {name!r} has neither fromto nor a half-length in size")
             place = ends.mean(axis=0)
-        mass = float(given["mass"]) if "mass" in given else None
-        if mass is None:
-            density = float(given.get("density", _DENSITY))
-            mass = density * _volume(kind, size, ends) if density else 0.0
+        if "mass" in given:
+            mass = number(given, "mass")
+        else:
+            density = number(given, "density", _DENSITY)
+            counts = density and (ends is not None or body is not self.bodies[0])
+            mass = density * _volume(kind, size, ends) if counts else 0.0
         return Geom(name, kind, place, ends, mass)
 
     def _inertial(self, given: dict[str, str], body: Placed) -> tuple[float, FloatArray, float]:
         _, place = self._frame(given, body)
-        moments = given.get("diaginertia", given.get("fullinertia", "0 0 0")).split()[:3]
+        moments = (row(given, "diaginertia") or row(given, "fullinertia", "0 0 0"))[:3]
         # Of a thin bar two are equal and the third less, or made equal.
-        return float(given["mass"]), place, float(np.median([float(x) for x in moments]))
+        return number(given, "mass"), place, float(np.median(moments))
 
 
 def _volume(kind: str, size: list[float], ends: FloatArray | None) -> float:
@@ -215,24 +225,46 @@ def _volume(kind: str, size: list[float], ends: FloatArray | None) -> float:
     raise ValueError(f"the mass of a geom of type {kind!r} is not known: give it mass")
 
 
-def numbers(text: str, count: int, what: str) -> FloatArray:
-    """Return the numbers of an attribute."""
+def row(given: Mapping[str, str], key: str, default: str = "") -> list[float]:
+    """Return the numbers of an attribute, or of what it is if it is not given."""
+    text = given.get(key, default)
     try:
-        found = np.array([float(part) for part in text.split()])
+        found = [float(part) for part in text.split()]
     except ValueError:
-        found = np.zeros(0)
-    if len(found) != count or not np.isfinite(found).all():
-        raise ValueError(f"the MJCF has {what}={text!r}, expected {count} numbers")
+        found = [np.nan]
+    if not np.isfinite(found).all():
+        raise ValueError(f"the MJCF has {key}={text!r}, expected numbers")
     return found
+
+
+def numbers(given: Mapping[str, str], key: str, count: int, default: str = "") -> FloatArray:
+    """Return so many numbers of an attribute."""
+    found = np.array(row(given, key, default))
+    if len(found) != count:
+        raise ValueError(f"the MJCF has {key}={given.get(key, '')!r}, expected {count} numbers")
+    return found
+
+
+def number(given: Mapping[str, str], key: str, default: str = "") -> float:
+    """Return the number of an attribute."""
+    return float(numbers(given, key, 1, default)[0])
+
+
+def _unit(vector: FloatArray, what: str) -> FloatArray:
+    """Return a direction as a vector of length 1."""
+    length = float(np.linalg.norm(vector))
+    if not length:
+        raise ValueError(f"the MJCF has {what} of length 0, expected a direction")
+    return np.asarray(vector / length)
 
 
 def _root(source: object) -> Element:
     """Return the parsed text of a file, or of the text itself."""
     if isinstance(source, str) and source.lstrip().startswith("<"):
-        text, where = source, "the text"
+        text, where = source, "source"
     else:
         path: Path = file_path("source", source)
-        text, where = path.read_text("utf-8"), str(path)
+        text, where = path.read_text("utf-8"), f"source, {path},"
     try:
         root: Element = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:

@@ -10,7 +10,7 @@ import numpy as np
 
 from tenscontrol.dynamics import ElasticStrings, LinearStrings, Model, StringLaw
 from tenscontrol.exchange.imported import Imported
-from tenscontrol.exchange.mjcf_document import MjcfDocument, Placed, numbers
+from tenscontrol.exchange.mjcf_document import MjcfDocument, Placed, number, numbers, row
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, positive_number
 
@@ -316,10 +316,10 @@ class _Assembly:
             if "site1" in given:
                 spots = [self._spot(*self._site(given[name]), what) for name in ("site1", "site2")]
             else:
-                number = self.document.numbered(given["body1"])
+                number = self.document.numbered(given.get("body1", ""))
                 other = self.document.numbered(given.get("body2", "world"))
                 body = self.document.bodies[number]
-                at = body.place + body.turn @ numbers(given["anchor"], 3, "anchor")
+                at = body.place + body.turn @ numbers(given, "anchor", 3)
                 spots = [self._spot(i, at, what) for i in (number, other)]
             self._join(spots[0], spots[1], what)
 
@@ -350,7 +350,7 @@ class _Assembly:
                 self.names.setdefault(spot, []).append(name)
                 path.append(spot)
             for lost in _LOST:
-                if any(float(x) for x in given.get(lost, "0").split()):
+                if any(row(given, lost)):
                     self._note(f"{lost} of tendons is left out")
             paths.append(path)
             group = element.get("class", "").removeprefix("string-")
@@ -360,10 +360,10 @@ class _Assembly:
 
     def _structure(self, paths: list[list[int]], groups: list[str]) -> tuple[Structure, list[int]]:
         """Return the structure, and the order of its strings among the tendons."""
-        for name, (number, where) in self.document.sites.items():  # of nodes without strings
-            if self.group[number] in self.bar_of or self.group[number] == 0:
+        for name, (body, where) in self.document.sites.items():  # of nodes without strings
+            if self.group[body] in self.bar_of or self.group[body] == 0:
                 spots = [i for i, (group, place) in enumerate(self.spots)
-                         if group == self.group[number]
+                         if group == self.group[body]
                          and np.linalg.norm(place - where) <= _SAME * self.size]  # fmt: skip
                 for spot in spots:
                     self.names.setdefault(spot, []).append(name)
@@ -430,15 +430,13 @@ class _Assembly:
         found = {}
         for element, given in self.document.members("actuator"):
             name = given.get("tendon")
-            gain, bias = ([float(x) for x in given.get(key, "").split()]
-                          for key in ("gainprm", "biasprm"))  # fmt: skip
+            gain = [*row(given, "gainprm", "1"), 0.0, 0.0, 0.0]
+            bias = [*row(given, "biasprm"), 0.0, 0.0, 0.0]
             if element.tag == "position" and name:
-                found[name] = False, float(given.get("kp", "1")), float(given.get("kv", "0"))
+                found[name] = False, number(given, "kp", "1"), number(given, "kv", "0")
             elif element.tag == "general" and name and given.get("biastype") == "affine":
-                if given.get("gaintype") == "affine":
-                    found[name] = True, bias[0], -bias[2]
-                else:
-                    found[name] = False, gain[0], -bias[2]
+                elastic = given.get("gaintype") == "affine"
+                found[name] = elastic, bias[0] if elastic else gain[0], -bias[2]
             elif name:
                 self._note("actuators that set forces are left out")
         return found
@@ -447,18 +445,18 @@ class _Assembly:
         self, given: dict[str, str], driven: dict[str, tuple[bool, float, float]]
     ) -> tuple[bool, float, float, float] | None:
         """Return rigidity or not, stiffness, damping and rest length; -1 where it is the length."""
-        spring = [float(x) for x in given.get("springlength", "-1").split()]
+        spring = row(given, "springlength") or [-1.0]
         name = given.get("name", "")
         if name in driven:
             return (*driven[name], spring[-1])
-        stiffness = [float(x) for x in given.get("stiffness", "0").split()]
+        stiffness, damping = (row(given, key) or [0.0] for key in ("stiffness", "damping"))
         if any(stiffness[1:]):
             raise ValueError(f"tendon {name!r} has stiffness that changes with its length")
         if not stiffness[0]:
             return None
         if len(spring) == 1 or spring[0] > 0:
             self._note("tendons that push when they are short become strings that do not")
-        return False, stiffness[0], float(given.get("damping", "0").split()[0]), spring[-1]
+        return False, stiffness[0], damping[0], spring[-1]
 
 
 def _numbered(names: Sequence[str]) -> list[int]:

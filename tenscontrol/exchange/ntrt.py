@@ -241,7 +241,7 @@ def _model(top: _Part, builders: dict[str, dict[str, Any]], unit: float, path: P
     bare = [name for own, name in place if (own, name) not in used]
     if bare:
         notes.append(f"nodes without members are left out: {', '.join(bare)}")
-    on_rods = {end for pair in bars for end in pair[:2]}
+    on_rods = {end for start, other, _ in bars for end in (start, other)}
     loose = [name for own, name in used if (own, name) not in on_rods]
     if loose:
         raise ValueError(f"{path}: node {loose[0]!r} is on cables alone; give it a rod")

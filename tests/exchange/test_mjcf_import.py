@@ -1,5 +1,7 @@
 """MJCF comes back as it went, and from others as MuJoCo itself places it."""
 
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 
@@ -143,7 +145,7 @@ def test_files_are_read_by_their_path(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("</mujoco>", "", "the text is not XML"),
+        ("</mujoco>", "", "source is not XML"),
         ("<mujoco>", "<mujoco><deformable/>", "<deformable>, which is not understood"),
         ("<light", "<composite/><light", "<composite>, which is not understood"),
         ('class="soft"><site', 'class="firm"><site', "class 'firm', which it does not define"),
@@ -165,6 +167,33 @@ def test_what_is_not_understood_is_named(old, new, message):
     assert old in FOREIGN
     with pytest.raises(ValueError, match=message):
         tc.exchange.from_mujoco(FOREIGN.replace(old, new))
+
+
+WRONG = (None, "", "x", "nan", "0", "-1 0", "1 2 3")
+
+
+def spoilt():
+    """The text with each of its attributes in turn left out or made another."""
+    count = sum(len(element.attrib) for element in ElementTree.fromstring(FOREIGN).iter())
+    for i in range(2 * count):
+        root, value = ElementTree.fromstring(FOREIGN), WRONG[i % len(WRONG)]
+        element, key = [(each, key) for each in root.iter() for key in each.attrib][i % count]
+        if value is None:
+            del element.attrib[key]
+        else:
+            element.set(key, value)
+        yield ElementTree.tostring(root, encoding="unicode")
+
+
+def test_a_spoilt_attribute_is_refused_in_words_or_does_not_matter():
+    said = []
+    for text in spoilt():
+        try:
+            tc.exchange.from_mujoco(text)
+        except ValueError as error:
+            said.append(str(error))
+    assert len(said) > 80
+    assert not [words for words in said if "convert" in words or "index" in words]
 
 
 def test_a_site_beside_the_end_of_its_bar_is_put_there_if_asked():
