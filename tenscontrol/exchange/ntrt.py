@@ -235,13 +235,13 @@ def _model(top: _Part, builders: dict[str, dict[str, Any]], unit: float, path: P
                 bars.append((*ends, area * builders[tag]["density"] * length))
             else:
                 strings.append((*ends, builders[tag], tag))
-    used = dict.fromkeys(end for pair in (*bars, *strings) for end in pair[:2])
+    on_rods = dict.fromkeys(end for bar in bars for end in bar[:2])
+    used = on_rods | dict.fromkeys(end for string in strings for end in string[:2])
     if not used:
         raise ValueError(f"{path} has no pair that a builder builds: no bars, no strings")
     bare = [name for own, name in place if (own, name) not in used]
     if bare:
         notes.append(f"nodes without members are left out: {', '.join(bare)}")
-    on_rods = {end for start, other, _ in bars for end in (start, other)}
     loose = [name for own, name in used if (own, name) not in on_rods]
     if loose:
         raise ValueError(f"{path}: node {loose[0]!r} is on cables alone; give it a rod")
