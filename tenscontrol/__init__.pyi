@@ -19,6 +19,9 @@ from . import (
     estimation as estimation,
 )
 from . import (
+    exchange as exchange,
+)
+from . import (
     integrate as integrate,
 )
 from . import (

@@ -135,6 +135,7 @@ def values(tmp_path_factory):
         tc.OutputLimit(np.ones((1, 18)), np.zeros(1), np.ones(1)),
         tc.control.held_loop(plant, regulator.gain, sample_time=0.01),
         tc.load_scene(PROJECT / "examples" / "scenes" / "prism_free.toml"),
+        tc.exchange.from_mujoco(tc.exchange.to_mujoco(model, rest_length=start.rest_length)),
     ]
     case = tc.Case(model, 0.05, input="force_density", value=rest.force_density)
     compared = tc.work_precision(case, ["rk4"], {"rk4": [0.01]}, repeats=1, outputs=5)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.accuracy.peers.rigid_bodies import RigidScene
+from tenscontrol.accuracy.peers.rigid_bodies import NodeReader
 from tenscontrol.dynamics import pack_state, unpack_states
 from tenscontrol.integrate import Projector
 from tests.benchmarks.command_line import options
@@ -296,18 +296,14 @@ def mujoco_rollout(
     except ImportError:
         print("MuJoCo is not installed: pip install '.[bench]'")
         return {}
-    prism = model.structure
-    scenes = [
-        RigidScene(tc.Case(model, duration, prism.nodes, rates, input="rest_length", value=lengths))
-        for rates in V
-    ]
-    made = mujoco.MjModel.from_xml_string(scenes[0].xml)
-    data = mujoco.MjData(made)
+    texts = [tc.exchange.to_mujoco(model, rest_length=lengths, velocities=rates) for rates in V]
+    made = mujoco.MjModel.from_xml_string(texts[0])
+    data, reader = mujoco.MjData(made), NodeReader(made, model.structure)
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     starts = np.empty((len(V), mujoco.mj_stateSize(made, kind)))
-    for row, scene in zip(starts, scenes, strict=True):
-        mujoco.mj_resetData(made, data)
-        data.qvel[:] = scene.start_velocity
+    for row, text in zip(starts, texts, strict=True):
+        own = mujoco.MjModel.from_xml_string(text)
+        mujoco.mj_resetDataKeyframe(own, data, 0)
         mujoco.mj_getState(made, data, row, kind)
 
     def batch(method: int) -> Batch:
@@ -315,12 +311,11 @@ def mujoco_rollout(
             steps = round(duration / step)
             made.opt.integrator, made.opt.timestep = method, duration / steps
             states, _ = rollout.rollout(made, data, starts, nstep=steps)
-            last = states[:, -1, 1:]
-            return (
-                scenes[0]
-                .nodes(last[:, : made.nq], last[:, made.nq : made.nq + made.nv])[0]
-                .transpose(2, 0, 1)
-            )
+            read = []
+            for state in states[:, -1]:
+                mujoco.mj_setState(made, data, state, kind)
+                read.append(reader.read(data))
+            return reader.motion(read)[0].transpose(2, 0, 1)
 
         return run
 

@@ -104,6 +104,7 @@ RESULTS = {
     "dynamics.Equation",
     "estimation.Estimate",
     "estimation.FilterStatistics",
+    "exchange.Imported",
     "integrate.Choice",
     "integrate.IntegrationError",
     "integrate.IntegrationInterrupt",
@@ -1510,6 +1511,61 @@ for kind, (options, settings) in PEERS.items():
             lambda kind=kind, options=options: getattr(tc.accuracy.peers, kind)(**options()),
             0.2,
         )
+
+# ---- other programs ----
+
+
+def written(name, text):
+    """A file for a function to read."""
+    scratch(name).write_text(text)
+    return scratch(name)
+
+
+CROSS = """
+nodes: {a: [0, 0, 0], b: [0, 5, 0], c: [5, 5, 1], d: [5, 0, 1]}
+pair_groups: {rod: [[a, c], [b, d]], cable: [[a, b], [b, c], [c, d], [d, a]]}
+builders: {rod: {class: tgRodInfo}, cable: {class: tgBasicActuatorInfo}}
+"""
+call(
+    "exchange.to_mujoco",
+    lambda: {
+        "model": elastic(),
+        "rest_length": rest_length(),
+        "force_density": None,
+        "nodes": nodes(),
+        "velocities": STILL,
+        "external_force": None,
+        "actuators": "rest_length",
+        "step": 1e-3,
+        "integrator": "rk4",
+    },
+)
+call(
+    "exchange.from_mujoco",
+    lambda: {
+        "source": tc.exchange.to_mujoco(elastic(), rest_length=rest_length()),
+        "tolerance": 1e-6,
+    },
+)
+call("exchange.from_ntrt", lambda: {"path": written("x.yaml", CROSS), "length_unit": 0.1})
+call(
+    "exchange.from_csv",
+    lambda: {
+        "nodes": written("nodes.csv", "x,y\n0,0\n1,0\n1,1\n0,1\n"),
+        "members": written("members.csv", "kind,start,end\nbar,0,2\nbar,1,3\nstring,0,1\n"),
+    },
+)
+call("exchange.to_vtk", lambda: {"source": prism(), "path": scratch("prism.vtp")})
+call("exchange.to_vtk, run", lambda: {"source": run(), "path": scratch("run.pvd")}, share=0.2)
+call(
+    "exchange.to_gltf",
+    lambda: {"source": run(), "path": scratch("run.glb"), "bar_radius": 0.01},
+    share=0.5,
+)
+call(
+    "exchange.to_urdf",
+    lambda: {"structure": prism(), "path": scratch("prism.urdf"), "bar_radius": 0.01},
+)
 
 # ---- robustness ----
 
