@@ -67,7 +67,7 @@ height_error = height[-1] - 0.85
 print(f"final height error {1e3 * height_error:+.3f} mm")
 print(f"smallest γ {run.force_density.min():.2f} N/m")
 print(f"largest winch rate {np.abs(run.control.winch_rate).max():.3f} m/s")
-tc.plot.trajectory(run, nodes=[0], directions="z")
+tc.plot.trajectory(run)
 
 # %%
 # How far to trust it: momentum and bar lengths should not change at all.

@@ -58,7 +58,7 @@ _WIDTH, _ROW_HEIGHT, _SINGLE_HEIGHT = 6.4, 2.2, 3.2
 # Width of a legend entry, points: of its sample with the gaps, and of a letter.
 _SAMPLE_WIDTH, _LETTER_WIDTH = 44.0, 5.0
 
-_DPI = 130
+_DPI = 200
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,7 @@ class MemberStyle:
     node_color: str
     node_size: float
     layer: float
+    fade: float = 0.0  # how much of its colour the farthest member loses
 
     def fitted(self, members: int) -> MemberStyle:
         """Return the style for a structure of so many members: thinner where there are many."""
@@ -84,11 +85,11 @@ class MemberStyle:
         )
 
 
-NORMAL = MemberStyle("0.15", 4.0, PALETTE[0], 1.2, "0.15", 5.0, 4.0)
+NORMAL = MemberStyle("0.15", 4.0, PALETTE[0], 1.2, "0.15", 3.8, 4.0, fade=0.5)
 FAINT = MemberStyle("0.82", 3.5, "0.72", 0.9, "0.82", 4.0, 1.0)
 
 # Beside one another, smaller.
-SMALL = MemberStyle("0.15", 2.6, PALETTE[0], 0.9, "0.15", 3.2, 4.0)
+SMALL = MemberStyle("0.15", 2.6, PALETTE[0], 0.9, "0.15", 2.4, 4.0, fade=0.6)
 SMALL_FAINT = MemberStyle("0.82", 2.4, "0.72", 0.7, "0.82", 2.6, 1.0)
 
 
