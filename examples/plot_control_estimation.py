@@ -1,10 +1,10 @@
 """
-Control without seeing the nodes
-================================
+A Kalman filter in the loop
+===========================
 
-A prism is brought to rest by an LQR that is told no node positions. What is measured are the
-lengths of its strings and the directions of its bars: with noise, two samples late, one sample
-in ten lost and one reading in fifty corrupt. A Kalman filter finds the motion from them.
+An LQR brings a prism to rest, but node positions are not measured. Sensors give the lengths of its
+strings and the directions of its bars. Readings have noise and come two samples late. One sample in
+ten is lost, and one reading in fifty is wrong. A Kalman filter estimates the motion from them.
 """
 
 import matplotlib.pyplot as plt
@@ -52,6 +52,10 @@ faults = {"delay": 2, "drop_rate": 0.1, "outlier_rate": 0.02}
 
 start = plant.to_nodes(0.01 * np.random.default_rng(0).normal(size=9))
 wound = tc.to_rest_length(model, start, rest.force_density).rest_length
+
+
+drawing = tc.plot.structure(prism, faint=True)
+tc.plot.structure(prism, start, ax=drawing.ax)
 
 
 def simulated(**options):

@@ -2,9 +2,9 @@
 MPC height and twist morphing with winches
 ==========================================
 
-A prism is lowered from 1.0 m to 0.7 m, twisted by 20° on the way, and brought back.
-Winches wind its strings, within their speed and range. The controller is designed on
-strings without mass; the strings of the plant have 5 % of the mass of the bars.
+MPC lowers a prism of twelve strings from 1.0 m to 0.7 m, twists it by 20° on the way, and brings it
+back. Winches wind its strings, within their speed and range. The controller is designed on massless
+strings; those of the simulated prism have 5 % of the mass of the bars.
 """
 
 import matplotlib.pyplot as plt

@@ -2,9 +2,9 @@
 A spine of rigid vertebrae bends
 ================================
 
-Six vertebrae stand on one another in strings, under gravity; the lowest is held. Each is a rigid
-body of ten bars, one more than it needs. Winches wind the forty strings so that the spine bends
-sideways: by LQR, and by MPC along a path.
+Strings hold six vertebrae above one another, under gravity. The lowest one is fixed. Each vertebra
+is a rigid body of ten bars. Winches wind the forty strings, so that the spine bends sideways: first
+by LQR, then by MPC along a path.
 """
 
 from dataclasses import replace

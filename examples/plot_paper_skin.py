@@ -2,9 +2,9 @@
 Skins: example 2 of the paper
 =============================
 
-A skin is a mesh of strings over a panel: a node at its centre, strings to its
-vertices, and the same again inside each triangle. It stiffens a panel that is
-in tension. In a panel that contracts it goes slack, and does next to nothing.
+A skin is a mesh of strings over a panel: a node at its centre, strings to its vertices, and the
+same again inside each triangle. It stiffens a panel in tension. In a panel that contracts it goes
+slack and has almost no effect.
 """
 
 import matplotlib.pyplot as plt

@@ -195,7 +195,7 @@ def legend_above(ax: Axes) -> None:
     columns = _legend_columns(names, ax.bbox.width * 72 / ax.figure.dpi)
     # The legend is filled column by column, but read row by row.
     order = [i for first in range(columns) for i in range(first, len(handles), columns)]
-    ax.legend(
+    legend = ax.legend(
         handles=[handles[i] for i in order],
         loc="lower left",
         bbox_to_anchor=(0.0, 1.0),
@@ -207,6 +207,8 @@ def legend_above(ax: Axes) -> None:
         borderaxespad=0.2,
         borderpad=0.2,
     )
+    for line in legend.get_lines():  # curves of many strings are thin, their sample is not
+        line.set_linewidth(max(line.get_linewidth(), REFERENCE_WIDTH))
 
 
 def _legend_columns(names: Sequence[str], room: float) -> int:
