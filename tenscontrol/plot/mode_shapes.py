@@ -135,7 +135,7 @@ def mode_shapes(
             displaced=draw(ax, structure, displaced, SMALL),
             arrows=_arrows(ax, nodes, displaced - nodes, _STILL * size),
         )
-        frame(ax, [nodes, *moved], grow=False, fill=0.9)
+        frame(ax, [nodes, *moved], grow=False, fill=0.8)
         ax.set_axis_off()
         frequency = f"{modes.frequency[mode]:#.4g}" if modes.frequency[mode] > 0 else "0"
         title = f"mode {mode}: {frequency} Hz\n{modes.label[mode]}"

@@ -8,7 +8,6 @@ from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import NullLocator
 
 from tenscontrol.control import Status
 from tenscontrol.plot.histories import Curves, checked_references, draw_curves, mark_statuses
@@ -16,6 +15,7 @@ from tenscontrol.plot.style import (
     REFERENCE_COLOR,
     REFERENCE_WIDTH,
     checked_indices,
+    decade_ticks,
     legend_above,
     reference_style,
     timed_panels,
@@ -451,7 +451,7 @@ def tracking(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str
         panels[name] = draw_curves(ax, times, rows, label, references=levels, xlabel=xlabel)
         if (values > 0).any():  # NaN is not
             ax.set_yscale("log")
-            ax.yaxis.set_minor_locator(NullLocator())
+            decade_ticks(ax.yaxis)
     panels[name] = _with_statuses(panels[name], record)
     return panels
 
@@ -489,6 +489,6 @@ def _logarithmic(
     curves = draw_curves(ax, time, rows, ylabel, references=round_off, xlabel=xlabel)
     largest = max(float(values.max()) for values in errors.values())
     ax.set_yscale("log")
-    ax.yaxis.set_minor_locator(NullLocator())
     ax.set_ylim(floor / 5, max(_LEAST_SPAN * floor, 5 * largest))
+    decade_ticks(ax.yaxis)
     return curves

@@ -66,7 +66,7 @@ _TICKS = 4  # along the longest edge
 _CORNER = 0.04  # of an edge, without ticks
 
 # Points; the offsets are what Matplotlib adds itself.
-_LABEL_PAD = {"x": 2.0, "y": 6.0, "z": 5.0}
+_LABEL_PAD = {"x": 5.0, "y": 7.0, "z": 10.0}
 _LABEL_OFFSET, _TICK_OFFSET = 21.0, 8.0
 
 # A triangle that stands on a line and holds what is above its tip, of size 1.

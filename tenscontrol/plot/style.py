@@ -19,8 +19,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from tenscontrol.files import write_file
 from tenscontrol.validation import file_path, float_array, indices, instance, wrong_kind
@@ -59,6 +61,9 @@ _WIDTH, _ROW_HEIGHT, _SINGLE_HEIGHT = 6.4, 2.2, 3.2
 _SAMPLE_WIDTH, _LETTER_WIDTH = 44.0, 5.0
 
 _DPI = 200
+
+# Decades below which an axis is marked between them too.
+_FEW_DECADES = 2.0
 
 
 @dataclass(frozen=True)
@@ -185,6 +190,18 @@ def dress(ax: Axes, xlabel: str | None, ylabel: str) -> None:
     ax.grid(visible=True, **GRID)  # type: ignore[arg-type]
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
+
+
+def decade_ticks(*axes: Axis) -> None:
+    """Mark decades, no more of them than can be read; within two decades also 2 and 5."""
+    for axis in axes:
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(numticks=10))
+        axis.set_minor_formatter(NullFormatter())
+        if abs(np.log10(high / low)) < _FEW_DECADES:
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+        axis.set_minor_locator(LogLocator(subs=(), numticks=10))
 
 
 def legend_above(ax: Axes) -> None:

@@ -260,6 +260,17 @@ def test_a_controlled_run_shows_how_far_it_is_from_the_reference(broken_run):
     assert tc.plot.trajectory(broken_run, directions="x")["coordinates"].references == {}
 
 
+def test_logarithmic_panels_have_numbers_within_a_decade_too(broken_run):
+    control = replace(broken_run.control, tracking_error=np.linspace(0.021, 0.037, 6))
+    control = replace(control, time=broken_run.control.time[:5])
+    panel = tc.plot.tracking(replace(broken_run, control=control))["tracking_error"]
+    panel.ax.figure.canvas.draw()
+    low, high = panel.ax.get_ylim()
+    ticks = [tick for tick in panel.ax.get_yticks() if low <= tick <= high]
+    assert ticks
+    assert panel.ax.yaxis.get_major_formatter()(0.02, 0) == "0.02"
+
+
 def test_a_cut_string_has_no_rest_length(broken_run):
     """The million sizes that keep it slack are not drawn."""
     lines = tc.plot.trajectory(broken_run)["rest_length"].lines["vertical"]
