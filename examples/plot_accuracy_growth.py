@@ -31,10 +31,10 @@ tc.plot.growth(found)
 tc.plot.growth(found, "memory")
 
 # %%
-# A tower of 324 members.
+# A tower of 84 members.
 
 # sphinx_gallery_thumbnail_number = 3
-tc.plot.structure(towers[2](), legend=False)
+tc.plot.structure(towers[1](), legend=False)
 
 if __name__ == "__main__":
     plt.show()

@@ -25,6 +25,7 @@ tip = 6
 arm = replace(arm, point_mass=0.5 * (np.arange(8) == tip))
 model = tc.Model(arm, strings=LAW, gravity=9.81)
 print(f"class {arm.structure_class}, {len(arm.free_rows)} coordinates of nodes")
+tc.plot.structure(arm)
 
 
 def at_rest(nodes):

@@ -17,6 +17,7 @@ STEP = 0.02
 prism = tc.prism()
 model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
 rest = tc.prestress(prism, force_density=17.320508)
+tc.plot.structure(prism, labels=True, member_labels=True)
 plant = tc.linearize(model, rest)
 Q, R = tc.energy_weights(plant)
 regulator = tc.LQR(plant, Q, 0.1 * R, sample_time=STEP, max_force_density=90.0)
@@ -52,10 +53,6 @@ faults = {"delay": 2, "drop_rate": 0.1, "outlier_rate": 0.02}
 
 start = plant.to_nodes(0.01 * np.random.default_rng(0).normal(size=9))
 wound = tc.to_rest_length(model, start, rest.force_density).rest_length
-
-
-drawing = tc.plot.structure(prism, faint=True)
-tc.plot.structure(prism, start, ax=drawing.ax)
 
 
 def simulated(**options):

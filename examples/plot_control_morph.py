@@ -36,6 +36,8 @@ def shape(height, degrees):
 
 
 start, goal = shape(1.0, -35.0), shape(0.7, -55.0)
+drawing = tc.plot.structure(start, faint=True)
+tc.plot.structure(goal, ax=drawing.ax)
 
 # %%
 # The path, as fast as the winches allow. A winch winds through each sample at constant

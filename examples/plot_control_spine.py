@@ -19,6 +19,7 @@ SAMPLE, DURATION, LEAN, LEAST = 0.02, 1.0, 0.1, 40.0  # s, s, m, N/m
 spine = tc.library.spine(vertebrae=6)
 model = tc.Model(spine, strings=tc.LinearStrings(stiffness=2000.0, damping=4.0), gravity=9.81)
 print(f"{len(spine.free_rows)} coordinates of nodes, class {spine.structure_class}")
+tc.plot.structure(spine)
 
 
 def at_rest(nodes):

@@ -27,6 +27,7 @@ t_bar = tc.Structure(
     string_groups=["side"] * 4 + ["joint"] * 2,
     fixed=[0, (2, "y")],
 )
+tc.plot.structure(t_bar, labels=True, member_labels=True)
 model = tc.Model(t_bar, strings=tc.LinearStrings(stiffness=400.0, damping=1.0))
 
 

@@ -39,6 +39,7 @@ lander = tc.Structure(
     string_node_mass=[PAYLOAD],
     string_groups=["shell"] * 24 + ["payload"] * 12,
 )
+tc.plot.structure(lander)
 rest = tc.prestress(lander, min_force_density=PRESTRESS)
 ground = tc.Ground(stiffness=1e5, damping=0.1, friction=0.5, height=lander.nodes[2].min())
 

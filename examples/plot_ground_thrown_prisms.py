@@ -51,13 +51,11 @@ toppled = centre[:, 2, -1] < 0.16  # standing, the centre is 0.2 m above the gro
 print(f"{batch}: {toppled.sum()} toppled")
 
 # %%
-# One that stands and one that toppled, among other throws.
+# One that stands, and in grey one that toppled.
 
 # sphinx_gallery_thumbnail_number = 2
-drawing = tc.plot.structure(prism, batch.nodes[toppled][0][:, :, -1])
-for throw in batch.nodes[::250]:
-    tc.plot.structure(prism, throw[:, :, -1], ax=drawing.ax, faint=True)
-tc.plot.structure(prism, batch.nodes[~toppled][0][:, :, -1], ax=drawing.ax, legend=False)
+drawing = tc.plot.structure(prism, batch.nodes[toppled][0][:, :, -1], faint=True)
+tc.plot.structure(prism, batch.nodes[~toppled][0][:, :, -1], ax=drawing.ax)
 
 if __name__ == "__main__":
     plt.show()

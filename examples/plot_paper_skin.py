@@ -28,6 +28,7 @@ figure.subplots_adjust(left=0, right=1, bottom=0, top=0.9, wspace=0)
 # %%
 # The prism with skin on top and bottom, n = 2 (figure 5 of the paper).
 
+# sphinx_gallery_thumbnail_number = 2
 skinned = tc.skin(prism, panels=("top", "bottom"), iterations=2, node_mass=0.01)
 tc.plot.structure(skinned)
 

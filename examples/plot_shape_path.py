@@ -43,6 +43,8 @@ goal = tc.shape_target(
 )
 print(goal)
 print("γ, N/m:", goal.force_density.round(2))
+drawing = tc.plot.structure(prism, faint=True)
+tc.plot.structure(goal, ax=drawing.ax)
 
 # %%
 # The path. One winch runs at its limit of 0.1 m/s all the time but for the ramps.
