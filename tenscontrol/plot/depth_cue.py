@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.collections import LineCollection
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
@@ -47,11 +48,11 @@ class DepthLines(Line3DCollection):  # type: ignore[misc]  # mpl_toolkits has no
             linewidths=width[order],
             linestyles=[dashes[i % len(dashes)] for i in order],
             capstyle=self.get_capstyle(),
-            transform=self.get_transform(),
-            clip_on=False,
         )
+        Artist.update_from(drawn, self)  # transform, clipping, path effects
         drawn.set_figure(self.get_figure())
         drawn.draw(renderer)
+        self.stale = False
 
     def _by_depth(self) -> tuple[Any, FloatArray]:
         """Return the order from far to near, and the depth of each line, 0 near to 1 far."""

@@ -153,7 +153,7 @@ def _arrows(ax: Any, nodes: FloatArray, moved: FloatArray, least: float) -> Any:
         return ax.quiver(
             *ends, color=_ARROW, linewidth=1.1, arrow_length_ratio=0.3, zorder=SMALL.layer + 1
         )
-    look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "units": "dots", "width": 2.2}
+    look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "units": "inches", "width": 0.02}
     return ax.quiver(*ends, color=_ARROW, zorder=SMALL.layer + 1, **look)
 
 

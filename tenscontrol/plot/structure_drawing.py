@@ -421,7 +421,9 @@ def structure(
     Fixed nodes stand on triangles, rollers on triangles with a line, beneath or, along x, beside
     the node. Nodes that bars share are white; a node that a clustered string runs over has a
     ring, and a point mass on a bar is a large dot. A structure in the plane is drawn in flat axes.
-    Drawn into axes that hold a drawing already, the limits grow to hold both.
+    Drawn into axes that hold a drawing already, the limits grow to hold both. In space, members far
+    from the eye are paler, and the axes no longer sort what they hold by depth
+    (``computed_zorder``), so that a faint shape stays behind.
 
     Parameters
     ----------
