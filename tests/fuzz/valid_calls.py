@@ -1746,6 +1746,7 @@ call(
         "run": run(),
         "nodes": [0, 1],
         "directions": "xz",
+        "relative_to": "origin",
         "references": {"goal": 1.0},
         "axes": None,
     },
