@@ -29,6 +29,10 @@ _EXACT_SPEED, _ROUND_OFF = 1e-4, 1e-14
 # Into so many pieces, by how far it is off, so many times.
 _FEWEST, _MOST, _LEVELS = 4, 8, 12
 
+# Points along each side of a curved ground that is drawn; and how far it is drawn beyond the nodes,
+# as a part of the size.
+_GRID, _BEYOND = 33, 0.15
+
 # Nodes may be this much faster between the states kept than they are there.
 _FASTER = 2.0
 
@@ -135,6 +139,19 @@ class ContactRecord:
         """Largest impulse of the ground on a node over the run, N s."""
         return max((float(np.hypot.reduce(p)) for p in self.node_impulse.values()), default=0.0)
 
+    def pressed(self, count: int) -> np.ndarray:
+        """Return which of ``count`` nodes the ground presses on at each time, bool, shape (n, T).
+
+        Parameters
+        ----------
+        count : int
+            Nodes of the structure.
+        """
+        found = np.zeros((count, self.normal_force.shape[1]), dtype=bool)
+        for node, force in zip(self.node, self.normal_force, strict=True):
+            found[node] |= force > 0
+        return found
+
     def summary(self) -> str:
         """Return what touched, how deep, and what was lost, as text.
 
@@ -155,6 +172,34 @@ class ContactRecord:
 
     def __repr__(self) -> str:
         return f"ContactRecord({len(self.node)} contacts, {len(self.touch)} times)"
+
+
+def ground_surface(law: ContactLaw, nodes: FloatArray) -> FloatArray:
+    """Return points of a ground about a motion (d, n, T), on a grid: (d, a, b), b = 1 in the plane.
+
+    There is none of a ground that is farther from the motion than the size of the motion.
+    """
+    d = len(nodes)
+    points = nodes.reshape(d, -1)
+    size = float(np.ptp(points, axis=1).max())
+    curved = law.height if isinstance(law.height, ca.Function) else None
+    up = np.eye(d)[-1] if curved else law.up(d)
+    along = np.linalg.svd(up[None])[2][1:]  # the directions in the ground
+    places = along @ points
+    count = _GRID if curved else 2
+    lower, upper = places.min(axis=1) - _BEYOND * size, places.max(axis=1) + _BEYOND * size
+    mesh = np.meshgrid(*np.linspace(lower, upper, count).T, indexing="ij")
+    flat = np.stack([each.ravel() for each in mesh])
+    if curved:
+        across = (along.T @ flat)[:-1]
+        height = np.array(curved(*(ca.DM(row[None]) for row in across))).ravel()
+    else:
+        height = np.full(flat.shape[1], law.height)
+    surface = along.T @ flat + up[:, None] * height
+    away = up @ points
+    if away.min() - height.max() > size or height.min() - away.max() > size:
+        return np.zeros((d, 0, 1))
+    return np.asarray(surface.reshape(d, count, -1))
 
 
 class _Motion(Protocol):
