@@ -24,7 +24,7 @@
   // ---- what is shown ----
 
   // Place in the motion, s, or in the swing of a mode, turns.
-  const now = { clock: 0, frame: 0, playing: false };
+  const now = { clock: 0, frame: 0, playing: false, turning: false };
 
   function swung() {
     const mode = Number(byId("mode").value);
@@ -94,7 +94,7 @@
 
   function tell() {
     if (real !== null) {
-      byId("told").textContent = `${(100 * Number(byId("amplitude").value)).toFixed(1)} % of the size`;
+      byId("share").textContent = `${(100 * Number(byId("amplitude").value)).toFixed(1)} % of the size`;
       return;
     }
     if (frames > 1) byId("told").textContent = `t = ${spec.time[now.frame].toFixed(3)} s`;
@@ -119,6 +119,13 @@
   let before = 0;
   async function step(moment) {
     if (!now.playing) return;
+    // Drawing puts the eye where the layout has it, and plotly tells the layout when the mouse is let
+    // go: the motion waits while the view is turned.
+    if (now.turning) {
+      before = moment;
+      requestAnimationFrame(step);
+      return;
+    }
     now.clock += (Number(byId("speed").value) * (moment - before)) / 1000;
     before = moment;
     if (real === null) {
@@ -159,25 +166,62 @@
     byId("amplitude").max = spec.mostAmplitude;
     byId("amplitude").value = spec.amplitude;
     for (const id of ["mode", "amplitude"]) byId(id).addEventListener("input", () => now.playing || draw());
-    show("play", "speeds", "modes", "amplitudes", "told");
+    show("play", "speeds", "modes", "amplitudes");
   }
+  plot.addEventListener("pointerdown", () => (now.turning = true));
+  for (const end of ["pointerup", "pointercancel"]) window.addEventListener(end, () => (now.turning = false));
   byId("play").addEventListener("click", () => play(!now.playing));
   Object.keys(spec.colors).forEach((name) => byId("color").add(new Option(name, name)));
-  byId("color").addEventListener("input", colored);
+  byId("color").addEventListener("input", choose);
   if (Object.keys(spec.colors).length) show("colors");
   byId("numbers").addEventListener("input", () => {
     const mode = byId("numbers").checked ? "markers+text" : "markers";
     Plotly.restyle(plot, { mode }, [names.indexOf("nodes")]);
   });
 
+  // Our own legend and colour bar: plotly would draw its own anew in every state.
+  const gradient = `linear-gradient(to right, ${spec.scale.map((step) => step[1]).join(", ")})`;
+  function explain(colored) {
+    const rows = spec.figure.data.filter((trace) => trace.showlegend !== false);
+    byId("keys").replaceChildren(
+      ...rows.map((trace) => {
+        const row = document.createElement("div");
+        const line = trace.line;
+        const sample = document.createElement(line ? "i" : "b");
+        if (line) {
+          sample.style.borderTop = `${Math.max(line.width / 2, 2)}px ${line.dash ? "dotted" : "solid"} ${line.color}`;
+          if (colored && trace.name === "strings") {
+            sample.style.height = sample.style.borderTopWidth;
+            sample.style.borderTop = "none";
+            sample.style.background = gradient;
+          }
+        } else {
+          sample.textContent = trace.marker ? { "diamond-open": "◇", square: "■" }[trace.marker.symbol] ?? "●" : "▰";
+          sample.style.color = trace.marker ? trace.marker.color : "#bdbdbd";
+        }
+        row.append(sample, trace.name);
+        return row;
+      }),
+    );
+  }
+
   const plain = spec.figure.data[names.indexOf("strings")].line;
-  function colored() {
+  function choose() {
     const name = byId("color").value;
-    const scale = spec.scale.map((color, i) => [i / (spec.scale.length - 1), color]);
-    const bar = { title: { text: name }, thickness: 14, len: 0.6 };
+    const most = spec.colors[name] || 1;
     plot.data[names.indexOf("strings")].line = name
-      ? { ...plain, colorscale: scale, cmin: 0, cmax: spec.colors[name], showscale: true, colorbar: bar }
+      ? { width: plain.width, colorscale: spec.scale, cmin: 0, cmax: most }
       : { ...plain };
+    byId("scale").hidden = !name;
+    byId("scale").firstChild.textContent = name;
+    const ticks = [0, 0.25, 0.5, 0.75, 1].map((part) => {
+      const mark = document.createElement("span");
+      mark.style.bottom = `${100 * part}%`;
+      mark.textContent = part ? (part * most).toPrecision(3) : "0";
+      return mark;
+    });
+    byId("marks").replaceChildren(...ticks);
+    explain(Boolean(name));
     return draw();
   }
 
@@ -188,6 +232,6 @@
     modeBarButtons: [["toImage", "resetCameraDefault3d"]],
   });
   if (Object.keys(spec.colors).length) byId("color").value = Object.keys(spec.colors)[0];
-  await colored();
+  await choose();
   document.body.dataset.ready = "yes";
 })();

@@ -151,6 +151,7 @@ class View:
         """
         parts = {
             "TITLE": escape(self.title),
+            "COLORS": ", ".join(_COLORS),
             "SPEC": json.dumps(self._spec(), allow_nan=False).replace("</", "<\\/"),
             "SCRIPT": _text("web_page.js"),
             "PLOTLY": _plotly_js(),
@@ -202,11 +203,11 @@ class View:
     @cached_property
     def _kept(self) -> IntArray:
         """The states of the page: all, or as many as it may hold, evenly."""
-        return self._thinned(_MOST_FRAMES, _MOST_NUMBERS)
+        each = self.nodes[:, :, 0].size + len(self.members.strings)
+        return self._thinned(min(_MOST_FRAMES, _MOST_NUMBERS // each))
 
-    def _thinned(self, frames: int, numbers: int) -> IntArray:
-        count, each = self.nodes.shape[2], self.nodes[:, :, 0].size + len(self.members.strings)
-        most = max(2, min(frames, numbers // each))
+    def _thinned(self, most: int) -> IntArray:
+        count, most = self.nodes.shape[2], max(2, most)
         return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
     @cached_property
@@ -249,7 +250,8 @@ class View:
             colors["tension, N"] = float(tension.max())
             colors["force density γ, N/m"] = float(gamma[:, self._kept].max())
         return {
-            "figure": {"data": self._traces(), "layout": self._layout()},
+            "scale": [[k / (len(_COLORS) - 1), color] for k, color in enumerate(_COLORS)],
+            "figure": {"data": self._traces(), "layout": self._layout() | {"showlegend": False}},
             "index": self._index,
             "dimension": self._dimension,
             "size": self._size,
@@ -260,7 +262,6 @@ class View:
             "segments": self.members.segments.tolist(),
             "segmentString": self.members.segment_string.tolist(),
             "colors": colors,
-            "scale": _COLORS,
             "pressed": self._pressed_nodes,
             "labels": list(self.labels),
             "real": None if self.shapes is None else _packed(self._at_largest.real),
@@ -308,8 +309,8 @@ class View:
         share = min(1.0, max(_LEAST_SHARE, (_FEW / max(few, 1)) ** 0.5))
         width, nodes = share * _STRING_WIDTH, self._shape(0)
         taut, slack = self._strings(0)
-        base = {"type": "scatter3d", "mode": "lines", "hoverinfo": "skip"}
-        dots = {"type": "scatter3d", "mode": "markers"}
+        base: dict[str, Any] = {"type": "scatter3d", "mode": "lines", "hoverinfo": "skip"}
+        dots: dict[str, Any] = {"type": "scatter3d", "mode": "markers"}
         axes = "xyz"[: self._dimension]
         place = "<br>".join(f"{axis} %{{{axis}:.4g}} m" for axis in axes)
         traces = [
@@ -375,7 +376,7 @@ class View:
         if self._dimension == 2:
             points = np.vstack([grid[:, :, 0], np.full(grid.shape[1], -_BEHIND * self._size)])
             line = {"color": "#9a9a9a", "width": 4}
-            look = {"type": "scatter3d", "mode": "lines", "line": line}
+            look: dict[str, Any] = {"type": "scatter3d", "mode": "lines", "line": line}
         else:
             points = grid
             scale = [[0, "#bdbdbd"], [1, "#bdbdbd"]]
@@ -414,7 +415,7 @@ class View:
             "center": {"x": 0.0, "y": 0.0, "z": -0.05},
         }
         if is_flat:
-            aspect = 1.75 * extent / extent.max()
+            aspect = 1.5 * extent / extent.max()
             camera = {
                 "eye": {"x": 0.0, "y": 0.0, "z": 1.6},
                 "up": {"x": 0.0, "y": 1.0, "z": 0.0},
@@ -454,25 +455,23 @@ class View:
         """
         layout = self._layout() | {"height": _HEIGHT, "title": {"text": self.title}}
         layout["margin"] |= {"t": 40}
-        figure = {"data": self._traces(), "layout": layout}
+        figure: dict[str, Any] = {"data": self._traces(), "layout": layout}
+        most = _MOST_NOTEBOOK_NUMBERS // (9 * (len(self.members.bars) + len(self.members.segments)))
         if self.shapes is not None:
-            shown = [
-                self._displaced(mode)
-                for mode in range(min(len(self.labels), _MOST_NOTEBOOK_FRAMES))
-            ]
+            count = min(len(self.labels), max(most, 1), _MOST_NOTEBOOK_FRAMES)
+            shown = [self._displaced(mode) for mode in range(count)]
             names, said = list(self.labels[: len(shown)]), "mode "
         elif self.time is not None and self.nodes.shape[2] > 1:
-            kept = self._thinned(_MOST_NOTEBOOK_FRAMES, _MOST_NOTEBOOK_NUMBERS)
+            kept = self._thinned(min(_MOST_NOTEBOOK_FRAMES, most))
             shown = [self._moved(state) for state in kept]
             names, said = [f"{self.time[state]:.4g}" for state in kept], "time, s: "
         else:
-            return _rounded(figure)
-        count = len(shown[0])
+            return dict(_rounded(figure))
         figure["frames"] = [
-            {"name": str(k), "data": data, "traces": list(range(count))}
+            {"name": str(k), "data": data, "traces": list(range(len(data)))}
             for k, data in enumerate(shown)
         ]
-        play = {"mode": "immediate", "frame": {"duration": 50, "redraw": True}}
+        play: dict[str, Any] = {"mode": "immediate", "frame": {"duration": 50, "redraw": True}}
         steps = [
             {"label": name, "method": "animate", "args": [[str(k)], play]}
             for k, name in enumerate(names)
@@ -489,7 +488,7 @@ class View:
             ]
             place = {"x": 0.0, "y": 0.0, "xanchor": "left", "yanchor": "top", "pad": {"t": 30}}
             layout["updatemenus"] = [{"type": "buttons", "buttons": buttons, **place}]
-        return _rounded(figure)
+        return dict(_rounded(figure))
 
     def _moved(self, state: int) -> list[dict[str, Any]]:
         """Return the traces that move, in a state."""

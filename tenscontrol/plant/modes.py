@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -205,9 +205,9 @@ def modes_of(plant: LinearPlant, poles: np.ndarray, vectors: np.ndarray) -> Mode
 
 def _cut(whole: Modes, count: int) -> Modes:
     """Return the first modes."""
-    names = ("frequency", "damping", "pole", "shape")
-    parts = {name: frozen(np.array(getattr(whole, name)[..., :count])) for name in names}
-    return replace(whole, **parts, label=whole.label[:count])
+    arrays = (whole.frequency, whole.damping, whole.pole, whole.shape)
+    frequency, damping, pole, shape = (frozen(np.array(each[..., :count])) for each in arrays)
+    return Modes(frequency, damping, pole, shape, whole.label[:count], whole.structure, whole.nodes)
 
 
 def lowest(plant: LinearPlant, count: int) -> tuple[np.ndarray, np.ndarray, list[str]] | None:
