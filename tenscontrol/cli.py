@@ -27,7 +27,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Ended by Ctrl-C or SIGTERM, it keeps what is done, says so in a line, and returns 130 or 143.
     """
     options = _parser().parse_args(arguments)
-    commands = {"demo": _demo, "simulate": _simulate, "modes": _modes, "accuracy": _accuracy}
+    commands = {
+        "demo": _demo,
+        "simulate": _simulate,
+        "modes": _modes,
+        "view": _view,
+        "accuracy": _accuracy,
+    }
     ignored = warnings.catch_warnings(action="ignore", category=InterruptionWarning)
     with interruptible() as came, ignored:
         try:
@@ -36,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(end="", flush=True)
                 if came.signal is None:
                     return 0
-        except (ValueError, ArithmeticError, OSError, MemoryError) as error:
+        except (ValueError, ArithmeticError, OSError, MemoryError, ImportError) as error:
             print(f"tenscontrol: {_told(error)}", file=sys.stderr)
             return 2
     print("tenscontrol: interrupted; what is above was done by then", file=sys.stderr)
@@ -119,6 +125,25 @@ def _modes(options: argparse.Namespace) -> None:
     print(found.table())
     folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
     _save(plot.mode_shapes(plant, found)[0].ax.figure, folder / "modes.png")
+
+
+def _view(options: argparse.Namespace) -> None:
+    from tenscontrol.scene import load_scene
+    from tenscontrol.web_page import plotly_js
+
+    plotly_js()  # where it is missing, say so before the simulation
+    scene = load_scene(options.scene)
+    folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
+    try:
+        run = scene.simulate(progress=True)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{options.scene}: {error}") from error
+    page = run.to_html(folder / "view.html")
+    print(page)
+    if sys.stdout.isatty() if options.browser is None else options.browser:
+        import webbrowser
+
+        webbrowser.open(page.absolute().as_uri())
 
 
 def _accuracy(options: argparse.Namespace) -> None:
@@ -233,6 +258,17 @@ def _parser() -> argparse.ArgumentParser:
         description="Linearize a scene about its shape, which must be at rest, print its modes "
         "and save the figure modes.png.",
     )
+    view = commands.add_parser(
+        "view",
+        help="simulate a scene file and show the motion in the browser",
+        description="Simulate a scene and write view.html, a page on which the motion is turned, "
+        "played and scrubbed. It needs no network, and the package plotly to be written.",
+    )
+    view.add_argument(
+        "--browser",
+        action=argparse.BooleanOptionalAction,
+        help="open the page in the browser (default: if the output is a terminal)",
+    )
     accuracy = commands.add_parser(
         "accuracy",
         help="measure error against run time of all methods on a scene file",
@@ -240,7 +276,7 @@ def _parser() -> argparse.ArgumentParser:
         "time and what is conserved, and save them as accuracy.csv, accuracy.md and accuracy.png. "
         "Of a scene with a controller or faults, the open loop without them is taken.",
     )
-    for command in (simulate, modes, accuracy):
+    for command in (simulate, modes, view, accuracy):
         command.add_argument("scene", metavar="SCENE", type=Path, help="scene file (TOML)")
         command.add_argument(
             "--output", type=Path, help="folder for what is saved (default: tenscontrol-<SCENE>)"

@@ -13,7 +13,6 @@ from base64 import b64encode
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
-from importlib.resources import files
 from os import PathLike
 from pathlib import Path
 from typing import Any, Protocol
@@ -154,7 +153,7 @@ class View:
             "COLORS": ", ".join(_COLORS),
             "SPEC": json.dumps(self._spec(), allow_nan=False).replace("</", "<\\/"),
             "SCRIPT": _text("web_page.js"),
-            "PLOTLY": _plotly_js(),
+            "PLOTLY": plotly_js(),
         }
         return re.sub(
             f"@({'|'.join(parts)})@", lambda found: parts[found[1]], _text("web_page.html")
@@ -236,10 +235,10 @@ class View:
         """γ times length, N, shape (α, kept)."""
         if self.force_density is None:
             return None
-        start, end = self.members.segments.T
-        lengths = np.linalg.norm(self.nodes[:, end] - self.nodes[:, start], axis=0)[:, self._kept]
-        whole = np.zeros((len(self.members.strings), len(self._kept)))
-        np.add.at(whole, self.members.segment_string, lengths)
+        kept, (start, end) = self.nodes[:, :, self._kept], self.members.segments.T
+        lengths = np.linalg.norm(kept[:, end] - kept[:, start], axis=0)
+        firsts = np.searchsorted(self.members.segment_string, np.arange(len(self.members.strings)))
+        whole = np.add.reduceat(lengths, firsts, axis=0) if len(firsts) else lengths
         return np.asarray(self.force_density[:, self._kept] * whole)
 
     def _spec(self) -> dict[str, Any]:
@@ -468,7 +467,11 @@ class View:
         else:
             return dict(_rounded(figure))
         figure["frames"] = [
-            {"name": str(k), "data": data, "traces": list(range(len(data)))}
+            {
+                "name": str(k),
+                "data": [{"type": "scatter3d"} | trace for trace in data],
+                "traces": list(range(len(data))),
+            }
             for k, data in enumerate(shown)
         ]
         play: dict[str, Any] = {"mode": "immediate", "frame": {"duration": 50, "redraw": True}}
@@ -542,10 +545,10 @@ class Viewable(ABC):
 
 
 def _text(name: str) -> str:
-    return files("tenscontrol").joinpath(name).read_text(encoding="utf-8")
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
-def _plotly_js() -> str:
+def plotly_js() -> str:
     """Return the library that draws, or say how to get it."""
     try:
         from plotly.offline import get_plotlyjs

@@ -139,19 +139,6 @@ class ContactRecord:
         """Largest impulse of the ground on a node over the run, N s."""
         return max((float(np.hypot.reduce(p)) for p in self.node_impulse.values()), default=0.0)
 
-    def pressed(self, count: int) -> np.ndarray:
-        """Return which of ``count`` nodes the ground presses on at each time, bool, shape (n, T).
-
-        Parameters
-        ----------
-        count : int
-            Nodes of the structure.
-        """
-        found = np.zeros((count, self.normal_force.shape[1]), dtype=bool)
-        for node, force in zip(self.node, self.normal_force, strict=True):
-            found[node] |= force > 0
-        return found
-
     def summary(self) -> str:
         """Return what touched, how deep, and what was lost, as text.
 
@@ -174,32 +161,33 @@ class ContactRecord:
         return f"ContactRecord({len(self.node)} contacts, {len(self.touch)} times)"
 
 
-def ground_surface(law: ContactLaw, nodes: FloatArray) -> FloatArray:
-    """Return points of a ground about a motion (d, n, T), on a grid: (d, a, b), b = 1 in the plane.
+def drawn_ground(
+    laws: Sequence[ContactLaw], record: ContactRecord | None, nodes: FloatArray
+) -> dict[str, Any]:
+    """Return the ground of a motion (d, n, T) as ``View`` takes it: what is near, who presses."""
+    pressed = None if record is None else np.zeros(nodes.shape[1:], dtype=bool)
+    if record is not None and pressed is not None:
+        for node, force in zip(record.node, record.normal_force, strict=True):
+            pressed[node] |= force > 0
+    surfaces = [_surface(law, nodes.reshape(len(nodes), -1)) for law in laws]
+    return {"ground": tuple(each for each in surfaces if each is not None), "pressed": pressed}
 
-    There is none of a ground that is farther from the motion than the size of the motion.
-    """
-    d = len(nodes)
-    points = nodes.reshape(d, -1)
-    size = float(np.ptp(points, axis=1).max())
+
+def _surface(law: ContactLaw, points: FloatArray) -> FloatArray | None:
+    """Return a grid (d, a, b) on a ground, b = 1 in the plane; None if it is a size away."""
+    d, size = len(points), float(np.ptp(points, axis=1).max())
     curved = law.height if isinstance(law.height, ca.Function) else None
     up = np.eye(d)[-1] if curved else law.up(d)
     along = np.linalg.svd(up[None])[2][1:]  # the directions in the ground
-    places = along @ points
-    count = _GRID if curved else 2
+    places, count = along @ points, _GRID if curved else 2
     lower, upper = places.min(axis=1) - _BEYOND * size, places.max(axis=1) + _BEYOND * size
     mesh = np.meshgrid(*np.linspace(lower, upper, count).T, indexing="ij")
-    flat = np.stack([each.ravel() for each in mesh])
-    if curved:
-        across = (along.T @ flat)[:-1]
-        height = np.array(curved(*(ca.DM(row[None]) for row in across))).ravel()
-    else:
-        height = np.full(flat.shape[1], law.height)
-    surface = along.T @ flat + up[:, None] * height
-    away = up @ points
-    if away.min() - height.max() > size or height.min() - away.max() > size:
-        return np.zeros((d, 0, 1))
-    return np.asarray(surface.reshape(d, count, -1))
+    across = along.T @ np.stack([each.ravel() for each in mesh])
+    height = np.array(curved(*(ca.DM(row[None]) for row in across[:-1]))) if curved else law.height
+    gap = up @ points
+    if gap.min() - np.max(height) > size or np.min(height) - gap.max() > size:
+        return None
+    return np.asarray((across + up[:, None] * height).reshape(d, count, -1))
 
 
 class _Motion(Protocol):

@@ -14,7 +14,7 @@ from tenscontrol.actuation import MotorRecord
 from tenscontrol.control import UNSOLVED, Fallback, Status
 from tenscontrol.dynamics import ContactLaw
 from tenscontrol.integrate import Choice, Work
-from tenscontrol.simulation.contacts import ContactRecord, ground_surface
+from tenscontrol.simulation.contacts import ContactRecord, drawn_ground
 from tenscontrol.simulation.faults import Fault
 from tenscontrol.simulation.health import BLOCK, Health, Quantities, by_node, read_only
 from tenscontrol.simulation.observation import EstimateRecord
@@ -540,15 +540,9 @@ class Trajectory(Viewable):
         -------
         View
         """
-        return View(
-            f"run of {self.time[-1]:g} s by {self.method}",
-            self.structure,
-            self.nodes,
-            self.time,
-            self.force_density,
-            ground=tuple(ground_surface(law, self.nodes) for law in self.ground),
-            pressed=None if self.contacts is None else self.contacts.pressed(self.nodes.shape[1]),
-        )
+        what = f"run of {self.time[-1]:g} s by {self.method}"
+        ground = drawn_ground(self.ground, self.contacts, self.nodes)
+        return View(what, self.structure, self.nodes, self.time, self.force_density, **ground)
 
     def __repr__(self) -> str:
         return f"Trajectory({self.time[-1]:g} s, {len(self.time)} states, {self.method})"
