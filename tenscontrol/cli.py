@@ -77,7 +77,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     _complete(parser)
     options = parser.parse_args(arguments)
     commands = {
-        "demo": _demo, "new": _new, "simulate": _simulate, "modes": _modes, "accuracy": _accuracy,
+        "demo": _demo, "new": _new, "simulate": _simulate, "modes": _modes, "view": _view,
+        "accuracy": _accuracy,
     }  # fmt: skip
     options.summary = sys.stdout if getattr(options, "json", False) else None
     apart = nullcontext() if options.summary is None else redirect_stdout(sys.stderr)
@@ -89,7 +90,7 @@ def _run(arguments: Sequence[str] | None) -> int:
                 print(end="", flush=True)
                 if came.signal is None:
                     return 0
-        except (ValueError, ArithmeticError, OSError, MemoryError) as error:
+        except (ValueError, ArithmeticError, OSError, MemoryError, ImportError) as error:
             print(f"tenscontrol: {_told(error)}", file=sys.stderr)
             return 2
     print("tenscontrol: interrupted; what is above was done by then", file=sys.stderr)
@@ -221,6 +222,25 @@ def _modes(options: argparse.Namespace) -> None:
         from tenscontrol.summaries import of_modes
 
         _print_json(options, of_modes(plant, found), [figure])
+
+
+def _view(options: argparse.Namespace) -> None:
+    from tenscontrol.scene import load_scene
+    from tenscontrol.web_page import plotly_js
+
+    plotly_js()  # where it is missing, say so before the simulation
+    scene = load_scene(options.scene)
+    folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
+    try:
+        run = scene.simulate(progress=True)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{options.scene}: {error}") from error
+    page = run.to_html(folder / "view.html")
+    print(page)
+    if sys.stdout.isatty() if options.browser is None else options.browser:
+        import webbrowser
+
+        webbrowser.open(page.absolute().as_uri())
 
 
 def _accuracy(options: argparse.Namespace) -> None:

@@ -23,6 +23,7 @@ def command_parser() -> argparse.ArgumentParser:
     _add_new(commands)
     _add_simulate(commands)
     _add_modes(commands)
+    _add_view(commands)
     _add_accuracy(commands)
     return parser
 
@@ -139,6 +140,23 @@ def _add_modes(commands: Any) -> None:
         default="internal",
         help="internal: changes of shape; minimal: rigid-body motions too; nodes: all node "
         "coordinates (default: %(default)s)",
+    )
+
+
+def _add_view(commands: Any) -> None:
+    view = _command(
+        commands,
+        "view",
+        "show the motion of a scene in the browser",
+        "Simulate a scene and write view.html, a page on which the motion is turned and\n"
+        "played. The page needs no network. Writing it needs the package plotly.",
+        "tenscontrol view six_bar_ball.toml",
+    )
+    _add_scene(view)
+    view.add_argument(
+        "--browser",
+        action=argparse.BooleanOptionalAction,
+        help="open the page in the browser (default: if the output is a terminal)",
     )
 
 

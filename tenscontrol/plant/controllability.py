@@ -17,7 +17,8 @@ from tenscontrol.plant.linear_plant import (
     squared_frequencies,
     state_units,
 )
-from tenscontrol.plant.modes import Modes, modes_of, reduce
+from tenscontrol.plant.modes import Modes, modes_of
+from tenscontrol.plant.reduced_dynamics import reduce
 from tenscontrol.plant.string_outputs import to_commanded_strings
 from tenscontrol.validation import FloatArray, freeze_arrays, frozen, instance, whole_number
 

@@ -32,7 +32,8 @@ from tenscontrol.integrate import (
 from tenscontrol.interrupt import finishing
 from tenscontrol.simulation.contacts import Segments, record_contacts
 from tenscontrol.simulation.faults import Faults
-from tenscontrol.simulation.trajectory import ControlRecord, Quantities, Trajectory
+from tenscontrol.simulation.health import Quantities
+from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
 from tenscontrol.structure import Structure, carried_by_supports, node_mass
 from tenscontrol.validation import FloatArray, frozen, positive_number
 

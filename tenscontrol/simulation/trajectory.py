@@ -12,14 +12,15 @@ import numpy as np
 
 from tenscontrol.actuation import MotorRecord
 from tenscontrol.control import UNSOLVED, Fallback, Status
-from tenscontrol.dynamics import ContactLaw, Model, evaluate_columns
+from tenscontrol.dynamics import ContactLaw
 from tenscontrol.integrate import Choice, Work
-from tenscontrol.simulation.contacts import ContactRecord
+from tenscontrol.simulation.contacts import ContactRecord, drawn_ground
 from tenscontrol.simulation.faults import Fault
-from tenscontrol.simulation.health import Health
+from tenscontrol.simulation.health import BLOCK, Health, Quantities, by_node, read_only
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray
+from tenscontrol.web_page import View, Viewable
 
 # A run ends away from its reference: by this part of the size, with errors in the last third above
 # this part of those before, if it lasts so many radians of the slowest vibration. Or
@@ -207,68 +208,12 @@ class ControlRecord:
         return dict(Counter(fallback for fallback in self.fallback if fallback is not None))
 
 
-# Times at which functions of the model are evaluated in one go: few enough that what they need of a
-# large structure stays small.
-_BLOCK = 128
-
-
-@dataclass(frozen=True, eq=False)
-class Quantities:
-    """What energies, momenta and force densities of a motion are evaluated from, when asked for.
-
-    Attributes
-    ----------
-    model : Model
-    moved : bool
-        Whether supports move: functions are then those of all nodes.
-    inputs : ndarray, shape (α, T)
-        Rest lengths or force densities.
-    load : ndarray, shape (d, n), or (d n, T) where it changes, node by node; or None
-        N.
-    stored : ndarray, shape (T,), or None
-        What the ground stores, J.
-    """
-
-    model: Model
-    moved: bool
-    inputs: FloatArray
-    load: FloatArray | None = None
-    stored: FloatArray | None = None
-
-    def of(
-        self, name: str, nodes: FloatArray, velocities: FloatArray, *more: FloatArray
-    ) -> list[FloatArray]:
-        """Return a function of the model at all times, read-only: one array an output."""
-        model, count = self.model, nodes.shape[2]
-        every = self.moved or not len(model.structure.fixed_rows)
-        rows = slice(None) if every else model.structure.free_rows
-        function = model.of_all_nodes(name) if self.moved else getattr(model, name)
-
-        def within(first: int) -> list[FloatArray]:
-            some = slice(first, first + _BLOCK)
-            moving = [_by_node(part[:, :, some])[rows] for part in (nodes, velocities)]
-            return evaluate_columns(function, np.vstack(moving), *(each[:, some] for each in more))
-
-        parts = zip(*(within(first) for first in range(0, count, _BLOCK)), strict=True)
-        return [_read_only(np.hstack(part)) for part in parts]
-
-
 # What a trajectory evaluates when it is first read.
 _EVALUATED = ("force_density", "kinetic_energy", "potential_energy", "_momenta", "bar_length_error")
 
 
-def _by_node(part: FloatArray) -> FloatArray:
-    """Return shape (d n, T), node by node, of (d, n, T)."""
-    return part.swapaxes(0, 1).reshape(-1, part.shape[2])
-
-
-def _read_only(array: FloatArray) -> FloatArray:
-    array.setflags(write=False)
-    return array
-
-
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Viewable):
     """A simulated motion. Made by :func:`simulate`.
 
     Energies, momenta, force densities and bar-length errors are evaluated when they are first read,
@@ -397,9 +342,9 @@ class Trajectory:
             energy = energy - (
                 np.einsum("in,int->t", quantities.load, self.nodes)
                 if fixed
-                else (quantities.load * _by_node(self.nodes)).sum(axis=0)
+                else (quantities.load * by_node(self.nodes)).sum(axis=0)
             )
-        return _read_only(energy)
+        return read_only(energy)
 
     @property
     def momentum(self) -> FloatArray:
@@ -420,12 +365,12 @@ class Trajectory:
         """Current length less true length of each bar, m, shape (β, T)."""
         start, end = self.structure.bars.T
         error = np.empty((len(start), len(self.time)))
-        for first in range(0, len(self.time), _BLOCK):
-            some = slice(first, first + _BLOCK)
+        for first in range(0, len(self.time), BLOCK):
+            some = slice(first, first + BLOCK)
             bars = self.nodes[:, end, some] - self.nodes[:, start, some]
             error[:, some] = np.linalg.norm(bars, axis=0)
         error -= self.structure.bar_length[:, None]
-        return _read_only(error)
+        return read_only(error)
 
     def _evaluated(self, name: str, *more: FloatArray) -> list[FloatArray]:
         return self._of_model.of(name, self.nodes, self.velocities, *more)
@@ -587,6 +532,17 @@ class Trajectory:
         if self.work.unlocated:
             lines.append(f"not located       {self.work.unlocated} steps across a switch")
         return lines
+
+    def view(self) -> View:
+        """Return a view to be played in a browser.
+
+        Returns
+        -------
+        View
+        """
+        what = f"run of {self.time[-1]:g} s by {self.method}"
+        ground = drawn_ground(self.ground, self.contacts, self.nodes)
+        return View(what, self.structure, self.nodes, self.time, self.force_density, **ground)
 
     def __repr__(self) -> str:
         return f"Trajectory({self.time[-1]:g} s, {len(self.time)} states, {self.method})"

@@ -35,6 +35,7 @@ from tenscontrol.validation import (
     positive,
     shaped,
 )
+from tenscontrol.web_page import View, Viewable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class Structure:
+class Structure(Viewable):
     """A tensegrity structure: rigid bars in a net of strings, in space or in the plane.
 
     Bars may share nodes, where they are joined by a ball joint (a pin in the plane). Nodes keep the
@@ -240,6 +241,15 @@ class Structure:
                 "expected at least one segment of each"
             )
         return frozen(parent)
+
+    def view(self) -> View:
+        """Return a view of the reference shape, to be turned in a browser.
+
+        Returns
+        -------
+        View
+        """
+        return View("structure", self, self.nodes[:, :, None])
 
     def __repr__(self) -> str:
         return (

@@ -68,6 +68,7 @@ WRITERS = {
     "figure.pdf": lambda path: tc.plot.save_figure(figure(), path),
     "figure.svg": lambda path: tc.plot.save_figure(figure(), path),
     "run.gif": lambda path: tc.plot.animate(run(), path, fps=20, dpi=40),
+    "run.html": lambda path: run().to_html(path),
     "code": lambda path: tc.generate_c(controller(), path),
 }
 

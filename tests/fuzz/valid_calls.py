@@ -125,6 +125,7 @@ RESULTS = {
     "plot.ModeShape",
     "plot.PoleMap",
     "plot.SweepDrawing",
+    "plot.View",
     "robustness.SweepError",
     "robustness.SweepFailure",
     "robustness.SweepReport",
@@ -171,6 +172,7 @@ ABSTRACT = {
 WITHIN = {
     "dynamics.Equation.masses",
     "simulation.Trajectory.health_of",
+    "plot.View.open",
     *(
         f"integrate.{method}.{name}"
         for method in ("RK4", "Rattle", "Rattle4", "Rattle6")
@@ -471,6 +473,10 @@ def symmetry():
 @cache
 def drawing():
     return tc.plot.structure(prism())
+
+
+def view():
+    return tc.plot.view(run())
 
 
 def reference():
@@ -1688,6 +1694,18 @@ call(
     },
     share=0.03,
 )
+call("plot.view", lambda: {"shown": prism(), "force_density": gamma()}, share=0.3)
+call("plot.View.html", on=view, share=0.03)
+call("plot.View.figure", on=view, share=0.1)
+call("plot.View.save", lambda: {"path": scratch("view.html")}, view, 0.03)
+call("Structure.view", on=prism, share=0.1)
+call("Structure.to_html", lambda: {"path": scratch("page.html")}, prism, 0.03)
+call("plant.Modes.view", on=lambda: tc.modes(plant()), share=0.1)
+call("plant.Modes.to_html", lambda: {"path": scratch("page.html")}, lambda: tc.modes(plant()), 0.03)
+call("shape.ShapePath.view", on=short_path, share=0.1)
+call("shape.ShapePath.to_html", lambda: {"path": scratch("page.html")}, short_path, 0.03)
+call("simulation.Trajectory.view", on=run, share=0.1)
+call("simulation.Trajectory.to_html", lambda: {"path": scratch("page.html")}, run, 0.03)
 call("plot.convergence_order", lambda: {"result": order(), "ax": flat()}, share=0.2)
 call("plot.estimate", lambda: {"run": closed_run(), "strings": [0, 1], "axes": None}, share=0.1)
 call("plot.tracking", lambda: {"run": closed_run(), "axes": None}, share=0.1)

@@ -341,3 +341,22 @@ def test_a_full_disk(tmp_path, scene):
 def test_memory_that_ends(error, message, capsys, scene, monkeypatch):
     monkeypatch.setattr("tenscontrol.scene.load_scene", Mock(side_effect=error))
     assert message in refused(capsys, "modes", scene)
+
+
+def test_view_writes_a_page_and_opens_it_only_when_asked(tmp_path, capsys, scene, monkeypatch):
+    shown = []
+    monkeypatch.setattr("webbrowser.open", shown.append)
+    assert main(["view", str(scene), "--output", str(tmp_path)]) == 0
+    page = tmp_path / "view.html"
+    assert capsys.readouterr().out == f"{page}\n"
+    assert "<title>run of 0.1 s by" in page.read_text("utf-8")
+    assert shown == []
+    assert main(["view", str(scene), "--output", str(tmp_path), "--browser"]) == 0
+    assert shown == [page.as_uri()]
+
+
+def test_view_without_plotly_says_how_to_get_it(tmp_path, capsys, scene, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    said = refused(capsys, "view", scene, "--output", tmp_path)
+    assert "pip install 'tenscontrol[view]'" in said
+    assert not (tmp_path / "view.html").exists()
