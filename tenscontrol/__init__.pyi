@@ -176,9 +176,6 @@ from .shape import (
     NodesAt as NodesAt,
 )
 from .shape import (
-    PointAt as PointAt,
-)
-from .shape import (
     RotationalSymmetry as RotationalSymmetry,
 )
 from .shape import (
@@ -201,6 +198,9 @@ from .simulation import (
 )
 from .simulation import (
     StuckWinch as StuckWinch,
+)
+from .simulation import (
+    load_run as load_run,
 )
 from .simulation import (
     simulate as simulate,
@@ -254,7 +254,6 @@ __all__ = [
     "OneOf",
     "OperatingPoint",
     "OutputLimit",
-    "PointAt",
     "Profile",
     "Reference",
     "RotationalSymmetry",
@@ -272,6 +271,7 @@ __all__ = [
     "equilibrium",
     "generate_c",
     "linearize",
+    "load_run",
     "load_scene",
     "long_run",
     "modes",

@@ -82,10 +82,8 @@ def _simulate(options: argparse.Namespace) -> None:
 
 def _keep(run: Trajectory, folder: Path) -> None:
     """Print the summary of a motion and save it."""
-    from tenscontrol.scene import save_trajectory
-
     with finishing():
-        saved = save_trajectory(run, folder / "trajectory.npz")  # also where nobody reads the rest
+        saved = run.save(folder / "trajectory.npz")  # also where nobody reads the rest
         print(run.summary())
         print(saved)
 

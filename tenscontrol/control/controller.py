@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -213,6 +214,18 @@ class BaseController(ABC):
     def largest_change(self) -> FloatArray | None:
         """Largest change from the previous input, shape (α,); None for any."""
         return self._change
+
+    @property
+    def made_with(self) -> dict[str, Any]:
+        """Kind, input, sample time, s, bounds and other settings by name; a run records them."""
+        return {
+            "kind": type(self).__name__,
+            "input": self._input,
+            "sample_time": self._sample_time,
+            "low": self._low,
+            "high": self._high,
+            "max_change": self._change,
+        }
 
     @property
     def prediction_error(self) -> float | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, floor, log10, pi
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -217,6 +217,11 @@ class FeedbackLinearization(Controller):
     def rates(self) -> tuple[float, float]:
         """Factors a, 1/s, and b, 1/s², of the law."""
         return self._rates
+
+    @property
+    def made_with(self) -> dict[str, Any]:
+        """See :attr:`Controller.made_with`: with the rates of the error."""
+        return super().made_with | {"rates": self._rates}
 
     @property
     def statistics(self) -> FeedbackLinearizationStatistics:

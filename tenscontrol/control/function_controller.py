@@ -162,6 +162,11 @@ class FunctionController(BaseController):
         name = getattr(named, "__qualname__", type(named).__qualname__)
         return str(name.rpartition("<locals>.")[2])
 
+    @property
+    def made_with(self) -> dict[str, Any]:
+        """See :attr:`Controller.made_with`: with the function."""
+        return super().made_with | {"function": self._given}
+
     def reset(self) -> None:
         """Forget the previous input and the counts; an object's own ``reset`` is called."""
         super().reset()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -155,6 +155,11 @@ class LQR(Controller):
         self.poles = frozen(poles)
         self.cost = frozen(cost)
         self.riccati_residual = residual
+
+    @property
+    def made_with(self) -> dict[str, Any]:
+        """See :attr:`Controller.made_with`: with the gain."""
+        return super().made_with | {"gain": self.gain}
 
     def reference_nodes(self, times: FloatArray) -> FloatArray:
         """See :meth:`Controller.reference_nodes`: the operating point."""

@@ -32,7 +32,8 @@ from tenscontrol.integrate import (
 from tenscontrol.interrupt import finishing
 from tenscontrol.simulation.contacts import Segments, record_contacts
 from tenscontrol.simulation.faults import Faults
-from tenscontrol.simulation.trajectory import ControlRecord, Quantities, Trajectory
+from tenscontrol.simulation.observation import ControlRecord, Given
+from tenscontrol.simulation.trajectory import Quantities, Trajectory
 from tenscontrol.structure import Structure, carried_by_supports, node_mass
 from tenscontrol.validation import FloatArray, frozen, positive_number
 
@@ -122,6 +123,7 @@ class Loop:
     integrator: Integrator | None = None
     choice: Choice | None = None
     note: str | None = None
+    given: Given = field(default_factory=Given)
 
     def __post_init__(self) -> None:
         self._method = method_of(self.method)
@@ -441,7 +443,6 @@ class Loop:
                 moved = np.cumsum((off[:, 1:] + off[:, :-1]) / 2 * np.diff(time), axis=1)
                 reach = float(model.mass_matrix().sum() * np.ptp(structure.nodes, axis=1).max())
                 error += _BY_CENTRE * float(np.abs(moved).max(initial=0.0)) / reach
-        weight = float(model.constant_force[-1].sum())
         run = Trajectory(
             structure=structure,
             time=frozen(time),
@@ -458,11 +459,12 @@ class Loop:
             stopped=stopped,
             position_error=error,
             released_energy=frozen(released),
-            falls=free and contacts is None and weight < 0,
-            ground=model.ground,
+            falls=free and contacts is None and float(model.constant_force[-1].sum()) < 0,
             contacts=contacts,
             faults=self.faults.listed,
             note=self.note,
+            given=self.given,
+            _ground=model.ground,
             _quantities=quantities,
         )
         vars(run).update(known)

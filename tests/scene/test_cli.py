@@ -58,11 +58,11 @@ def test_simulate_saves_motion_and_figures(tmp_path, capsys, scene):
     run = tc.load_scene(scene).simulate()
     assert out.startswith(run.summary())
     assert all(str(file) in out for file in folder.iterdir())
-    with np.load(folder / "trajectory.npz") as saved:
-        np.testing.assert_array_equal(saved["nodes"], run.nodes)
-        np.testing.assert_array_equal(saved["rest_length"], run.rest_length)
-        np.testing.assert_array_equal(saved["structure_strings"], run.structure.strings)
-        assert float(saved["choice_value"]) == 0.01
+    saved = tc.load_run(folder / "trajectory.npz")
+    np.testing.assert_array_equal(saved.nodes, run.nodes)
+    np.testing.assert_array_equal(saved.rest_length, run.rest_length)
+    np.testing.assert_array_equal(saved.structure.strings, run.structure.strings)
+    assert saved.choice == run.choice
 
 
 def test_the_folder_is_named_after_the_scene(tmp_path, monkeypatch, scene):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar, Required, Self, TypedDict
+from typing import Any, ClassVar, Required, Self, TypedDict
 
 import numpy as np
 
@@ -474,6 +474,11 @@ class PredictiveController(Controller):
     def _concerns(self, path: ReferencePreview) -> list[str]:
         """Return what to warn of in a reference, or raise where it is not for this controller."""
         return broken_limits(self.plant, self._limits, path) if self._limits else []
+
+    @property
+    def made_with(self) -> dict[str, Any]:
+        """See :attr:`Controller.made_with`: with all :class:`MPCSettings`."""
+        return super().made_with | vars(self._law.settings)
 
     @property
     def horizon(self) -> int:
