@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
+from collections.abc import Mapping
 from time import perf_counter
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -131,6 +133,9 @@ class BaseController(ABC):
         Of measurements, if not that of the shape of the structure.
     """
 
+    #: What a kind of controller adds to :attr:`made_with`.
+    _settings: Mapping[str, Any] = MappingProxyType({})
+
     def __init__(
         self,
         structure: Structure,
@@ -225,6 +230,7 @@ class BaseController(ABC):
             "low": self._low,
             "high": self._high,
             "max_change": self._change,
+            **self._settings,
         }
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, floor, log10, pi
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
@@ -185,6 +185,7 @@ class FeedbackLinearization(Controller):
             plant, sample_time, *bounds, largest_change(plant, max_change, None, sample_time)
         )
         self._rates = error_rates(frequency, damping, sample_time)
+        self._settings = {"rates": self._rates}
         matrix = _combinations(plant, tracked)
         self._tracks_part = tracked is not None
         self._motion = Evaluator(tracked_motion(plant, matrix))
@@ -217,11 +218,6 @@ class FeedbackLinearization(Controller):
     def rates(self) -> tuple[float, float]:
         """Factors a, 1/s, and b, 1/s², of the law."""
         return self._rates
-
-    @property
-    def made_with(self) -> dict[str, Any]:
-        """See :attr:`Controller.made_with`: with the rates of the error."""
-        return super().made_with | {"rates": self._rates}
 
     @property
     def statistics(self) -> FeedbackLinearizationStatistics:

@@ -120,6 +120,7 @@ class FunctionController(BaseController):
         instance("structure", structure, Structure, "for example model.structure")
         self._function = _called("function", function)
         self._given = function
+        self._settings = {"function": function}
         if input is None:
             input = _own("input", function)
             if input is None:
@@ -161,11 +162,6 @@ class FunctionController(BaseController):
         named = self._given if self._function is self._given else type(self._given)
         name = getattr(named, "__qualname__", type(named).__qualname__)
         return str(name.rpartition("<locals>.")[2])
-
-    @property
-    def made_with(self) -> dict[str, Any]:
-        """See :attr:`Controller.made_with`: with the function."""
-        return super().made_with | {"function": self._given}
 
     def reset(self) -> None:
         """Forget the previous input and the counts; an object's own ``reset`` is called."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
@@ -151,15 +151,11 @@ class LQR(Controller):
         warn_of_unreached(self, stacklevel=3)
         ramp = gain.shape[1] > states
         self.gain = frozen(gain[:, :states])
+        self._settings = {"gain": self.gain}
         self.previous_input_gain = frozen(gain[:, states:]) if ramp else None
         self.poles = frozen(poles)
         self.cost = frozen(cost)
         self.riccati_residual = residual
-
-    @property
-    def made_with(self) -> dict[str, Any]:
-        """See :attr:`Controller.made_with`: with the gain."""
-        return super().made_with | {"gain": self.gain}
 
     def reference_nodes(self, times: FloatArray) -> FloatArray:
         """See :meth:`Controller.reference_nodes`: the operating point."""

@@ -3,9 +3,15 @@
 from tenscontrol.simulation.batch import Batch, simulate_many
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
-from tenscontrol.simulation.health import AccuracyWarning, Health, HealthLimits
+from tenscontrol.simulation.health import (
+    AccuracyWarning,
+    ControlRecord,
+    Given,
+    Health,
+    HealthLimits,
+)
 from tenscontrol.simulation.loop import SimulationError
-from tenscontrol.simulation.observation import ControlRecord, EstimateRecord, Given
+from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.simulation.simulate import checked_load, initial_state, simulate
 from tenscontrol.simulation.trajectory import Trajectory, load_run
 

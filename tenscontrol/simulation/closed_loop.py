@@ -12,8 +12,9 @@ from tenscontrol.control import BaseController, Command, Controller
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.interrupt import check
 from tenscontrol.simulation.actuators import Actuators
+from tenscontrol.simulation.health import ControlRecord, Given
 from tenscontrol.simulation.loop import Loop
-from tenscontrol.simulation.observation import ControlRecord, Given, Observation
+from tenscontrol.simulation.observation import Observation
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.validation import (
     LARGEST,

@@ -32,7 +32,7 @@ from tenscontrol.integrate import (
 from tenscontrol.interrupt import finishing
 from tenscontrol.simulation.contacts import Segments, record_contacts
 from tenscontrol.simulation.faults import Faults
-from tenscontrol.simulation.observation import ControlRecord, Given
+from tenscontrol.simulation.health import ControlRecord, Given
 from tenscontrol.simulation.trajectory import Quantities, Trajectory
 from tenscontrol.structure import Structure, carried_by_supports, node_mass
 from tenscontrol.validation import FloatArray, frozen, positive_number

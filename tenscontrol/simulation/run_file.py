@@ -36,7 +36,8 @@ from tenscontrol.integrate import Choice, Work
 from tenscontrol.plant import Reference
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
-from tenscontrol.simulation.observation import ControlRecord, EstimateRecord, Given, Unsaved
+from tenscontrol.simulation.health import ControlRecord, Given, Unsaved
+from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.structure import Structure
 from tenscontrol.validation import FloatArray, IntArray, file_path
 

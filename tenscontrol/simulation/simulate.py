@@ -19,9 +19,8 @@ from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
-from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
+from tenscontrol.simulation.health import AccuracyWarning, Given, HealthLimits
 from tenscontrol.simulation.loop import Loop, SimulationError, support_offset
-from tenscontrol.simulation.observation import Given
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import (
     carried_by_supports,

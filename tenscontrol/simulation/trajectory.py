@@ -14,8 +14,7 @@ from tenscontrol.dynamics import ContactLaw, Model, evaluate_columns
 from tenscontrol.integrate import Choice, Work
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import Fault
-from tenscontrol.simulation.health import Health
-from tenscontrol.simulation.observation import ControlRecord, Given, Unsaved
+from tenscontrol.simulation.health import ControlRecord, Given, Health, Unsaved
 from tenscontrol.simulation.run_file import (
     EVALUATED,
     dataset,

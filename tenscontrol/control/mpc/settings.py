@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Required, Self, TypedDict
+from typing import ClassVar, Required, Self, TypedDict
 
 import numpy as np
 
@@ -465,6 +465,7 @@ class PredictiveController(Controller):
         if not (self._nonlinear and plant.model.contacts is not None):
             warn_of_unreached(self, stacklevel=4)
         self._longest_time = settings.longest_time
+        self._settings = vars(settings)
         self._limits = made.constraints.blocks
         self._observer: LoadObserver | None = None
         if settings.load_gain is not None:
@@ -474,11 +475,6 @@ class PredictiveController(Controller):
     def _concerns(self, path: ReferencePreview) -> list[str]:
         """Return what to warn of in a reference, or raise where it is not for this controller."""
         return broken_limits(self.plant, self._limits, path) if self._limits else []
-
-    @property
-    def made_with(self) -> dict[str, Any]:
-        """See :attr:`Controller.made_with`: with all :class:`MPCSettings`."""
-        return super().made_with | vars(self._law.settings)
 
     @property
     def horizon(self) -> int:
@@ -506,7 +502,7 @@ class PredictiveController(Controller):
         law = self._law.following(reference)
         for text in self._concerns(law.path):
             warnings.warn(text, ControlWarning, stacklevel=3)  # that of the lock is between
-        self._law = law
+        self._law, self._settings = law, vars(law.settings)
 
     def reference_nodes(self, times: FloatArray) -> FloatArray:
         """See :meth:`Controller.reference_nodes`."""
