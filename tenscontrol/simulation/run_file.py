@@ -62,6 +62,15 @@ _RECORDS = {
 }  # fmt: skip
 _WORDS: dict[str, type[StrEnum]] = {"Status": Status, "Fallback": Fallback}
 
+# Instructions of functions of numbers, by CasADi's names without OP_.
+_OPERATIONS = (
+    "ASSIGN", "ADD", "SUB", "MUL", "DIV", "NEG", "EXP", "LOG", "POW", "CONSTPOW", "SQRT", "SQ",
+    "TWICE", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "LT", "LE", "EQ", "NE", "NOT", "AND",
+    "OR", "FLOOR", "CEIL", "FMOD", "FABS", "SIGN", "COPYSIGN", "IF_ELSE_ZERO", "ERF", "FMIN",
+    "FMAX", "INV", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "ATAN2", "CONST", "INPUT",
+    "OUTPUT", "ERFINV", "LOG1P", "EXPM1", "HYPOT", "REMAINDER",
+)  # fmt: skip
+
 # Arrays by the name of the attribute, with the letters of their dimensions: one letter, one length.
 _SHAPES = {
     "time": "T", "nodes": "dnT", "velocities": "dnT", "rest_length": "aT", "released_energy": "T",
@@ -111,7 +120,7 @@ def write_run(path: object, values: Mapping[str, Any]) -> Path:
         "format": _FORMAT, "version": VERSION, "tenscontrol": __version__,
         "not_saved": out.unsaved, "run": run,
     }  # fmt: skip
-    text, buffer = json.dumps(header, allow_nan=False, ensure_ascii=False), BytesIO()
+    text, buffer = json.dumps(header, allow_nan=False), BytesIO()
     encoded = np.frombuffer(text.encode(), dtype=np.uint8)
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, array in (out.arrays | {"header": encoded}).items():
@@ -166,7 +175,8 @@ class _Writer:
 
     def _array(self, value: np.ndarray, path: tuple[str, ...]) -> dict[str, str]:
         name = "_".join(path)
-        assert name not in self.arrays  # names of attributes and numbers
+        while name in self.arrays:
+            name += "_"
         self.arrays[name] = value
         return {"array": name}
 
@@ -186,10 +196,12 @@ def _instructions(function: ca.Function) -> list[list[Any]] | None:
         flat = function if function.is_a("SXFunction") else function.expand()
     except RuntimeError:  # it calls what has no expression
         return None
-    names = {getattr(ca, name): name for name in dir(ca) if name.startswith("OP_")}
+    names = {getattr(ca, f"OP_{name}"): name for name in _OPERATIONS}
     lines: list[list[Any]] = []
     for k in range(flat.n_instructions()):
         code = flat.instruction_id(k)
+        if code not in names:
+            return None
         more = flat.instruction_constant(k) if code == ca.OP_CONST else 0.0
         lines.append([names[code], flat.instruction_output(k), flat.instruction_input(k), more])
     return lines
@@ -337,16 +349,18 @@ def _function(name: str, names: list[str], lines: list[list[Any]]) -> ca.Functio
     work: dict[int, ca.SX] = {}
     result = ca.SX(1, 1)
     for code, into, of, constant in lines:
-        if code == "OP_OUTPUT":
+        if code not in _OPERATIONS:
+            raise ValueError(f"the function {name} has the instruction {code!r:.20}")
+        if code == "OUTPUT":
             result = work[of[0]]
-        elif code == "OP_INPUT":
+        elif code == "INPUT":
             work[into[0]] = inputs[of[0]]
-        elif code == "OP_CONST":
+        elif code == "CONST":
             work[into[0]] = ca.SX(constant)
         else:
             parts = [work[each] for each in of]
             make = ca.SX.unary if len(parts) == 1 else ca.SX.binary
-            work[into[0]] = make(getattr(ca, code), *parts)
+            work[into[0]] = make(getattr(ca, f"OP_{code}"), *parts)
     return ca.Function(name, inputs, [result], names, ["h"])
 
 
