@@ -65,12 +65,13 @@ def _demo(options: argparse.Namespace) -> None:
 
 def _simulate(options: argparse.Namespace) -> None:
     from tenscontrol.scene import load_scene
-    from tenscontrol.simulation import SimulationError
+    from tenscontrol.simulation import SimulationError, load_run
 
     scene = load_scene(options.scene)
     folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
+    start = None if options.start is None else load_run(options.start)
     try:
-        run = scene.simulate(progress=True)
+        run = scene.simulate(progress=True, start=start)
     except SimulationError as error:  # the motion up to there is kept; its figures may overflow
         _keep(error.trajectory, folder)
         raise
@@ -243,6 +244,12 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument(
             "--output", type=Path, help="folder for what is saved (default: tenscontrol-<SCENE>)"
         )
+    simulate.add_argument(
+        "--start",
+        metavar="RUN",
+        type=Path,
+        help="go on from the end of a saved run, a file trajectory.npz",
+    )
     accuracy.add_argument(
         "--methods", metavar="A,B", help="our own methods, separated by commas (default: all)"
     )

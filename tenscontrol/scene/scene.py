@@ -127,13 +127,16 @@ class Scene:
         """The structure, skinned and cut as the scene says."""
         return self.model.structure
 
-    def simulate(self, progress: bool = False) -> Trajectory:
+    def simulate(self, progress: bool = False, start: Trajectory | None = None) -> Trajectory:
         """Return the motion.
 
         Parameters
         ----------
         progress : bool
             Whether to show a progress bar; never shown away from a terminal.
+        start : Trajectory, optional
+            A run of the scene to go on from, in place of its start: with the rest lengths or force
+            densities at the end of that run. See :func:`simulate`.
 
         Returns
         -------
@@ -150,6 +153,8 @@ class Scene:
         if self.controller is not None:
             names += ["controller", "input", "winches", "sample_time", "estimator", "seed"]
         settings: dict[str, Any] = {name: getattr(self, name) for name in names}
+        if start is not None:
+            return simulate(self.model, start=start, progress=progress, **settings)
         if self.controller is not None and self.rest_length is not None:
             wound = self.rest_length
             if len(self.controller.structure.strings) != len(wound):
@@ -221,9 +226,9 @@ def load_scene(file: str | Path) -> Scene:
 
     ``[structure]``
         ``generator = "prism"``, or another function of :mod:`tenscontrol.library`, with its
-        arguments, ``fixed`` and ``point_mass``; or the arguments of :class:`Structure`. ``fixed``
-        has nodes and pairs of a node and an axis, ``[0, [4, "z"]]``; ``strings`` has pairs of nodes
-        and paths of more.
+        arguments, ``fixed`` and ``point_mass``; or the arguments of :class:`Structure`, as
+        :meth:`Structure.save` writes them. ``fixed`` has nodes and pairs of a node and an axis,
+        ``[0, [4, "z"]]``; ``strings`` has pairs of nodes and paths of more.
     ``[skin]``, ``[subdivide]``
         The arguments of :func:`skin` and :func:`subdivide`. A skin comes first; its strings are
         cut too.

@@ -1362,7 +1362,7 @@ call("simulation.Trajectory.to_xarray", on=run, share=0.1)
 call("load_run", lambda: {"path": str(run().save(scratch("saved.npz")))}, share=0.3)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("simulation.ContactRecord.summary", on=lambda: dropped_run().contacts)
-call("scene.Scene.simulate", lambda: {"progress": False}, scene, 0.05)
+call("scene.Scene.simulate", lambda: {"progress": False, "start": None}, scene, 0.05)
 call(
     "scene.Scene.linearize",
     lambda: {"input": "rest_length", "coordinates": "internal"},

@@ -65,6 +65,21 @@ def test_simulate_saves_motion_and_figures(tmp_path, capsys, scene):
     assert saved.choice == run.choice
 
 
+def test_a_saved_run_goes_on(tmp_path, scene):
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert main(["simulate", str(scene), "--output", str(one)]) == 0
+    start = one / "trajectory.npz"
+    assert main(["simulate", str(scene), "--start", str(start), "--output", str(two)]) == 0
+    first, second = (tc.load_run(folder / "trajectory.npz") for folder in (one, two))
+    assert second.time[0] == first.time[-1]
+    np.testing.assert_array_equal(second.nodes[:, :, 0], first.nodes[:, :, -1])
+
+
+def test_a_start_that_is_no_run(tmp_path, capsys, scene):
+    assert main(["simulate", str(scene), "--start", str(scene), "--output", str(tmp_path)]) == 2
+    assert "no run: expected a file that run.save(path) wrote" in capsys.readouterr().err
+
+
 def test_the_folder_is_named_after_the_scene(tmp_path, monkeypatch, scene):
     monkeypatch.chdir(tmp_path)
     assert main(["simulate", "rest.toml"]) == 0
