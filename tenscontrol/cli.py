@@ -145,12 +145,13 @@ def _new(options: argparse.Namespace) -> None:
 
 def _simulate(options: argparse.Namespace) -> None:
     from tenscontrol.scene import load_scene
-    from tenscontrol.simulation import SimulationError
+    from tenscontrol.simulation import SimulationError, load_run
 
     scene = load_scene(options.scene)
     folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
+    start = None if options.start is None else load_run(options.start)
     try:
-        run = scene.simulate(progress=True)
+        run = scene.simulate(progress=True, start=start)
     except SimulationError as error:  # the motion up to there is kept; its figures may overflow
         _report_run(error.trajectory, options, [_keep(error.trajectory, folder)])
         raise
@@ -162,10 +163,8 @@ def _simulate(options: argparse.Namespace) -> None:
 
 def _keep(run: Trajectory, folder: Path) -> Path:
     """Print the summary of a motion and save it."""
-    from tenscontrol.scene import save_trajectory
-
     with finishing():
-        saved = save_trajectory(run, folder / "trajectory.npz")  # also where nobody reads the rest
+        saved = run.save(folder / "trajectory.npz")  # also where nobody reads the rest
         print(run.summary())
         print(saved)
     return saved

@@ -115,6 +115,12 @@ def _add_simulate(commands: Any) -> None:
         "tenscontrol simulate scene.toml --output run",
     )
     _add_scene(simulate)
+    simulate.add_argument(
+        "--start",
+        metavar="RUN",
+        type=Path,
+        help="go on from the end of a saved run, a file trajectory.npz",
+    )
     _add_json(simulate)
 
 

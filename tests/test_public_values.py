@@ -63,7 +63,7 @@ def values(tmp_path_factory):
         height,
         tc.Twist(0.1, top=[0, 1, 2], bottom=[3, 4, 5]),
         tc.NodesAt([0], np.zeros((3, 1))),
-        tc.PointAt([0, 1], np.zeros(3)),
+        tc.shape.PointAt([0, 1], np.zeros(3)),
         tc.RotationalSymmetry([[0, 1, 2], [3, 4, 5]]),
         target,
         target.demands[0],
@@ -256,7 +256,7 @@ def _given():
         "OperatingPoint": point | {"external_force": np.ones((3, 6))},
         "Winches": {"rate": np.ones(9), "shortest": np.ones(9), "longest": np.ones(9)},
         "NodesAt": {"nodes": np.arange(2), "positions": np.ones((3, 2))},
-        "PointAt": {"nodes": np.arange(2), "position": np.ones(3), "weights": np.ones(2)},
+        "shape.PointAt": {"nodes": np.arange(2), "position": np.ones(3), "weights": np.ones(2)},
         "OneOf": {"values": np.ones(3)},
         "Sensors": {
             "structure": prism,

@@ -70,6 +70,14 @@ def test_the_page_on_own_controllers_runs():
     assert run.control.status_count == {"ok": 25}
 
 
+def test_the_page_on_files_runs(tmp_path, monkeypatch):
+    pytest.importorskip("xarray", reason="the extra tenscontrol[xarray] is not installed")
+    monkeypatch.chdir(tmp_path)
+    names = ran("files", 3)
+    assert names["more"].time[0] == names["run"].time[-1] == 0.2
+    assert {path.name for path in tmp_path.iterdir()} == {"ball.toml", "run.npz", "run.csv"}
+
+
 def test_the_page_on_estimation_runs():
     names = ran("estimation", 4)
     assert names["y"].shape == (12,)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
+from collections.abc import Mapping
 from time import perf_counter
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -130,6 +133,9 @@ class BaseController(ABC):
         Of measurements, if not that of the shape of the structure.
     """
 
+    #: What a kind of controller adds to :attr:`made_with`.
+    _settings: Mapping[str, Any] = MappingProxyType({})
+
     def __init__(
         self,
         structure: Structure,
@@ -213,6 +219,19 @@ class BaseController(ABC):
     def largest_change(self) -> FloatArray | None:
         """Largest change from the previous input, shape (α,); None for any."""
         return self._change
+
+    @property
+    def made_with(self) -> dict[str, Any]:
+        """Kind, input, sample time, s, bounds and other settings by name; a run records them."""
+        return {
+            "kind": type(self).__name__,
+            "input": self._input,
+            "sample_time": self._sample_time,
+            "low": self._low,
+            "high": self._high,
+            "max_change": self._change,
+            **self._settings,
+        }
 
     @property
     def prediction_error(self) -> float | None:

@@ -187,6 +187,7 @@ class FeedbackLinearization(Controller):
             plant, sample_time, *bounds, largest_change(plant, max_change, None, sample_time)
         )
         self._rates = error_rates(frequency, damping, sample_time)
+        self._settings = {"rates": self._rates}
         matrix = _combinations(plant, tracked)
         self._tracks_part = tracked is not None
         self._motion = Evaluator(tracked_motion(plant, matrix))

@@ -120,6 +120,7 @@ class FunctionController(BaseController):
         instance("structure", structure, Structure, "for example model.structure")
         self._function = _called("function", function)
         self._given = function
+        self._settings = {"function": function}
         if input is None:
             input = _own("input", function)
             if input is None:

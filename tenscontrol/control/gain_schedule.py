@@ -87,6 +87,11 @@ class GainSchedule(Controller):
         return self._active
 
     @property
+    def made_with(self) -> dict[str, Any]:
+        """See :attr:`Controller.made_with`: with those of all controllers."""
+        return super().made_with | {"controllers": [each.made_with for each in self._controllers]}
+
+    @property
     def left_alone(self) -> Modes:
         """See :attr:`Controller.left_alone`: those of the controller that gave the last command."""
         return self._controllers[self._active].left_alone

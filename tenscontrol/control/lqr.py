@@ -150,6 +150,7 @@ class LQR(Controller):
         warn_of_unreached(self, stacklevel=3)
         ramp = gain.shape[1] > states
         self.gain = frozen(gain[:, :states])
+        self._settings = {"gain": self.gain}
         self.previous_input_gain = frozen(gain[:, states:]) if ramp else None
         self.poles = frozen(poles)
         self.cost = frozen(cost)

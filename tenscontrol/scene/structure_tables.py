@@ -24,6 +24,8 @@ from tenscontrol.simulation import initial_state
 from tenscontrol.statics import Prestress, prestress
 from tenscontrol.structure import (
     Structure,
+    from_table,
+    points,
     restore_bar_lengths,
     skin,
     spread_force_density,
@@ -86,24 +88,14 @@ def _uncut(document: Document) -> Structure:
     for key in ("nodes", "bars", "strings", *(["bar_mass"] if table.get("bars") else [])):
         table.need(key)
     with table.checked():
-        return Structure(
-            nodes=columns(table, "nodes"),
-            bar_mass=table.get("bar_mass", []),
-            **table.without("nodes", "bar_mass"),
-        )
+        return from_table(table.values, Structure)
 
 
 def columns(table: Table, key: str, dimension: int | None = None) -> FloatArray:
     """Return points of a table, shape (d, ·), all with as many coordinates as the first."""
     rows = table.need(key)
-    d = dimension or (len(rows[0]) if rows else 3)
-    wrong = [i for i, row in enumerate(rows) if len(row) != d]
-    if wrong:
-        like = f"{d} coordinates" + ("" if dimension else f" as {key}[0] has")
-        raise table.error(
-            key, f"in {table.title}, {key}[{wrong[0]}] is {rows[wrong[0]]}, expected {like}"
-        )
-    return np.array(rows, dtype=float).reshape(-1, d).T
+    with table.checked(key):
+        return points(key, rows, dimension)
 
 
 def per_string(table: Table, key: str, structure: Structure) -> FloatArray:

@@ -212,7 +212,7 @@ class PointAt(Demand):
     Examples
     --------
     >>> import tenscontrol as tc
-    >>> tc.PointAt([0, 1, 2], [0.1, 0.0], directions="xy").names
+    >>> tc.shape.PointAt([0, 1, 2], [0.1, 0.0], directions="xy").names
     ('x of point', 'y of point')
     """
 

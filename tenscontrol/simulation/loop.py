@@ -32,17 +32,14 @@ from tenscontrol.integrate import (
 from tenscontrol.interrupt import finishing
 from tenscontrol.simulation.contacts import Segments, record_contacts
 from tenscontrol.simulation.faults import Faults
-from tenscontrol.simulation.health import Quantities
-from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
+from tenscontrol.simulation.health import BLOCK, ControlRecord, Given, Quantities
+from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import Structure, carried_by_supports, node_mass
 from tenscontrol.validation import FloatArray, frozen, positive_number
 
 # Intervals that are integrated again: those in which velocities change most, others spread over
 # the motion, and the largest part of it that they may be.
 _VIOLENT, _SPREAD, _SHARE = 4, 16, 0.25
-
-# States that are turned into nodes and velocities in one go.
-_BLOCK = 128
 
 # These intervals may miss the worst of the motion.
 _SAFETY = 2.0
@@ -123,6 +120,7 @@ class Loop:
     integrator: Integrator | None = None
     choice: Choice | None = None
     note: str | None = None
+    given: Given = field(default_factory=Given)
 
     def __post_init__(self) -> None:
         self._method = method_of(self.method)
@@ -443,7 +441,6 @@ class Loop:
                 moved = np.cumsum((off[:, 1:] + off[:, :-1]) / 2 * np.diff(time), axis=1)
                 reach = float(model.mass_matrix().sum() * np.ptp(structure.nodes, axis=1).max())
                 error += _BY_CENTRE * float(np.abs(moved).max(initial=0.0)) / reach
-        weight = float(model.constant_force[-1].sum())
         run = Trajectory(
             structure=structure,
             time=frozen(time),
@@ -460,11 +457,12 @@ class Loop:
             stopped=stopped,
             position_error=error,
             released_energy=frozen(released),
-            falls=free and contacts is None and weight < 0,
-            ground=model.ground,
+            falls=free and contacts is None and float(model.constant_force[-1].sum()) < 0,
             contacts=contacts,
             faults=self.faults.listed,
             note=self.note,
+            given=self.given,
+            _ground=model.ground,
             _quantities=quantities,
         )
         vars(run).update(known)
@@ -489,8 +487,8 @@ class Loop:
         nodes, velocities = np.empty(shape), np.empty(shape)
         place = 0
         for span in self.spans:
-            for first in range(0, len(span.time), _BLOCK):
-                some = slice(first, first + _BLOCK)
+            for first in range(0, len(span.time), BLOCK):
+                some = slice(first, first + BLOCK)
                 offset = rate = None
                 if self.offset is not None:
                     within, rows = span.time[some] - span.origin, span.coefficients[self._offsets]

@@ -19,7 +19,7 @@ from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
-from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
+from tenscontrol.simulation.health import AccuracyWarning, Given, HealthLimits
 from tenscontrol.simulation.loop import Loop, SimulationError, support_offset
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import (
@@ -311,6 +311,13 @@ def simulate(
             degree=_degree(held, what, winches),
             offset=offset,
         )
+        loop.given = _given(
+            law is None,
+            rest_length=rest_length,
+            force_density=force_density,
+            external_force=external_force,
+            support_motion=support_motion,
+        )
         loop.output_step = _output_step(loop, output_step, duration)
         loop.now = now
         if law is None and (
@@ -358,6 +365,18 @@ def simulate(
                 stacklevel=2,
             )
     return run
+
+
+def _given(in_open_loop: bool, **arguments: object) -> Given:
+    """Return what is given of arguments; those of a controller's start are in its record."""
+    kept = {name: value for name, value in arguments.items() if value is not None}
+    if not in_open_loop:
+        kept.pop("rest_length", None)
+    plain = {
+        name: value if changes_in_time(value) else np.asarray(value, dtype=float)
+        for name, value in kept.items()
+    }
+    return Given(plain)
 
 
 def _check(run: Trajectory, limits: HealthLimits) -> None:

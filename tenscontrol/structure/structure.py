@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from tenscontrol.structure.connectivity import (
     selection,
     signed_incidence,
 )
+from tenscontrol.structure.structure_file import read_structure, write_structure
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -39,6 +40,7 @@ from tenscontrol.web_page import View, Viewable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from numpy.typing import ArrayLike
     from scipy.sparse import csr_array
@@ -256,6 +258,64 @@ class Structure(Viewable):
             f"Structure({self.nodes.shape[1]} nodes, {len(self.bars)} bars, "
             f"{len(self.strings)} strings)"
         )
+
+    def save(self, path: str | Path) -> Path:
+        """Write the structure to a file, as TOML or JSON. It comes back bit by bit.
+
+        Parameters
+        ----------
+        path : str or Path
+            Its name ends in ``.toml`` or ``.json``.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ValueError
+            If the name has another ending.
+        OSError
+            If the file cannot be written: one that was there is as it was.
+
+        Notes
+        -----
+        The TOML is the table ``[structure]`` of a scene file; see :func:`load_scene`. A structure
+        that was made from another, by :func:`subdivide` or :func:`skin`, holds it as ``parent``.
+
+        Examples
+        --------
+        >>> import tempfile, tenscontrol as tc
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = tc.library.six_bar_ball().save(folder + "/ball.toml")
+        ...     tc.Structure.load(file)
+        Structure(12 nodes, 6 bars, 24 strings)
+        """
+        return write_structure(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Return the structure of a file that :meth:`save` wrote, or that was written by hand.
+
+        Parameters
+        ----------
+        path : str or Path
+            Its name ends in ``.toml`` or ``.json``.
+
+        Returns
+        -------
+        Structure
+
+        Raises
+        ------
+        OSError
+            If the file cannot be read.
+        ValueError
+            If the file holds no structure, or one that :class:`Structure` refuses, or its version
+            is a later one. The message names the file and the key.
+        """
+        return read_structure(path, cls)
 
     @cached_property
     def dimension(self) -> int:

@@ -62,7 +62,7 @@ def controller():
 
 
 WRITERS = {
-    "run.npz": lambda path: tc.scene.save_trajectory(run(), path),
+    "run.npz": lambda path: run().save(path),
     "accuracy.csv": lambda path: measured().to_csv(path),
     "figure.png": lambda path: tc.plot.save_figure(figure(), path),
     "figure.pdf": lambda path: tc.plot.save_figure(figure(), path),

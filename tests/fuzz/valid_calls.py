@@ -145,6 +145,7 @@ RESULTS = {
     "simulation.ContactRecord",
     "simulation.ControlRecord",
     "simulation.EstimateRecord",
+    "simulation.Given",
     "simulation.Health",
     "simulation.SimulationError",
     "simulation.Trajectory",
@@ -233,7 +234,7 @@ WITHIN = {
     "dynamics.Coordinates.within",
     "Height.miss",
     "NodesAt.miss",
-    "PointAt.miss",
+    "shape.PointAt.miss",
     "Twist.miss",
     "shape.Demand.miss",
     "accuracy.Peer.own_law",
@@ -574,6 +575,12 @@ for _name in tc.library.__all__:
 call("Structure.bar_vectors", lambda: {"nodes": nodes()}, prism)
 call("Structure.string_vectors", lambda: {"nodes": nodes()}, prism)
 call("Structure.string_length", lambda: {"nodes": nodes()}, prism)
+call("Structure.save", lambda: {"path": scratch("prism.toml")}, prism)
+call(
+    "Structure.load",
+    lambda: {"path": str(tc.prism().save(scratch("saved.json")))},
+    lambda: tc.Structure,
+)
 call("Structure.strings_in", lambda: {"group": "top"}, prism)
 call("Structure.checked_nodes", lambda: {"name": "nodes", "nodes": nodes()}, prism)
 call("structure.prism_radius", lambda: {"bar_length": 1.4, "height": 1.0, "sides": 3})
@@ -1176,7 +1183,7 @@ call(
     lambda: {"nodes": TOP, "positions": nodes()[:, :3], "directions": "xyz", "tolerance": 0.01},
 )
 call(
-    "PointAt",
+    "shape.PointAt",
     lambda: {
         "nodes": [0, 1],
         "position": np.zeros(3),
@@ -1356,9 +1363,13 @@ call(
     share=0.3,
 )
 call("simulation.Trajectory.summary", on=run)
+call("simulation.Trajectory.save", lambda: {"path": scratch("run.npz")}, run, 0.3)
+call("simulation.Trajectory.to_csv", lambda: {"path": scratch("run.csv")}, run, 0.3)
+call("simulation.Trajectory.to_xarray", on=run, share=0.1)
+call("load_run", lambda: {"path": str(run().save(scratch("saved.npz")))}, share=0.3)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("simulation.ContactRecord.summary", on=lambda: dropped_run().contacts)
-call("scene.Scene.simulate", lambda: {"progress": False}, scene, 0.05)
+call("scene.Scene.simulate", lambda: {"progress": False, "start": None}, scene, 0.05)
 call(
     "scene.Scene.linearize",
     lambda: {"input": "rest_length", "coordinates": "internal"},
@@ -1368,7 +1379,6 @@ call(
 call("load_scene", lambda: {"file": str(SCENE)}, share=0.3)
 call("scene.scene_names")
 call("scene.scene_template", lambda: {"name": "d_bar"}, share=0.3)
-call("scene.save_trajectory", lambda: {"run": run(), "file": scratch("run.npz")}, share=0.3)
 
 # ---- accuracy ----
 

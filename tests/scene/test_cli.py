@@ -57,11 +57,26 @@ def test_simulate_saves_motion_and_figures(tmp_path, capsys, scene):
     run = tc.load_scene(scene).simulate()
     assert out.startswith(run.summary())
     assert all(str(file) in out for file in folder.iterdir())
-    with np.load(folder / "trajectory.npz") as saved:
-        np.testing.assert_array_equal(saved["nodes"], run.nodes)
-        np.testing.assert_array_equal(saved["rest_length"], run.rest_length)
-        np.testing.assert_array_equal(saved["structure_strings"], run.structure.strings)
-        assert float(saved["choice_value"]) == 0.01
+    saved = tc.load_run(folder / "trajectory.npz")
+    np.testing.assert_array_equal(saved.nodes, run.nodes)
+    np.testing.assert_array_equal(saved.rest_length, run.rest_length)
+    np.testing.assert_array_equal(saved.structure.strings, run.structure.strings)
+    assert saved.choice == run.choice
+
+
+def test_a_saved_run_goes_on(tmp_path, scene):
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert main(["simulate", str(scene), "--output", str(one)]) == 0
+    start = one / "trajectory.npz"
+    assert main(["simulate", str(scene), "--start", str(start), "--output", str(two)]) == 0
+    first, second = (tc.load_run(folder / "trajectory.npz") for folder in (one, two))
+    assert second.time[0] == first.time[-1]
+    np.testing.assert_array_equal(second.nodes[:, :, 0], first.nodes[:, :, -1])
+
+
+def test_a_start_that_is_no_run(tmp_path, capsys, scene):
+    assert main(["simulate", str(scene), "--start", str(scene), "--output", str(tmp_path)]) == 2
+    assert "no run: expected a file that run.save(path) wrote" in capsys.readouterr().err
 
 
 def test_the_folder_is_named_after_the_scene(tmp_path, monkeypatch, scene):

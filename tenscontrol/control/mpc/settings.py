@@ -467,6 +467,7 @@ class PredictiveController(Controller):
         if not (self._nonlinear and plant.model.contacts is not None):
             warn_of_unreached(self, stacklevel=4)
         self._longest_time = settings.longest_time
+        self._settings = vars(settings)
         self._limits = made.constraints.blocks
         self._observer: LoadObserver | None = None
         if settings.load_gain is not None:
@@ -503,7 +504,7 @@ class PredictiveController(Controller):
         law = self._law.following(reference)
         for text in self._concerns(law.path):
             warnings.warn(text, ControlWarning, stacklevel=3)  # that of the lock is between
-        self._law = law
+        self._law, self._settings = law, vars(law.settings)
 
     def reference_nodes(self, times: FloatArray) -> FloatArray:
         """See :meth:`Controller.reference_nodes`."""
