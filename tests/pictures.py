@@ -1,10 +1,9 @@
-"""The moving picture of the README: a six-bar ball that rolls by winding its strings.
+"""The moving picture of the README, and the figures of the first pages.
 
-``python -m tests.moving_picture`` writes ``docs/images/rolling_ball.gif``. It takes half a minute.
+``python -m tests.pictures`` writes them into ``docs/images``. It takes half a minute.
 """
 
 import argparse
-from io import BytesIO
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -14,15 +13,16 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from PIL import Image
 
 import tenscontrol as tc
+from tests.code_blocks import blocks, run
 
-PICTURE = Path(__file__).parent.parent / "docs" / "images" / "rolling_ball.gif"
+IMAGES = Path(__file__).parent.parent / "docs" / "images"
 SAMPLE, REST_LENGTH, FACE = 0.05, 0.55, [0, 4, 8]  # s, m; the nodes it stands on at the start
 FRAMES_A_SECOND, COLORS = 10, 48
 BAR, SHADOW, FLOOR = "#1b2a41", "0.80", "0.88"
 TENSION = LinearSegmentedColormap.from_list("tension", ["#7cc0f0", "#2a6fdb", "#d62246"])
 
 
-def roll(duration):
+def rolled(duration):
     """Return the run of a six-bar ball that rolls along x on flat ground for a time, s."""
     ball = tc.library.six_bar_ball(bar_length=1.0, bar_mass=0.5)
     ground = tc.Ground(stiffness=5e3, damping=0.5, friction=0.5, slip_speed=0.02)
@@ -82,30 +82,49 @@ def pictures(run):
     plt.close(figure)
 
 
-def write(path, duration):
-    """Write the moving picture; return its number of frames."""
-    frames = list(pictures(roll(duration)))
+def rolling_ball(path, duration=11.0):
+    """Write the six-bar ball that rolls; return its number of frames."""
+    frames = list(pictures(rolled(duration)))
     palette = frames[len(frames) // 2].quantize(COLORS)
     colors = np.array(palette.getpalette(), dtype=np.uint8).reshape(-1, 3)
     colors[colors.min(axis=1) > 247] = 255  # white stays white on a white page
     palette.putpalette(colors.ravel().tolist())
     frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-    buffer = BytesIO()
     frames[0].save(
-        buffer,
+        path,
         format="GIF",
         save_all=True,
         append_images=frames[1:],
         duration=1000 // FRAMES_A_SECOND,
         loop=0,
     )
-    Path(path).write_bytes(buffer.getvalue())
     return len(frames)
 
 
+def first_pages(folder):
+    """Write the figures of the pages on the first structure, from what the pages define."""
+    names = {}
+    for page in ("first_structure", "modes", "lqr"):
+        for block in blocks(page):
+            if block.language == "python":
+                run(block, names)
+    plant, modes = names["plant"], names["modes"]
+    drawn = tc.plot.structure(names["ball"], labels=True)
+    tight = {"dpi": 110, "bbox_inches": "tight"}
+    drawn.ax.figure.savefig(folder / "first_structure.png", **tight)
+    shapes = tc.plot.mode_shapes(plant, modes, which=[0, 1, 4, 7])
+    shapes[0].ax.figure.savefig(folder / "modes.png", **tight)
+    away = {
+        label: 1e3 * np.linalg.norm(each.nodes - plant.nodes[:, :, None], axis=0).max(axis=0)
+        for label, each in {"rest lengths held": names["held"], "LQR": names["run"]}.items()
+    }
+    curves = tc.plot.history(names["run"].time, away, "farthest node from rest, mm")
+    curves.ax.figure.savefig(folder / "lqr.png", **tight)
+
+
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--duration", type=float, default=11.0, help="seconds")
-    arguments = parser.parse_args()
-    count = write(PICTURE, arguments.duration)
-    print(f"{PICTURE}: {count} frames, {PICTURE.stat().st_size / 1e6:.2f} MB")
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    rolling_ball(IMAGES / "rolling_ball.gif")
+    first_pages(IMAGES)
+    for image in sorted(IMAGES.iterdir()):
+        print(f"{image.name}: {image.stat().st_size / 1e6:.2f} MB")
