@@ -112,7 +112,7 @@ def first_pages(folder):
     drawn = tc.plot.structure(names["ball"], labels=True)
     tight = {"dpi": 110, "bbox_inches": "tight"}
     drawn.ax.figure.savefig(folder / "first_structure.png", **tight)
-    shapes = tc.plot.mode_shapes(plant, modes, which=[0, 1, 4, 7])
+    shapes = tc.plot.mode_shapes(plant, modes, which=[0, 1, 4])
     shapes[0].ax.figure.savefig(folder / "modes.png", **tight)
     away = {
         label: 1e3 * np.linalg.norm(each.nodes - plant.nodes[:, :, None], axis=0).max(axis=0)
