@@ -32,7 +32,7 @@ def test_the_session_bends_the_tower(monkeypatch):
     assert run.control.status_count == {"ok": 150}
     assert run.force_density.min() > 0
     assert len(opened) == 1
-    assert [block.code for block in blocks("index")] == [session]
+    assert [block.code.strip() for block in blocks("index")] == [session.strip()]
     assert len([line for line in session.splitlines() if line]) == 12
 
 
