@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tenscontrol.dynamics.machine_code import compiler
-from tests.code_blocks import PAGES, agree, blocks, run
+from tests.code_blocks import PAGES, PROJECT, agree, blocks, run
 from tests.test_first_hour import PAGES as FIRST_HOUR
 
 # Shell, files and output; other languages are code that has to run.
@@ -60,6 +60,7 @@ def test_a_page_runs(page, tmp_path, monkeypatch):
     if "generate_c" in PAGES[page].read_text("utf-8") and compiler() is None:
         pytest.skip("there is no C compiler")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(PROJECT / "examples")  # where a page copies from
     names = {}
     for block in blocks(page):
         if block.language == "python" and not block.fragment:
