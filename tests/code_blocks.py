@@ -11,7 +11,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 PROJECT = Path(__file__).parent.parent
-PAGES = {path.stem: path for path in sorted(PROJECT.glob("docs/*.rst"))}
+DOCS = PROJECT / "docs"
+PAGES = {
+    path.relative_to(DOCS).with_suffix("").as_posix(): path
+    for path in sorted([*DOCS.glob("*.rst"), *DOCS.glob("api/*.rst")])
+}
 
 _BLOCK = re.compile(
     r"^( *)\.\. code-block:: (\w+)\n((?:\1   :.*\n)*)\n((?:\1   .*\n|\n)+)", flags=re.MULTILINE
