@@ -10,7 +10,9 @@ from tests.code_blocks import PAGES, PROJECT, agree, blocks, run
 from tests.test_first_hour import PAGES as FIRST_HOUR
 
 # Shell, files and output; other languages are code that has to run.
-SHOWN = set("sh console powershell text toml json c xml yaml matlab bibtex".split())
+SHOWN = {
+    "sh", "console", "powershell", "text", "toml", "json", "c", "xml", "yaml", "matlab", "bibtex",
+}  # fmt: skip
 
 # Pages of which a test asks for more than that they run.
 TESTED = {"index", *FIRST_HOUR} | set(
