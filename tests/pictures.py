@@ -85,7 +85,8 @@ def pictures(run):
 def rolling_ball(path, duration=11.0):
     """Write the six-bar ball that rolls; return its number of frames."""
     frames = list(pictures(rolled(duration)))
-    palette = frames[len(frames) // 2].quantize(COLORS)
+    some = np.vstack([np.asarray(frame) for frame in frames[::10]])  # all colours that there are
+    palette = Image.fromarray(some).quantize(COLORS)
     colors = np.array(palette.getpalette(), dtype=np.uint8).reshape(-1, 3)
     colors[colors.min(axis=1) > 247] = 255  # white stays white on a white page
     palette.putpalette(colors.ravel().tolist())
