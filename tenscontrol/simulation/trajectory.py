@@ -15,6 +15,7 @@ from tenscontrol.integrate import Choice, Work
 from tenscontrol.simulation.contacts import ContactRecord, drawn_ground
 from tenscontrol.simulation.faults import Fault
 from tenscontrol.simulation.health import (
+    BLOCK,
     ControlRecord,
     Given,
     Health,
