@@ -50,6 +50,8 @@ class NMPCStatistics:
         Quadratic programs solved in each sample.
     iterations : ndarray of int, shape (K,)
         Iterations of the solver in each sample.
+    linearized : ndarray of int, shape (K,)
+        Samples of the plan whose derivatives were found anew.
     last_change : ndarray, shape (K,)
         Largest change of an input by the last program of each sample, in units of an input: how
         far the plan is from converged. Infinite where that program was not solved.
@@ -61,6 +63,7 @@ class NMPCStatistics:
     fallback_count: dict[Fallback, int]
     programs: np.ndarray
     iterations: np.ndarray
+    linearized: np.ndarray
     last_change: FloatArray
     preparation_time: FloatArray
     feedback_time: FloatArray
@@ -76,6 +79,7 @@ class NMPCLaw(PredictiveLaw):
     row_bounds: Pair  # of limited rows, shape (p,) each
     units: FloatArray  # of the state, shape (s,)
     rounds: int  # programs solved in a sample at most
+    tolerance: float  # of derivatives along the plan
 
     def subproblem(self) -> Sparse:
         """Return the SQP subproblem, before anything is linearized."""
@@ -90,8 +94,10 @@ class NMPCLaw(PredictiveLaw):
         """Return the SQP subproblem with its solver."""
         if self.settings.solver in ("auto", "daqp"):
             compiled = self.settings.solver == "auto" and self.model.back_end == "machine code"
-            kind = LeastDistance if compiled else LeastDistanceArrays
-            return kind(self.problem, self.row_bounds, self.settings.max_iterations, self.bounds)
+            given = self.problem, self.row_bounds, self.settings.max_iterations, self.bounds
+            if compiled:
+                return LeastDistance(*given, tolerance=self.tolerance)
+            return LeastDistanceArrays(*given)
         # Stiff strings are sensitive to rest lengths: measured from those of the plan.
         form = self.subproblem()
         return SparseSubproblem(form, self.solver(form), relative=self.model.implicit)
@@ -213,11 +219,13 @@ class NMPC(PredictiveController):
         *,
         iterations: int = 1,
         machine_code: bool = False,
+        linearization_tolerance: float = 0.0,
         **settings: Unpack[SettingsKeywords],
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         truth("machine_code", machine_code, "whether to compile the derivatives")
         rounds = whole_number("iterations", iterations, least=1)
+        tolerance = number("linearization_tolerance", linearization_tolerance, "a part")
         given = MPCSettings(**settings)
         made = design(plant, given, nonlinear=True)
         super().__init__(plant, given, made)
@@ -235,9 +243,12 @@ class NMPC(PredictiveController):
             units=model.units(made.problem.level),
             load=None if self._observer is None else self._observer.model,
             rounds=rounds,
+            tolerance=tolerance,
             path=path,
         )
-        self._plan = RealTimeIterate(model, self._law.program(), self._law.problem, self.bounds)
+        self._plan = RealTimeIterate(
+            model, self._law.program(), self._law.problem, self.bounds, tolerance
+        )
         self.reset()
 
     @property
@@ -275,15 +286,16 @@ class NMPC(PredictiveController):
     @property
     def statistics(self) -> NMPCStatistics:
         """What became of the samples since the last reset."""
-        table = np.array(self._records).reshape(-1, 5)
+        table = np.array(self._records).reshape(-1, 6)
         return NMPCStatistics(
             status_count=self.status_count,
             fallback_count=self.fallback_count,
             programs=frozen(table[:, 0].astype(np.int64)),
             iterations=frozen(table[:, 1].astype(np.int64)),
-            last_change=frozen(table[:, 2]),
-            preparation_time=frozen(table[:, 3]),
-            feedback_time=frozen(table[:, 4]),
+            linearized=frozen(table[:, 2].astype(np.int64)),
+            last_change=frozen(table[:, 3]),
+            preparation_time=frozen(table[:, 4]),
+            feedback_time=frozen(table[:, 5]),
         )
 
     def targets(self, time: float) -> Pair:
@@ -378,7 +390,8 @@ class NMPC(PredictiveController):
     def _record(
         self, rounds: int, work: int, change: float, preparing: float, began: float
     ) -> None:
-        self._records.append((rounds, work, change, preparing, perf_counter() - began))
+        fresh, self._plan.fresh = self._plan.fresh, 0
+        self._records.append((rounds, work, fresh, change, preparing, perf_counter() - began))
 
     def _fall_back(self, status: Status) -> Command:
         self._seen = None

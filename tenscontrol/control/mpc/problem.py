@@ -23,7 +23,7 @@ import numpy as np
 
 from tenscontrol.control.status import Status
 from tenscontrol.plant import Preview, StringMap
-from tenscontrol.validation import FloatArray, IntArray, freeze_arrays, frozen
+from tenscontrol.validation import BoolArray, FloatArray, IntArray, freeze_arrays, frozen
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -368,10 +368,37 @@ class StageJacobians:
     Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j. Those
     of the motion are by z_k, u_k and, where inputs are ramps, u_{k−1}; those of limited rows by
     z_k, u_k and z_{k+1}. They are views of memory that the next call may overwrite.
+
+    Slopes of sample k are in slot ``start + k``, modulo N: those of a plan that moved on stay in
+    their slots, and only those of ``fresh`` samples are others than in the last call.
     """
 
     offset: FloatArray  # (N, m)
     slopes: tuple[FloatArray, ...]  # (N, columns, m) each
+    start: int = 0
+    fresh: BoolArray | None = None  # (N,); None: all
+
+    def in_order(self) -> StageJacobians:
+        """Return the same with slopes in the order of samples."""
+        if not self.start:
+            return self
+        return StageJacobians(self.offset, tuple(rolled(part, -self.start) for part in self.slopes))
+
+
+def rolled(array: FloatArray, by: int) -> FloatArray:
+    """Return an array whose rows are moved on around its end."""
+    return np.roll(array, by, axis=0) if by else array
+
+
+def about(
+    slopes: tuple[FloatArray, ...], arguments: tuple[FloatArray, ...], values: FloatArray,
+    start: int, fresh: BoolArray,
+) -> StageJacobians:  # fmt: skip
+    """Return functions of given values, (N, m), and slopes at arguments, (N, columns) each."""
+    offset = values.copy()
+    for slope, argument in zip(slopes, arguments, strict=True):
+        offset -= rolled(applied(slope, rolled(argument, start)), -start)
+    return StageJacobians(offset, slopes, start, fresh)
 
 
 def applied(slopes: FloatArray, arguments: FloatArray) -> FloatArray:

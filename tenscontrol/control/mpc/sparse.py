@@ -316,6 +316,7 @@ class SparseSubproblem(Subproblem):
         rows: StageJacobians | None,
     ) -> bool:  # fmt: skip
         """See :meth:`Subproblem.linearize`."""
+        motion = motion.in_order()
         parts = [part for each in (motion, rows) if each for part in (each.offset, *each.slopes)]
         if not all(np.isfinite(part).all() for part in parts):
             return False

@@ -132,9 +132,10 @@ class LeastDistance(Subproblem):
 
     def __init__(
         self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair,
-        alike: bool = False,
+        alike: bool = False, tolerance: float = 0.0,
     ) -> None:  # fmt: skip
-        self._made_of = problem, row_bounds, max_iterations, bounds, alike
+        self._made_of = problem, row_bounds, max_iterations, bounds, alike, tolerance
+        self._tolerance = tolerance
         library, N, (m, a) = _library(), problem.length, problem.input_matrix.shape
         numbers_of, data = stages_data(problem, row_bounds, max_iterations, bounds)
         n, rows = numbers_of[1], data[10].size
@@ -169,7 +170,7 @@ class LeastDistance(Subproblem):
             for name in ("shift", "prepare", "solve", "iterations")
         )
         pointer = ctypes.c_void_p
-        self._prepare.argtypes = [pointer] * 9
+        self._prepare.argtypes = [pointer, ctypes.c_int, pointer, ctypes.c_double, *[pointer] * 8]
         self._solve.argtypes = [pointer] * 7 + [_Stop]
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -206,7 +207,9 @@ class LeastDistance(Subproblem):
         parts += [None] * 4 if rows is None else [rows.offset, *rows.slopes]
         kept = [None if part is None else np.ascontiguousarray(part, float) for part in parts]
         addresses = [None if part is None else _address(part) for part in kept]
-        return bool(self._prepare(self._program, *addresses))
+        fresh = None if motion.fresh is None else motion.fresh.astype(np.intc)
+        known = motion.start, None if fresh is None else _address(fresh), self._tolerance
+        return bool(self._prepare(self._program, *known, *addresses))
 
     def solve(
         self, state: FloatArray, data: StageData, previous: FloatArray, acting: FloatArray,
@@ -283,6 +286,7 @@ class LeastDistanceArrays(Subproblem):
         rows: StageJacobians | None,
     ) -> bool:  # fmt: skip
         """See :meth:`Subproblem.linearize`."""
+        motion = motion.in_order()
         parts = [part for each in (motion, rows) if each for part in (each.offset, *each.slopes)]
         if not all(np.isfinite(part).all() for part in parts):
             return False

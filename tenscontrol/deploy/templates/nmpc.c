@@ -193,8 +193,8 @@ static void linearize(void)
     }
     limited = memory.limited;
 #endif
-    memory.prepared = stages_program_prepare(&program.stages, memory.offset, A, B, NULL, limited, E,
-                                             G, F);
+    memory.prepared = stages_program_prepare(&program.stages, 0, NULL, 0.0, memory.offset, A, B,
+                                             NULL, limited, E, G, F);
 }
 
 /* Solve the program for what is measured. */
