@@ -363,7 +363,7 @@ class Form(ABC):
 
 @dataclass(frozen=True, eq=False)
 class StageJacobians:
-    """First-order functions along a trajectory: ``value ≈ offset + Σ slope · argument``.
+    """Functions along a plan to first order: their values there, and their slopes.
 
     Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j. Those
     of the motion are by z_k, u_k and, where inputs are ramps, u_{k−1}; those of limited rows by
@@ -373,7 +373,7 @@ class StageJacobians:
     their slots, and only those of ``fresh`` samples are others than in the last call.
     """
 
-    offset: FloatArray  # (N, m)
+    values: FloatArray  # (N, m)
     slopes: tuple[FloatArray, ...]  # (N, columns, m) each
     start: int = 0
     fresh: BoolArray | None = None  # (N,); None: all
@@ -382,23 +382,19 @@ class StageJacobians:
         """Return the same with slopes in the order of samples."""
         if not self.start:
             return self
-        return StageJacobians(self.offset, tuple(rolled(part, -self.start) for part in self.slopes))
+        return StageJacobians(self.values, tuple(rolled(part, -self.start) for part in self.slopes))
+
+    def from_zero(self, *arguments: FloatArray) -> StageJacobians:
+        """Return, in order, the same functions with values where all of these arguments are zero."""
+        same, values = self.in_order(), self.values.copy()
+        for slope, argument in zip(same.slopes, arguments, strict=True):
+            values -= applied(slope, argument)
+        return StageJacobians(values, same.slopes)
 
 
 def rolled(array: FloatArray, by: int) -> FloatArray:
     """Return an array whose rows are moved on around its end."""
     return np.roll(array, by, axis=0) if by else array
-
-
-def about(
-    slopes: tuple[FloatArray, ...], arguments: tuple[FloatArray, ...], values: FloatArray,
-    start: int, fresh: BoolArray,
-) -> StageJacobians:  # fmt: skip
-    """Return functions of given values, (N, m), and slopes at arguments, (N, columns) each."""
-    offset = values.copy()
-    for slope, argument in zip(slopes, arguments, strict=True):
-        offset -= rolled(applied(slope, rolled(argument, start)), -start)
-    return StageJacobians(offset, slopes, start, fresh)
 
 
 def applied(slopes: FloatArray, arguments: FloatArray) -> FloatArray:

@@ -12,7 +12,6 @@ from tenscontrol.control.mpc.problem import (
     Pair,
     StageJacobians,
     Triple,
-    about,
     applied,
     rolled,
 )
@@ -52,6 +51,9 @@ _IN_CACHE = 60_000
 _SOLVED = 1e-12
 _MOST_ROUNDS = 20
 
+# Derivatives from elsewhere are kept while each round moves by less than this part of the last.
+_QUICK = 0.1
+
 # Then no equation is off by more than this, as accelerations that move places in a sample.
 _BALANCED = 1e-9
 
@@ -61,13 +63,11 @@ def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobi
     N = len(arguments[0])
     # One sample is a vector to an evaluator, several are columns.
     values, *slopes = evaluator(*(x.T if N > 1 else x[0] for x in arguments))
-    offset = values.reshape(-1, N, order="F").T.copy()
-    blocks = []
-    for slope, argument in zip(slopes, arguments, strict=True):
-        by_columns = slope.ravel(order="K").reshape(N, argument.shape[1], -1)
-        offset -= applied(by_columns, argument)
-        blocks.append(by_columns)
-    return StageJacobians(offset, tuple(blocks))
+    blocks = (
+        slope.ravel(order="K").reshape(N, argument.shape[1], -1)
+        for slope, argument in zip(slopes, arguments, strict=True)
+    )
+    return StageJacobians(values.reshape(-1, N, order="F").T, tuple(blocks))
 
 
 @builds
@@ -205,10 +205,7 @@ class RowSlopes:
             if jacobian.nnz:
                 by_q = (jacobian @ self._basis.T).reshape(N, p, r)
                 slopes[at][:, half : half + r] = by_q.swapaxes(1, 2)
-        offset = values.reshape(-1, N, order="F").T.copy()
-        for slope, argument in zip(slopes, (states, inputs, later), strict=True):
-            offset -= applied(slope, argument)
-        return StageJacobians(offset, tuple(slopes))
+        return StageJacobians(values.reshape(-1, N, order="F").T, tuple(slopes))
 
 
 class Discretization(ABC):
@@ -337,7 +334,7 @@ class RK4(Discretization):
             slots = (samples[points] + self.start) % len(states)
             by_all = self._chained(entries, points)
             self._by_all[0][slots], self._by_all[1][slots] = by_all[:, :s], by_all[:, s:]
-        return about(self._by_all, (states, held), end, self.start, fresh)
+        return StageJacobians(end, self._by_all, self.start, fresh)
 
     def _chained(self, entries: list[list[FloatArray]], points: IntArray) -> FloatArray:
         """Return derivatives of z⁺ by z and u, by columns, from entries at stages of all steps."""
@@ -467,13 +464,20 @@ class RadauIIA(Discretization):
         """Return end and stages of a step; no numbers where Newton's method fails."""
         states, inputs = state[None], np.array([previous, held])
         found = np.zeros((1, 3, self._r)) if stages is None else stages[None]
+        # From stages of the last sample of the plan, the derivatives there may do.
+        equations, slot = self._plan, self.start - 1
+        quick, moved = stages is not None, np.inf
         for _ in range(_MOST_ROUNDS):
             left, entries = self._left(self._once, states, inputs, found)
-            self._differentiate(self._once, entries, np.arange(1), self._single, np.arange(1))
-            change = self._single.solved(0, np.tile(load, 3) - left[0]).reshape(found.shape)
-            found = found + change
-            if np.abs(self._to_place @ change).max() <= _SOLVED * self._size:
+            if not quick:
+                equations, slot = self._single, 0
+                self._differentiate(self._once, entries, np.arange(1), equations, np.arange(1))
+            change = equations.solved(slot, np.tile(load, 3) - left[0]).reshape(found.shape)
+            found, last = found + change, moved
+            moved = np.abs(self._to_place @ change).max()
+            if moved <= _SOLVED * self._size:
                 return self._ends(states, found)[0], found[0]
+            quick = quick and moved < _QUICK * last
         found = np.full_like(found, np.nan)
         return self._ends(states, found)[0], found[0]
 
@@ -498,11 +502,10 @@ class RadauIIA(Discretization):
         places = np.arange(r)
         for part, row, size in ((0, 0, 1.0), (0, r, h), (r, r, 1.0)):
             self._slopes[0][slots[:, None], row + places, part + places] += size
-        arguments = (states, inputs[1:], inputs[:-1])[: len(self._slopes)]
         gap = rolled(self._remaining, self.start)
         corrected = rolled((plan.to_end @ gap[:, :, None])[:, :, 0], -self.start)
         ends = self._ends(states, stages) - corrected
-        return about(tuple(self._slopes), arguments, ends, self.start, fresh)
+        return StageJacobians(ends, tuple(self._slopes), self.start, fresh)
 
     def load_response(self, load: FloatArray) -> FloatArray:
         """See :meth:`Discretization.load_response`."""

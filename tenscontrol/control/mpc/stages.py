@@ -26,7 +26,6 @@ from tenscontrol.control.mpc.problem import (
     Subproblem,
     SubproblemSolution,
     Triple,
-    applied,
 )
 from tenscontrol.control.mpc.solvers import active_set_source, least_distance, stages_source
 from tenscontrol.control.status import Status
@@ -203,8 +202,8 @@ class LeastDistance(Subproblem):
     ) -> bool:  # fmt: skip
         """See :meth:`Subproblem.linearize`: the Riccati recursion, and the rows last active."""
         self._states[:], self._inputs[:] = states, inputs
-        parts = [motion.offset, *motion.slopes, *[None] * (3 - len(motion.slopes))]
-        parts += [None] * 4 if rows is None else [rows.offset, *rows.slopes]
+        parts = [motion.values, *motion.slopes, *[None] * (3 - len(motion.slopes))]
+        parts += [None] * 4 if rows is None else [rows.values, *rows.slopes]
         kept = [None if part is None else np.ascontiguousarray(part, float) for part in parts]
         addresses = [None if part is None else _address(part) for part in kept]
         fresh = None if motion.fresh is None else motion.fresh.astype(np.intc)
@@ -287,16 +286,12 @@ class LeastDistanceArrays(Subproblem):
     ) -> bool:  # fmt: skip
         """See :meth:`Subproblem.linearize`."""
         motion = motion.in_order()
-        parts = [part for each in (motion, rows) if each for part in (each.offset, *each.slopes)]
+        parts = [part for each in (motion, rows) if each for part in (each.values, *each.slopes)]
         if not all(np.isfinite(part).all() for part in parts):
             return False
         N, a, n, m = self._problem.length, self._inputs, self._states, self._plant_states
         self._plan = states, inputs
-        arguments = states[:-1], inputs[1:], inputs[:-1]
-        gap = motion.offset - states[1:]
-        for slope, argument in zip(motion.slopes, arguments, strict=False):
-            gap += applied(slope, argument)
-        self._gap = np.hstack([gap, np.zeros((N, n - m))])
+        self._gap = np.hstack([motion.values - states[1:], np.zeros((N, n - m))])
         by_all = np.zeros((self._many, n, a + n))  # [B A]
         by_all[:, :m, a : a + m], by_all[:, :m, :a] = (
             slope.swapaxes(1, 2) for slope in motion.slopes[:2]
@@ -305,12 +300,7 @@ class LeastDistanceArrays(Subproblem):
             by_all[:, :m, a + m :] = motion.slopes[2].swapaxes(1, 2)
             by_all[:, m:, :a] = np.eye(a)
         if rows is not None:
-            value = rows.offset.copy()
-            for slope, argument in zip(
-                rows.slopes, (states[:-1], inputs[1:], states[1:]), strict=True
-            ):
-                value += applied(slope, argument)
-            self._values = value / self._unit
+            self._values = rows.values / self._unit
             for matrix, slope in zip(self._by_all, rows.slopes, strict=True):
                 matrix[:, :, : slope.shape[1]] = slope.swapaxes(1, 2) / self._unit[:, None]
         self._recur(by_all)
@@ -475,8 +465,7 @@ class LinearProgram:
         motion, limited = (problem.transition, problem.input_matrix), None
         if rows is not None:
             by_all = rows.by_state, rows.by_input, rows.by_next_state
-            offset = np.zeros((N, len(rows.scale)))
-            limited = StageJacobians(offset, tuple(part.T[None] for part in by_all))
+            limited = StageJacobians(np.zeros((N, len(rows.scale))), tuple(part.T[None] for part in by_all))
         slopes = tuple(part.T[None] for part in motion)
         nothing = np.zeros((N + 1, s)), np.zeros((N + 1, a))
         self.program.linearize(*nothing, StageJacobians(np.zeros((N, s)), slopes), limited)

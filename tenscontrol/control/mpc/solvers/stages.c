@@ -171,23 +171,19 @@ static void stages_transpose(int rows, int columns, const double *A, double *to)
 }
 
 /*
- * Put in what stage k does: z_{k+1} = offset + A z_k + B u_k + C u_{k-1}, in whole states and
- * inputs. The matrices are stored by columns; C is NULL where inputs are no ramps. Those of a stage
- * that is not fresh are known.
+ * Put in what stage k does: from the plan to z_{k+1} = end, with derivatives A by z_k, B by u_k and C
+ * by u_{k-1}. The matrices are stored by columns; C is NULL where inputs are no ramps. Those of a
+ * stage that is not fresh are known.
  */
-static void stages_set_motion(Stages *s, int k, int fresh, const double *offset, const double *A,
+static void stages_set_motion(Stages *s, int k, int fresh, const double *end, const double *A,
                               const double *B, const double *C)
 {
     int n = s->states, a = s->inputs, m = s->ramp ? n - a : n, j;
-    const double *z = s->z + (size_t)k * m, *before = s->u + (size_t)k * a, *u = before + a;
+    const double *z = s->z + (size_t)(k + 1) * m;
     double *motion = s->motion + stages_at(s, k) * (a + n) * n, *gap = s->gap + (size_t)k * n;
     memset(gap, 0, (size_t)n * sizeof *gap);
     for (j = 0; j < m; j++)
-        gap[j] = offset[j] - z[m + j];
-    stages_add(m, m, 1.0, A, z, gap);
-    stages_add(a, m, 1.0, B, u, gap);
-    if (s->ramp)
-        stages_add(a, m, 1.0, C, before, gap);
+        gap[j] = end[j] - z[j];
     if (!fresh)
         return;
     if (!s->ramp) {
@@ -234,21 +230,16 @@ static int stages_finite(const double *values, size_t count)
     return !wrong;
 }
 
-/* Put in the limited values of stage k: offset + E z_k + G u_k + F z_{k+1}, as above. */
-static void stages_set_rows(Stages *s, int k, const double *offset, const double *E,
+/* Put in the limited values of stage k along the plan, and E by z_k, G by u_k, F by z_{k+1}. */
+static void stages_set_rows(Stages *s, int k, const double *values, const double *E,
                             const double *G, const double *F)
 {
     int n = s->states, a = s->inputs, p = s->limited, m = s->ramp ? n - a : n, i, j;
-    const double *z = s->z + (size_t)k * m, *u = s->u + (size_t)(k + 1) * a;
     double *value = s->values + (size_t)k * p, *e = s->E + stages_at(s, k) * p * n,
            *g = s->G + stages_at(s, k) * p * a, *f = s->F + stages_at(s, k) * p * n;
-    memcpy(value, offset, (size_t)p * sizeof *value);
-    stages_add(m, p, 1.0, E, z, value);
-    stages_add(a, p, 1.0, G, u, value);
-    stages_add(m, p, 1.0, F, z + m, value);
     for (i = 0; i < p; i++) {
         double unit = 1.0 / s->scale[i];
-        value[i] *= unit;
+        value[i] = unit * values[i];
         for (j = 0; j < m; j++) {
             e[(size_t)i * n + j] = unit * E[(size_t)j * p + i];
             f[(size_t)i * n + j] = unit * F[(size_t)j * p + i];
@@ -332,8 +323,8 @@ static int stages_near(int n, double tolerance, const double *P, const double *c
 }
 
 /*
- * The Riccati recursion. Returns whether R and what is added to it are definite. Stages that are not
- * fresh, with costs behind them that have not moved by more than the tolerance, are known.
+ * The Riccati recursion. Returns whether R and what is added to it are definite. Stages are known
+ * that are not fresh, with costs behind them that have not moved by more than the tolerance.
  */
 static int stages_prepare(Stages *s, const int *fresh, double tolerance)
 {
@@ -696,8 +687,8 @@ STAGES_API void stages_program_shift(StagesProgram *program)
  * the costs behind stages that are not fresh.
  */
 STAGES_API int stages_program_prepare(StagesProgram *program, int start, const int *fresh,
-                                      double tolerance, const double *offset, const double *A,
-                                      const double *B, const double *C, const double *row_offset,
+                                      double tolerance, const double *ends, const double *A,
+                                      const double *B, const double *C, const double *limited,
                                       const double *E, const double *G, const double *F)
 {
     Stages *s = &program->stages;
@@ -708,16 +699,17 @@ STAGES_API int stages_program_prepare(StagesProgram *program, int start, const i
     for (k = 0; k < (s->alike ? 1 : (size_t)s->stages); k++) {
         size_t at = stages_at(s, (int)k);
         int new = fresh == NULL || fresh[k];
-        if (!stages_finite(offset + k * m, m) ||
-            (new && !(stages_finite(A + at * m * m, m * m) && stages_finite(B + at * a * m, a * m) &&
+        if (!stages_finite(ends + k * m, m) ||
+            (new && !(stages_finite(A + at * m * m, m * m) &&
+                      stages_finite(B + at * a * m, a * m) &&
                       (!s->ramp || stages_finite(C + at * a * m, a * m)))) ||
-            (p && !(stages_finite(row_offset + k * p, p) && stages_finite(E + k * m * p, m * p) &&
+            (p && !(stages_finite(limited + k * p, p) && stages_finite(E + k * m * p, m * p) &&
                     stages_finite(G + k * a * p, a * p) && stages_finite(F + k * m * p, m * p))))
             return 0;
-        stages_set_motion(s, (int)k, new, offset + k * m, A + at * m * m, B + at * a * m,
+        stages_set_motion(s, (int)k, new, ends + k * m, A + at * m * m, B + at * a * m,
                           s->ramp ? C + at * a * m : NULL);
         if (p)
-            stages_set_rows(s, (int)k, row_offset + k * p, E + k * m * p, G + k * a * p,
+            stages_set_rows(s, (int)k, limited + k * p, E + k * m * p, G + k * a * p,
                             F + k * m * p);
     }
     if (!stages_prepare(s, fresh, tolerance))
