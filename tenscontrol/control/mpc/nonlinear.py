@@ -32,6 +32,9 @@ from tenscontrol.validation import FloatArray, frozen, instance, number, truth, 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
 CONVERGED = 1e-5
 
+# Commands differ by about a thousandth of the unit of an input from those without.
+LINEARIZATION_TOLERANCE = 0.05
+
 
 @dataclass(frozen=True, eq=False)
 class NMPCStatistics:
@@ -79,7 +82,7 @@ class NMPCLaw(PredictiveLaw):
     row_bounds: Pair  # of limited rows, shape (p,) each
     units: FloatArray  # of the state, shape (s,)
     rounds: int  # programs solved in a sample at most
-    tolerance: float  # of derivatives along the plan
+    linearization_tolerance: float
 
     def subproblem(self) -> Sparse:
         """Return the SQP subproblem, before anything is linearized."""
@@ -96,7 +99,7 @@ class NMPCLaw(PredictiveLaw):
             compiled = self.settings.solver == "auto" and self.model.back_end == "machine code"
             given = self.problem, self.row_bounds, self.settings.max_iterations, self.bounds
             if compiled:
-                return LeastDistance(*given, tolerance=self.tolerance)
+                return LeastDistance(*given, tolerance=self.linearization_tolerance)
             return LeastDistanceArrays(*given)
         # Stiff strings are sensitive to rest lengths: measured from those of the plan.
         form = self.subproblem()
@@ -141,6 +144,21 @@ class NMPCLaw(PredictiveLaw):
         return np.asarray(self.path.at(np.array([time])).input[0] if ramp else inputs[0])
 
 
+def _checked_tolerance(value: float | None, plant: LinearPlant) -> float | None:
+    """Return a part that is not negative, or None, or raise."""
+    if value is None:
+        return None
+    tolerance = number("linearization_tolerance", value, "a part")
+    if tolerance < 0:
+        raise ValueError(f"linearization_tolerance is {tolerance:g}, expected at least 0")
+    if tolerance and plant.model.contacts is not None:
+        raise ValueError(
+            f"linearization_tolerance is {tolerance:g}, and plant has ground, which changes "
+            "derivatives within far less: expected 0 or None"
+        )
+    return tolerance
+
+
 @final
 class NMPC(PredictiveController):
     """Nonlinear MPC: the plant is linearized along the motion that was predicted.
@@ -166,6 +184,13 @@ class NMPC(PredictiveController):
         coordinates, where it stands or in the air: contact is predicted.
     iterations : int
         Programs solved in a sample at most; fewer if the plan has converged.
+    linearization_tolerance : float, optional
+        A sample of the plan keeps its derivatives until its state or an input has moved, since they
+        were found, by more than this part of: for positions the size of the structure, or, where
+        rest lengths are held, the longest stretch of a string at rest; for velocities that size in
+        a sample; for inputs their unit. What is predicted is exact all the same. 0 finds all
+        anew, in every sample. By default 0.05 where steps are implicit and one program is solved in
+        a sample, else 0.
     machine_code : bool
         Compile the derivatives and the solver, where there is a C compiler: the same numbers but
         for round-off, sooner. Libraries are kept for the next run, and serve every horizon.
@@ -219,13 +244,13 @@ class NMPC(PredictiveController):
         *,
         iterations: int = 1,
         machine_code: bool = False,
-        linearization_tolerance: float = 0.0,
+        linearization_tolerance: float | None = None,
         **settings: Unpack[SettingsKeywords],
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         truth("machine_code", machine_code, "whether to compile the derivatives")
         rounds = whole_number("iterations", iterations, least=1)
-        tolerance = number("linearization_tolerance", linearization_tolerance, "a part")
+        tolerance = _checked_tolerance(linearization_tolerance, plant)
         given = MPCSettings(**settings)
         made = design(plant, given, nonlinear=True)
         super().__init__(plant, given, made)
@@ -234,6 +259,8 @@ class NMPC(PredictiveController):
             warnings.warn(text, ControlWarning, stacklevel=2)
         # After all checks: it may be compiled.
         model = TrajectoryModel(plant, given, made.constraints, machine_code)
+        if tolerance is None:
+            tolerance = LINEARIZATION_TOLERANCE if model.implicit and rounds == 1 else 0.0
         self._law = NMPCLaw(
             settings=given,
             model=model,
@@ -243,7 +270,7 @@ class NMPC(PredictiveController):
             units=model.units(made.problem.level),
             load=None if self._observer is None else self._observer.model,
             rounds=rounds,
-            tolerance=tolerance,
+            linearization_tolerance=tolerance,
             path=path,
         )
         self._plan = RealTimeIterate(
