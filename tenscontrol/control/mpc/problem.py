@@ -385,7 +385,7 @@ class StageJacobians:
         return StageJacobians(self.values, tuple(rolled(part, -self.start) for part in self.slopes))
 
     def from_zero(self, *arguments: FloatArray) -> StageJacobians:
-        """Return, in order, the same functions with values where all of these arguments are zero."""
+        """Return the same in order, with values where all of these arguments are zero."""
         same, values = self.in_order(), self.values.copy()
         for slope, argument in zip(same.slopes, arguments, strict=True):
             values -= applied(slope, argument)

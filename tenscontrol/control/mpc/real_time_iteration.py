@@ -357,9 +357,7 @@ class RealTimeIterate:
         inputs = self._planned()
         last = np.minimum(np.maximum(inputs[-1], self._low), self._high)
         last_stages = self._stages[-1] if self._stages.size else None
-        end, within = self._discretization.advance(
-            self._states[-1], inputs[-1], last, last_stages
-        )
+        end, within = self._discretization.advance(self._states[-1], inputs[-1], last, last_stages)
         self._states = np.concatenate([self._states[1:], end[None]])
         self._inputs = np.concatenate([inputs[1:], last[None]])
         if self._stages.size:

@@ -485,7 +485,7 @@ class RadauIIA(Discretization):
         self, states: FloatArray, inputs: FloatArray, stages: FloatArray, fresh: BoolArray
     ) -> StageJacobians:
         """See :meth:`Discretization.linearize`."""
-        (N, s), r, h, plan = states.shape, self._r, self._sample_time, self._plan
+        N, r, h, plan = len(states), self._r, self._sample_time, self._plan
         self._remaining, entries = self._left(self._along, states, inputs, stages)
         samples = np.flatnonzero(fresh)
         slots = (samples + self.start) % N

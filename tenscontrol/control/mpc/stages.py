@@ -465,7 +465,8 @@ class LinearProgram:
         motion, limited = (problem.transition, problem.input_matrix), None
         if rows is not None:
             by_all = rows.by_state, rows.by_input, rows.by_next_state
-            limited = StageJacobians(np.zeros((N, len(rows.scale))), tuple(part.T[None] for part in by_all))
+            values = np.zeros((N, len(rows.scale)))
+            limited = StageJacobians(values, tuple(part.T[None] for part in by_all))
         slopes = tuple(part.T[None] for part in motion)
         nothing = np.zeros((N + 1, s)), np.zeros((N + 1, a))
         self.program.linearize(*nothing, StageJacobians(np.zeros((N, s)), slopes), limited)

@@ -28,6 +28,7 @@ def plant_of(stiffness, damping=0.02):
     rest = tc.prestress(prism, force_density=demo.TOP_FORCE_DENSITY)
     return tc.linearize(model, rest, input="rest_length")
 
+
 ALL = np.ones(2, bool)
 
 

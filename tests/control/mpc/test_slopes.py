@@ -99,9 +99,7 @@ def test_samples_are_linearized_alike_in_both_ways(name):
     plant = plant_of(name)
     states, inputs = points(plant, 3)
     held = np.vstack([inputs[:1], inputs])
-    found = RK4(plant, 0.02, 3, False).linearize(
-        states, held, np.zeros((3, 0)), np.ones(3, bool)
-    )
+    found = RK4(plant, 0.02, 3, False).linearize(states, held, np.zeros((3, 0)), np.ones(3, bool))
     for k in range(3):
         end, by_z, by_u = (
             part.full() for part in sampled_dynamics(plant, 0.02)[1](states[k], inputs[k])
