@@ -195,7 +195,7 @@ _MEANINGS: Keys = {
         (NUMBER, "m", "bar_length leg_length length width spacing rise sag"),
         (NUMBER, "s", "duration step output_step sample_time time_limit start time until"),
         (NUMBER, "rad", "twist slope spread"),
-        (NUMBER, "", "overlap across up friction"),
+        (NUMBER, "", "linearization_tolerance overlap across up friction"),
         (NUMBER, "m/s", "slip_speed"),
         (NUMBER, "Hz", "frequency"),
         (NUMBER, "1/m", "penalty"),
