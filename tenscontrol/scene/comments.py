@@ -94,6 +94,7 @@ COMMENTS: Mapping[str, str] = MappingProxyType(
         # skin, subdivide
         "panels": "names of string groups, or loops of nodes around the panels",
         "iterations": "SQP iterations in a sample",
+        "linearization_tolerance": "part by which a sample may change and keep its derivatives",
         "skin.iterations": "how often each triangle is divided",
         "panel_mass": "mass of each panel",
         "areal_density": "mass of each panel over its area",
