@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
@@ -62,13 +63,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     After Ctrl-C or SIGTERM it keeps what is done, says so in a line, and returns 130 or 143. If
     the reader of a pipe goes away, it finishes without a message, and returns 141.
     """
-    output = _Output(sys.stdout)
-    with redirect_stdout(cast(TextIO, output)):
-        try:
-            status = _run(arguments)
-        finally:
-            with suppress(OSError):  # what cannot be written Python says at its end
-                output.flush()
+    output = _Output(sys.stdout or StringIO())  # there is none if the shell closed it
+    try:
+        with redirect_stdout(cast(TextIO, output)):
+            try:
+                status = _run(arguments)
+            finally:
+                output.flush()  # what --help printed too
+    except OSError as error:
+        print(f"tenscontrol: {_told(error)}", file=sys.stderr)
+        return 2
     return _CLOSED if output.closed and not status else status
 
 

@@ -205,8 +205,8 @@ def refuse_unseen_loads(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> 
     advice = _remedy(plant, sensors, lambda more: _rank(np.vstack([seen, more[:, :r]])) == r)
     leave = f"{advice}{', or' if advice.startswith('Measure') else ';'} leave out load"
     raise ValueError(
-        f"load: {count} of the {r} directions of a load change nothing that {sensors!r} "
-        f"measure, to first order, so that it cannot be estimated. {leave}"
+        f"load: {count} of the {r} directions of a load cannot be estimated, as {sensors!r} do not "
+        f"measure their effect to first order. {leave}"
     )
 
 

@@ -116,7 +116,7 @@ def test_it_is_refused_exactly_where_the_test_of_hautus_fails_at_zero(held, sens
 
 
 def test_a_mechanism_that_changes_no_length_is_such_a_case(held, sensors_of):
-    with pytest.raises(ValueError, match="load: 1 of the 9 ways"):
+    with pytest.raises(ValueError, match="load: 1 of the 9 directions"):
         tc.KalmanFilter(held, sensors_of("string_length"), sample_time=STEP, load=True)
 
 

@@ -334,7 +334,6 @@ def into_a_closed_pipe(*arguments):
 def test_a_closed_pipe_ends_nothing_and_is_told_by_the_status(tmp_path, scene):
     assert into_a_closed_pipe("simulate", scene, "--output", tmp_path / "saved") == 141
     assert {file.name for file in (tmp_path / "saved").iterdir()} == RUN_FILES
-    assert into_a_closed_pipe("new", "--list") == 141
     assert into_a_closed_pipe("--help") == 0
 
 
