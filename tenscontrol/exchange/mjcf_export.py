@@ -96,8 +96,9 @@ def to_mujoco(
     Notes
     -----
     MuJoCo's tendons go on damping when slack, where ours do not. Actuators never push, but a damped
-    one pulls on a slack string that lengthens fast enough. MuJoCo's contacts have linear damping, as much as takes what ours takes in an impact at 1 m/s, and friction that
-    is viscous below that of Coulomb. Constant loads are actuators without control, ``loadi``.
+    one pulls on a slack string that lengthens fast enough. MuJoCo's contacts have linear damping,
+    as much as takes what ours takes in an impact at 1 m/s, and friction that is viscous below that
+    of Coulomb. Constant loads are actuators without control, ``loadi``, after those of strings.
 
     Examples
     --------
