@@ -289,6 +289,8 @@ class _Assembly:
     def _held(self, body: Placed, slides: Sequence[FloatArray]) -> list[int]:
         """Return the axes along which slides do not let a body move."""
         every = [0, 2] if self._flat() else [0, 1, 2]
+        if np.linalg.matrix_rank(slides) < len(slides):
+            raise ValueError(f"body {body.name!r} slides twice along one axis")
         span = np.linalg.qr(np.array(slides).T)[0]
         along = np.linalg.norm(span, axis=1)  # of each axis, the part that is free
         askew = (along > _SAME) & (along < 1 - _SAME)
@@ -314,7 +316,8 @@ class _Assembly:
                 raise ValueError(f"the MJCF has the constraint <{element.tag}>, which no bar has")
             what = f"the constraint {given.get('name', 'connect')!r}"
             if "site1" in given:
-                spots = [self._spot(*self._site(given[name]), what) for name in ("site1", "site2")]
+                sites = (self._site(given.get(name, "")) for name in ("site1", "site2"))
+                spots = [self._spot(*site, what) for site in sites]
             else:
                 number = self.document.numbered(given.get("body1", ""))
                 other = self.document.numbered(given.get("body2", "world"))

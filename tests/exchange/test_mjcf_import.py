@@ -157,6 +157,8 @@ def test_files_are_read_by_their_path(tmp_path):
          '<geom type="cylinder"', "has two bars"),
         ('<inertial pos="0 0 0.25"', '<inertial pos="0 0 0.2"', "centre of mass off the middle"),
         ('<joint type="slide" axis="1 0 0"/>', "", "not along all axes"),
+        ('<joint type="slide" axis="1 0 0"/>', '<joint type="slide" axis="0 1 0"/>', "twice along"),
+        ("<actuator>", '<equality><connect site1="a"/></equality><actuator>', "names the site ''"),
         ('stiffness="80"', 'stiffness="80 1"', "stiffness that changes with its length"),
         ("<actuator>", '<equality><joint joint1="x"/></equality><actuator>', "constraint <joint>"),
         ("<tendon>\n", '<tendon><fixed name="f"/>\n', "'f' is <fixed>, not spatial"),
