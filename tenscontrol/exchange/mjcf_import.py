@@ -337,7 +337,18 @@ class _Assembly:
         """Return the spots that each tendon runs over, and the group of each."""
         paths, groups = [], []
         self.tendons: list[tuple[Element, dict[str, str]]] = []
-        for element, given in self.document.members("tendon"):
+        actuated = {given.get("tendon") for _, given in self.document.members("actuator")}
+        tendons = self.document.members("tendon")
+        pulling = [  # the others measure; a string of γ = 0 has a range of lengths without force
+            any(row(given, "stiffness"))
+            or len(row(given, "springlength")) == 2
+            or given.get("name", "") in actuated
+            for _, given in tendons
+        ]
+        for (element, given), pulls in zip(tendons, pulling, strict=True):
+            if any(pulling) and not pulls:
+                self._note(f"tendon {given.get('name', '')!r} pulls by nothing and is left out")
+                continue
             if element.tag != "spatial":
                 raise ValueError(
                     f"tendon {given.get('name', '')!r} is <{element.tag}>, not spatial"
