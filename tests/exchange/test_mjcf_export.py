@@ -76,7 +76,6 @@ def test_mujoco_moves_as_we_do_to_the_error_of_its_integrator(name):
         energy(model, *at, given["rest_length"]) for at in ((found, speeds), (nodes, rates))
     ]
     assert energies[0] == pytest.approx(energies[1], rel=1e3 * most)
-    assert np.abs(structure.bar_vectors(found)).max() > 0
     length = np.linalg.norm(structure.bar_vectors(found), axis=0)
     np.testing.assert_allclose(length, structure.bar_length, rtol=1e-12 if order == 4 else 1e-6)
 
