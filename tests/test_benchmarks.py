@@ -343,6 +343,16 @@ def test_thrown_ball(printed):
         assert last < min(first, most)
 
 
+@needs("mujoco", "bench")
+def test_exported_models(printed):
+    text = printed("exported_models", "--names arm d_bar --steps 2e-3 1e-3 --duration 0.05")
+    for name, order in (("arm", 4), ("d_bar", 2)):
+        loops, *errors, fitted = row(text, f"{name} ")
+        assert loops == (order == 2)
+        assert errors == sorted(errors, reverse=True)
+        assert fitted == pytest.approx(order, abs=0.6)
+
+
 def test_morph(printed, nothing_compiled):
     text = printed("morph", "1000 --plants 1 --rate 1")
     stiffness, pieces, height, twist, node, gamma, tension, rate, *_ = row(text, " ")

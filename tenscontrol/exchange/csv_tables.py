@@ -66,7 +66,7 @@ def from_csv(nodes: object, members: object) -> Imported:
     fixed: list[int | tuple[int, str]] = []
     for i, row in enumerate(points.rows):
         held = row.get("fixed", "").lower()
-        if held in ("all", axes):
+        if held == "all" or sorted(held) == list(axes):
             fixed.append(i)
         else:
             fixed += [(i, choice(points.cell(row, "fixed"), axis, axes)) for axis in held]

@@ -57,6 +57,11 @@ class MjcfDocument:
         self.root = _root(source)
         self.notes: list[str] = []
         compiler = self._child("compiler")
+        if compiler.get("coordinate", "local") != "local":
+            raise ValueError(
+                "the MJCF has coordinate='global', which MuJoCo dropped in 2.3.4: load and save it "
+                "with one before"
+            )
         self._degrees = compiler.get("angle", "degree") == "degree"
         self._sequence = compiler.get("eulerseq", "xyz")
         if len(self._sequence) != 3 or not set(self._sequence.lower()) <= set("xyz"):

@@ -95,9 +95,10 @@ def to_mujoco(
 
     Notes
     -----
-    MuJoCo's tendons go on damping when slack, where ours do not; actuators never push. Its contacts
-    have linear damping, as much as takes what ours takes in an impact at 1 m/s, and friction that
-    is viscous below that of Coulomb. Constant loads are actuators without control, ``loadi``.
+    MuJoCo's tendons go on damping when slack, where ours do not. Actuators never push, but a damped
+    one pulls on a slack string that lengthens fast enough. MuJoCo's contacts have linear damping,
+    as much as takes what ours takes in an impact at 1 m/s, and friction that is viscous below that
+    of Coulomb. Constant loads are actuators without control, ``loadi``, after those of strings.
 
     Examples
     --------
@@ -277,7 +278,7 @@ class _Document:
             SubElement(
                 world, "geom", name=f"ground{i}", type="plane", size=_numbers([0, 0, self.size]),
                 pos=_numbers((law.height - radius) * up), zaxis=_numbers(up), contype=str(1 << i),
-                conaffinity="0", rgba="0.9 0.9 0.9 1",
+                conaffinity="0", rgba="0.8 0.8 0.75 1",
             )  # fmt: skip
 
     def _balls(self, element: Element, node: int, at: FloatArray, inverse: float) -> None:

@@ -289,6 +289,8 @@ class _Assembly:
     def _held(self, body: Placed, slides: Sequence[FloatArray]) -> list[int]:
         """Return the axes along which slides do not let a body move."""
         every = [0, 2] if self._flat() else [0, 1, 2]
+        if np.linalg.matrix_rank(slides) < len(slides):
+            raise ValueError(f"body {body.name!r} slides twice along one axis")
         span = np.linalg.qr(np.array(slides).T)[0]
         along = np.linalg.norm(span, axis=1)  # of each axis, the part that is free
         askew = (along > _SAME) & (along < 1 - _SAME)
@@ -314,7 +316,8 @@ class _Assembly:
                 raise ValueError(f"the MJCF has the constraint <{element.tag}>, which no bar has")
             what = f"the constraint {given.get('name', 'connect')!r}"
             if "site1" in given:
-                spots = [self._spot(*self._site(given[name]), what) for name in ("site1", "site2")]
+                sites = (self._site(given.get(name, "")) for name in ("site1", "site2"))
+                spots = [self._spot(*site, what) for site in sites]
             else:
                 number = self.document.numbered(given.get("body1", ""))
                 other = self.document.numbered(given.get("body2", "world"))
@@ -334,7 +337,18 @@ class _Assembly:
         """Return the spots that each tendon runs over, and the group of each."""
         paths, groups = [], []
         self.tendons: list[tuple[Element, dict[str, str]]] = []
-        for element, given in self.document.members("tendon"):
+        actuated = {given.get("tendon") for _, given in self.document.members("actuator")}
+        tendons = self.document.members("tendon")
+        pulling = [  # the others measure; a string of γ = 0 has a range of lengths without force
+            any(row(given, "stiffness"))
+            or len(row(given, "springlength")) == 2
+            or given.get("name", "") in actuated
+            for _, given in tendons
+        ]
+        for (element, given), pulls in zip(tendons, pulling, strict=True):
+            if any(pulling) and not pulls:
+                self._note(f"tendon {given.get('name', '')!r} pulls by nothing and is left out")
+                continue
             if element.tag != "spatial":
                 raise ValueError(
                     f"tendon {given.get('name', '')!r} is <{element.tag}>, not spatial"

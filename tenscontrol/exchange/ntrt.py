@@ -183,6 +183,8 @@ def _place(part: _Part, given: Mapping[str, Any], number: int, where: str) -> No
     rotation = _mapping(given.get("rotation"), where, ("reference", "axis", "angle"))
     if "axis" in rotation and "angle" in rotation:
         axis = _vector(rotation["axis"], f"{where}: axis")
+        if not axis.any():
+            raise ValueError(f"{where}: axis is 0, expected a direction")
         angle = np.deg2rad(_number(rotation["angle"], f"{where}: angle"))
         turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
         about = part.centroid()

@@ -54,6 +54,18 @@ def test_a_spring_of_an_actuator_is_a_string():
     np.testing.assert_array_equal(found.rest_length, np.ones(24))
 
 
+@pytest.mark.parametrize("actuators", ["none", "tension", "force_density"])
+def test_strings_without_force_come_back(actuators):
+    model = tc.Model(tc.prism())
+    gamma = np.r_[np.zeros(3), np.ones(6)]
+    text = tc.exchange.to_mujoco(model, force_density=gamma, actuators=actuators)
+    found = tc.exchange.from_mujoco(text)
+    assert_same(found.structure, model.structure)
+    assert found.model.strings is None
+    assert found.rest_length is None
+    assert found.notes
+
+
 # Three bars as others write them: defaults, classes, degrees, nested bodies, masses by density.
 FOREIGN = """
 <mujoco>
@@ -96,6 +108,9 @@ FOREIGN = """
     <spatial name="four" stiffness="0" springlength="0 0.3">
       <site site="w"/><site site="c"/>
     </spatial>
+    <spatial name="gauge" stiffness="0" springlength="1.7">
+      <site site="a"/><site site="d"/>
+    </spatial>
   </tendon>
   <actuator><position tendon="four" kp="40" kv="2"/></actuator>
 </mujoco>
@@ -114,7 +129,7 @@ def test_what_others_write_is_placed_as_mujoco_places_it():
     for string, names in ends.items():
         for node, name in zip(structure.strings[string], names, strict=True):
             np.testing.assert_allclose(structure.nodes[:, node], sites[name], atol=1e-12)
-    np.testing.assert_allclose(structure.string_length(), data.ten_length, atol=1e-12)
+    np.testing.assert_allclose(structure.string_length(), data.ten_length[:4], atol=1e-12)
     np.testing.assert_allclose(found.rest_length, [0.6, 0.6, data.ten_length[2], 0.3])
     np.testing.assert_array_equal(found.model.strings.stiffness, [250, 80, 250, 40])
     np.testing.assert_array_equal(found.model.strings.damping, [0.4, 0.4, 0.4, 2.0])
@@ -129,8 +144,9 @@ def test_what_others_write_is_placed_as_mujoco_places_it():
     assert len(structure.fixed) == 1
     assert structure.structure_class == 2
     np.testing.assert_allclose(found.model.gravity, [0, 0, -1.62])
-    assert len(found.notes) == 3
+    assert len(found.notes) == 4
     assert any("thin bar" in note for note in found.notes)
+    assert "tendon 'gauge' pulls by nothing and is left out" in found.notes
     assert any("floor" in note for note in found.notes)
 
 
@@ -147,6 +163,7 @@ def test_files_are_read_by_their_path(tmp_path):
     [
         ("</mujoco>", "", "source is not XML"),
         ("<mujoco>", "<mujoco><deformable/>", "<deformable>, which is not understood"),
+        ("<compiler ", "<compiler coordinate='global' ", "which MuJoCo dropped in 2.3.4"),
         ("<light", "<composite/><light", "<composite>, which is not understood"),
         ('class="soft"><site', 'class="firm"><site', "class 'firm', which it does not define"),
         ('<site site="d"/>', '<site site="x"/>', "names the site 'x'"),
@@ -157,6 +174,8 @@ def test_files_are_read_by_their_path(tmp_path):
          '<geom type="cylinder"', "has two bars"),
         ('<inertial pos="0 0 0.25"', '<inertial pos="0 0 0.2"', "centre of mass off the middle"),
         ('<joint type="slide" axis="1 0 0"/>', "", "not along all axes"),
+        ('<joint type="slide" axis="1 0 0"/>', '<joint type="slide" axis="0 1 0"/>', "twice along"),
+        ("<actuator>", '<equality><connect site1="a"/></equality><actuator>', "names the site ''"),
         ('stiffness="80"', 'stiffness="80 1"', "stiffness that changes with its length"),
         ("<actuator>", '<equality><joint joint1="x"/></equality><actuator>', "constraint <joint>"),
         ("<tendon>\n", '<tendon><fixed name="f"/>\n', "'f' is <fixed>, not spatial"),
