@@ -96,6 +96,13 @@ def test_the_page_on_estimation_runs():
     assert np.abs(off).max() < 5e-3  # from 15 mm
 
 
+def test_the_page_on_figures_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = ran("figures", 1)["run"]
+    assert np.abs(run.nodes - run.nodes[:, :, :1]).max() > 0.01
+    assert {path.name for path in tmp_path.iterdir()} == {"tower.pdf", "tower.gif"}
+
+
 def test_the_page_on_faults_runs(capsys):
     with pytest.warns(ControlWarning, match="comes no nearer"):  # without the string it is lost
         control = ran("faults", 1)["run"].control

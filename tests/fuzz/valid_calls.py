@@ -1698,7 +1698,6 @@ call(
         "fps": 20.0,
         "duration": 0.1,
         "target": nodes(),
-        "ground": tc.Ground(stiffness=1e3),
         "view": (20.0, -60.0),
         "dpi": 20,
     },
