@@ -1,17 +1,10 @@
 """What the README shows runs, and its commands exist."""
 
 import re
-import textwrap
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-import numpy as np
-import pytest
 
-from tenscontrol.control import ControlWarning
-from tenscontrol.dynamics.machine_code import compiler
-
-DOCS = Path(__file__).parent.parent / "docs"
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
 
 
@@ -24,74 +17,6 @@ def test_first_session_runs_and_brings_the_prism_to_rest():
     start, end = (plant.measure(run.nodes[..., k], run.velocities[..., k])[:9] for k in (0, -1))
     assert abs(start).max() > 0.019
     assert abs(end).max() < 1e-3
-
-
-def ran(page, count):
-    """Run the code of a page, so many blocks, one after the other; return all names."""
-    text = (DOCS / f"{page}.rst").read_text(encoding="utf-8")
-    blocks = re.findall(r".. code-block:: python\n\n((?:   .*\n|\n)+)", text)
-    assert len(blocks) == count
-    names: dict = {}
-    exec(textwrap.dedent("".join(blocks)), names)
-    plt.close("all")
-    return names
-
-
-def test_the_way_from_a_shape_to_winch_commands_runs(capsys, monkeypatch):
-    monkeypatch.syspath_prepend(DOCS.parent / "examples")  # the study is a file to copy
-    with pytest.warns(RuntimeWarning, match=r"no string reaches 1 mode of .*at 2\.013 Hz"):
-        names = ran("control", 11)
-    limits = [names["report"].limit("MPC", held) for held in ("force_density", "rest_length")]
-    assert limits == [1e2, 1e4]
-    assert "winch 6 stuck from 0.3 s to 0.5 s" in capsys.readouterr().out
-    assert names["jump"].nodes[1].min(axis=0)[300:].max() > 0.1
-    run = names["run"]
-    assert np.abs(run.control.winch_rate).max() < 0.15 + 1e-9
-    assert set(run.control.status) == {"ok"}
-    heights = run.nodes[2, :3].mean(axis=0) - run.nodes[2, 3:].mean(axis=0)
-    assert heights[0] == pytest.approx(1.0)
-    assert heights[-1] == pytest.approx(0.85, abs=5e-3)
-
-
-def test_the_page_on_ground_runs():
-    names = ran("ground", 5)
-    run = names["run"]
-    assert -0.95 < run.nodes[2].min() < -0.9  # it has landed, and not sunk
-    assert names["bounced"].nodes[0].max() < 1.05  # in front of the wall
-    assert -0.96 < names["landed"].nodes[2].min() < -0.9
-    assert names["stance"].contacts.normal_force.sum() == pytest.approx(6 * 9.81, rel=1e-9)
-    held = names["held"]
-    assert np.abs(held.velocities[:, :, -1]).max() < 0.2 * np.abs(held.velocities[:, :, 0]).max()
-
-
-def test_the_page_on_own_controllers_runs():
-    run = ran("own_controllers", 2)["run"]
-    assert run.control.controller.startswith("FunctionController(policy, input 'force_density'")
-    assert run.control.status_count == {"ok": 25}
-
-
-def test_the_page_on_estimation_runs():
-    names = ran("estimation", 4)
-    assert names["y"].shape == (12,)
-    assert names["rocking"].sensors.readings[-1] == "bar_rate 3"
-    off = names["run"].nodes[:, :, -1] - names["prism"].nodes
-    assert np.abs(off).max() < 5e-3  # from 15 mm
-
-
-def test_the_page_on_faults_runs(capsys):
-    with pytest.warns(ControlWarning, match="comes no nearer"):  # without the string it is lost
-        control = ran("faults", 1)["run"].control
-    assert "string 6 cut from 0.9 s" in capsys.readouterr().out
-    assert control.status_count["measurement not finite"] == 5
-    assert control.fallback_count == {"plan continued": 5}
-    assert sum(control.status_count.values()) == 60
-
-
-@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-def test_the_page_on_deployment_runs(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert ran("deployment", 2)["run"].control.status_count == {"ok": 150}
-    assert (tmp_path / "prism_mpc" / "controller.h").exists()
 
 
 def test_commands_of_the_table_are_there():
