@@ -1,8 +1,8 @@
 """What the search of the built documentation finds first.
 
-Run: ``python -m tests.docs_search FOLDER``, where FOLDER has the HTML pages. It prints the first page for each
-word of :data:`FIRST` and ends with status 1 if one is another than expected. The scores are those of Sphinx's
-``searchtools.js`` (Sphinx 9): titles, index entries, objects, and words of the text.
+Run: ``python -m tests.docs_search FOLDER``, where FOLDER has the HTML pages. It prints the first
+page for each word of :data:`FIRST`, and ends with status 1 if one is another than expected. The
+scores are those of Sphinx 9 (``searchtools.js``): titles, index entries, objects, words.
 """
 
 from __future__ import annotations
@@ -105,12 +105,9 @@ def main(arguments):
     index, stem = load(folder), snowballstemmer.stemmer("english").stemWord
     wrong = 0
     for query, page in FIRST.items():
-        first = found(index, query, stem)[:1]
-        right = bool(first) and first[0][1] == page
-        wrong += not right
-        print(
-            f"{query:16} {first[0][1] if first else 'nothing':16} {'' if right else 'expected ' + page}".rstrip()
-        )
+        _, first, _ = [*found(index, query, stem), (0, "nothing", "")][0]
+        wrong += first != page
+        print(f"{query:16} {first:16} {'' if first == page else f'expected {page}'}".rstrip())
     return int(wrong > 0)
 
 

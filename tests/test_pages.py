@@ -69,9 +69,10 @@ def test_estimation():
 
 def test_faults(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with ThreadPoolExecutor(1) as here, pytest.warns(ControlWarning, match="comes no nearer"):
-        monkeypatch.setattr(tc, "here", here, raising=False)
-        few = {"count=200": "count=4, executor=tc.here", "progress=True": "progress=False"}
+    here = ThreadPoolExecutor(1)
+    monkeypatch.setattr(tc, "here", here, raising=False)
+    few = {"count=200": "count=4, executor=tc.here", "progress=True": "progress=False"}
+    with here, pytest.warns(ControlWarning, match="comes no nearer"):
         names = ran("faults", **few)
     control = names["run"].control
     assert "string 6 cut from 0.9 s" in capsys.readouterr().out
