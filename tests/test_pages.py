@@ -3,8 +3,10 @@
 import re
 import textwrap
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 from pathlib import Path
 
+import control
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -160,6 +162,23 @@ def test_the_minimum_time_program_converges_and_ends_at_rest_where_the_path_does
     ours = replay(path.time, path.rest_length)
     assert ours[0] > 0.02
     assert ours[1] > 0.2
+
+
+@pytest.mark.skipif(find_spec("slycot") is not None, reason="slycot is installed")
+def test_functions_of_python_control_that_need_slycot_are_named():
+    table = (DOCS / "interop.rst").read_text(encoding="utf-8").split("needs slycot", 1)[1]
+    needs = set(re.findall(r"``(\w+)``", table.split("     - ``h2syn``", 1)[1])) | {"h2syn"}
+    A, B = np.array([[0.0, 1.0], [-2.0, -0.5]]), np.eye(2)
+    system = control.ss(A, B, B, 0 * B)
+    for name, arguments in {
+        "h2syn": (1, 1), "hinfsyn": (1, 1), "balanced_reduction": (1,), "gram": ("c",),
+        "hankel_singular_values": (), "linfnorm": (), "minimal_realization": (),
+    }.items():  # fmt: skip
+        assert name in needs
+        with pytest.raises((control.ControlSlycot, TypeError), match="slycot"):
+            getattr(control, name)(system, *arguments)
+    with pytest.raises(control.ControlSlycot):
+        control.place_varga(A, B, [-1.0, -2.0])
 
 
 # ---- the search ----
