@@ -1,4 +1,4 @@
-"""What users reach by name, for the tests that walk it: what docs/api.rst documents."""
+"""What users reach by name, for the tests that walk it: what the pages of docs/api document."""
 
 import ast
 import importlib
@@ -7,7 +7,7 @@ import re
 from functools import cache, cached_property
 from pathlib import Path
 
-PAGE = Path(__file__).parent.parent / "docs" / "api.rst"
+PAGES = sorted((Path(__file__).parent.parent / "docs" / "api").glob("*.rst"))
 
 
 @cache
@@ -18,14 +18,16 @@ def tree(path):
 
 @cache
 def interface():
-    """Full names that docs/api.rst documents, and those that it lists as shared by folders."""
-    public, shared = PAGE.read_text(encoding="utf-8").split("\nShared between folders\n", 1)
-    module, named = "tenscontrol", set()
-    for kind, name in re.findall(r"^\.\. (currentmodule|auto\w+):: +([\w.]+)", public, re.M):
-        if kind == "currentmodule":
-            module = name
-        else:
-            named.add(name if name.startswith("tenscontrol.") else f"{module}.{name}")
+    """Full names that docs/api documents, and those that it lists as shared by folders."""
+    texts = {page.stem: page.read_text(encoding="utf-8") for page in PAGES}
+    shared, named = texts.pop("shared"), set()
+    for text in texts.values():
+        module = "tenscontrol"
+        for kind, name in re.findall(r"^\.\. (currentmodule|auto\w+):: +([\w.]+)", text, re.M):
+            if kind == "currentmodule":
+                module = name
+            else:
+                named.add(name if name.startswith("tenscontrol.") else f"{module}.{name}")
     return named, set(re.findall(r"``(tenscontrol\.[\w.]+)``", shared))
 
 

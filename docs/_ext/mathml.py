@@ -4,15 +4,20 @@ from docutils import nodes
 from latex2mathml.converter import convert
 
 
+def mathml(formula, **how):
+    """Return a formula as MathML. Dots and hats are accents, which browsers do not shrink."""
+    return convert(formula, **how).replace("<mover>", '<mover accent="true">')
+
+
 def inline(translator, node):
     """Write an inline formula."""
-    translator.body.append(convert(node.astext()))
+    translator.body.append(mathml(node.astext()))
     raise nodes.SkipNode
 
 
 def block(translator, node):
     """Write a formula that stands alone."""
-    formula = convert(node.astext().strip(), display="block")
+    formula = mathml(node.astext().strip(), display="block")
     translator.body.append(f'<div class="formula">{formula}</div>\n')
     raise nodes.SkipNode
 
