@@ -179,6 +179,8 @@
     Plotly.restyle(plot, { mode }, [names.indexOf("nodes")]);
   });
 
+  const plain = spec.figure.data[names.indexOf("strings")].line;
+
   // Our own legend and colour bar: plotly would draw its own anew in every state.
   const gradient = `linear-gradient(to right, ${spec.scale.map((step) => step[1]).join(", ")})`;
   function explain(colored) {
@@ -186,7 +188,7 @@
     byId("keys").replaceChildren(
       ...rows.map((trace) => {
         const row = document.createElement("div");
-        const line = trace.line;
+        const line = trace.name === "strings" ? plain : trace.line;
         const sample = document.createElement(line ? "i" : "b");
         if (line) {
           sample.style.borderTop = `${Math.max(line.width / 2, 2)}px ${line.dash ? "dotted" : "solid"} ${line.color}`;
@@ -205,7 +207,6 @@
     );
   }
 
-  const plain = spec.figure.data[names.indexOf("strings")].line;
   function choose() {
     const name = byId("color").value;
     const most = spec.colors[name] || 1;

@@ -36,6 +36,9 @@ _BEHIND = 0.01
 # Room around the nodes and the least extent of the box, as parts of its largest extent.
 _MARGIN, _THINNEST = 0.06, 0.2
 
+# Most height of the box, in units of plotly, for the eye to see all of it.
+_TALLEST = 1.3
+
 # Modes: the largest displacement at first, and the most of the slider, as parts of the size.
 AMPLITUDE, _MOST_AMPLITUDE = 0.1, 0.2
 
@@ -332,6 +335,7 @@ class View:
                 "name": "nodes",
                 **_at(nodes, self._index["nodes"]),
                 "text": [str(node) for node in self._index["nodes"]],
+                "textfont": {"size": 14, "color": _PRESSED},
                 "hovertemplate": f"node %{{text}}<br>{place}<extra></extra>",
                 "marker": {"color": _INK, "size": share * _NODE_SIZE},
             },
@@ -407,8 +411,8 @@ class View:
         box = self._box()
         extent = np.ptp(box, axis=1)
         is_flat = self._dimension == 2
-        # A box with the diagonal of a unit cube: one distance of the eye suits all.
-        aspect = extent * np.sqrt(3.0) / np.linalg.norm(extent)
+        # Nearly as large as the eye sees from where it is, in the middle of a window.
+        aspect = extent * min(np.sqrt(3.0) / np.linalg.norm(extent), _TALLEST / extent[2])
         camera: dict[str, Any] = {
             "eye": {"x": 0.95, "y": -1.7, "z": 0.65},
             "center": {"x": 0.0, "y": 0.0, "z": -0.05},
@@ -453,7 +457,7 @@ class View:
             ``data``, ``layout`` and ``frames``, of lists and numbers.
         """
         layout = self._layout() | {"height": _HEIGHT, "title": {"text": self.title}}
-        layout["margin"] |= {"t": 40}
+        layout["margin"] |= {"t": 40, "b": 40}
         figure: dict[str, Any] = {"data": self._traces(), "layout": layout}
         most = _MOST_NOTEBOOK_NUMBERS // (9 * (len(self.members.bars) + len(self.members.segments)))
         if self.shapes is not None:
