@@ -386,9 +386,13 @@ class View:
             line = {"color": "#9a9a9a", "width": 4}
             look: dict[str, Any] = {"type": "scatter3d", "mode": "lines", "line": line}
         else:
-            points = grid
-            scale = [[0, "#bdbdbd"], [1, "#bdbdbd"]]
-            look = {"type": "surface", "showscale": False, "opacity": 0.45, "colorscale": scale}
+            points = grid.reshape(3, -1)
+            place = np.arange(points.shape[1]).reshape(grid.shape[1:])
+            corners = [place[:-1, :-1], place[1:, :-1], place[:-1, 1:], place[1:, 1:]]
+            low, right, up, high = (each.ravel() for each in corners)
+            triangles = np.hstack([[low, right, up], [right, high, up]]).tolist()
+            look = {"type": "mesh3d", "color": "#bdbdbd", "opacity": 0.45}
+            look |= dict(zip("ijk", triangles, strict=True))
         values = {axis: row.tolist() for axis, row in zip("xyz", points, strict=True)}
         return look | values | {"name": "ground", "hoverinfo": "skip", "showlegend": True}
 
