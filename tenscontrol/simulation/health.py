@@ -261,12 +261,14 @@ class ControlRecord:
         What it was.
     sample_time : float or None
         s.
-    settings : Given
-        Kind and settings of the controller by name.
     size : float or None
         Largest extent of the structure, m.
     slowest_vibration : float or None
         Of the controller's plant, 1/s.
+    statistics : MPCStatistics, NMPCStatistics, FeedbackLinearizationStatistics or None
+        Of the controller at the end of the run; None for other controllers.
+    settings : Given
+        Kind and settings of the controller by name.
     """
 
     time: FloatArray
@@ -288,6 +290,7 @@ class ControlRecord:
     sample_time: float | None = None
     size: float | None = None
     slowest_vibration: float | None = None
+    statistics: object = None
     settings: Given = field(default_factory=Given)
 
     @property

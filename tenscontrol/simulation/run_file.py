@@ -20,7 +20,14 @@ import numpy as np
 
 from tenscontrol._version import __version__
 from tenscontrol.actuation import Motor, MotorRecord, Winches
-from tenscontrol.control import Fallback, OutputLimit, Status
+from tenscontrol.control import (
+    Fallback,
+    FeedbackLinearizationStatistics,
+    MPCStatistics,
+    NMPCStatistics,
+    OutputLimit,
+    Status,
+)
 from tenscontrol.dynamics import (
     ElasticStrings,
     Ground,
@@ -56,8 +63,9 @@ _RECORDS = {
     kind.__name__: kind
     for kind in (
         Choice, ContactRecord, ControlRecord, CutString, ElasticStrings, EstimateRecord,
-        FilterStatistics, Ground, HertzGround, LinearStrings, LostMeasurement, Motor, MotorRecord,
-        OutputLimit, Profile, Reference, SmoothGround, Structure, StuckWinch, Winches, Work,
+        FeedbackLinearizationStatistics, FilterStatistics, Ground, HertzGround, LinearStrings,
+        LostMeasurement, Motor, MotorRecord, MPCStatistics, NMPCStatistics, OutputLimit, Profile,
+        Reference, SmoothGround, Structure, StuckWinch, Winches, Work,
     )
 }  # fmt: skip
 _WORDS: dict[str, type[StrEnum]] = {"Status": Status, "Fallback": Fallback}
@@ -96,6 +104,9 @@ _MAY_BE_NAN = ("control_prediction_error", "control_estimate_measurement")
 # Of a run that ended early the rest may have overflowed.
 _MOTION = ("time", "nodes", "velocities", "rest_length")
 
+# Where what a file cannot hold may be: the rest of the run does not depend on it.
+_MAY_BE_UNSAVED = ("control.settings.", "given.", "ground.", "model")
+
 # Kinds of arrays: truths, whole numbers, floats, text.
 _KINDS = ("b1", "i4", "i8", "f8")
 _MOST_BYTES = 8_000_000_000
@@ -116,6 +127,9 @@ def write_run(path: object, values: Mapping[str, Any]) -> Path:
     file = file_path("path", path, (".npz",))
     out = _Writer()
     run = {name: out.node(value, (name,)) for name, value in values.items()}
+    for place, what in out.unsaved.items():
+        if not place.startswith(_MAY_BE_UNSAVED):
+            raise TypeError(f"{place} of the run is {what}, which no file of a run can hold")
     header = {
         "format": _FORMAT, "version": VERSION, "tenscontrol": __version__,
         "not_saved": out.unsaved, "run": run,
@@ -142,8 +156,8 @@ class _Writer:
         """Return a value as JSON; ``path`` leads to it."""
         if isinstance(value, np.generic):
             value = value.item()
-        if value is None or type(value) in (bool, int, str):
-            return value
+        if value is None or isinstance(value, bool | int | str):
+            return str(value) if isinstance(value, str) else value
         if isinstance(value, float):
             return value if isfinite(value) else {"float": repr(value)}
         if isinstance(value, np.ndarray) and value.dtype.str[1:] in _KINDS:
@@ -158,20 +172,22 @@ class _Writer:
         if isinstance(value, dict | Given):
             raw = value if isinstance(value, dict) else value.raw
             items = {str(key): self.node(each, (*path, str(key))) for key, each in raw.items()}
-            return {"dict" if raw is value else "given": items}
+            if raw is not value:
+                return {"given": items}
+            of = next((type(key).__name__ for key in raw), "str")
+            return {"dict": items} if of == "str" else {"dict": items, "keys": of}
         if isinstance(value, ca.Function) and (lines := _instructions(value)) is not None:
             names = [value.name(), *map(value.name_in, range(value.n_in()))]
             return {"function": names, "lines": self.node(lines, path)}
         if type(value) in _RECORDS.values():
-            inside = {
-                field.name: self.node(getattr(value, field.name), (*path, field.name))
-                for field in fields(value)
-                if not field.name.startswith("_")
-            }
+            found = {field.name: getattr(value, field.name) for field in fields(value)}
+            if isinstance(value, OutputLimit):  # no bound is infinite in it, and None to make it
+                found |= {name: None for name in ("low", "high") if np.isinf(found[name]).all()}
+            inside = {name: self.node(each, (*path, name)) for name, each in found.items()}
             return {"record": type(value).__name__, "fields": inside}
-        found = value if isinstance(value, Unsaved) else Unsaved(".".join(path), _described(value))
-        self.unsaved[found.place] = found.what
-        return {"unsaved": found.place, "what": found.what}
+        left = value if isinstance(value, Unsaved) else Unsaved(".".join(path), _described(value))
+        self.unsaved[left.place] = left.what
+        return {"unsaved": left.place, "what": left.what}
 
     def _array(self, value: np.ndarray, path: tuple[str, ...]) -> dict[str, str]:
         name = "_".join(path)
@@ -316,6 +332,8 @@ class _Reader:
                 return _function(name, names, self.value(lines, place))
             case {"given": dict(items)}:
                 return Given(self._inside(items, place))
+            case {"dict": dict(items), "keys": str(of)}:
+                return {_WORDS[of](key): each for key, each in self._inside(items, place).items()}
             case {"dict": dict(items)}:
                 return _whole(found := self._inside(items, place), found)
             case {"list": list(items)}:

@@ -63,7 +63,7 @@ def assert_same_run(run, saved):
     assert_equal(run, saved)
     for name in (*EVALUATED, "energy", "tension", "held"):
         assert_equal(getattr(run, name), getattr(saved, name), name)
-    assert saved.health == run.health
+    assert repr(saved.health) == repr(run.health)  # NaN too
     assert saved.summary() == run.summary()
     assert repr(saved) == repr(run)
 
@@ -136,6 +136,7 @@ def arm():
     plant = tc.linearize(model, tc.prestress(structure, min_force_density=10.0), "rest_length")
     mpc = tc.MPC(
         plant, horizon=3, sample_time=0.02, winches=tc.Winches(rate=0.5, shortest=0.01),
+        outputs=[tc.OutputLimit(np.eye(plant.nodes.size)[:1], high=5.0, penalty=1e3)],
         reference=tc.Reference([0.0, 1.0], np.stack([plant.nodes] * 2, axis=-1)),
     )  # fmt: skip
     start, winches = plant.equilibrium_input, tc.Winches(rate=0.5)
@@ -204,6 +205,7 @@ def test_the_record_of_the_controller(runs, tmp_path):
     assert (kept["kind"], kept["horizon"], kept["sample_time"]) == ("MPC", 3, 0.02)
     np.testing.assert_array_equal(kept["winches"].rate, 0.5)
     assert isinstance(kept["reference"], tc.Reference)
+    assert len(saved.control.statistics.iterations) == len(saved.control.status) == 5
     assert saved.control.summary() == run.control.summary()
     assert saved.control.status_count == run.control.status_count
 
@@ -356,6 +358,12 @@ def test_a_controller_of_ones_own_is_named(tmp_path):
     with pytest.raises(ValueError, match=r"control\.settings\.function was the function .*hold"):
         _ = kept["function"]
     np.testing.assert_array_equal(saved.control.command, 20.0)
+
+
+def test_what_the_rest_depends_on_must_be_writable(runs, tmp_path):
+    with pytest.raises(TypeError, match=r"note of the run is an object of the class object"):
+        replace(runs("net"), note=object()).save(tmp_path / "run.npz")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_copy_is_saved_without_its_model(runs, tmp_path):
