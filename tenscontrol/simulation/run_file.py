@@ -13,6 +13,7 @@ from enum import StrEnum
 from io import BytesIO, StringIO
 from math import isfinite
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import casadi as ca
@@ -78,6 +79,18 @@ _OPERATIONS = (
     "FMAX", "INV", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "ATAN2", "CONST", "INPUT",
     "OUTPUT", "ERFINV", "LOG1P", "EXPM1", "HYPOT", "REMAINDER",
 )  # fmt: skip
+
+# The parts of a run; what is None or not there is so for a reason that the run says.
+_ARRAY = np.ndarray
+_PARTS: dict[str, type | tuple[type, ...]] = {
+    "structure": Structure, "choice": Choice, "work": Work, "faults": tuple, "given": Given,
+    "conserves_energy": bool, "conserves_momentum": bool, "falls": bool, "moved": bool,
+    "stopped": (str, NoneType), "note": (str, NoneType), "position_error": (float, NoneType),
+    "control": (ControlRecord, NoneType), "contacts": (ContactRecord, NoneType),
+    "ground": (tuple, Unsaved), "model": (dict, Unsaved, NoneType), "load": (_ARRAY, NoneType),
+    "rest_length": (_ARRAY, NoneType), "time": _ARRAY, "nodes": _ARRAY, "velocities": _ARRAY,
+    "released_energy": _ARRAY, **dict.fromkeys(EVALUATED, _ARRAY),
+}  # fmt: skip
 
 # Arrays by the name of the attribute, with the letters of their dimensions: one letter, one length.
 _SHAPES = {
@@ -185,7 +198,7 @@ class _Writer:
                 found |= {name: None for name in ("low", "high") if np.isinf(found[name]).all()}
             inside = {name: self.node(each, (*path, name)) for name, each in found.items()}
             return {"record": type(value).__name__, "fields": inside}
-        left = value if isinstance(value, Unsaved) else Unsaved(".".join(path), _described(value))
+        left = value if isinstance(value, Unsaved) else Unsaved.of(".".join(path), value)
         self.unsaved[left.place] = left.what
         return {"unsaved": left.place, "what": left.what}
 
@@ -195,15 +208,6 @@ class _Writer:
             name += "_"
         self.arrays[name] = value
         return {"array": name}
-
-
-def _described(value: object) -> str:
-    """Return in a few words what cannot be written."""
-    if isinstance(value, ca.Function):
-        return f"the casadi.Function {value.name()!r}"
-    named = value if hasattr(value, "__qualname__") else type(value)
-    place = f"{named.__qualname__} of {named.__module__}"
-    return f"the function or class {place}" if named is value else f"an object of the class {place}"
 
 
 def _instructions(function: ca.Function) -> list[list[Any]] | None:
@@ -281,6 +285,9 @@ def _read_archive(archive: zipfile.ZipFile) -> dict[str, Any]:
     found = {name: reader.value(node, name) for name, node in header["run"].items()}
     if reader.left:
         raise ValueError(f"it has an array that the header does not name: {min(reader.left)}")
+    for name in sorted(_PARTS.keys() | found.keys()):
+        if name not in _PARTS or not isinstance(found.get(name, found), _PARTS[name]):
+            raise TypeError(f"{name} is not what a run has there")
     _check_shapes(found["structure"], arrays, found["stopped"] is None)
     return found
 
