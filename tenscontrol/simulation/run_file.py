@@ -112,8 +112,8 @@ _SHAPES = {
     "contacts_impulse": "dcT", "contacts_deepest": "c", "contacts_touch": "k",
     "contacts_begin": "k", "contacts_end": "k",
 }  # fmt: skip
-# Of these, NaN says that there was none.
-_MAY_BE_NAN = ("control_prediction_error", "control_estimate_measurement")
+# Of these, NaN says that there was none, and deviations may be infinite.
+_MAY_BE_NAN = ("control_prediction_error", "control_estimate_")
 # Of a run that ended early the rest may have overflowed.
 _MOTION = ("time", "nodes", "velocities", "rest_length")
 
@@ -405,7 +405,7 @@ def _check_shapes(
         if len(expected) != array.ndim or any(want not in (have, -1) for want, have in pairs):
             raise ValueError(f"{name} has shape {array.shape}, expected {expected}")
         size |= dict(zip(letters, array.shape, strict=True))
-        checked = name in _MOTION or (is_complete and name not in _MAY_BE_NAN)
+        checked = name in _MOTION or (is_complete and not name.startswith(_MAY_BE_NAN))
         if checked and array.dtype.kind == "f" and not np.isfinite(array).all():
             raise ValueError(f"{name} holds what is not finite")
 
