@@ -981,7 +981,17 @@ call(
     },
     share=0.3,
 )
-call("NMPC", lambda: dict(plant=plant(), iterations=1, machine_code=False, **SETTINGS), share=0.1)
+call(
+    "NMPC",
+    lambda: dict(
+        plant=plant(),
+        iterations=1,
+        machine_code=False,
+        linearization_tolerance=0.01,
+        **SETTINGS,
+    ),
+    share=0.1,
+)
 call(
     "FeedbackLinearization",
     lambda: {
