@@ -123,7 +123,7 @@ class AccelerationSlopes:
         if k not in self._jacobians:
             # All points are multiplied at once; the first Jacobians by the same matrix.
             self._jacobians[k] = [
-                _transposed(pattern, k, apart)
+                transposed_jacobians(pattern, k, apart)
                 for pattern, apart in zip(self._patterns, (0, 1, 1), strict=True)
             ]
         for jacobian, values in zip(self._jacobians[k], entries, strict=True):
@@ -143,7 +143,7 @@ class AccelerationSlopes:
         return values, *self.slopes(entries, np.arange(self._count))
 
 
-def _transposed(pattern: ca.Sparsity, count: int, apart: int) -> Any:
+def transposed_jacobians(pattern: ca.Sparsity, count: int, apart: int) -> Any:
     """Return transposed Jacobians of a number of points in a column, or ``apart`` on a diagonal."""
     from scipy.sparse import csr_array
 
@@ -153,59 +153,6 @@ def _transposed(pattern: ca.Sparsity, count: int, apart: int) -> Any:
     indptr = np.append(starts[:-1] + len(rows) * points, count * len(rows)).astype(np.int32)
     shape = count * pattern.size2(), pattern.size1() * (count if apart else 1)
     return csr_array((np.zeros(len(indices)), indices, indptr), shape=shape)
-
-
-class RowSlopes:
-    """Limited rows and their derivatives along a plan, of :func:`linked_rows`."""
-
-    def __init__(
-        self,
-        plant: LinearPlant,
-        linked: ca.Function,
-        patterns: tuple[ca.Sparsity, ...],
-        length: int,
-    ) -> None:
-        self._evaluate = Evaluator(repeated(linked, length))
-        self._places = plant.nodes.ravel(order="F")
-        self._basis = np.where(np.abs(plant.basis.T) > 1e-14, plant.basis.T, 0.0)
-        # By places and rates at the start, by the input, by places and rates at the end.
-        self._jacobians = [_transposed(pattern, length, 0) for pattern in patterns]
-        self._rows, self._length = patterns[0].size2(), length
-
-    @property
-    def patterns(self) -> tuple[FloatArray, ...]:
-        """Ones where a derivative by z, u and z⁺ can be other than zero, shape (p, ·) each."""
-        for jacobian in self._jacobians:
-            jacobian.data = np.ones(len(jacobian.indices))
-        by_n, by_rates, by_u, by_later, by_faster = (
-            jacobian[: self._rows].toarray() for jacobian in self._jacobians
-        )
-        reached = np.abs(self._basis).T > 0
-        found = (
-            np.hstack([by_n @ reached, by_rates @ reached]),
-            by_u,
-            np.hstack([by_later @ reached, by_faster @ reached]),
-        )
-        return tuple((part > 0).astype(float) for part in found)
-
-    def __call__(self, states: FloatArray, inputs: FloatArray, later: FloatArray) -> StageJacobians:
-        """Return rows to first order in z_k, u_k and z_{k+1}."""
-        (r, _), N, p = self._basis.shape, self._length, self._rows
-        given = []
-        for z in (states, later):
-            given += [z[:, :r] @ self._basis + self._places, z[:, r:] @ self._basis]
-        given.insert(2, inputs)
-        values, *entries = self._evaluate(*(x.T if N > 1 else x[0] for x in given))
-        for jacobian, data in zip(self._jacobians, entries, strict=True):
-            jacobian.data = data.ravel(order="K")
-        by_u = self._jacobians[2].toarray().reshape(N, p, -1).swapaxes(1, 2)
-        slopes = [np.zeros((N, 2 * r, p)), np.ascontiguousarray(by_u), np.zeros((N, 2 * r, p))]
-        for i, (at, half) in zip((0, 1, 3, 4), ((0, 0), (0, r), (2, 0), (2, r)), strict=True):
-            jacobian = self._jacobians[i]
-            if jacobian.nnz:
-                by_q = (jacobian @ self._basis.T).reshape(N, p, r)
-                slopes[at][:, half : half + r] = by_q.swapaxes(1, 2)
-        return StageJacobians(values.reshape(-1, N, order="F").T, tuple(slopes))
 
 
 class Discretization(ABC):
