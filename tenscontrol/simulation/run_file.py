@@ -121,7 +121,8 @@ _MOTION = ("time", "nodes", "velocities", "rest_length")
 _MAY_BE_UNSAVED = ("control.settings.", "given.", "ground.", "model")
 
 # Kinds of arrays: truths, whole numbers, floats, text.
-_KINDS = ("b1", "i4", "i8", "f8")
+_NUMBERS = ("b1", "i4", "i8", "f8")
+_KINDS = (*_NUMBERS, "U")
 _MOST_BYTES = 8_000_000_000
 
 # What reading a damaged archive raises: its own errors, those of its parts, and what NumPy and the
@@ -173,7 +174,7 @@ class _Writer:
             return str(value) if isinstance(value, str) else value
         if isinstance(value, float):
             return value if isfinite(value) else {"float": repr(value)}
-        if isinstance(value, np.ndarray) and value.dtype.str[1:] in _KINDS:
+        if isinstance(value, np.ndarray) and value.dtype.str[1:] in _NUMBERS:
             return self._array(value, path)
         if isinstance(value, tuple | list):
             words = {type(each) for each in value} - {type(None)}
@@ -233,7 +234,7 @@ def _instructions(function: ca.Function) -> list[list[Any]] | None:
 def read_run(path: object) -> dict[str, Any]:
     """Return the parts of a run by name, or raise a ValueError that names the file.
 
-    What no file can hold is :class:`Unsaved`.
+    What no file can hold is :class:`Unsaved`. The model is None for a copy, which has none.
     """
     file = file_path("path", path)
     content = read_file(file, _MOST_BYTES)
@@ -277,10 +278,7 @@ def _read_archive(archive: zipfile.ZipFile) -> dict[str, Any]:
             "with that release or a later one"
         )
     del members["header"]
-    arrays = {
-        name: _array_of(archive, each, _KINDS, "U" if name in _TEXTS else "")
-        for name, each in members.items()
-    }
+    arrays = {name: _array_of(archive, each, _KINDS) for name, each in members.items()}
     reader = _Reader(arrays)
     found = {name: reader.value(node, name) for name, node in header["run"].items()}
     if reader.left:
@@ -289,22 +287,21 @@ def _read_archive(archive: zipfile.ZipFile) -> dict[str, Any]:
         if name not in _PARTS or not isinstance(found.get(name, found), _PARTS[name]):
             raise TypeError(f"{name} is not what a run has there")
     _check_shapes(found["structure"], arrays, found["stopped"] is None)
+    if found["model"] is not None:
+        found["model"] = _model(found["structure"], found["ground"], found["model"])
     return found
 
 
-_TEXTS = ("control_status", "control_fallback")
-
-
 def _array_of(
-    archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: tuple[str, ...], kind: str = ""
+    archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: tuple[str, ...]
 ) -> np.ndarray:
     """Return an array, read-only, of one of some kinds; its check sum is that of the archive."""
     name, stream = member.filename, BytesIO(archive.read(member))
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError(f"{name} is no array of the first form of NumPy")
     shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-    if not (dtype.str[1:] in kinds or (kind and dtype.kind == kind)) or dtype.byteorder == ">":
-        raise TypeError(f"{name} has numbers of the kind {dtype}")
+    if not dtype.str[1:].startswith(kinds) or dtype.byteorder == ">":
+        raise TypeError(f"{name} has entries of the kind {dtype}")
     data = stream.read()
     if int(np.prod(shape, dtype=object)) * dtype.itemsize != len(data):
         raise ValueError(f"{name} has {len(data)} bytes, expected an array of shape {shape}")
@@ -332,9 +329,10 @@ class _Reader:
             case {"float": "inf" | "-inf" | "nan" as text}:
                 return float(text)
             case {"words": str(kind), "array": str(name)}:
-                return tuple(_WORDS[kind](each) if each else None for each in self._take(name))
+                words = self._take(name, "U").tolist()
+                return tuple(_WORDS[kind](each) if each else None for each in words)
             case {"array": str(name)}:
-                return self._take(name)
+                return self._take(name, "bif")
             case {"function": [str(name), *names], "lines": lines}:
                 return _function(name, names, self.value(lines, place))
             case {"given": dict(items)}:
@@ -358,9 +356,12 @@ class _Reader:
     def _inside(self, items: dict[Any, Any], place: str) -> dict[Any, Any]:
         return {key: self.value(node, f"{place}.{key}") for key, node in items.items()}
 
-    def _take(self, name: str) -> np.ndarray:
+    def _take(self, name: str, kinds: str) -> np.ndarray:
         self.left.discard(name)
-        return self._arrays[name]
+        array = self._arrays[name]
+        if array.dtype.kind not in kinds:
+            raise TypeError(f"{name} has entries of the kind {array.dtype}")
+        return array
 
 
 def _whole(found: Mapping[Any, Any], made: Any) -> Any:
@@ -422,7 +423,7 @@ def model_parts(model: Model) -> dict[str, Any]:
     }
 
 
-def model_of(structure: Structure, ground: Any, parts: Any) -> Model | Unsaved:
+def _model(structure: Structure, ground: Any, parts: Any) -> Model | Unsaved:
     """Return the model of its parts, or what of it a file does not hold."""
     missing = [each for each in (ground, parts) if isinstance(each, Unsaved)]
     return missing[0] if missing else Model(structure, ground=ground, **parts)

@@ -27,7 +27,6 @@ from tenscontrol.simulation.health import (
 from tenscontrol.simulation.run_file import (
     EVALUATED,
     dataset,
-    model_of,
     model_parts,
     read_run,
     write_run,
@@ -553,8 +552,7 @@ def load_run(path: str | Path) -> Trajectory:
     found = read_run(path)
     evaluated = {name: found.pop(name) for name in EVALUATED}
     evaluated["_momenta"] = [evaluated.pop(name) for name in ("momentum", "angular_momentum")]
-    ground, parts, moved, load = (found.pop(name) for name in ("ground", "model", "moved", "load"))
-    made: Any = None if parts is None else model_of(found["structure"], ground, parts)
+    ground, made, moved, load = (found.pop(name) for name in ("ground", "model", "moved", "load"))
     if isinstance(made, Model):
         lengths, contacts = found["rest_length"], found["contacts"]
         inputs = evaluated["force_density"] if lengths is None else lengths

@@ -421,7 +421,7 @@ def _work(node):
 
 SPOILED = {
     "empty": (lambda c: b"", "no run: expected a file that run.save"),
-    "text": (lambda c: b"PK but no archive", "no run"),
+    "no archive": (lambda c: b"PK but no archive", "no run"),
     "other archive": (_header(lambda h: {"format": "x"}), "no run: the header"),
     "no header": (lambda c: rewritten(c) and _bare(), "no run: the archive has no header"),
     "newer": (
@@ -440,7 +440,12 @@ SPOILED = {
     "another shape": (lambda c: rewritten(c, nodes=np.zeros((3, 5, 4))), "nodes has shape"),
     "another time": (lambda c: rewritten(c, time=np.zeros(9)), "shape"),
     "objects": (
-        lambda c: rewritten(c, nodes=np.array([{}], dtype=object)), "nodes.npy has numbers of the"
+        lambda c: rewritten(c, nodes=np.array([{}], dtype=object)), "nodes.npy has entries of the"
+    ),
+    "text": (lambda c: rewritten(c, nodes=np.full((3, 6, 4), "1")), "nodes has entries of the"),
+    "another law": (
+        _header(lambda h: h["run"]["model"]["dict"].update(strings=1) or h),
+        "damaged.*strings is a int",
     ),
     "a class": (_work({"record": "Popen", "fields": {}}), "damaged.*Popen"),
     "no field": (_work({"record": "Work", "fields": {"magic": 1}}), "damaged.*magic"),
