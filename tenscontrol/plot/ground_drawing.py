@@ -64,7 +64,7 @@ def _patch(ax: Any, law: ContactLaw, box: FloatArray) -> list[Any]:
     if not len(border):
         return []
     patch = Poly3DCollection([border], edgecolor="0.45", linewidth=0.8, **look)
-    ax.add_collection3d(patch, autolim=False)
+    ax.add_collection(patch, autolim=False)  # as add_collection3d of new matplotlib
     return [patch]
 
 

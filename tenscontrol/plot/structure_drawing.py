@@ -519,7 +519,7 @@ def structure(
 def _scale(drawing: Drawing, own: bool) -> Any:
     """Draw the colour scale beside the axes; in a figure of our own in room that is added."""
     figure = drawing.ax.figure
-    place: dict[str, Any] = {"ax": drawing.ax, "shrink": 0.6, "pad": 0.14, "aspect": 18}
+    place: dict[str, Any] = {"ax": drawing.ax, "shrink": 0.6, "pad": 0.22, "aspect": 18}
     if own:
         width, height = figure.get_size_inches()
         wider = width + _SCALE_ROOM

@@ -150,14 +150,19 @@ def test_near_members_are_drawn_over_far_ones_and_darker(space):
     assert darkness(bars.get_edgecolor()[0][:3]) > 0.8  # the colour asked for stays
 
 
-def test_the_colour_scale_covers_nothing(rest):
+@pytest.mark.parametrize("axes", ["own", "of a faint shape", "of two"])
+def test_the_colour_scale_covers_nothing(axes, rest):
     for given in (rest, tc.prestress(tc.library.geiger_dome(8), min_force_density=10.0)):
-        drawing = tc.plot.structure(given)
+        ax = None
+        if axes == "of two":
+            ax = plt.figure(figsize=(8.0, 4.0)).add_subplot(1, 2, 1, projection="3d")
+        elif axes == "of a faint shape":
+            ax = tc.plot.structure(given, faint=True).ax
+        drawing = tc.plot.structure(given, ax=ax)
         drawing.ax.figure.canvas.draw()
         scale = drawing.colorbar.ax.get_tightbbox()
         assert not scale.overlaps(drawing.ax.zaxis.label.get_window_extent())
         assert scale.x1 <= drawing.ax.figure.bbox.x1
-        assert drawing.ax.get_position().x1 * drawing.ax.figure.bbox.x1 < scale.x0
 
 
 @pytest.mark.parametrize("name", ["six_bar_ball", "class2_tower", "d_bar", "arm", "snelson_x"])
