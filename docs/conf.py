@@ -33,11 +33,22 @@ napoleon_google_docstring = False
 napoleon_use_ivar = True
 napoleon_use_rtype = False
 
+
+def place_in_gallery(path: str) -> int:
+    """Return where the gallery's index has an example."""
+    return _GALLERY_INDEX.index(Path(path).name)
+
+
+_GALLERY_INDEX = (Path(__file__).parent.parent / "examples" / "index.rst").read_text("utf-8")
+
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
     "filename_pattern": r"/.*\.py",
     "ignore_pattern": r"_study\.py",  # what examples import
+    "copyfile_regex": r"index\.rst",  # sections, and examples in the order of their difficulty
+    "minigallery_sort_order": place_in_gallery,
+    "backreferences_dir": "gen_modules",  # galleries of a section need one
     "abort_on_example_error": True,
     "show_memory": False,
     "min_reported_time": 1,

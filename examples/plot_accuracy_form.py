@@ -2,11 +2,10 @@
 Is it the form of the equations that makes a simulation accurate?
 =================================================================
 
-Goyal & Skelton say that their matrix form, which has more coordinates than the
-motion has freedoms, gives the most accurate simulations. Here the same prism is
-integrated in that form and in MuJoCo's minimal coordinates, both by the classical
-Runge-Kutta method of order 4. MuJoCo comes with the extra ``bench``; without it
-its curves are left out.
+Goyal & Skelton claim that their matrix form gives the most accurate simulations. It has more
+coordinates than degrees of freedom. Here the same prism is integrated in that form and in MuJoCo's
+minimal coordinates, both by the classical Runge-Kutta method of order 4. MuJoCo comes with the
+extra ``bench``; without it its curves are left out.
 """
 
 import casadi as ca
@@ -31,6 +30,7 @@ def let_go(vertical, name):
     return tc.Case(model, 3.0, input="rest_length", value=lengths, name=name)
 
 
+drawing = tc.plot.structure(prism, force_density=np.repeat([17.3205, 17.3205, 9.0], 3))
 cases = [let_go(25.0, "strings stay taut"), let_go(9.0, "strings go slack")]
 
 # %%

@@ -2,9 +2,9 @@
 Long runs, and motions that cannot be predicted for long
 ========================================================
 
-Over many steps, what a method conserves counts for more than its order. RK4 takes a
-little energy at every step and lets bars stretch. RATTLE keeps bar lengths exactly,
-and its error in the energy swings but does not grow.
+Over many steps it matters what a method conserves, more than its order. RK4 loses a little energy
+at every step, and bars stretch. RATTLE keeps bar lengths exactly, and its error in the energy
+oscillates but does not grow.
 """
 
 import matplotlib.pyplot as plt
@@ -56,6 +56,12 @@ for name, found in growth.items():
     ax.semilogy(found.time, found.growth, label=f"{name}, {found.rate:.2g} per s")
 ax.set(xlabel="time, s", ylabel="growth of a perturbation")
 ax.legend()
+
+# %%
+# The prism with a skin on both ends.
+
+# sphinx_gallery_thumbnail_number = 3
+tc.plot.structure(skinned)
 
 if __name__ == "__main__":
     plt.show()

@@ -2,9 +2,9 @@
 Order of a method, also where strings go slack
 ==============================================
 
-A method of order p makes an error in proportion to the p-th power of its step, as
-long as the forces are smooth. A string that goes slack has a kink in its force. So
-each step ends at the switch, and the next one begins with the string slack.
+A method of order p has an error in proportion to the p-th power of its step, as long as the forces
+are smooth. The force of a string that goes slack has a kink. Therefore a step ends where a string
+goes slack, and the next step begins there.
 """
 
 import casadi as ca
@@ -59,6 +59,13 @@ for ax, order in zip(axes, orders.values(), strict=True):
     tc.plot.convergence_order(order, ax=ax)
     ax.plot(steps, across, "x:", color="0.35")
     ax.annotate("rk4 across switches", (steps[-1], across[-1]), (0, 32), textcoords="offset points")
+
+# %%
+# The prism after a second, over its start.
+
+# sphinx_gallery_thumbnail_number = 2
+drawing = tc.plot.structure(prism, faint=True)
+tc.plot.structure(prism, reference.nodes[:, :, 10], ax=drawing.ax)
 
 if __name__ == "__main__":
     plt.show()

@@ -2,9 +2,8 @@
 LQR and MPC lift a planar arm
 =============================
 
-An arm in the plane, of three frames whose bars meet in shared nodes, carries a payload at
-its tip. Winches wind its nine strings and lift the tip by 0.2 m, under gravity. The plant is the
-nonlinear one; bars keep their lengths to round-off.
+A planar arm of three frames carries a payload at its tip. Bars of neighbouring frames share nodes.
+Winches wind its nine strings and lift the tip by 0.2 m, under gravity.
 """
 
 from dataclasses import replace
@@ -26,6 +25,7 @@ tip = 6
 arm = replace(arm, point_mass=0.5 * (np.arange(8) == tip))
 model = tc.Model(arm, strings=LAW, gravity=9.81)
 print(f"class {arm.structure_class}, {len(arm.free_rows)} coordinates of nodes")
+tc.plot.structure(arm)
 
 
 def at_rest(nodes):

@@ -1,10 +1,10 @@
 """
-The six-bar ball, and a mode that no string reaches
-====================================================
+A six-bar ball, and a mode that no string reaches
+=================================================
 
-The best known robot of the field has a motion in which no string changes its length, to first
-order, and which one state of self-stress cannot steer. Controllers leave it alone, say so, and
-control all the others. Free, and on three fixed nodes, where every motion is reached.
+The six-bar ball is the best known tensegrity robot. One of its modes changes no string's length,
+to first order, and its only state of self-stress cannot steer that mode. Controllers say so, leave
+it alone and control all others. On three fixed nodes every mode can be reached.
 """
 
 import warnings
@@ -139,6 +139,13 @@ for column, name in enumerate(balls):
     late = SAMPLE * np.arange(len(curves["MPC"]))
     ax = figure.add_subplot(grid[1, column])
     tc.plot.history(late, curves, f"ball {name}: node {NODE} along y, mm", ax=ax)
+
+# %%
+# The ball on three nodes after its move, over the shape at the start.
+
+# sphinx_gallery_thumbnail_number = 2
+drawing = tc.plot.structure(balls["on three nodes"], faint=True)
+tc.plot.structure(run, ax=drawing.ax)
 
 if __name__ == "__main__":
     plt.show()

@@ -1,10 +1,10 @@
 """
-Control without seeing the nodes
-================================
+A Kalman filter in the loop
+===========================
 
-A prism is brought to rest by an LQR that is told no node positions. What is measured are the
-lengths of its strings and the directions of its bars: with noise, two samples late, one sample
-in ten lost and one reading in fifty corrupt. A Kalman filter finds the motion from them.
+An LQR brings a prism to rest, but node positions are not measured. Sensors give the lengths of its
+strings and the directions of its bars. Readings have noise and come two samples late. One sample in
+ten is lost, and one reading in fifty is wrong. A Kalman filter estimates the motion from them.
 """
 
 import matplotlib.pyplot as plt
@@ -17,6 +17,7 @@ STEP = 0.02
 prism = tc.prism()
 model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
 rest = tc.prestress(prism, force_density=17.320508)
+tc.plot.structure(prism, labels=True, member_labels=True)
 plant = tc.linearize(model, rest)
 Q, R = tc.energy_weights(plant)
 regulator = tc.LQR(plant, Q, 0.1 * R, sample_time=STEP, max_force_density=90.0)

@@ -1,9 +1,10 @@
 """
-LQR regulation
-==============
+LQR brings a pushed structure to rest
+=====================================
 
-A regulator brings a pushed prism back to rest. It is designed twice: with force densities
-as the input, for cables that hold a force, and with rest lengths, for winches.
+A structure of six bars and eighteen strings, a truncated tetrahedron, is pushed out of its shape.
+An LQR brings it back. It is designed twice: with force densities as the input, for cables that
+hold a force, and with rest lengths, for winches.
 """
 
 import matplotlib.pyplot as plt
@@ -13,9 +14,10 @@ import tenscontrol as tc
 
 STIFFNESS, SAMPLE, DURATION = 300.0, 0.02, 5.0  # N/m, s, s
 
-prism = tc.prism()
-rest = tc.prestress(prism, force_density=17.320508)
-model = tc.Model(prism, strings=tc.LinearStrings(STIFFNESS))
+structure = tc.library.truncated_tetrahedron(bar_length=1.0)
+rest = tc.prestress(structure, force_density=20.0)
+model = tc.Model(structure, strings=tc.LinearStrings(STIFFNESS))
+tc.plot.structure(rest)
 
 # %%
 # The two plants differ: held rest lengths make the strings stiff, and all but the
@@ -38,7 +40,7 @@ for held, (plant, law) in designs.items():
 # %%
 # The response to one push, with what the actuators hold between samples.
 
-start = designs["force_density"][0].to_nodes(0.004 * np.random.default_rng(0).normal(size=9))
+start = designs["force_density"][0].to_nodes(0.004 * np.random.default_rng(0).normal(size=24))
 runs, off = {}, {}
 for held, (plant, _) in designs.items():
     Q, R = tc.energy_weights(plant, by_mode=held == "rest_length")
@@ -46,10 +48,10 @@ for held, (plant, _) in designs.items():
     runs[held] = tc.simulate(
         model, DURATION, start, controller=law, input=held, step=1e-3, output_step=SAMPLE
     )
-    shapes = [plant.measure(runs[held].nodes[:, :, k], np.zeros((3, 6)))[:9]
+    shapes = [plant.measure(runs[held].nodes[:, :, k], np.zeros((3, 12)))[:24]
               for k in range(len(runs[held].time))]  # fmt: skip
     off[held] = np.array(
-        [np.linalg.norm(plant.to_nodes(q) - prism.nodes, axis=0).max() for q in shapes]
+        [np.linalg.norm(plant.to_nodes(q) - structure.nodes, axis=0).max() for q in shapes]
     )
     print(f"{held}: farthest node {1e3 * off[held][0]:.2f} mm off at first, "
           f"{1e3 * off[held][-1]:.4f} mm after {DURATION:g} s")  # fmt: skip
@@ -75,7 +77,7 @@ drawn.ax.set_yscale("log")
 drawn = tc.plot.history(
     runs["force_density"].time,
     {names[held]: run.force_density[6] for held, run in runs.items()},
-    "γ of a vertical string, N/m",
+    "γ of string 6, N/m",
     ax=figure.add_subplot(grid[2, :]),
     references={"at rest": float(rest.force_density[6])},
 )

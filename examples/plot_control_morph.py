@@ -2,9 +2,9 @@
 MPC height and twist morphing with winches
 ==========================================
 
-A prism is lowered from 1.0 m to 0.7 m, twisted by 20° on the way, and brought back.
-Winches wind its strings, within their speed and range. The controller is designed on
-strings without mass; the strings of the plant have 5 % of the mass of the bars.
+MPC lowers a prism of twelve strings from 1.0 m to 0.7 m, twists it by 20° on the way, and brings it
+back. Winches wind its strings, within their speed and range. The controller is designed on massless
+strings; those of the simulated prism have 5 % of the mass of the bars.
 """
 
 import matplotlib.pyplot as plt
@@ -36,6 +36,8 @@ def shape(height, degrees):
 
 
 start, goal = shape(1.0, -35.0), shape(0.7, -55.0)
+drawing = tc.plot.structure(start, faint=True)
+tc.plot.structure(goal, ax=drawing.ax)
 
 # %%
 # The path, as fast as the winches allow. A winch winds through each sample at constant

@@ -2,11 +2,10 @@
 Controllers of your own
 =======================
 
-Four controllers that the toolbox does not have: a PD law on string lengths, an LQR of
-python-control, an MPC written in ``casadi.Opti``, and a small network that imitates an LQR. Each is
-a function of time, nodes and velocities, or an object with a method ``command``. The structures are
-the six-bar ball on three fixed nodes and a tower of class 2; winches hold the rest lengths from
-sample to sample.
+Use your own controller in place of ours. Four examples: PD on string lengths, an LQR of
+python-control, an MPC written in ``casadi.Opti``, and a small neural network that imitates an LQR.
+A controller is a function of time, nodes and velocities, or an object with a method ``command``.
+The structures are a six-bar ball on three fixed nodes and a class-2 tower.
 """
 
 from dataclasses import replace
@@ -230,6 +229,17 @@ for ax, name, structure, found in (
     tc.plot.history(time, curves, f"{name}: farthest node, mm", ax=ax)
     ax.set_yscale("log")
     ax.set_ylim(0.01, 100)
+
+# %%
+# The two structures at the start, over their shapes at rest.
+
+# sphinx_gallery_thumbnail_number = 2
+figure = plt.figure(figsize=(8.0, 4.0), layout="constrained")
+for column, (structure, nodes) in enumerate(((ball, start), (tower, tower_start))):
+    ax = figure.add_subplot(1, 2, column + 1, projection="3d")
+    tc.plot.structure(structure, ax=ax, faint=True)
+    tc.plot.structure(structure, nodes, ax=ax, legend=False)
+    ax.set_axis_off()
 
 if __name__ == "__main__":
     plt.show()

@@ -1,10 +1,10 @@
 """
-A tower is wound, blown at and shaken
-=====================================
+Rest lengths, wind and an earthquake over time
+==============================================
 
-Rest lengths, loads and the motion of supports are given over time: by a profile of values, or by
-any smooth function. A class-2 tower of two stages stands on three fixed nodes. Its strings are
-wound in within a second, a gust blows at its top, and then the ground shakes.
+Rest lengths, loads and the motion of supports can be given over time: as a table of values, or as
+any smooth function. A class-2 tower of two stages stands on three fixed nodes. Winches shorten its
+strings within a second. Then wind pushes its top, and the ground shakes.
 """
 
 from dataclasses import replace
@@ -55,7 +55,13 @@ sway = run.nodes[:2, top].mean(axis=1)
 print(f"the top comes down by {height[0] - height[-1]:.3f} m and sways by {np.ptp(sway[1]):.3f} m")
 
 # %%
-# What is given, and what the top does.
+# The tower at the largest sway, over its shape at the start.
+
+drawing = tc.plot.structure(tower, faint=True)
+tc.plot.structure(run, time=run.time[np.abs(sway[0] - sway[0, 0]).argmax()], ax=drawing.ax)
+
+# %%
+# What is given, and the motion of the top.
 
 figure, axes = plt.subplots(3, 1, figsize=(7.0, 7.0), sharex=True, layout="constrained")
 tc.plot.history(
@@ -70,4 +76,6 @@ tc.plot.history(
     ylabel="displacement, m", ax=axes[1],
 )  # fmt: skip
 tc.plot.history(run.time, {"top": height}, ylabel="height, m", ax=axes[2])
-plt.show()
+
+if __name__ == "__main__":
+    plt.show()

@@ -2,9 +2,9 @@
 A spine of rigid vertebrae bends
 ================================
 
-Six vertebrae stand on one another in strings, under gravity; the lowest is held. Each is a rigid
-body of ten bars, one more than it needs. Winches wind the forty strings so that the spine bends
-sideways: by LQR, and by MPC along a path.
+Strings hold six vertebrae above one another, under gravity. The lowest one is fixed. Each vertebra
+is a rigid body of ten bars. Winches wind the forty strings, so that the spine bends sideways: first
+by LQR, then by MPC along a path.
 """
 
 from dataclasses import replace
@@ -19,6 +19,7 @@ SAMPLE, DURATION, LEAN, LEAST = 0.02, 1.0, 0.1, 40.0  # s, s, m, N/m
 spine = tc.library.spine(vertebrae=6)
 model = tc.Model(spine, strings=tc.LinearStrings(stiffness=2000.0, damping=4.0), gravity=9.81)
 print(f"{len(spine.free_rows)} coordinates of nodes, class {spine.structure_class}")
+tc.plot.structure(spine)
 
 
 def at_rest(nodes):

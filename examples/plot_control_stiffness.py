@@ -2,9 +2,9 @@
 How stiff may strings be?
 =========================
 
-Winches hold rest lengths between samples. A law that commands force densities gets what it wants
-at the sample only: the motion that follows stretches the strings and undoes it, the more so
-the stiffer they are. A law that commands rest lengths knows of that.
+Winches hold rest lengths between samples. A controller that commands force densities gets them at
+the sample only: then the motion stretches the strings and changes the forces. The stiffer the
+strings, the larger the change. A controller that commands rest lengths takes this into account.
 """
 
 import numpy as np
@@ -44,6 +44,13 @@ print(report.summary())
 # to hold.
 
 drawn = draw(report)
+
+# %%
+# The prism at 0.85 m, over its start.
+
+# sphinx_gallery_thumbnail_number = 2
+drawing = tc.plot.structure(start, faint=True)
+tc.plot.structure(goal, ax=drawing.ax)
 
 if __name__ == "__main__":
     import matplotlib.pyplot as plt

@@ -1,11 +1,10 @@
 """
-Control against strings that weigh something
-============================================
+Control of strings with mass
+============================
 
-LQR and MPC are designed on a prism whose strings have no mass. Here they run on
-prisms whose strings have: cut into 2, 4 and 8 segments, with 0.1 % to 20 % of
-the mass of the bars in all strings together. The controllers see the six ends
-of the bars and wind nine strings, as before.
+LQR and MPC are designed on a prism with massless strings. They control prisms whose strings have
+mass: 2, 4 and 8 segments each, and 0.1 % to 20 % of the mass of the bars in all strings together.
+The controllers measure the six ends of the bars and wind nine strings, as before.
 """
 
 import matplotlib.pyplot as plt
@@ -95,6 +94,12 @@ print("every combination is brought to rest" if stable else "some are not brough
 
 drawn = tc.plot.history(run.time, curves, "largest node error, m")
 drawn.ax.set_yscale("log")
+
+# %%
+# The prism with strings of eight segments, at the end of the last run.
+
+# sphinx_gallery_thumbnail_number = 2
+tc.plot.structure(run)
 
 # %%
 # Where the strings are so heavy, or the controller so fast, that this does not

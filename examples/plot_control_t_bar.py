@@ -2,9 +2,9 @@
 A planar T-bar of class 2, by LQR, MPC and NMPC
 ===============================================
 
-Two bars in line meet in a joint, which would give way under compression if strings did not hold it
-to a third bar across. Six winches move the joint sideways and turn the bar across; one end of the
-T-bar is on a pin, the other on a roller.
+Two bars in line meet in a joint. Under compression the joint would give way, but strings hold it to
+a third bar across. Six winches move the joint sideways and turn that bar. One end of the T-bar is
+on a pin, the other on a roller.
 """
 
 from dataclasses import replace
@@ -27,6 +27,7 @@ t_bar = tc.Structure(
     string_groups=["side"] * 4 + ["joint"] * 2,
     fixed=[0, (2, "y")],
 )
+tc.plot.structure(t_bar, labels=True, member_labels=True)
 model = tc.Model(t_bar, strings=tc.LinearStrings(stiffness=400.0, damping=1.0))
 
 

@@ -1,11 +1,11 @@
 """
 A lander: how stiff should the strings be?
-===========================================
+==========================================
 
-A six-bar ball carries a payload at its centre, hung by twelve strings, and is dropped from 1, 3 and
-10 m. Stiff strings stop the payload hard. Soft ones let it strike the ground. Between the two there
-is a stiffness for each height at which the payload is decelerated least. Bars may pass through one
-another here: only nodes touch the ground, and nothing else.
+A six-bar ball carries a payload at its centre, held by twelve strings. It falls from 1, 3 and 10 m.
+With stiff strings the payload stops hard, with soft ones it strikes the ground. For each height one
+stiffness between the two gives the least deceleration. Only nodes touch the ground: bars may pass
+through one another.
 """
 
 import matplotlib.pyplot as plt
@@ -39,6 +39,7 @@ lander = tc.Structure(
     string_node_mass=[PAYLOAD],
     string_groups=["shell"] * 24 + ["payload"] * 12,
 )
+tc.plot.structure(lander)
 rest = tc.prestress(lander, min_force_density=PRESTRESS)
 ground = tc.Ground(stiffness=1e5, damping=0.1, friction=0.5, height=lander.nodes[2].min())
 

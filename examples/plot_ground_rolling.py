@@ -2,9 +2,9 @@
 A ball rolls by winding its strings
 ===================================
 
-The six-bar ball stands on three nodes. Winches wind its strings until its centre of mass has passed
-an edge of this triangle; it tips over onto the next one, and the winches go back. So it goes in a
-commanded direction, on flat ground and up a slope of 5°.
+A six-bar ball stands on three nodes. Winches wind its strings until its centre of mass has passed
+an edge of this triangle. The ball tips over onto the next triangle, and the winches go back. In
+this way it rolls in a commanded direction, on flat ground and up a slope of 5°.
 """
 
 import base64
@@ -73,6 +73,15 @@ for name, slope in SLOPES.items():
         f"{name}: {len(gait.made)} steps in {gait.made[-1].time:.1f} s, {moved:.2f} m; a command "
         f"takes {run.control.computing_time.max() / SAMPLE:.2f} sample times at most"
     )
+
+# %%
+# The ball on the slope: at the start, and just before its first step.
+
+run = runs["slope of 5°"]
+drawing = tc.plot.structure(run, time=0.0, legend=False)
+before = np.searchsorted(run.time, gaits["slope of 5°"].made[0].time)
+drawing = tc.plot.structure(run, time=run.time[before])
+drawing.ax.view_init(6.0, -80.0)
 
 # %%
 # Where the centre of mass went, seen from above: each dot is where the ball tipped.

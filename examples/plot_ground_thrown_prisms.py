@@ -1,10 +1,10 @@
 """
-A thousand prisms thrown: where do they come to rest?
-=====================================================
+A prism is thrown a thousand times: where does it land?
+=======================================================
 
-One prism is thrown a thousand times, with a velocity and a spin that are a little different each
-time, and strings of a stiffness that is known to 20 %. :func:`tenscontrol.simulate_many` takes all
-throws at once. Most land on their feet; a few topple, and lie a step apart from the rest.
+Each throw has a slightly different velocity and spin, and strings of a stiffness known to 20 %.
+:func:`tenscontrol.simulate_many` simulates all throws at once. Most prisms land on their feet. A
+few topple and come to rest beside the others.
 """
 
 import matplotlib.pyplot as plt
@@ -49,3 +49,13 @@ top.scatter(*centre[:, :2, -1].T, s=4)
 top.set(xlabel="x, m", ylabel="y, m", title=f"After {DURATION:g} s", aspect="equal")
 toppled = centre[:, 2, -1] < 0.16  # standing, the centre is 0.2 m above the ground
 print(f"{batch}: {toppled.sum()} toppled")
+
+# %%
+# One that stands, and in grey one that toppled.
+
+# sphinx_gallery_thumbnail_number = 2
+drawing = tc.plot.structure(prism, batch.nodes[toppled][0][:, :, -1], faint=True)
+tc.plot.structure(prism, batch.nodes[~toppled][0][:, :, -1], ax=drawing.ax)
+
+if __name__ == "__main__":
+    plt.show()

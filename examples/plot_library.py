@@ -2,9 +2,9 @@
 Structures of the library
 =========================
 
-``tc.library`` has structures that people know, each a function of its sizes. Here they are
-side by side, with their class (the largest number of bars that share a node), states of self-stress
-and mechanisms. White nodes are joints of bars, triangles are supports.
+``tc.library`` has twenty known structures. Each is a function of its sizes. The figure shows them
+with their class (the largest number of bars that share a node), states of self-stress and
+mechanisms. White nodes are joints of bars, triangles are supports.
 """
 
 import matplotlib.pyplot as plt

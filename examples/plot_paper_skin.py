@@ -2,9 +2,9 @@
 Skins: example 2 of the paper
 =============================
 
-A skin is a mesh of strings over a panel: a node at its centre, strings to its
-vertices, and the same again inside each triangle. It stiffens a panel that is
-in tension. In a panel that contracts it goes slack, and does next to nothing.
+A skin is a mesh of strings over a panel: a node at its centre, strings to its vertices, and the
+same again inside each triangle. It stiffens a panel in tension. In a panel that contracts it goes
+slack and has almost no effect.
 """
 
 import matplotlib.pyplot as plt
@@ -28,6 +28,7 @@ figure.subplots_adjust(left=0, right=1, bottom=0, top=0.9, wspace=0)
 # %%
 # The prism with skin on top and bottom, n = 2 (figure 5 of the paper).
 
+# sphinx_gallery_thumbnail_number = 2
 skinned = tc.skin(prism, panels=("top", "bottom"), iterations=2, node_mass=0.01)
 tc.plot.structure(skinned)
 

@@ -2,10 +2,9 @@
 Strings with mass: example 1 of the paper
 =========================================
 
-Goyal & Skelton cut each string of a prism into four segments, with three point
-masses of 0.01 kg, and let it go with too little force in the vertical strings.
-The strings swing, and the bars move otherwise than with strings that weigh
-nothing.
+Goyal & Skelton cut each string of a prism into four segments with three point masses of 0.01 kg.
+The prism starts with too little force in its vertical strings. The strings swing, and the bars move
+differently than with massless strings.
 """
 
 import matplotlib.pyplot as plt

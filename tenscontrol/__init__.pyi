@@ -19,6 +19,9 @@ from . import (
     estimation as estimation,
 )
 from . import (
+    exchange as exchange,
+)
+from . import (
     integrate as integrate,
 )
 from . import (
@@ -176,9 +179,6 @@ from .shape import (
     NodesAt as NodesAt,
 )
 from .shape import (
-    PointAt as PointAt,
-)
-from .shape import (
     RotationalSymmetry as RotationalSymmetry,
 )
 from .shape import (
@@ -201,6 +201,9 @@ from .simulation import (
 )
 from .simulation import (
     StuckWinch as StuckWinch,
+)
+from .simulation import (
+    load_run as load_run,
 )
 from .simulation import (
     simulate as simulate,
@@ -254,7 +257,6 @@ __all__ = [
     "OneOf",
     "OperatingPoint",
     "OutputLimit",
-    "PointAt",
     "Profile",
     "Reference",
     "RotationalSymmetry",
@@ -272,6 +274,7 @@ __all__ = [
     "equilibrium",
     "generate_c",
     "linearize",
+    "load_run",
     "load_scene",
     "long_run",
     "modes",

@@ -1,4 +1,5 @@
 """The command ``tenscontrol``."""
+# PYTHON_ARGCOMPLETE_OK
 
 from __future__ import annotations
 
@@ -6,41 +7,107 @@ import argparse
 import os
 import sys
 import warnings
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
 from tenscontrol._version import __version__
 from tenscontrol.files import make_folder, write_file
 from tenscontrol.interrupt import InterruptionWarning, finishing, interruptible
+from tenscontrol.options import command_parser
 
 if TYPE_CHECKING:
     from tenscontrol.accuracy import Peer
     from tenscontrol.scene import Scene
     from tenscontrol.simulation import Trajectory
 
+# Status of a command whose output nobody reads any more: that of other tools, 128 + SIGPIPE.
+_CLOSED = 141
+
+
+class _Output:
+    """The standard output. What is written after the reader closed the pipe is dropped."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream, self.closed = stream, False
+
+    def write(self, text: str) -> int:
+        """Write a text, unless the pipe is closed."""
+        with self._dropping():
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what is left in the buffer."""
+        with self._dropping():
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    @contextmanager
+    def _dropping(self) -> Iterator[None]:
+        try:
+            yield
+        except BrokenPipeError:
+            self.closed = True
+            # What is in the buffer goes there, now and at the end of Python.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status: 0, or 2 with a message on stderr.
 
-    Ended by Ctrl-C or SIGTERM, it keeps what is done, says so in a line, and returns 130 or 143.
+    After Ctrl-C or SIGTERM it keeps what is done, says so in a line, and returns 130 or 143. If
+    the reader of a pipe goes away, it finishes without a message, and returns 141.
     """
-    options = _parser().parse_args(arguments)
-    commands = {"demo": _demo, "simulate": _simulate, "modes": _modes, "accuracy": _accuracy}
+    output = _Output(sys.stdout or StringIO())  # there is none if the shell closed it
+    try:
+        with redirect_stdout(cast(TextIO, output)):
+            try:
+                status = _run(arguments)
+            finally:
+                output.flush()  # what --help printed too
+    except OSError as error:
+        print(f"tenscontrol: {_told(error)}", file=sys.stderr)
+        return 2
+    return _CLOSED if output.closed and not status else status
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    parser = command_parser()
+    _complete(parser)
+    options = parser.parse_args(arguments)
+    commands = {
+        "demo": _demo, "new": _new, "simulate": _simulate, "modes": _modes, "view": _view,
+        "accuracy": _accuracy,
+    }  # fmt: skip
+    options.summary = sys.stdout if getattr(options, "json", False) else None
+    apart = nullcontext() if options.summary is None else redirect_stdout(sys.stderr)
     ignored = warnings.catch_warnings(action="ignore", category=InterruptionWarning)
-    with interruptible() as came, ignored:
+    with interruptible() as came, ignored, apart:
         try:
             with suppress(KeyboardInterrupt):
                 commands[options.command](options)
                 print(end="", flush=True)
                 if came.signal is None:
                     return 0
-        except (ValueError, ArithmeticError, OSError, MemoryError) as error:
+        except (ValueError, ArithmeticError, OSError, MemoryError, ImportError) as error:
             print(f"tenscontrol: {_told(error)}", file=sys.stderr)
             return 2
     print("tenscontrol: interrupted; what is above was done by then", file=sys.stderr)
     return came.status
+
+
+def _complete(parser: argparse.ArgumentParser) -> None:
+    """Answer the shell if it asks for completions; it says so in the environment."""
+    if "_ARGCOMPLETE" in os.environ:
+        with suppress(ImportError):  # without the extra there is no completion
+            import argcomplete
+
+            argcomplete.autocomplete(parser)
 
 
 def _told(error: Exception) -> str:
@@ -63,45 +130,80 @@ def _demo(options: argparse.Namespace) -> None:
     demo(make_folder(options.output), figures=not options.no_figures)
 
 
+def _new(options: argparse.Namespace) -> None:
+    from tenscontrol.scene import scene_names, scene_template
+
+    if options.list:
+        names = scene_names()
+        width = max(map(len, names))
+        print(*(f"{name:<{width}}  {title}" for name, title in names.items()), sep="\n")
+        return
+    if options.name is None:
+        raise ValueError("NAME is missing; tenscontrol new --list shows all names")
+    text = scene_template(options.name)
+    path = options.output or Path(f"{options.name}.toml")
+    if path.is_file() and not options.force:
+        raise ValueError(f"{path} exists already; give another --output, or --force to replace it")
+    print(write_file(path, text))
+
+
 def _simulate(options: argparse.Namespace) -> None:
     from tenscontrol.scene import load_scene
-    from tenscontrol.simulation import SimulationError
+    from tenscontrol.simulation import SimulationError, load_run
 
     scene = load_scene(options.scene)
     folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
+    start = None if options.start is None else load_run(options.start)
     try:
-        run = scene.simulate(progress=True)
+        run = scene.simulate(progress=True, start=start)
     except SimulationError as error:  # the motion up to there is kept; its figures may overflow
-        _keep(error.trajectory, folder)
+        _report_run(error.trajectory, options, [_keep(error.trajectory, folder)])
         raise
     except (TypeError, ValueError) as error:
         raise ValueError(f"{options.scene}: {error}") from error
-    _keep(run, folder)
-    _draw(run, folder)
+    files = [_keep(run, folder), *_draw(run, folder)]
+    _report_run(run, options, files)
 
 
-def _keep(run: Trajectory, folder: Path) -> None:
+def _keep(run: Trajectory, folder: Path) -> Path:
     """Print the summary of a motion and save it."""
-    from tenscontrol.scene import save_trajectory
-
     with finishing():
-        saved = save_trajectory(run, folder / "trajectory.npz")  # also where nobody reads the rest
+        saved = run.save(folder / "trajectory.npz")  # also where nobody reads the rest
         print(run.summary())
         print(saved)
+    return saved
 
 
-def _draw(run: Trajectory, folder: Path) -> None:
-    """Save the figures of a motion."""
+def _report_run(run: Trajectory, options: argparse.Namespace, files: list[Path]) -> None:
+    if options.json:
+        from tenscontrol.summaries import of_run
+
+        _print_json(options, of_run(run), files)
+
+
+def _print_json(options: argparse.Namespace, found: dict[str, Any], files: Sequence[Path]) -> None:
+    """Print a summary to the standard output; all else is on stderr then."""
+    from tenscontrol.summaries import json_text
+
+    head = {"command": options.command, "version": __version__, "scene": options.scene}
+    print(json_text(head | found | {"files": files}), file=options.summary, flush=True)
+
+
+def _draw(run: Trajectory, folder: Path) -> list[Path]:
+    """Save the figures of a motion and return their files."""
     from tenscontrol import plot
 
     drawn = plot.structure(run.structure, run.nodes[:, :, 0], faint=True, legend=False)
     last = run.force_density[:, -1] if len(run.structure.strings) else None
     plot.structure(run.structure, run.nodes[:, :, -1], ax=drawn.ax, force_density=last)
-    _save(drawn.ax.figure, folder / "structure.png")
-    _save(plot.trajectory(run)["coordinates"].ax.figure, folder / "trajectory.png")
-    _save(plot.health(run)["energy"].ax.figure, folder / "health.png")
+    files = [
+        _save(drawn.ax.figure, folder / "structure.png"),
+        _save(plot.trajectory(run)["coordinates"].ax.figure, folder / "trajectory.png"),
+        _save(plot.health(run)["energy"].ax.figure, folder / "health.png"),
+    ]
     if run.control is not None and run.control.estimate is not None:
-        _save(plot.estimate(run)["error"].ax.figure, folder / "estimate.png")
+        files.append(_save(plot.estimate(run)["error"].ax.figure, folder / "estimate.png"))
+    return files
 
 
 def _modes(options: argparse.Namespace) -> None:
@@ -118,7 +220,30 @@ def _modes(options: argparse.Namespace) -> None:
     print(f"{plant.input.replace('_', ' ')} held")
     print(found.table())
     folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
-    _save(plot.mode_shapes(plant, found)[0].ax.figure, folder / "modes.png")
+    figure = _save(plot.mode_shapes(plant, found)[0].ax.figure, folder / "modes.png")
+    if options.json:
+        from tenscontrol.summaries import of_modes
+
+        _print_json(options, of_modes(plant, found), [figure])
+
+
+def _view(options: argparse.Namespace) -> None:
+    from tenscontrol.scene import load_scene
+    from tenscontrol.web_page import plotly_js
+
+    plotly_js()  # where it is missing, say so before the simulation
+    scene = load_scene(options.scene)
+    folder = make_folder(options.output or Path(f"tenscontrol-{options.scene.stem}"))
+    try:
+        run = scene.simulate(progress=True)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{options.scene}: {error}") from error
+    page = run.to_html(folder / "view.html")
+    print(page)
+    if sys.stdout.isatty() if options.browser is None else options.browser:
+        import webbrowser
+
+        webbrowser.open(page.absolute().as_uri())
 
 
 def _accuracy(options: argparse.Namespace) -> None:
@@ -158,12 +283,17 @@ def _accuracy(options: argparse.Namespace) -> None:
             print("\nrun time by that of our fastest, at equal error")
             print(found.ratios().table())
         files = sys.stdout
-    for path in (saved, page):
+    paths = [saved, page]
+    for path in paths:
         print(path, file=files)
     if len(found.failures) < len(found.rows):
         from tenscontrol import plot
 
-        _save(plot.work_precision(found).ax.figure, folder / "accuracy.png", files)
+        paths.append(_save(plot.work_precision(found).ax.figure, folder / "accuracy.png", files))
+    if options.json:
+        from tenscontrol.summaries import of_comparison
+
+        _print_json(options, of_comparison(found), paths)
 
 
 def _growth(scene: Scene, options: argparse.Namespace) -> None:
@@ -178,8 +308,12 @@ def _growth(scene: Scene, options: argparse.Namespace) -> None:
     with finishing():
         saved = found.to_csv(folder / "growth.csv")
     print(f"{options.scene}\n{own.table()}\n\ntowers of prisms\n{found.table()}\n{saved}")
-    for quantity, name in (("seconds", "growth.png"), ("memory", "growth_memory.png")):
-        _save(plot.growth(found, quantity).ax.figure, folder / name)
+    figures = (("seconds", "growth.png"), ("memory", "growth_memory.png"))
+    drawn = [_save(plot.growth(found, what).ax.figure, folder / name) for what, name in figures]
+    if options.json:
+        from tenscontrol.summaries import of_growth
+
+        _print_json(options, of_growth(own, found), [saved, *drawn])
 
 
 def _peers() -> list[Peer]:
@@ -196,106 +330,8 @@ def _peers() -> list[Peer]:
     ]
 
 
-def _save(figure: Any, path: Path, told: TextIO | None = None) -> None:
+def _save(figure: Any, path: Path, told: TextIO | None = None) -> Path:
     from tenscontrol import plot
 
     print(plot.save_figure(figure, path), file=told)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="tenscontrol", description="Tensegrity structures: modes, LQR, MPC, simulation."
-    )
-    parser.add_argument("--version", action="version", version=f"tenscontrol {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True)
-    demo = commands.add_parser(
-        "demo",
-        help="check, analyse and control a prism, and draw what happens",
-        description="Check the equilibrium of a prism, print its modes and LQR poles, move it to "
-        "a new height by MPC, and save the figures.",
-    )
-    demo.add_argument(
-        "--output",
-        type=Path,
-        default=Path("tenscontrol-demo"),
-        help="folder for the figures (default: %(default)s)",
-    )
-    demo.add_argument("--no-figures", action="store_true", help="print only")
-    simulate = commands.add_parser(
-        "simulate",
-        help="simulate a scene file, save the motion and its figures",
-        description="Simulate a scene, print what tells whether to trust the motion, and save it "
-        "as trajectory.npz with the figures trajectory.png, health.png and structure.png.",
-    )
-    modes = commands.add_parser(
-        "modes",
-        help="print and draw the modes of a scene file that is at rest",
-        description="Linearize a scene about its shape, which must be at rest, print its modes "
-        "and save the figure modes.png.",
-    )
-    accuracy = commands.add_parser(
-        "accuracy",
-        help="measure error against run time of all methods on a scene file",
-        description="Integrate a scene by several methods at several settings, print error, run "
-        "time and what is conserved, and save them as accuracy.csv, accuracy.md and accuracy.png. "
-        "Of a scene with a controller or faults, the open loop without them is taken.",
-    )
-    for command in (simulate, modes, accuracy):
-        command.add_argument("scene", metavar="SCENE", type=Path, help="scene file (TOML)")
-        command.add_argument(
-            "--output", type=Path, help="folder for what is saved (default: tenscontrol-<SCENE>)"
-        )
-    accuracy.add_argument(
-        "--methods", metavar="A,B", help="our own methods, separated by commas (default: all)"
-    )
-    accuracy.add_argument(
-        "--peers", action="store_true", help="measure SciPy, CasADi and MuJoCo beside"
-    )
-    accuracy.add_argument(
-        "--outputs", type=int, default=100, help="times compared (default: %(default)s)"
-    )
-    accuracy.add_argument(
-        "--repeats",
-        type=int,
-        default=5,
-        help="runs of which the median time is taken (default: %(default)s)",
-    )
-    accuracy.add_argument(
-        "--machine-code",
-        action="store_true",
-        help="compile our own methods, if there is a compiler",
-    )
-    accuracy.add_argument(
-        "--growth",
-        action="store_true",
-        help="measure time and memory of each stop from structure to control instead, on the "
-        "structure of the scene and on towers of 12 to 100,788 members: growth.csv, growth.png",
-    )
-    accuracy.add_argument(
-        "--seconds",
-        type=float,
-        default=60.0,
-        help="with --growth: most processor time of a stop, s (default: %(default)s)",
-    )
-    accuracy.add_argument(
-        "--memory",
-        type=float,
-        default=4.0,
-        help="with --growth: most memory of a stop, GB (default: %(default)s)",
-    )
-    printed = accuracy.add_mutually_exclusive_group()
-    printed.add_argument("--csv", action="store_true", help="print CSV instead of the table")
-    printed.add_argument("--markdown", action="store_true", help="print Markdown instead")
-    modes.add_argument(
-        "--input",
-        choices=("force_density", "rest_length"),
-        help="what the actuators hold (default: as the scene says)",
-    )
-    modes.add_argument(
-        "--coordinates",
-        choices=("internal", "minimal", "nodes"),
-        default="internal",
-        help="motions taken in: of the shape, with those as one body, of all nodes "
-        "(default: %(default)s)",
-    )
-    return parser
+    return path

@@ -1,4 +1,4 @@
-"""Files written whole: a file holds all that was meant for it, or what it held before."""
+"""Files read, and written whole: all that was meant for one, or what it held before."""
 
 from __future__ import annotations
 
@@ -52,6 +52,26 @@ def write_file(path: Path, content: bytes | memoryview | str, flush: bool = True
                 beside.unlink()
             raise
     return path
+
+
+def read_file(path: Path, most: int) -> bytes:
+    """Return what a file holds.
+
+    Raises an OSError that has number and path where it cannot be read, is no regular file (a pipe
+    may never end) or has more bytes than ``most``.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise OSError(errno.EINVAL, "it is a folder, a pipe or a device")
+        with path.open("rb") as stream:
+            content = stream.read(most + 1)
+    except OSError as error:
+        number = error.errno or errno.EIO
+        said = f"cannot be read: {error.strerror or error}"
+        raise OSError(number, said, str(path)) from None
+    if len(content) > most:
+        raise OSError(errno.EFBIG, f"is too large: at most {most:,} bytes are read", str(path))
+    return content
 
 
 def make_folder(path: Path) -> Path:

@@ -28,7 +28,7 @@ _TAKEN = {
 
 
 class InterruptionWarning(RuntimeWarning):
-    """A computation that was ended by Ctrl-C or SIGTERM; what was done by then is returned."""
+    """A computation was ended by Ctrl-C or SIGTERM; the part that was done is returned."""
 
 
 class Interruption:

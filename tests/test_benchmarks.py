@@ -146,6 +146,7 @@ def test_batch(printed, monkeypatch):
     text = printed("batch", "--runs 5 --duration 0.1 --repeats 1")
     for label in ("tenscontrol rk4", "NumPy RK4", "JAX vmap, matrices"):
         assert row(text, label)[1] < 1e-3
+    assert re.search(r"compiled, one by one .*True", text)
 
 
 def test_ground_drop(printed):
@@ -340,6 +341,16 @@ def test_thrown_ball(printed):
     for name, most in (("dop853", 1e-5), ("jax rk4", 1e-3), ("rattle6", 1e-2)):
         first, last = (row(text, f"{name} ", k)[1] for k in range(2))
         assert last < min(first, most)
+
+
+@needs("mujoco", "bench")
+def test_exported_models(printed):
+    text = printed("exported_models", "--names arm d_bar --steps 2e-3 1e-3 --duration 0.05")
+    for name, order in (("arm", 4), ("d_bar", 2)):
+        loops, *errors, fitted = row(text, f"{name} ")
+        assert loops == (order == 2)
+        assert errors == sorted(errors, reverse=True)
+        assert fitted == pytest.approx(order, abs=0.6)
 
 
 def test_morph(printed, nothing_compiled):

@@ -63,7 +63,7 @@ def values(tmp_path_factory):
         height,
         tc.Twist(0.1, top=[0, 1, 2], bottom=[3, 4, 5]),
         tc.NodesAt([0], np.zeros((3, 1))),
-        tc.PointAt([0, 1], np.zeros(3)),
+        tc.shape.PointAt([0, 1], np.zeros(3)),
         tc.RotationalSymmetry([[0, 1, 2], [3, 4, 5]]),
         target,
         target.demands[0],
@@ -135,6 +135,7 @@ def values(tmp_path_factory):
         tc.OutputLimit(np.ones((1, 18)), np.zeros(1), np.ones(1)),
         tc.control.held_loop(plant, regulator.gain, sample_time=0.01),
         tc.load_scene(PROJECT / "examples" / "scenes" / "prism_free.toml"),
+        tc.exchange.from_mujoco(tc.exchange.to_mujoco(model, rest_length=start.rest_length)),
     ]
     case = tc.Case(model, 0.05, input="force_density", value=rest.force_density)
     compared = tc.work_precision(case, ["rk4"], {"rk4": [0.01]}, repeats=1, outputs=5)
@@ -255,7 +256,7 @@ def _given():
         "OperatingPoint": point | {"external_force": np.ones((3, 6))},
         "Winches": {"rate": np.ones(9), "shortest": np.ones(9), "longest": np.ones(9)},
         "NodesAt": {"nodes": np.arange(2), "positions": np.ones((3, 2))},
-        "PointAt": {"nodes": np.arange(2), "position": np.ones(3), "weights": np.ones(2)},
+        "shape.PointAt": {"nodes": np.arange(2), "position": np.ones(3), "weights": np.ones(2)},
         "OneOf": {"values": np.ones(3)},
         "Sensors": {
             "structure": prism,

@@ -1,4 +1,4 @@
-"""What is measured: a motion in open loop, and how fast it can change."""
+"""The motion on which integration methods are compared: model, start, inputs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tenscontrol.validation import (
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A motion in open loop, for measuring how well methods integrate it.
+    """A motion in open loop, on which integration methods are compared.
 
     ``dataclasses.replace(case, duration=0.1)`` gives the case with another duration.
 
@@ -113,7 +113,7 @@ class Case:
 
     @property
     def load(self) -> FloatArray:
-        """All that acts on the nodes from outside, N, shape (d, n): weights and loads."""
+        """Weights and external loads on the nodes, N, shape (d, n)."""
         return checked_load(self.model, self.external_force)
 
     @property

@@ -1,4 +1,4 @@
-"""The motion that others are measured against, with an estimate of its own error.
+"""The reference solution for error measurements, with an estimate of its own error.
 
 Switches of strings and contacts are located here a second time, beside ``tenscontrol.integrate``,
 and by other means, on purpose: the reference shares no code with the integrators that are measured,
@@ -38,7 +38,7 @@ _CHATTER, _INSTANT = 50, 1e-9
 
 @dataclass(frozen=True, eq=False)
 class ConvergedMotion:
-    """A motion computed twice by codes that share only the state equation.
+    """A reference solution: a motion computed by two independent codes.
 
     Made by :func:`converged_motion`.
 
@@ -75,7 +75,7 @@ class ConvergedMotion:
 def converged_motion(
     scene: Case | Scene, outputs: int = 100, report: Callable[[float], None] | None = None
 ) -> ConvergedMotion:
-    """Return the motion of a case as exactly as double precision allows, and its error.
+    """Return a reference solution near the limit of double precision, with its error.
 
     It is integrated by SciPy's DOP853 in smooth pieces, each switch of a
     string or a contact found by Brent's method on the dense output, and again by the

@@ -99,7 +99,7 @@ def convergence_order(
     outputs: int = 20,
     progress: bool = False,
 ) -> ConvergenceOrder:
-    """Return the order of a method on a motion, also one through slack/taut switches.
+    """Return the measured order of convergence of a method on a motion.
 
     Parameters
     ----------
@@ -130,8 +130,8 @@ def convergence_order(
     Notes
     -----
     A run is fitted if its error is below a hundredth of the size of the structure, above ten times
-    the error of the reference, and above ten units of round-off for each step taken: outside, it is
-    not the method that one sees.
+    the error of the reference, and above ten units of round-off for each step taken. Outside these
+    limits, the error is not that of the method.
 
     Examples
     --------

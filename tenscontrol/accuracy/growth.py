@@ -1,4 +1,4 @@
-"""Growth: processor time and memory of each stop of the road, from few members to many."""
+"""Processor time and memory of each step from structure to control, by number of members."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _EXPONENTS, _FITTED = (1.0, 3.0), 4
 
 @dataclass(frozen=True)
 class StopCost:
-    """What one stop of the road costs at one size. One of :attr:`Growth.rows`.
+    """Processor time and memory of one step at one size. One of :attr:`Growth.rows`.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class StopCost:
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """Time and memory of each stop of the road, by size. Made by :func:`growth`.
+    """Processor time and memory of each step, by size. Made by :func:`growth`.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ def growth(
     last: str = "MPC step",
     progress: bool = False,
 ) -> Growth:
-    """Measure what each stop of the road costs: structure, prestress, plant, simulation, control.
+    """Return time and memory of each step: structure, prestress, plant, simulation, control.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is left of energy, momentum and bar lengths after very many steps."""
+"""Drift of energy, momentum and bar lengths over very many steps."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _SHARED = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """How a conserved quantity moves off over a long run.
+    """Drift of a conserved quantity over a long run.
 
     Attributes
     ----------
@@ -153,9 +153,9 @@ def long_run(
 ) -> LongRun:
     """Return how far energy, momentum and bar lengths drift over very many steps.
 
-    The state is looked at ``outputs`` times and then dropped, so memory does
-    not grow with the steps. Quantities that the motion does not conserve,
-    under damping, loads or supports, are left out.
+    The state is evaluated ``outputs`` times and then dropped, so memory does not grow with the
+    number of steps. Quantities that the motion does not conserve, under damping, loads or
+    supports, are left out.
 
     Parameters
     ----------

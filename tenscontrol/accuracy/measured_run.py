@@ -1,4 +1,4 @@
-"""One method at one setting: its error, its run time, what it conserves, what it cost."""
+"""One run of one method: its error, run time, conserved quantities and work."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def deviations(
 
 @dataclass(frozen=True)
 class Measurement:
-    """What one run of one method gave. A number that is not known is NaN or None.
+    """Error, run time and work of one run of a method. Numbers not known are NaN or None.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How long a motion can be predicted: growth of a perturbation of its start."""
+"""Predictability of a motion: growth of a perturbation of its start."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _PART = 20
 
 @dataclass(frozen=True, eq=False)
 class Predictability:
-    """How a small perturbation of the start grows. Made by :func:`predictability`.
+    """Growth of a small perturbation of the start. Made by :func:`predictability`.
 
     Attributes
     ----------
@@ -100,10 +100,10 @@ def predictability(
     outputs: int = 200,
     report: Callable[[float], None] | None = None,
 ) -> Predictability:
-    """Return how fast a random perturbation of the start grows, and when it ends all prediction.
+    """Return how fast a small change of the start grows, and how long the motion is predictable.
 
-    Every node is moved by about 1e-10 m at random, bars keep their lengths, and the motion is
-    compared with the unperturbed one. Both have each slack/taut switch located.
+    Every node is moved by about 1e-10 m at random while bars keep their lengths, and the motion is
+    compared with the unperturbed one. Times at which strings go slack or taut are located in both.
 
     Parameters
     ----------

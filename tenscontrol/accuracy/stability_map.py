@@ -103,10 +103,9 @@ def stability_map(
 ) -> StabilityMap:
     """Return the largest stable step of a method over stiffness and mass.
 
-    A step counts as stable if a run with it has at no time more than a hundred times the kinetic
-    energy of a run with a fine step. Steps are tried from small to large, a quarter apart and
-    closer near the limit of theory; the border between the last stable and the first unstable one
-    is bisected to one part in a hundred.
+    A step is stable if the kinetic energy of a run with it never exceeds a hundred times that of a
+    run with a fine step. Steps are tried from small to large, in ratios of 1.25 and finer near the
+    theoretical limit. The limit is then found by bisection to 1 %.
 
     Parameters
     ----------

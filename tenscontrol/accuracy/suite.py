@@ -1,4 +1,4 @@
-"""Stiff and extreme structures: every method on every one, none silently wrong.
+"""Test suite of stiff and extreme structures: every method on each, none silently wrong.
 
 ``python -m tenscontrol.accuracy.suite`` runs it. The true motion of a case is known in closed form
 or computed twice, each method is judged by it, and the result is a table.

@@ -331,13 +331,13 @@ def work_precision(
     machine_code: bool = False,
     progress: bool = False,
 ) -> WorkPrecision:
-    """Return error and run time of methods on one motion, each at several settings.
+    """Return error and run time of integration methods on one motion (work-precision diagram).
 
-    Errors are distances of nodes from a reference whose own error is estimated. First a
-    perturbation of the start is followed: where it grows so much that round-off alone would make
-    errors of ``finest``, the comparison ends before, and the result says so. Run times are medians
-    of the processor's, of what a user calls a second time: all of :func:`simulate`, with checks and
-    trajectory. What is built the first time is given beside, as ``building``.
+    Errors are distances of nodes from a reference solution, whose own error is estimated. If a
+    small change of the start grows so fast that round-off alone would cause errors of ``finest``,
+    the comparison ends earlier, and the result says so. Run times are medians of processor time
+    of a second call of :func:`simulate`, with its checks and its trajectory. The time for building
+    and compiling in the first call is the column ``building``.
 
     Parameters
     ----------

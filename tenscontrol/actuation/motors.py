@@ -1,4 +1,4 @@
-"""Motors of winches and of force-controlled cables, and what they did in a run."""
+"""Motors of winches and of force-controlled cables, and their record in a run."""
 
 from __future__ import annotations
 
@@ -59,14 +59,13 @@ class EachMotor(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Motor:
-    """Motors of winches: one number for all, or one per string. They turn drums through gears.
+    """Motors of the winches, with gears and drums: one number for all, or one per string.
 
-    A positive angle winds in: ``l0 = zero − (r/G) θ`` with drum radius r and gear ratio G. The
-    torque of a motor is ``τ = F r/G + J dω/dt``, where F is the force that winds the string in:
-    the derivative of its elastic energy by its rest length, with the sign changed. That is the
-    tension of a linear string, and ``T (1 + ε/2)`` of an elastic one of strain ε, which lies on
-    the drum unstretched. Gears have no losses. Damping acts between the ends of a string, so that
-    a motor does not feel it.
+    A positive angle winds the string in: ``l0 = zero − (r/G) θ`` with drum radius r and gear ratio
+    G. The torque of a motor is ``τ = F r/G + J dω/dt``. F is the force on the drum: the negative
+    derivative of the elastic energy of the string by its rest length. It is the tension of a
+    linear string, and ``T (1 + ε/2)`` of an elastic string with strain ε. Gears have no losses.
+    String damping acts between the ends of a string and gives no torque.
 
     Parameters
     ----------
@@ -224,7 +223,7 @@ def each_motor(motor: Motor, count: int) -> EachMotor:
 
 @dataclass(frozen=True, eq=False)
 class MotorRecord:
-    """Motors of the winches, or of force-controlled cables, at the times of a run.
+    """Angle, speed, torque, power and energy of the motors during a run.
 
     Attributes
     ----------

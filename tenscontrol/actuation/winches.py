@@ -64,7 +64,7 @@ class RestLengths:
 
 
 def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLengths:
-    """Return the rest lengths at which the strings have these force densities in this shape.
+    """Return the rest lengths that give the strings these force densities in a given shape.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def to_rest_length(model: Model, nodes: object, force_density: object) -> RestLe
 
 
 def to_force_density(model: Model, nodes: object, rest_length: object) -> FloatArray:
-    """Return the force densities of strings with these rest lengths in this shape, at rest.
+    """Return the force densities of strings from their rest lengths, in a given shape at rest.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _law_and_length(model: Model, nodes: object) -> tuple[StringLaw, FloatArray]
     instance("model", model, Model, "make one by Model(structure, strings=...)")
     if model.strings is None:
         raise ValueError(
-            "the model has no string law, so rest lengths mean nothing to it; "
+            "the model has no string law, so rest lengths have no meaning for it; "
             "build it as Model(structure, strings=LinearStrings(stiffness=...))"
         )
     shape = model.structure.checked_nodes("nodes", nodes)
@@ -151,7 +151,7 @@ def _law_and_length(model: Model, nodes: object) -> tuple[StringLaw, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class WinchMove:
-    """What winches made of a command. Made by :meth:`Winches.move`.
+    """Rest lengths that winches reach after a command. Made by :meth:`Winches.move`.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ class WinchMove:
 
 @dataclass(frozen=True, eq=False)
 class Winches:
-    """Limits of the winches that set the rest lengths.
+    """Limits of the winches that set the rest lengths: speed, range, motors.
 
     Parameters
     ----------
@@ -182,13 +182,13 @@ class Winches:
     shortest, longest : float or array_like, shape (α,), optional
         Range of the rest length, m; any positive length if not given.
     ramp : bool
-        Whether rest lengths ramp through a sample (first-order hold). If not, a winch
-        jumps at the start of a sample and stands still (zero-order hold).
+        Whether rest lengths change linearly through a sample (first-order hold). If not, they
+        jump at the start of a sample and stay (zero-order hold).
     substeps : int, optional
-        Parts of a ramp, 10 if not given; more than 1 means a ramp. The ramp is straight. In each
-        part the torque and the play of motors are looked at, and a Kalman filter that predicts by
-        nonlinear equations takes a step, which should be shorter than the stretch of the strings,
-        T/k.
+        Number of parts of a ramp, 10 if not given; more than 1 means a ramp, which is linear. In
+        each part, torque and backlash of the motors are evaluated, and a Kalman filter with
+        nonlinear prediction takes a step. The change of rest length in it should be below the
+        stretch of the strings, T/k.
     motor : Motor, optional
         The motors: limits of torque and speed, inertia, lag, backlash. A run then reports their
         angle, speed, torque, power and energy, ``run.control.motors``.

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
+from collections.abc import Mapping
 from time import perf_counter
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -108,7 +111,7 @@ def clipped(value: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 class BaseController(ABC):
-    """What every controller has: check of measurements, bounds, fallback, counts.
+    """Base class of controllers: check of measurements, bounds, fallback, counts.
 
     Parameters
     ----------
@@ -129,6 +132,9 @@ class BaseController(ABC):
     check : MeasurementCheck, optional
         Of measurements, if not that of the shape of the structure.
     """
+
+    #: What a kind of controller adds to :attr:`made_with`.
+    _settings: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(
         self,
@@ -213,6 +219,19 @@ class BaseController(ABC):
     def largest_change(self) -> FloatArray | None:
         """Largest change from the previous input, shape (α,); None for any."""
         return self._change
+
+    @property
+    def made_with(self) -> dict[str, Any]:
+        """Kind, input, sample time, s, bounds and other settings by name; a run records them."""
+        return {
+            "kind": type(self).__name__,
+            "input": self._input,
+            "sample_time": self._sample_time,
+            "low": self._low,
+            "high": self._high,
+            "max_change": self._change,
+            **self._settings,
+        }
 
     @property
     def prediction_error(self) -> float | None:
@@ -426,7 +445,7 @@ class BaseController(ABC):
 
 
 class Controller(BaseController):
-    """Turns measured motion into commands, one a sample, by a law designed on a linear plant.
+    """Base class of controllers designed on a linear plant: one command in each sample.
 
     A controller of your own is a subclass with ``_decide``. Give it ``_fall_back`` if holding the
     previous input is not safe, and ``reset`` if it has a memory. A function needs no class: see
@@ -561,6 +580,6 @@ def warn_of_unreached(controller: Controller, stacklevel: int) -> None:
     warn_of_left_alone(
         controller.left_alone,
         "no string reaches",
-        "What swings there goes on swinging whatever is commanded; the other modes are controlled.",
+        "No command changes a vibration in these modes; the other modes are controlled.",
         stacklevel + 1,
     )

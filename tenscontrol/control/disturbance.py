@@ -1,4 +1,4 @@
-"""An unknown constant load, found from what the plant does otherwise than predicted."""
+"""Estimate of an unknown constant load from the prediction error of the plant."""
 
 from __future__ import annotations
 

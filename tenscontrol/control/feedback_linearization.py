@@ -1,4 +1,4 @@
-"""Feedback linearization: errors of node positions decay as a damped oscillator."""
+"""Feedback linearization: errors of node positions decay like those of a damped oscillator."""
 
 from __future__ import annotations
 
@@ -80,19 +80,21 @@ class FeedbackLinearizationStatistics:
 
 @final
 class FeedbackLinearization(Controller):
-    """Impose ``Ë + a Ė + b E = 0`` on the error of chosen node coordinates, sample by sample.
+    """Feedback linearization: the tracking error of node coordinates follows ``Ë + a Ė + b E = 0``.
 
-    With ``y = C vec(N)`` and ``E = y − y_ref(t)``, node accelerations are affine in γ, so that
-    the law is a linear system ``J γ = d`` at each measured state: exact, not linearized.
-    Reference rates and accelerations are fed forward. It is solved as least squares within
-    ``0 ≤ γ ≤ max_force_density``; of several γ that do equally well (self-stress), the one near
-    the operating point is taken. The residual is in the status and in :attr:`statistics`.
+    Here ``y = C vec(N)`` and ``E = y − y_ref(t)``. Node accelerations are affine in γ, so the law
+    is a linear system ``J γ = d`` at each measured state, exact for the nonlinear dynamics. The
+    velocity and acceleration of the reference are fed forward. The system is solved by least
+    squares with ``0 ≤ γ ≤ max_force_density``. Self-stress leaves several solutions: the one
+    nearest to the operating point is used. The status and
+    :attr:`statistics` have the residual.
 
-    There is no prediction, and motions that are not tracked are free to swing. Strings must pull
-    in every tracked direction; a mechanism responds only through prestress, and leaves a residual.
+    The law does not predict, and it does not damp motions that are not tracked. Strings must be
+    able to pull in every tracked direction. A mechanism responds only through its prestress, and
+    leaves a residual.
 
-    If a program is not solved, or the measurement is not one that the structure can have, γ of
-    the operating point is commanded.
+    If the program is not solved, or the structure cannot have the measured shape, γ of the
+    operating point is commanded.
 
     Parameters
     ----------
@@ -185,6 +187,7 @@ class FeedbackLinearization(Controller):
             plant, sample_time, *bounds, largest_change(plant, max_change, None, sample_time)
         )
         self._rates = error_rates(frequency, damping, sample_time)
+        self._settings = {"rates": self._rates}
         matrix = _combinations(plant, tracked)
         self._tracks_part = tracked is not None
         self._motion = Evaluator(tracked_motion(plant, matrix))
@@ -195,7 +198,7 @@ class FeedbackLinearization(Controller):
         most = float(np.linalg.norm(matrix, 2) * np.linalg.norm(moved, 2))
         if not np.linalg.norm(response, 2) > _ROUND_OFF * most:
             raise ValueError(
-                "tracked combinations are moved by no string at the operating point; expected "
+                "no string moves the tracked combinations at the operating point; expected "
                 "coordinates of free nodes, relative to each other where no node is fixed"
             )
         size = float(np.ptp(plant.nodes, axis=1).max())

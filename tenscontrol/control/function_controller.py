@@ -34,11 +34,11 @@ _EXPECTED = (
 
 @final
 class FunctionController(BaseController):
-    """A function or an object of yours as a controller, with bounds and a fallback.
+    """Your own function or object as a controller, with bounds and a fallback.
 
-    ``simulate(model, duration, controller=function)`` makes one by itself. Make it yourself for
-    bounds, for a unit other than that of the actuators, or to see and command the segments of
-    subdivided strings.
+    ``simulate(model, duration, controller=function)`` makes one from the function. Make it
+    yourself to set bounds, to command γ where the actuators hold rest lengths or the other way
+    round, or to measure and command the segments of subdivided strings.
 
     The function is called once a sample as ``function(time, nodes, velocities)``: s; m and m/s,
     shape (d, n) each. It returns an array_like of shape (α,), one γ, N/m, or rest length, m, per
@@ -52,10 +52,10 @@ class FunctionController(BaseController):
       shape (α,), and before the first with the rest lengths at the start, if they are known.
 
     A command beyond the bounds is set to the nearest one within, with the status
-    ``"saturated"``. A measurement that the structure cannot have is not handed on, and a command
-    that is not finite is not used: the previous input is held (γ of ``equilibrium_input`` if that
-    is given). All of this is counted in ``status_count`` and ``fallback_count``, and in the record
-    of the run.
+    ``"saturated"``. The function is not called with a measurement that the structure cannot have,
+    and a command that is not finite is not applied. The previous input is held in both cases, or
+    ``equilibrium_input`` if γ is the input and it is given. ``status_count``, ``fallback_count``
+    and the record of the run count these cases.
 
     Parameters
     ----------
@@ -120,11 +120,12 @@ class FunctionController(BaseController):
         instance("structure", structure, Structure, "for example model.structure")
         self._function = _called("function", function)
         self._given = function
+        self._settings = {"function": function}
         if input is None:
             input = _own("input", function)
             if input is None:
                 raise ValueError(
-                    "input is not given, and function has none: say what it commands by "
+                    "input is not given, and function has none: give what it commands by "
                     "input='rest_length' or input='force_density'"
                 )
         if sample_time is None:

@@ -15,11 +15,10 @@ from tenscontrol.validation import FloatArray, instance
 
 @final
 class GainSchedule(Controller):
-    """Controllers designed at several shapes; the one nearest to the measured shape is used.
+    """Several controllers, each designed at one shape; that of the nearest shape commands.
 
-    A linear plant is accurate near its operating point. On a path that leads far from
-    it, as from one height to another, take several plants along the path and design
-    a controller at each.
+    A linear plant is accurate near its operating point only. For a large change of shape, take
+    several plants along the path and design a controller for each.
 
     The schedule counts its own commands in ``status_count`` and ``fallback_count``; each
     controller counts those that it gave.
@@ -37,7 +36,7 @@ class GainSchedule(Controller):
 
     Notes
     -----
-    The distance of shapes is ``|q|``, weighted by mass, without motion as one body. At a
+    The distance of shapes is ``|q|``, weighted by mass, without rigid-body motion. At a
     switch the previous input is handed over, so that limits of change hold; an
     estimated load is not.
 
@@ -86,6 +85,11 @@ class GainSchedule(Controller):
     def active(self) -> int:
         """Which of them gave the last command."""
         return self._active
+
+    @property
+    def made_with(self) -> dict[str, Any]:
+        """See :attr:`Controller.made_with`: with those of all controllers."""
+        return super().made_with | {"controllers": [each.made_with for each in self._controllers]}
 
     @property
     def left_alone(self) -> Modes:

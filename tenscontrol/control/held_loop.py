@@ -29,7 +29,7 @@ _ROUND_OFF = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class HeldLoop:
-    """Decay of a loop with rest lengths held between samples. Made by :func:`held_loop`.
+    """Stability of a loop with rest lengths held between samples. Made by :func:`held_loop`.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class HeldLoop:
 
 
 def held_loop(plant: LinearPlant, gain: object, *, sample_time: float) -> HeldLoop:
-    """Return how a sampled law in γ decays if winches hold rest lengths between samples.
+    """Return the stability of a sampled law in γ if winches hold rest lengths between samples.
 
     At each sample the desired ``γ₀ − K z`` is converted to rest lengths at the measured
     shape. These are held until the next sample, so that γ moves with the structure:

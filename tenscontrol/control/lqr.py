@@ -29,20 +29,19 @@ from tenscontrol.validation import FloatArray, frozen, instance, positive_number
 class LQR(Controller):
     """Linear-quadratic regulator: the state feedback that minimizes ``∫ zᵀ Q z + vᵀ R v dt``.
 
-    It commands ``u = u₀ − K z``, kept within bounds. With a ramp input the state at the end of a
-    sample depends on the previous input too: ``u = u₀ − K z − H (u_previous − u₀)``.
+    The command is ``u = u₀ − K z``, clipped to the bounds. With a ramp input, the state at the end
+    of a sample depends on the previous input too: ``u = u₀ − K z − H (u_previous − u₀)``.
 
-    If the desired input is beyond the bounds, or farther from the previous input
-    (:meth:`applied`) than a change may be, the status is ``"saturated"``. If the structure
-    cannot have the measurement, γ of the operating point is commanded, or the previous
-    rest lengths.
+    The status is ``"saturated"`` where the desired input is out of bounds, or differs from the
+    previous input (:meth:`applied`) by more than ``max_change``. If the structure cannot have the
+    measured shape, the command is γ of the operating point, or the previous rest lengths.
 
     Parameters
     ----------
     plant : LinearPlant
-        In ``"internal"`` coordinates; free structures drift and turn in ``"nodes"`` and
-        ``"minimal"`` coordinates, and no string reaches that. Modes that no string reaches and
-        that do not grow are left alone: :attr:`left_alone`.
+        In ``"internal"`` coordinates. ``"nodes"`` and ``"minimal"`` coordinates include the
+        rigid-body motions of free structures, which no string controls. Modes that no string
+        reaches and that do not grow are left uncontrolled: :attr:`left_alone`.
     Q : float or array_like, shape (2r,) or (2r, 2r), optional
         Weight of the state ``z = [q; q̇]``, positive semidefinite. If not given, that of
         :func:`energy_weights`, by mode where the input is the rest length, as for :class:`MPC`.
@@ -69,11 +68,11 @@ class LQR(Controller):
         H, for a ramp input.
     poles : ndarray of complex, shape (2r,)
         Closed-loop poles: of the s-plane, 1/s, or with a sample time of the z-plane. For a ramp
-        input there are 2r + α. The last are those of what is left alone.
+        input there are 2r + α. Those of uncontrolled modes come last.
     cost : ndarray, shape (2r, 2r)
         Solution P of the Riccati equation: ``zᵀ P z`` is the cost to go. For a ramp input, of
-        ``[z; u_previous − u₀]``. Without the share that belongs to what is left alone by itself,
-        which no input changes and which has no end where it does not decay.
+        ``[z; u_previous − u₀]``. The cost of uncontrolled modes themselves is left out: no input
+        changes it, and it is infinite for undamped modes.
     riccati_residual : float
         Residual of the Riccati equation relative to its largest term.
 
@@ -91,11 +90,11 @@ class LQR(Controller):
 
     Notes
     -----
-    The Riccati equation is solved by doubling, or by SciPy, a continuous one of up to 100 states
-    and where Q sees nothing of what grows. The answer is checked, since it
-    can be wrong without an error if an undamped mode is not controllable. It is that of the
-    states that strings reach; the gain on the others is the feedforward that a Sylvester equation
-    gives, zero where they disturb nothing and share no weight.
+    The Riccati equation is solved by doubling. SciPy solves continuous ones of up to 100 states,
+    and those in which Q has no weight on growing states. The solution is checked, as it can be
+    wrong without an error if an undamped mode is not controllable. It covers the controllable
+    states. The gain on the others is a feedforward from a Sylvester equation: zero if they neither
+    disturb the controllable states nor share a weight with them.
 
     Examples
     --------
@@ -151,6 +150,7 @@ class LQR(Controller):
         warn_of_unreached(self, stacklevel=3)
         ramp = gain.shape[1] > states
         self.gain = frozen(gain[:, :states])
+        self._settings = {"gain": self.gain}
         self.previous_input_gain = frozen(gain[:, states:]) if ramp else None
         self.poles = frozen(poles)
         self.cost = frozen(cost)

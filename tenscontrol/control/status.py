@@ -1,4 +1,4 @@
-"""A command, its status, and the fallback that replaced a decision."""
+"""A command of a controller, its status and its fallback."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tenscontrol.validation import FloatArray
 
 
 class Status(StrEnum):
-    """Whether a command is what its controller wanted, or why not. Compare with ``is``."""
+    """Status of a command: ok, or why it is not. Compare with ``is``."""
 
     OK = "ok"
     SATURATED = "saturated"
@@ -30,7 +30,7 @@ class Status(StrEnum):
 
 
 class ControlWarning(RuntimeWarning):
-    """A loop that does not do what it was asked: it ends away from its reference, or cannot go."""
+    """A closed loop that does not reach its reference, or cannot."""
 
 
 #: Statuses of a quadratic program that was not solved.
@@ -43,7 +43,7 @@ UNSOLVED = frozenset(
 
 
 class Fallback(StrEnum):
-    """What is commanded if there is no decision."""
+    """The command that replaces a decision of the controller."""
 
     PLAN_CONTINUED = "plan continued"
     PREVIOUS_INPUT_HELD = "previous input held"
@@ -52,7 +52,7 @@ class Fallback(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """Command of a controller for one sample.
+    """The command of a controller for one sample, with its status.
 
     Attributes
     ----------

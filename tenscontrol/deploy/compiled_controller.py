@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -48,7 +48,7 @@ OPTIMIZATION = "-O1"
 
 @final
 class CompiledController(Controller):
-    """The C code of a controller, used like any other controller.
+    """The compiled C code of a controller, used like any other controller.
 
     Give it to :func:`simulate` to run the code itself in the loop. Made by
     :meth:`GeneratedController.compile`.
@@ -57,26 +57,20 @@ class CompiledController(Controller):
     def __init__(
         self,
         name: str,
-        sources: Sequence[Path],
+        library: bytes,
         plant: LinearPlant,
         sample_time: float,
         bounds: tuple[FloatArray, FloatArray],
-        timeout: float,
     ) -> None:
         super().__init__(plant, sample_time, *bounds)
-        timeout = positive_number("timeout", timeout, "s", LONGEST_WAIT)
-        found = compiler()
-        if found is None:
-            raise FileNotFoundError(
-                "there is no C compiler: none of $CC, cc, gcc and clang is on the path, or it is "
-                "switched off by TENSCONTROL_COMPILER. The generated code can be compiled elsewhere"
-            )
+        self._made_of = name, library, plant, sample_time, bounds
         # One file for each, so that none shares the memory of another. A loaded library stays when
         # its file is deleted, except on Windows, where the file stays too.
         with TemporaryDirectory(prefix="tenscontrol-", ignore_cleanup_errors=True) as folder:
-            library = found.link(sources, Path(folder), f"lib{name}", timeout, (OPTIMIZATION,))
+            file = Path(folder) / f"lib{name}.so"  # loaded by this name everywhere
+            file.write_bytes(library)
             try:
-                loaded = ctypes.CDLL(str(library))
+                loaded = ctypes.CDLL(str(file))
             except OSError as error:
                 raise CompilerError(
                     f"the compiled controller cannot be loaded: {error}. The compiler may be one "
@@ -86,9 +80,21 @@ class CompiledController(Controller):
             getattr(loaded, f"{name}_{what}")
             for what in ("reset", "command", "applied", "iterations")
         )
+        #: Addresses of the functions ``reset`` and ``command`` in C, for loops of compiled code.
+        self.entry_points = tuple(
+            ctypes.cast(each, ctypes.c_void_p).value or 0 for each in (self._reset, self._run)
+        )
         self._run.argtypes = [ctypes.c_double, _VECTOR, _VECTOR, _VECTOR]
         self._set_applied.argtypes = [_VECTOR]
         self.reset()
+
+    def another(self) -> CompiledController:
+        """Return a controller of the same code with a memory of its own; nothing is compiled."""
+        return CompiledController(*self._made_of)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the compiled code, for processes of like machines; what it remembers stays."""
+        return CompiledController, self._made_of
 
     @property
     def iterations(self) -> int:
@@ -129,3 +135,18 @@ class CompiledController(Controller):
 
     def __repr__(self) -> str:
         return f"CompiledController({self.plant!r}, every {self.sample_time:g} s)"
+
+
+def compiled(name: str, sources: Sequence[Path], timeout: float) -> bytes:
+    """Return the library of some C files; see :meth:`GeneratedController.compile`."""
+    timeout = positive_number("timeout", timeout, "s", LONGEST_WAIT)
+    found = compiler()
+    if found is None:
+        raise FileNotFoundError(
+            "there is no C compiler: none of $CC, cc, gcc and clang is on the path, or it is "
+            "switched off by TENSCONTROL_COMPILER. The generated code can be compiled elsewhere"
+        )
+    with TemporaryDirectory(prefix="tenscontrol-") as folder:
+        return found.link(
+            sources, Path(folder), f"lib{name}", timeout, (OPTIMIZATION,)
+        ).read_bytes()

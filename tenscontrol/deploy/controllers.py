@@ -1,4 +1,4 @@
-"""Numbers of a law in C code: LQR, linear MPC, nonlinear MPC.
+"""Data of a controller for C code: LQR, linear MPC, nonlinear MPC.
 
 The vectors of the program of linear MPC are affine in the state, the previous input, the same
 within bounds, and the estimated load; so are the planned inputs. Their matrices are
@@ -242,9 +242,9 @@ def nmpc_code(controller: NMPC) -> LawCode:
     problem, model = law.problem, law.model
     if not isinstance(model.discretization, RK4):
         raise ValueError(
-            "controller is an NMPC that predicts stiff strings or winches that wind, by implicit "
-            "steps, which are not written as C code: give a shorter step and winches that jump, "
-            "or take MPC, whose prediction is linear"
+            "controller is an NMPC with implicit steps, for stiff strings or winches with "
+            "ramps, which C code does not have: give a shorter step and winches without ramps, "
+            "or use MPC, whose prediction is linear"
         )
     sizes, data = stages_data(problem, law.row_bounds, law.settings.max_iterations, law.bounds)
     N, _, _, p, _, changes, soft, most = sizes
@@ -319,6 +319,6 @@ def _time_table(
 def _refuse_time_limit(limit: float) -> None:
     if np.isfinite(limit):
         raise ValueError(
-            f"controller has time_limit={limit:g} s, and C code without an operating system has no "
-            "clock: make it without, and limit the work by max_iterations"
+            f"controller has time_limit={limit:g} s, but C code without an operating system has "
+            "no clock: leave it out, and limit the work by max_iterations"
         )

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tenscontrol.control import LQR, MPC, NMPC, Controller, FunctionController
 from tenscontrol.deploy.code_text import code_files
-from tenscontrol.deploy.compiled_controller import CompiledController
+from tenscontrol.deploy.compiled_controller import CompiledController, compiled
 from tenscontrol.deploy.controllers import LawCode, lqr_code, mpc_code, nmpc_code
 from tenscontrol.dynamics import builds
 from tenscontrol.files import make_folder, write_file
@@ -79,14 +79,9 @@ class GeneratedController:
             If the timeout is not positive, or longer than a day.
         """
         sources = [file for file in self.files if file.endswith(".c") and file != "main.c"]
-        return CompiledController(
-            self.name,
-            [self.folder / file for file in sources],
-            self.plant,
-            self.sample_time,
-            (self.low, self.high),
-            timeout,
-        )
+        library = compiled(self.name, [self.folder / file for file in sources], timeout)
+        bounds = self.low, self.high
+        return CompiledController(self.name, library, self.plant, self.sample_time, bounds)
 
     def __repr__(self) -> str:
         return (
@@ -102,8 +97,8 @@ def generate_c(controller: Controller, folder: object, *, name: str = "controlle
 
     The code is C99, allocates no memory and needs nothing but a C compiler:
     ``cc -O2 *.c -lm`` in the folder builds a program that runs it on samples
-    from a file. It commands what the controller in Python does, to round-off,
-    its fallbacks included, from a fresh start. See ``README.txt`` in the folder.
+    from a file. Its commands agree with those of the controller in Python to round-off, fallbacks
+    included, from the state after ``reset()``. See ``README.txt`` in the folder.
 
     Parameters
     ----------
@@ -201,10 +196,10 @@ def _checked_name(name: object) -> str:
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name):
         raise ValueError(
             f"name is {name!r}, expected a letter, then letters, digits and _, 31 at most: "
-            "names of C begin with it"
+            "C names begin with it"
         )
     if name.lower() in _TAKEN:
-        raise ValueError(f"name is {name!r}, which is taken; give another")
+        raise ValueError(f"name is {name!r}, which is reserved; give another")
     return name
 
 

@@ -18,7 +18,7 @@ _SWEEPS = 6
 # to that of the structure, in each.
 _STEPS = 20
 
-# Motions as one body that move a support by less than this fraction of what they move leave it.
+# Rigid-body motions that move a support by less than this fraction of what they move leave it.
 _RANK = 1e-9
 
 # Shapes next to the operating point are aside by this part of the size.
@@ -65,7 +65,7 @@ def measurement(plant: LinearPlant) -> ca.Function:
 def _along_supports(plant: LinearPlant, nearest: bool) -> ca.Function:
     """Return ``[N, R] -> [N', R']``: a step of a shape along the supports towards the reference.
 
-    The displacement is then M-orthogonal to the motions as one body that the supports leave: those
+    The displacement is then M-orthogonal to the rigid-body motions that the supports leave: those
     of the shape, for the nearest shape, or those of the reference. What the supports hold is at its
     place. R is the turn up to here.
     """
@@ -114,9 +114,9 @@ def _independent_rows(plant: LinearPlant) -> list[int]:
         found.append(sorted(order[: np.count_nonzero(sizes > _RANK * sizes[0])]))
     if len(found[0]) < len(found[1]):
         raise ValueError(
-            "controller is for a structure whose supports hold other motions as one body in its "
-            "operating point than in shapes next to it, so that its measurement cannot be written "
-            "as C code: move a roller, or fix another coordinate"
+            "controller is for a structure whose supports allow other rigid-body motions at its "
+            "operating point than in neighbouring shapes, so that its measurement cannot be "
+            "written as C code: move a roller, or fix another coordinate"
         )
     return found[0]
 

@@ -1,4 +1,4 @@
-"""Contact laws: the force of the ground on nodes from their depth in it, and how fast they sink.
+"""Contact laws: the force of the ground on a node from its penetration and velocity.
 
 Sign convention::
 
@@ -46,7 +46,7 @@ _ROOTED, _SHORT = 1e-30, 1e-12
 
 @dataclass(frozen=True, eq=False)
 class ContactLaw(ABC):
-    """How the ground pushes on nodes that have sunk into it, and rubs on them.
+    """Base class of contact laws: normal force and friction of the ground on nodes.
 
     A law of your own is a frozen dataclass with one formula, :meth:`normal_force`; with a second,
     :meth:`gap`, where its force vanishes elsewhere than at the surface or by Hunt & Crossley's
@@ -307,8 +307,8 @@ class ContactLaw(ABC):
 class Ground(ContactLaw):
     """Ground of constant stiffness: ``F_n = max(0, k p (1 + d ṗ))`` at depth p, with friction.
 
-    Hunt & Crossley with exponent 1. A point that meets it with the speed v, without gravity,
-    leaves it slower by 2/3 d v², as long as d v is small.
+    The law of Hunt & Crossley with exponent 1. Without gravity, a point that hits the ground at
+    speed v leaves it slower by 2/3 d v², for small d v.
 
     Parameters
     ----------
@@ -378,7 +378,7 @@ class HertzGround(ContactLaw):
 @final
 @dataclass(frozen=True, eq=False)
 class SmoothGround(ContactLaw):
-    """Ground without a border, for predictions: the force of :class:`Ground` rounded at its foot.
+    """Smooth ground, for predictions: the force of :class:`Ground`, rounded near the surface.
 
     From ``width`` above the surface to as far below, the depth p is replaced by (p + w)²/4w, and
     the factor 1 + d ṗ by one that stays positive. So no switch is to be located, and the force has
@@ -451,8 +451,8 @@ def _check_height(height: ca.Function, normal: FloatArray | None) -> None:
         )
     if normal is not None and (normal[:-1].any() or normal[-1] < 0):
         raise ValueError(
-            f"normal is {normal}, expected none beside a height that is a function: it is measured "
-            "upward, along the last axis"
+            f"normal is {normal}, expected None where height is a function, which is measured "
+            "along the last axis"
         )
 
 
@@ -499,7 +499,7 @@ def checked_grounds(ground: object, structure: Structure) -> tuple[ContactLaw, .
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """The nodes that can touch, law by law, and their places among the switches of a model.
+    """The nodes that can touch the ground, by contact law, and their switches.
 
     Attributes
     ----------

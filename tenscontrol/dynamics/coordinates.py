@@ -18,9 +18,7 @@ from tenscontrol.dynamics.model import Model
 from tenscontrol.dynamics.tangent import (
     Complement,
     bar_basis,
-    momenta,
-    motions_kept,
-    moved_as_one,
+    laid_along_supports,
     normal_basis,
     refuse_large,
 )
@@ -47,10 +45,6 @@ from tenscontrol.validation import (
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# Directions whose singular value is below this fraction of the largest do not exist; a shape is
-# laid over the reference when the next step is below this part of its size.
-_RANK_TOLERANCE, _LAID = 1e-9, 1e-15
-
 # Newton's steps at most; those in an expression, which reach about 70° from the reference; and how
 # far, relative to its square, a length may be off in the end.
 _MOST, _STEPS, _EXACT = 30, 6, 1e-10
@@ -63,7 +57,7 @@ KINDS = ("nodes", "minimal", "internal")
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """A basis of node displacements around a reference shape, and the maps both ways.
+    """Coordinates: a basis of node displacements about a reference shape, and its maps.
 
     Made by :func:`coordinates`.
 
@@ -129,7 +123,7 @@ class Coordinates:
 
     @property
     def is_sparse(self) -> bool:
-        """Whether they are all of the minimal coordinates y but for motions as one body."""
+        """Whether they are all of the minimal coordinates y but for rigid-body motions."""
         return self.kind != "nodes" and not isinstance(self._inside, np.ndarray)
 
     def within(self, inside: FloatArray) -> Coordinates:
@@ -144,7 +138,7 @@ class Coordinates:
 
     @cached_property
     def rigid(self) -> FloatArray:
-        """Orthonormal basis, in y, of the motions as one body that supports leave, shape (m, k)."""
+        """Orthonormal basis, in y, of the rigid-body motions that supports leave, shape (m, k)."""
         found = self._inside
         if not isinstance(found, Complement):
             left = left_by_supports(self.structure, rigid_motions(self.nodes))
@@ -248,7 +242,10 @@ class Coordinates:
         if len(self.structure.fixed) < 2 and not self.structure.rollers:
             turn, centre = self._alignment(nodes)
             return turn @ (nodes - centre) + self._reference[0], turn @ velocities
-        return self._along_supports(nodes, velocities) if self.is_loose else (nodes, velocities)
+        if not self.is_loose:
+            return nodes, velocities
+        nodes, turn = laid_along_supports(self.structure, self.nodes, self._mass, nodes)
+        return nodes, turn @ velocities
 
     def to_nodes(self, q: object) -> FloatArray:
         """Return node positions with exact bar lengths whose coordinates are q.
@@ -287,7 +284,7 @@ class Coordinates:
         if room.size and room.min() <= 0:
             raise ValueError(
                 f"q turns bar {alone[int(room.argmin())]} by a right angle or more from the "
-                "reference shape; these coordinates do not reach so far"
+                "reference shape, which is too far for these coordinates"
             )
         self._stretch(nodes, (np.sqrt(room) - along) * axes)
         for block, normal in self._normals:
@@ -468,8 +465,8 @@ class Coordinates:
             total -= np.linalg.solve(slope, excess)
         raise ValueError(
             f"q is a shape in which bars {sorted(block.bars.tolist())}, which are joined to one "
-            "another, cannot keep their lengths, or would have to turn over; these coordinates do "
-            "not reach so far from the reference shape"
+            "another, cannot keep their lengths, or would have to turn over; it is too far from "
+            "the reference shape for these coordinates"
         )
 
     def _columns(self, flat: FloatArray) -> FloatArray:
@@ -498,59 +495,42 @@ class Coordinates:
 
     @cached_property
     def is_loose(self) -> bool:
-        """Whether the supports leave a motion as one body."""
+        """Whether the supports leave a rigid-body motion."""
         return bool(rigid_basis(self.structure).shape[1])
-
-    def _centre(self, nodes: FloatArray) -> FloatArray:
-        if len(self.structure.fixed):
-            return nodes[:, self.structure.fixed[:1]]
-        return np.asarray(nodes @ self._shares)
 
     @cached_property
     def _shares(self) -> FloatArray:
-        """Shares of the nodes in the mass, shape (n, 1)."""
-        return np.asarray(self._mass.sum(axis=1)).reshape(-1, 1) / float(self._mass.sum())
+        """Shares of the nodes in the centre, shape (n, 1): of mass, or the node that is fixed."""
+        mass = np.asarray(self._mass.sum(axis=1)).reshape(-1, 1)
+        fixed = np.arange(len(mass))[:, None] == self.structure.fixed[:1]
+        return np.asarray(fixed, float) if fixed.size else np.asarray(mass / mass.sum())
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, FloatArray]:
         """Centre of the reference shape, (d, 1), and its moments about it, (d, n)."""
-        centre = self._centre(self.nodes)
+        centre = self.nodes @ self._shares
         return centre, (self.nodes - centre) @ self._mass
 
     def _alignment(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return turn and centre nearest to the reference (doi:10.1107/S0567739476001873)."""
         from scipy.linalg.lapack import dgesdd  # NumPy's takes twice as long for 3 by 3
 
-        centre = self._centre(nodes)
+        centre = nodes @ self._shares
         U, _, Vt, _ = dgesdd(self._reference[1] @ (nodes - centre).T)
-        U[:, -1] *= np.linalg.det(U @ Vt)
-        return U @ Vt, centre
+        turn = U @ Vt
+        if _is_reflection(turn):
+            U[:, -1] *= -1
+            turn = U @ Vt
+        return turn, centre
 
-    def _along_supports(
-        self, nodes: FloatArray, velocities: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return shape and velocities laid over the reference by what the supports leave.
 
-        By Gauss-Newton steps along motions that keep nodes where supports hold them: first to the
-        nearest shape, from however far; then until the displacement has no part along such motions
-        of the reference, which is the same unless they change their direction, as on two slides.
-        """
-        held, turn = self.structure.fixed_rows, np.eye(len(nodes))
-        own = momenta(self._mass, left_by_supports(self.structure, rigid_motions(self.nodes))).T
-        for nearest in (True, False):
-            for _ in range(_MOST):
-                fields, off = rigid_motions(nodes), (nodes - self.nodes).ravel(order="F")
-                back = np.linalg.lstsq(fields[held], -off[held], _RANK_TOLERANCE)[0]
-                left = motions_kept(fields, held)
-                moves = fields @ left
-                along = momenta(self._mass, moves).T if nearest else own
-                wanted = -along @ (off + fields @ back)
-                move = back + left @ np.linalg.lstsq(along @ moves, wanted, _RANK_TOLERANCE)[0]
-                nodes, step = moved_as_one(nodes, move)
-                turn = step @ turn
-                if np.abs(fields @ move).max() <= _LAID * np.abs(nodes).max():
-                    break
-        return nodes, turn @ velocities
+def _is_reflection(turn: FloatArray) -> bool:
+    """Return whether an orthogonal matrix is no turn; NumPy's ``det`` takes ten times as long."""
+    (a, b, *c), (d, e, *f), *last = turn.tolist()
+    if not last:
+        return bool(a * e < b * d)
+    (c,), (f,), ((g, h, i),) = c, f, last
+    return bool(a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0)
 
 
 def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> Coordinates:
@@ -565,7 +545,7 @@ def coordinates(model: Model, nodes: object = None, kind: str = "internal") -> C
         ``"nodes"``: the node positions themselves, as far as supports leave them free.
         ``"minimal"``: without bar-length changes; in space 5 a bar and 3 a string node, in the
         plane 3 and 2, and fewer where bars share nodes: those of the nodes less the rank of the
-        bar constraints. ``"internal"``: minimal less motion as one body that the supports leave.
+        bar constraints. ``"internal"``: minimal less rigid-body motion that the supports leave.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The state equation as integrators see it: smooth between switches of strings and contacts."""
+"""The state equation for integrators: smooth between switches of strings and contacts."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class InputLayout:
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """A state equation ``ẋ = f(x, u)`` that is smooth while nothing switches.
+    """The state equation ``ẋ = f(x, u)``, smooth between switches.
 
     Strings whose rest length is held pull or are slack, and nodes press on the ground or do not;
     ``taut`` says which, 1 or 0 for each string, then for each contact, and is an input of its own

@@ -1,4 +1,4 @@
-"""CasADi functions: built by one thread at a time, kept, and called without allocation.
+"""CasADi functions: built by one thread at a time, cached, and called without allocation.
 
 CasADi's Python wrapper lets other threads run during every call. It counts the references to the
 elements of SX without a lock, and all expressions share their constants; so what makes, copies or
@@ -150,8 +150,8 @@ class Exclusive:
             # No other thread can come between these two lines: nothing is called.
             if self._user:
                 raise RuntimeError(
-                    f"{self._what} is used by another thread at this moment: it has a memory. "
-                    "Give each thread its own, for example a copy by copy.deepcopy or pickle"
+                    f"{self._what} is in use by another thread, and it keeps state between "
+                    "calls. Give each thread a copy, for example by copy.deepcopy or pickle"
                 )
             self._user = me
         self._depth += 1
@@ -281,12 +281,8 @@ class SharedEvaluator:
     @contextmanager
     def outputs(self, *arguments: Any) -> Iterator[list[FloatArray]]:
         """Evaluate and yield arrays that no other call overwrites meanwhile."""
-        try:
-            evaluator = self._idle.pop()
-        except IndexError:
-            evaluator = Evaluator(self._function)
-        yield evaluator(*arguments)
-        self._idle.append(evaluator)
+        with _taken(self._idle, Evaluator, self._function) as evaluator:
+            yield evaluator(*arguments)
 
 
 class ColumnEvaluator:
@@ -325,13 +321,21 @@ _IDLE = Prepared()
 def evaluate_columns(function: ca.Function, *columns: FloatArray) -> list[FloatArray]:
     """Evaluate a function of column vectors at T of them; see :class:`ColumnEvaluator`."""
     _, idle = _IDLE.get(function, lambda: (function, deque[ColumnEvaluator]()))
+    with _taken(idle, ColumnEvaluator, function) as evaluator:
+        return evaluator(*columns)
+
+
+@contextmanager
+def _taken(
+    idle: deque[_Value], make: Callable[[ca.Function], _Value], function: ca.Function
+) -> Iterator[_Value]:
+    """Yield an evaluator that no other thread has meanwhile: an idle one, or a new one."""
     try:
         evaluator = idle.pop()
     except IndexError:
-        evaluator = ColumnEvaluator(function)
-    found = evaluator(*columns)
+        evaluator = make(function)
+    yield evaluator
     idle.append(evaluator)
-    return found
 
 
 def _dense(sparsity: ca.Sparsity) -> FloatArray:

@@ -68,8 +68,8 @@ _which = cache(shutil.which)
 _LINES = 8  # of what the compiler says that go into a message
 
 _ADVICE = (
-    f"Name a C compiler that works by the environment variable {VARIABLE} or CC, "
-    f"or set {VARIABLE}=none to do without"
+    f"Set the environment variable {VARIABLE} or CC to a C compiler that works, or "
+    f"{VARIABLE}=none to run without one"
 )
 
 
@@ -277,7 +277,7 @@ def open_cache() -> Cache:
     except OSError:
         return _temporary()
     _refuse_unsafe(
-        folder, "folder", "put it right (chmod 700), or set XDG_CACHE_HOME to another folder"
+        folder, "folder", "correct it (chmod 700), or set XDG_CACHE_HOME to another folder"
     )
     return Cache(folder, False) if os.access(folder, os.W_OK | os.X_OK) else _temporary()
 
@@ -322,7 +322,7 @@ def _refuse_unsafe(path: Path, kind: str, remedy: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Compiled:
-    """A function in machine code.
+    """A CasADi function in machine code.
 
     Attributes
     ----------

@@ -57,9 +57,9 @@ _OF_ALL_NODES = (
 
 
 class Model:
-    """The dynamics of a structure, with the force densities γ as the input.
+    """Equations of motion of a structure: rigid bars, strings, loads, supports and ground.
 
-    The functions are built for the scene: what is absent takes no input and no instruction. The
+    Without a load, damping or ground, its functions have no input and no code for them. The
     state is ``x = [vec(N); vec(Ṅ)]``, node by node: x1 y1 z1 x2 …, then the velocities.
 
     Parameters
@@ -89,9 +89,9 @@ class Model:
     Goyal & Skelton, *Dynamics of Class 1 Tensegrity Systems Including Cable
     Mass*, eqs. (2), (7)–(9). Bars that share nodes are solved for together, by Lagrange's
     multipliers λ and sparse factors; all others in closed form. N̈ is affine in γ at any state.
-    Where nodes are fixed, all functions are in the free nodes only: n is then their number,
-    and the fixed ones stand in the functions as constants. Nodes on rollers are among the free
-    ones; what is given for them along the axis that holds them does nothing, and x leaves it out.
+    If nodes are fixed, all functions are in the free nodes only: n is then their number, and
+    the positions of fixed nodes are constants. Nodes on rollers count as free. Their components
+    along the fixed axis have no effect, and x leaves them out.
 
     Examples
     --------
@@ -587,7 +587,7 @@ class Model:
     def _needed_strings(self) -> StringLaw:
         if self._strings is None:
             raise ValueError(
-                "the model has no string law, so rest lengths mean nothing to it; "
+                "the model has no string law, so rest lengths have no meaning for it; "
                 "build it as Model(structure, strings=LinearStrings(stiffness=...))"
             )
         return self._strings

@@ -1,4 +1,4 @@
-"""Inputs, loads and motions of supports that change in time: profiles and piecewise polynomials."""
+"""Inputs, loads and support motions as functions of time: profiles, piecewise polynomials."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _LOOKS = 33
 @final
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Values over time, for the arguments of :func:`simulate` that may change.
+    """A function of time by interpolation, for the inputs and loads of :func:`simulate`.
 
     Before the first time the first value holds, and after the last time the last one.
 
@@ -66,7 +66,8 @@ class Profile:
             raise ValueError(f"time has shape {time.shape}, expected (K,): at least one time, s")
         if values.ndim == 0 or values.shape[-1] != len(time):
             raise ValueError(
-                f"values has shape {values.shape}, expected (..., {len(time)}): one value a time"
+                f"values has shape {values.shape}, expected (..., {len(time)}): one value for "
+                "each time"
             )
         steps = np.diff(time)
         # Of a jump the value before and that after; a third would never be seen.
@@ -75,8 +76,8 @@ class Profile:
         if len(wrong):
             k = int(wrong[0]) + 1
             raise ValueError(
-                f"time[{k}] is {time[k]:g} s after {time[k - 1]:g} s, expected later: times "
-                "ascend. Only with 'hold' and 'linear' may one be given twice, for a jump"
+                f"time[{k}] is {time[k]:g} s after {time[k - 1]:g} s, expected ascending times. "
+                "A time may be given twice, for a jump, with 'hold' and 'linear' only"
             )
         object.__setattr__(self, "time", frozen(time))
         object.__setattr__(self, "values", frozen(values))
@@ -356,8 +357,8 @@ def sampled(
             open_parts += [(middle, b), (a, middle)]
         else:
             raise ValueError(
-                f"{name} jumps, has a kink or is not smooth near {a:.9g} s: no polynomial comes "
-                "near it. Give a tc.Profile(time, values), which may have jumps and kinks"
+                f"{name} jumps, has a kink or is not smooth near {a:.9g} s: polynomials do not "
+                "approximate it. Give a tc.Profile(time, values), which may have jumps and kinks"
             )
     exponents = np.arange(_DEGREE + 1)
     c = np.array([series @ powers.T / (b - a) ** exponents for a, b, series in kept])

@@ -31,7 +31,7 @@ _MOST_STRINGS = 10_000_000
 
 @dataclass(frozen=True, eq=False)
 class StringLaw(ABC):
-    """How a string turns length and rest length into force density.
+    """Base class of string laws: tension from length, rest length and rate.
 
     A string pulls or is slack; it never pushes. Parameters are one number for
     all strings or one per string. With damping c the tension while
@@ -267,7 +267,7 @@ class StringLaw(ABC):
             raise ValueError(
                 f"force_density[{i}] is {np.atleast_1d(gamma)[i]:g} N/m, expected less than the "
                 f"stiffness {np.atleast_1d(limit)[i]:g} N/m: the rest length would not be "
-                "positive. Use stiffer strings or less force"
+                "positive. Use stiffer strings or a lower force density"
             )
         rest = self._evaluated("rest_length", length, gamma)
         return _representable("rest length", rest, bool((rest > 0).all()))
@@ -363,7 +363,7 @@ class LinearStrings(StringLaw):
 class ElasticStrings(StringLaw):
     """Strings of constant axial rigidity: ``T = EA (l − l0)/l0 + c l̇`` while taut.
 
-    Winding such a string shortens and so stiffens it.
+    A string becomes stiffer when its rest length is reduced.
 
     Parameters
     ----------

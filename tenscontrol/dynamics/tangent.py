@@ -1,4 +1,4 @@
-"""Motions that keep bar lengths, and a model at rest on them, as sparse matrices."""
+"""Motions that keep bar lengths, and the mass and stiffness of a model on them, sparse."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from tenscontrol.structure import (
     Structure,
     bar_rows,
     block_mass,
+    left_by_supports,
     node_mass,
+    rigid_motions,
 )
 from tenscontrol.validation import FloatArray, IntArray
 
@@ -27,6 +29,10 @@ if TYPE_CHECKING:
 
 # Directions whose singular value is below this fraction of the largest do not exist.
 _RANK_TOLERANCE = 1e-9
+
+# Steps at most to lay a shape over another; it lies there when the next one is below this part of
+# its size.
+_MOST, _LAID = 30, 1e-15
 
 # Entries of a dense matrix, 512 MB, beyond which it is refused.
 _MOST_ENTRIES = 64_000_000
@@ -114,7 +120,7 @@ def bar_basis(structure: Structure, nodes: FloatArray) -> csr_array:
 
 
 def motions_kept(fields: FloatArray, held: IntArray) -> FloatArray:
-    """Return the combinations of motions as one body, shape (k, ·), that move no held row."""
+    """Return the combinations of rigid-body motions, shape (k, ·), that move no held row."""
     from scipy.linalg import null_space
 
     size = np.maximum(np.linalg.norm(fields, axis=0), np.finfo(float).tiny)
@@ -131,6 +137,33 @@ def moved_as_one(nodes: FloatArray, move: Any) -> tuple[FloatArray, FloatArray]:
     screw[:d, :d], screw[:d, d] = np.cross(spin, np.eye(3)).T[:d, :d], move[:d]
     whole, centre = expm(screw), nodes.mean(axis=1, keepdims=True)
     return whole[:d, :d] @ (nodes - centre) + whole[:d, d:] + centre, whole[:d, :d]
+
+
+def laid_along_supports(
+    structure: Structure, reference: FloatArray, mass: csr_array, nodes: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return nodes laid over a reference by the motions that supports leave, and their turn.
+
+    By Gauss-Newton steps along motions that keep nodes where supports hold them: first to the
+    nearest shape, from however far; then until the displacement has no part along such motions
+    of the reference, which is the same unless they change their direction, as on two slides.
+    """
+    held, turn = structure.fixed_rows, np.eye(len(nodes))
+    own = momenta(mass, left_by_supports(structure, rigid_motions(reference))).T
+    for nearest in (True, False):
+        for _ in range(_MOST):
+            fields, off = rigid_motions(nodes), (nodes - reference).ravel(order="F")
+            back = np.linalg.lstsq(fields[held], -off[held], _RANK_TOLERANCE)[0]
+            left = motions_kept(fields, held)
+            moves = fields @ left
+            along = momenta(mass, moves).T if nearest else own
+            wanted = -along @ (off + fields @ back)
+            move = back + left @ np.linalg.lstsq(along @ moves, wanted, _RANK_TOLERANCE)[0]
+            nodes, step = moved_as_one(nodes, move)
+            turn = step @ turn
+            if np.abs(fields @ move).max() <= _LAID * np.abs(nodes).max():
+                break
+    return nodes, turn
 
 
 def momenta(mass: object, basis: FloatArray) -> FloatArray:
@@ -169,9 +202,9 @@ def _scaled_rows(structure: Structure, block: Block, nodes: FloatArray, L: Any) 
     sizes = np.linalg.svd(rows, compute_uv=False)
     if sizes.size and sizes.min() <= _RANK_TOLERANCE * sizes.max():
         raise ValueError(
-            f"in nodes, bars {sorted(block.bars.tolist())}, which are joined to one another, are "
-            "in a dead centre: their lengths do not determine their motion. Change the nodes a "
-            "little"
+            f"in nodes, bars {sorted(block.bars.tolist())}, which are joined to one another, "
+            "are at a dead centre, where their lengths do not determine their motion. Change "
+            "the nodes slightly"
         )
     return np.asarray(rows)
 

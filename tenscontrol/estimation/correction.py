@@ -1,4 +1,4 @@
-"""Correction of a predicted state by readings that pass a gate: iterated extended Kalman."""
+"""Correction of a predicted state by gated readings: iterated extended Kalman filter."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ def _refuse_fall(plant: LinearPlant, pull: float) -> None:
     if plant.model.contacts is not None and drift > _FALLS * pull:
         raise ValueError(
             f"plant is not at rest: it drifts by {drift:.3g} m √kg/s², and a linear prediction "
-            "does not know of the ground that it meets. Give prediction='nonlinear', or linearize "
+            "does not include contact with the ground. Give prediction='nonlinear', or linearize "
             "about a shape that stands"
         )
 

@@ -1,4 +1,4 @@
-"""Kalman filter: correction by readings, refusals, delay, prediction."""
+"""Kalman filter: correction, gate for outliers, delayed readings, prediction."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NOTHING_KNOWN = 1e12
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Motion estimated by a filter. Made by :meth:`KalmanFilter.update`.
+    """Estimated positions and velocities. Made by :meth:`KalmanFilter.update`.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class FilterStatistics:
-    """Use of the readings of K samples. Made by :attr:`KalmanFilter.statistics`.
+    """Readings used and refused in K samples. Made by :attr:`KalmanFilter.statistics`.
 
     Attributes
     ----------
@@ -153,17 +153,17 @@ class Tally:
 
 @final
 class KalmanFilter:
-    """Estimates the motion of a plant from readings, sample by sample.
+    """Kalman filter: estimates node positions and velocities from readings at each sample.
 
-    At each sample call :meth:`update` with the readings, and :meth:`predict` with
-    the input that is then held. The covariance is carried along, since readings are lost
-    and refused; while all are used near the operating point it settles at the steady one. A
-    pickled filter is loaded without memory.
+    At each sample call :meth:`update` with the readings, then :meth:`predict` with the input that
+    is held over the sample. The covariance is updated at each sample, as readings may be lost or
+    refused. While all are used near the operating point, it converges to the steady one. A filter
+    that was pickled starts anew.
 
-    The plant's input must be what the actuators hold between samples: for winches linearize
-    with ``input="rest_length"``, whatever the controller commands. To internal coordinates the
-    motions as one body that the readings see are added. Undamped modes that neither readings show
-    nor strings reach are left alone: :attr:`left_alone`.
+    The input of the plant must be what the actuators hold between samples: for winches linearize
+    with ``input="rest_length"``, whatever the controller commands. With internal coordinates, the
+    filter adds the rigid-body motions that the readings observe. Undamped modes that are neither
+    observed nor reached by strings are left out: see :attr:`left_alone`.
 
     Parameters
     ----------
@@ -175,9 +175,8 @@ class KalmanFilter:
         Sample time, s; a reading is taken at the start of each sample.
     process_noise : float
         Standard deviation of an unknown acceleration in each coordinate, constant over a
-        sample and independent from one to the next, as a part of the root mean square
-        acceleration that each string would give if it pulled alone with its tension
-        at the operating point.
+        sample and independent from one sample to the next. Its unit is the root mean square of the
+        accelerations that single strings give by their tension at the operating point.
     load : bool
         Whether to estimate an unknown load, an acceleration q̈ in each coordinate. Without it
         such a load, or strings of another stiffness, shift the estimate.
@@ -189,8 +188,8 @@ class KalmanFilter:
     gate : float
         Probability that a good reading is refused, above 0 and below 1.
     patience : int
-        After so many samples in a row with most readings refused, the filter restarts from the
-        readings. At least 1.
+        Number of samples in a row with most readings refused after which the filter restarts
+        from the readings. At least 1.
     start : array_like, shape (d, n), optional
         Expected shape at the start, m, at rest; the operating point if not given.
     start_spread : float
@@ -252,7 +251,7 @@ class KalmanFilter:
     >>> tc.KalmanFilter(plant, few, sample_time=0.02)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
         ...
-    ValueError: 10 of the 18 states are not seen by ...
+    ValueError: 10 of the 18 states are not observable by ...
     """
 
     def __init__(
@@ -290,7 +289,7 @@ class KalmanFilter:
         warn_of_left_alone(
             self.left_alone,
             "no reading shows and no string reaches",
-            "What swings there is predicted from the start, as uncertain as that.",
+            "A vibration in these modes is predicted from the start, with its uncertainty.",
             stacklevel=2,
         )
 
@@ -358,7 +357,7 @@ class KalmanFilter:
 
     @exclusive
     def reset(self, state: object = None, covariance: object = None, held: object = None) -> None:
-        """Restart without memory.
+        """Restart from the start shape, as if newly made.
 
         Parameters
         ----------
@@ -382,7 +381,9 @@ class KalmanFilter:
             try:
                 self.plant.to_nodes(z[: self.plant.degrees_of_freedom])
             except ValueError as error:
-                raise ValueError(f"state is of no shape of the structure: {error}") from error
+                raise ValueError(
+                    f"state is not a possible shape of the structure: {error}"
+                ) from error
         if covariance is not None:
             P = _checked_covariance(covariance, self._size)
         self._z, self._P = z, P

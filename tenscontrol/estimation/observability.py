@@ -29,7 +29,7 @@ from tenscontrol.plant import (
 from tenscontrol.structure import Structure, left_by_supports, rigid_motions
 from tenscontrol.validation import FloatArray, IntArray, frozen
 
-# A motion as one body that moves the readings less than this fraction of another is not seen.
+# A rigid-body motion that moves the readings less than this fraction of another is not seen.
 _UNSEEN = 1e-9
 
 # A singular value below this fraction of the largest is zero.
@@ -104,7 +104,7 @@ def output_matrix(plant: LinearPlant, sensors: Sensors) -> FloatArray:
 
 
 def observed_plant(plant: LinearPlant, sensors: Sensors) -> LinearPlant:
-    """Return the plant with the motions as one body that the sensors see.
+    """Return the plant with the rigid-body motions that the sensors see.
 
     Internal coordinates have none. Positions, directions and rates see some: those are added,
     so that a structure that drifts or turns is not mistaken for one that changes its shape.
@@ -156,7 +156,8 @@ def unseen(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> UnseenStates:
         count = sum(each.unreached.shape[1] for each in refused)
         listed = ", ".join(f"{rate * each.pole:.4g}" for each in refused)
         raise ValueError(
-            f"{count} of the {len(A)} states are not seen by {sensors!r}. At the poles {listed} "
+            f"{count} of the {len(A)} states are not observable by {sensors!r}. At the poles "
+            f"{listed} "
             f"1/s they do not decay by themselves. {advice}"
         )
     spaces = [each.unreached for each in lost]
@@ -204,8 +205,8 @@ def refuse_unseen_loads(plant: LinearPlant, sensors: Sensors, C: FloatArray) -> 
     advice = _remedy(plant, sensors, lambda more: _rank(np.vstack([seen, more[:, :r]])) == r)
     leave = f"{advice}{', or' if advice.startswith('Measure') else ';'} leave out load"
     raise ValueError(
-        f"load: {count} of the {r} ways to shift the structure change nothing that {sensors!r} "
-        f"read, to first order, so that a load which does it is not seen. {leave}"
+        f"load: {count} of the {r} directions of a load cannot be estimated, as {sensors!r} do not "
+        f"measure their effect to first order. {leave}"
     )
 
 
@@ -219,7 +220,7 @@ def _remedy(plant: LinearPlant, sensors: Sensors, helps: Callable[[FloatArray], 
             if helps(output_matrix(plant, Sensors(**arguments))):
                 remedies.append(f"{kind} of all {chooser.rpartition('_')[2]}")
     if not remedies:
-        return "No single kind of reading in addition would do"
+        return "No single additional kind of reading is enough"
     return f"Measure in addition {', or '.join(remedies)}"
 
 

@@ -1,4 +1,4 @@
-"""What is measured of a structure, how well, how late, and how often it is lost or corrupt."""
+"""Sensors: measured quantities, noise, delay, lost readings and outliers."""
 
 from __future__ import annotations
 
@@ -48,15 +48,14 @@ _OFF = (20.0, 200.0)
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sensors:
-    """Readings taken of a structure at each sample, with Gaussian noise on each number.
+    """Sensors: what is measured at each sample, with Gaussian noise on each number.
 
-    A kind of reading is taken if its standard deviation is given. The readings of a
-    sample stand in one vector y, shape (m,): positions ``x, y, z`` node by node, string
-    lengths, bar directions ``x, y, z`` bar by bar, tensions, bar rates ``x, y, z`` bar by bar.
-    A direction d is the unit vector from start to end of the bar, and its rate the angular
-    velocity ``d × ḋ``: what a gyro on the bar tells, without the spin about its axis, which
-    thin bars do not have. In the plane that is one number, counter-clockwise. All are seen in
-    the frame in which the structure is given.
+    A quantity is measured if its standard deviation is given. The readings of a sample are one
+    vector y, shape (m,): positions ``x, y, z`` node by node, string lengths, bar directions
+    ``x, y, z`` bar by bar, tensions, bar rates ``x, y, z`` bar by bar. A direction d is the unit
+    vector from start to end of the bar. A bar rate is the angular velocity ``d × ḋ``, as a gyro on
+    the bar measures it; thin bars have no spin about their axis. In the plane it is one number,
+    positive counterclockwise. All are in the frame of the structure.
 
     Parameters
     ----------

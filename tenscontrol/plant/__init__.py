@@ -26,14 +26,16 @@ from tenscontrol.plant.linear_plant import (
     state_units,
 )
 from tenscontrol.plant.linearize import OperatingPoint, command_parents, in_coordinates, linearize
-from tenscontrol.plant.modes import Modes, ReducedPlant, modes, modes_of, reduce
+from tenscontrol.plant.modes import Modes, modes, modes_of
 from tenscontrol.plant.reduced_dynamics import (
+    ReducedPlant,
     acceleration_slopes,
     checked_tracked,
     exact_motion,
     explicit_substeps,
     linked_accelerations,
     near_symbol,
+    reduce,
     reduced_acceleration,
     reduced_motion,
     refuse_lost_place,

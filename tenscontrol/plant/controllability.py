@@ -1,4 +1,4 @@
-"""What strings reach of a linear plant, mode by mode, and what has to be left alone."""
+"""Controllability of a linear plant by its strings, mode by mode."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from tenscontrol.plant.linear_plant import (
     squared_frequencies,
     state_units,
 )
-from tenscontrol.plant.modes import Modes, modes_of, reduce
+from tenscontrol.plant.modes import Modes, modes_of
+from tenscontrol.plant.reduced_dynamics import reduce
 from tenscontrol.plant.string_outputs import to_commanded_strings
 from tenscontrol.validation import FloatArray, freeze_arrays, frozen, instance, whole_number
 
@@ -46,7 +47,7 @@ _DEPENDENT = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Controllability:
-    """What the inputs reach. Made by :func:`controllability`.
+    """Controllability of each mode. Made by :func:`controllability`.
 
     Attributes
     ----------
@@ -86,15 +87,15 @@ class Controllability:
 
 
 def controllability(plant: LinearPlant, count: int | None = None) -> Controllability:
-    """Test whether the inputs reach every mode, or each of the lowest.
+    """Return whether the strings can control every mode, or each of the lowest.
 
     Parameters
     ----------
     plant : LinearPlant
     count : int, optional
-        How many modes, those of the lowest frequencies, of a large plant: that of
-        :func:`reduce`. The states that are counted are theirs; margins are over the largest
-        acceleration of any motion all the same. All modes if not given.
+        Number of modes of lowest frequency to test, for a large plant, as in :func:`reduce`.
+        Only their states are counted; margins still refer to the largest acceleration of any
+        motion. All modes if not given.
 
     Returns
     -------
@@ -426,7 +427,7 @@ def refuse_unreachable(plant: LinearPlant, drifting: bool = True) -> None:
     found = reached_states(plant)
     if not found.count:
         raise ValueError(
-            f"none of the {len(plant.A)} states of the plant is within reach of a string: at the "
+            f"none of the {len(plant.A)} states of the plant can be controlled: at the "
             "operating point strings pull along bars only, or are slack"
         )
     if not found.growing_states or not (drifting or (found.growing.real > 0).any()):
@@ -443,20 +444,21 @@ def refuse_unreachable(plant: LinearPlant, drifting: bool = True) -> None:
         )
     if kind != "internal":
         rigid = 2 * (counts["minimal"] - counts["internal"])
-        what.append((rigid, "are motions of the structure as one body"))
+        what.append((rigid, "are rigid-body motions"))
     inner = found.growing_states - sum(count for count, _ in what)
     if inner:
         poles = ", ".join(f"{pole:.4g}" for pole in found.growing)
         what.append((inner, f"are changes of shape, at the poles {poles} 1/s"))
     advice = (
-        "A prestress that makes the shape stable would mend that, or strings that change their "
-        "lengths with it; controllability(plant).unreached has the shapes"
+        "Choose a prestress that makes the shape stable, or add strings whose lengths change in "
+        "these modes; controllability(plant).unreached has the mode shapes"
         if inner
         else "Internal forces change neither: linearize with coordinates='internal'"
     )
     listed = " and ".join(f"{count} {meaning}" for count, meaning in what if count)
     raise ValueError(
-        f"{found.growing_states} of the {len(plant.A)} states of the plant in {kind!r} coordinates "
+        f"{found.growing_states} of the {len(plant.A)} states of the plant in {kind!r} "
+        "coordinates "
         f"are out of reach of the strings, and grow or drift: {listed}. {advice}"
     )
 
@@ -474,8 +476,8 @@ def warn_of_left_alone(modes: Modes, what: str, meaning: str, stacklevel: int) -
         count = f"{len(swinging)} mode{'s' if len(swinging) > 1 else ''}"
         more = ", …" if len(swinging) > _LISTED else ""
         warnings.warn(
-            f"{what} {count} of the plant, at {', '.join(swinging[:_LISTED])}{more}: left alone. "
-            f"{meaning} left_alone has the shapes, for plot.mode_shapes",
+            f"{what} {count} of the plant, at {', '.join(swinging[:_LISTED])}{more}: left "
+            f"alone. {meaning} The attribute left_alone has the mode shapes, for plot.mode_shapes",
             RuntimeWarning,
             stacklevel=stacklevel + 1,
         )

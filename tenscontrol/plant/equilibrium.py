@@ -1,4 +1,4 @@
-"""Equilibrium under load, where the shape must give."""
+"""Equilibrium shapes under loads."""
 
 from __future__ import annotations
 
@@ -76,7 +76,8 @@ _HINT = "Start from other nodes"
 _LANDINGS, _FALLEN = 40, 0.5
 
 _NOTHING_HOLDS = (
-    "On its ground it may slide or fall: friction, plant.set_down(model, feet) or supports hold it"
+    "On its ground it may slide or fall: give friction or supports, or use "
+    "plant.set_down(model, feet)"
 )
 
 
@@ -89,12 +90,11 @@ def equilibrium(
     external_force: object = None,
     settle: object = False,
 ) -> Prestress:
-    """Return the shape at which a structure rests under its weights and loads.
+    """Return the equilibrium shape of a structure under its weights and loads.
 
-    The energy of the strings and the loads is minimized over the shapes that
-    keep the bar lengths. An equilibrium at which the energy is not least near
-    by, such as a pendulum upside down, is left again: what is returned is stable.
-    Bars may share nodes, strings be clustered, nearly without tension, or all slack.
+    It minimizes the energy of strings and loads over the shapes that keep the bar lengths. The
+    result is stable: an equilibrium that is not a minimum, such as an inverted pendulum, is
+    rejected. Bars may share nodes. Strings may be clustered, nearly without tension, or all slack.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def equilibrium(
         refuse_strings_without_length(called, structure, start)
         if law is None:
             raise ValueError(
-                "the model has no string law, so rest lengths mean nothing to it; "
+                "the model has no string law, so rest lengths have no meaning for it; "
                 "build it as Model(structure, strings=LinearStrings(stiffness=...))"
             )
     strained = _strained(model, kind, held)
@@ -248,8 +248,7 @@ def _settled(structure: Structure, nodes: FloatArray) -> Structure:
         return replace(structure, nodes=restore_bar_lengths(structure, nodes))
     except ValueError as error:
         raise ValueError(
-            f"no equilibrium found: the shape that the optimizer ended with cannot be. {error}. "
-            f"{_HINT}"
+            f"no equilibrium found: the optimizer ended with an impossible shape. {error}. {_HINT}"
         ) from None
 
 
@@ -287,8 +286,8 @@ def _warn_of_crossing(structure: Structure, start: FloatArray, end: FloatArray) 
         if pair is not None:
             warnings.warn(
                 f"bars {pair[0]} and {pair[1]} pass through each other on the way from the shape "
-                "at the start to the equilibrium found: a real structure does not get there like "
-                "this. Start from nodes on the other side, if that is not meant",
+                "at the start to the equilibrium found: a real structure cannot move like this. "
+                "If this is not meant, start from nodes on the other side",
                 UserWarning,
                 stacklevel=3,
             )
@@ -350,8 +349,8 @@ def _stood(
         keeps = places.keys() <= sticks
         places = {i: places.get(i, here[i]) for i in sorted(sticks) if keeps or i in places}
     raise ValueError(
-        "no equilibrium found: nodes touch the ground and leave it again without end. Start from "
-        "nodes nearer to where it stands"
+        "no equilibrium found: nodes touch and leave the ground in turn without end. Start from "
+        "nodes nearer to the standing shape"
     )
 
 
@@ -446,10 +445,7 @@ def _minimize(
             return np.array(whole(place).full()), least
         # An unstable equilibrium, such as a pendulum upside down: pushed off, it falls.
         place = place + 0.01 * size * downhill
-    raise ValueError(
-        "no stable equilibrium found: the shape comes to rest only where a small push makes it "
-        f"fall. {_HINT}"
-    )
+    raise ValueError(f"no stable equilibrium found: the equilibrium found is unstable. {_HINT}")
 
 
 def _refuse_collapsed(
@@ -462,8 +458,8 @@ def _refuse_collapsed(
         one, other = structure.segments[short[0]]
         raise ValueError(
             f"no equilibrium found: strings[{structure.segment_string[short[0]]}] runs over nodes "
-            f"{one} and {other} and draws them together, where its force has no direction. Let it "
-            f"end there, or change rest lengths. {_HINT}"
+            f"{one} and {other} and pulls them to one point, where its force has no direction. "
+            f"End the string at one of them, or change the rest lengths. {_HINT}"
         )
 
 
@@ -544,10 +540,10 @@ def _polished(
         rows = np.concatenate([np.full(count, unit), np.full(len(point) - count, size)])
         columns = np.concatenate([np.ones(count), np.full(len(point) - count, unit / size)])
         off = residual.ravel() / rows
-        # Least squares: motions as one body that nothing holds leave a null space.
+        # Least squares: rigid-body motions that nothing holds leave a null space.
         system = jacobian / rows[:, None] * columns
         if not (np.isfinite(system).all() and np.isfinite(off).all()):
-            raise ValueError("no equilibrium found: forces are beyond all numbers")
+            raise ValueError("no equilibrium found: the forces overflow")
         largest = float(np.abs(off).max(initial=0.0))
         worse = 0 if largest < least else worse + 1
         if largest < least:

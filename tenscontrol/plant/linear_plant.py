@@ -1,4 +1,4 @@
-"""A linear plant, as controllers are designed on, and its exact sampled models."""
+"""The linear plant for the design of controllers, and its exact discretizations."""
 
 from __future__ import annotations
 
@@ -245,7 +245,7 @@ class LinearPlant:
             raise ValueError(
                 f"sample_time is {sample_time:g} s, in which even the slowest vibration of the "
                 f"plant, {slowest / (2 * np.pi):.3g} Hz, turns "
-                f"{sample_time * slowest / (2 * np.pi):.3g} times: nothing is controlled in "
+                f"{sample_time * slowest / (2 * np.pi):.3g} times: the controller cannot act in "
                 f"between. Times are in seconds: did you mean {sample_time / 1000:g} "
                 f"({sample_time:g} ms)?"
             )
@@ -335,8 +335,8 @@ class LinearPlant:
 
         if np.abs(self.drift).max(initial=0.0) > 1e-8 * max(1.0, np.abs(self.A).max(initial=0.0)):
             raise ValueError(
-                "the plant drifts: it was linearized away from an equilibrium, "
-                "and a StateSpace cannot say so. Use A, B and drift"
+                "the plant has a drift, as it was linearized away from an equilibrium, and a "
+                "StateSpace has none. Use A, B and drift"
             )
         r = self.degrees_of_freedom
         C = np.hstack([self.basis, np.zeros((len(self.basis), r))])
@@ -496,7 +496,7 @@ def zero_order_hold(
     if not np.isfinite(grown).all():
         raise ValueError(
             f"sample_time is {sample_time:g} s, in which the plant turns by up to {turned:.3g} rad "
-            f"or moves beyond all numbers; expected at most {_MOST_RADIANS:g} rad: digits are lost"
+            f"or its state overflows; expected at most {_MOST_RADIANS:g} rad, as more loses digits"
         )
     moved = grown[:, states:] if pushed is held else grown[:, states:] @ held
     return grown[:, :states], moved[:, :-1], moved[:, -1]

@@ -71,7 +71,7 @@ _SLACK_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class OperatingPoint:
-    """A shape at zero velocity with force densities, in balance or not.
+    """A shape at rest and its force densities, in equilibrium or not: the point of linearization.
 
     Parameters
     ----------
@@ -148,11 +148,11 @@ def linearize(
     ----------
     model : Model
     at : Prestress, Stance or OperatingPoint
-        The shape and its force densities. Of a :class:`Stance`, contacts become supports; see the
+        The shape and its force densities. Contacts of a :class:`Stance` become supports; see the
         notes.
     input : {"force_density", "rest_length"}
-        What an actuator holds: a force-controlled cable holds γ, a winch holds
-        the rest length. They are different plants.
+        The input: γ for force-controlled cables, the rest length for winches. The two plants have
+        different modes.
     coordinates : {"internal", "minimal", "nodes"}
         See :func:`coordinates`.
     require_equilibrium : bool
@@ -184,10 +184,10 @@ def linearize(
     so that nothing is lost by the reduction; ``invariance_residual`` says so.
 
     About a **stance**, which :func:`equilibrium` returns for a model with ground, the nodes that
-    touch are fixed where they stand: ``plant.model`` has them as fixed nodes, and no ground.
-    Controllers designed on it run on the model with ground, whose feet sink and creep a little:
-    z is measured relative to the feet, ``plant.feet``, laid over their places by the small motion
-    as one body that is nearest.
+    touch are fixed at their places: ``plant.model`` has them as fixed nodes, and no ground.
+    Controllers designed on it run on the model with ground, where the feet sink and creep a little.
+    So z is measured relative to the feet, ``plant.feet``, after the nearest small rigid-body motion
+    that aligns them with their places.
     About an :class:`OperatingPoint`, or any other ``Prestress``, the ground of the model stays what
     it is: springs at the nodes that are in it, with the damping and friction of their laws, which
     is μ F_n/v_s per unit of speed at rest. Both agree in the limit of stiff ground and a small slip
@@ -223,8 +223,8 @@ def linearize(
         wound = _rest_length(model.strings, length, gamma, rest_length)
     elif input == "rest_length" or rest_length is not None:
         raise ValueError(
-            "the model has no string law, so the rest length is no input; "
-            "build it as Model(structure, strings=LinearStrings(stiffness=...))"
+            "the model has no string law, so the rest length cannot be the input; build it as "
+            "Model(structure, strings=LinearStrings(stiffness=...))"
         )
     held = gamma if input == "force_density" else wound
     here = tangent(model, nodes, input, held, load)
@@ -235,10 +235,10 @@ def linearize(
     plant = _reduced(model, input, coordinates, here, nodes, gamma, wound, load)
     if require_equilibrium and plant.invariance_residual > _INVARIANCE_TOLERANCE:
         raise ValueError(
-            f"coordinates={coordinates!r} leave out motions that take part: "
-            f"{plant.invariance_residual:.1e} of the accelerations belong to those. A load "
-            "that stays as it is while the structure turns gives turning a stiffness, and couples "
-            "it with changes of shape; use coordinates='minimal'"
+            f"coordinates={coordinates!r} leave out motions that are coupled with the others: "
+            f"{plant.invariance_residual:.1e} of the accelerations are in those. A load of "
+            "constant direction gives a rotation of the structure a stiffness, and couples it "
+            "with changes of shape; use coordinates='minimal'"
         )
     return plant
 
@@ -426,7 +426,7 @@ def _reduced(
 
 
 def _left_out(frame: Coordinates, stiffness: csr_array, damping: csr_array, least: float) -> float:
-    """Return what motions as one body, which internal coordinates leave out, meet and are given."""
+    """Return what rigid-body motions, which internal coordinates leave out, meet and are given."""
     if frame.kind != "internal":
         return 0.0
     R, found = frame.rigid, [0.0]
@@ -492,7 +492,7 @@ def _refuse_unbalanced(at: Tangent, gamma: FloatArray) -> None:
             f"not an equilibrium: node {worst} is left with an unbalanced force of "
             f"{unbalanced[worst]:.3g} N, expected less than "
             f"{_EQUILIBRIUM_TOLERANCE * scale:.1e} N. Start from prestress(...), or pass "
-            "require_equilibrium=False to get a plant that drifts"
+            "require_equilibrium=False to get a plant with a drift"
         )
 
 
@@ -543,5 +543,5 @@ def _refuse_kink(model: Model, gamma: FloatArray, share: FloatArray) -> None:
         raise ValueError(
             f"string {slack[0]} has γ = {gamma[slack[0]]:g} N/m, at the border between taut and "
             "slack, where its force has no derivative by the rest length. Give it some "
-            "prestress, say by rest_length=... how slack it is, or use input='force_density'"
+            "prestress, give rest_length=... if it is slack, or use input='force_density'"
         )

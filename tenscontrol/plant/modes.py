@@ -1,8 +1,8 @@
-"""Modes of a linear plant: frequencies, damping, shapes, and what kind of motion each is."""
+"""Modes of a linear plant: frequencies, damping ratios, mode shapes and their kind."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,16 +16,15 @@ from tenscontrol.plant.linear_plant import (
     squared_frequencies,
 )
 from tenscontrol.plant.linearize import in_coordinates
-from tenscontrol.structure import affine_motions, left_by_supports, rigid_motions
+from tenscontrol.structure import Structure, affine_motions, left_by_supports, rigid_motions
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
-    float_array,
     frozen,
-    indices,
     instance,
     whole_number,
 )
+from tenscontrol.web_page import View, Viewable
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array, csr_array
@@ -51,7 +50,7 @@ _WEAK, _PART = 1e-7, 1e-2
 
 
 @dataclass(frozen=True, eq=False)
-class Modes:
+class Modes(Viewable):
     """Modes of a linear plant, in order of frequency. Made by :func:`modes`.
 
     Attributes
@@ -73,6 +72,9 @@ class Modes:
         ``"mechanism"``: no string changes its length to first order.
         ``"constraint"``: a bar changes its length (``"nodes"`` coordinates
         only; not a motion of the structure). ``"elastic"``: anything else.
+    structure : Structure
+    nodes : ndarray, shape (d, n)
+        Node positions at the operating point, m.
     """
 
     frequency: FloatArray
@@ -80,6 +82,8 @@ class Modes:
     pole: np.ndarray
     shape: np.ndarray
     label: tuple[str, ...]
+    structure: Structure
+    nodes: FloatArray
 
     def table(self) -> str:
         """Return the modes as text, one a line.
@@ -93,6 +97,25 @@ class Modes:
             lines.append(f"{i:4d}  {self.frequency[i]:12.5f}  {self.damping[i]:7.4f}  {label}")
         return "\n".join(lines)
 
+    def view(self) -> View:
+        """Return a view to be turned in a browser, with a choice of mode and a slider of amplitude.
+
+        Returns
+        -------
+        View
+        """
+        frequencies = [
+            f"{frequency:#.4g}" if frequency > 0 else "0" for frequency in self.frequency
+        ]
+        names = [
+            f"{i}: {frequency} Hz, {label}"
+            for i, (frequency, label) in enumerate(zip(frequencies, self.label, strict=True))
+        ]
+        shapes = self.shape if names else None
+        rest = self.nodes[:, :, None]
+        what = f"{len(names)} mode{'s' * (len(names) != 1)}"
+        return View(what, self.structure, rest, shapes=shapes, labels=tuple(names))
+
     def __len__(self) -> int:
         return len(self.label)
 
@@ -105,12 +128,11 @@ class Modes:
 
 
 def modes(plant: LinearPlant, count: int | None = None) -> Modes:
-    """Return the modes of a linear plant, or the lowest of them.
+    """Return the natural frequencies, damping ratios and mode shapes of a linear plant.
 
-    Motions that meet neither stiffness nor damping are set apart first, so
-    that their zero frequencies are exact. Where several modes share a
-    frequency, the shapes are chosen so that rigid, affine and mechanism
-    motions show unmixed.
+    Motions without stiffness and damping are separated first, so that their frequencies are
+    exactly zero. Where several modes have the same frequency, their shapes are chosen so that
+    rigid, affine and mechanism motions are not mixed.
 
     Parameters
     ----------
@@ -158,7 +180,7 @@ def modes(plant: LinearPlant, count: int | None = None) -> Modes:
     if plant.degrees_of_freedom == 0:
         raise ValueError(
             f"plant has no {plant.coordinates.kind} coordinates, so there are no modes; "
-            "'minimal' coordinates hold the motions as one body"
+            "'minimal' coordinates hold the rigid-body motions"
         )
     r = plant.degrees_of_freedom
     if count is not None:
@@ -182,9 +204,9 @@ def modes_of(plant: LinearPlant, poles: np.ndarray, vectors: np.ndarray) -> Mode
 
 def _cut(whole: Modes, count: int) -> Modes:
     """Return the first modes."""
-    names = ("frequency", "damping", "pole", "shape")
-    parts = {name: frozen(np.array(getattr(whole, name)[..., :count])) for name in names}
-    return Modes(**parts, label=whole.label[:count])
+    arrays = (whole.frequency, whole.damping, whole.pole, whole.shape)
+    frequency, damping, pole, shape = (frozen(np.array(each[..., :count])) for each in arrays)
+    return Modes(frequency, damping, pole, shape, whole.label[:count], whole.structure, whole.nodes)
 
 
 def lowest(plant: LinearPlant, count: int) -> tuple[np.ndarray, np.ndarray, list[str]] | None:
@@ -295,6 +317,8 @@ def _in_order(
         pole=frozen(poles),
         shape=frozen(shape),
         label=tuple(labels[i] for i in order),
+        structure=plant.model.structure,
+        nodes=plant.nodes,
     )
 
 
@@ -471,130 +495,3 @@ def _null(matrix: FloatArray, tolerance: float = _ZERO) -> FloatArray:
         matrix = np.asarray(np.linalg.qr(matrix, mode="r"))
     _, sizes, Vt = np.linalg.svd(matrix)
     return np.asarray(Vt[int(np.count_nonzero(sizes > tolerance * sizes.max(initial=0.0))) :].T)
-
-
-@dataclass(frozen=True, eq=False)
-class ReducedPlant(LinearPlant):
-    """A linear plant in a few of its modes. Made by :func:`reduce`; controllers take it as any.
-
-    Attributes
-    ----------
-    whole : LinearPlant
-        The plant that was reduced.
-    model, coordinates, input, A, B, drift, commanded, force_density, rest_length : as of it
-    external_force, invariance_residual, feet, sparse : as of it
-    """
-
-    whole: LinearPlant = field(kw_only=True)
-
-    def __repr__(self) -> str:
-        whole = repr(self.whole).removeprefix("LinearPlant(")
-        return f"ReducedPlant({self.degrees_of_freedom} of {whole}"
-
-    @property
-    def dropped(self) -> float:
-        """Share of the displacements by constant inputs that the modes left out have, 0 to 1.
-
-        Root mean square of all: what the reduced plant does not see of slow commands. 1 where the
-        whole plant does not resist all of its motions.
-        """
-        small: LinearPlant = self
-        whole, r, own = self.whole, self.whole.degrees_of_freedom, self.degrees_of_freedom
-        stiffness = -whole.A[r:, :r]
-        if np.linalg.cond(stiffness) > 1 / _ZERO:
-            return 1.0
-        full = whole.basis @ np.linalg.solve(stiffness, whole.B[r:])
-        kept = small.basis @ np.linalg.solve(-small.A[own:, :own], small.B[own:])
-        return float(np.linalg.norm(full - kept) / max(float(np.linalg.norm(full)), 1e-300))
-
-    @property
-    def error_bound(self) -> float:
-        """Most that node displacements differ from the whole plant's, m per unit of the inputs.
-
-        In the H∞ norm, root sums of squares of both over all time: at most twice the sum of the
-        Hankel singular values of the difference of the two plants (Glover 1984). Infinite where
-        anything that differs is not damped: driven at its frequency, it grows without end.
-        """
-        from scipy.linalg import block_diag, solve_continuous_lyapunov
-
-        small: LinearPlant = self
-        whole = self.whole
-        A, B = block_diag(whole.A, small.A), np.vstack([whole.B, small.B])
-        C = np.hstack([whole.basis, 0 * whole.basis, -small.basis, 0 * small.basis])
-        if np.linalg.eigvals(A).real.max() > -_ZERO * whole.spectral_radius:
-            return float("inf")
-        reached = solve_continuous_lyapunov(A, -B @ B.T)
-        seen = solve_continuous_lyapunov(A.T, -C.T @ C)
-        squares = np.linalg.eigvals(reached @ seen).real
-        return 2 * float(np.sqrt(np.maximum(squares, 0.0)).sum())
-
-
-def reduce(plant: LinearPlant, modes: object = 20) -> ReducedPlant:
-    """Return a linear plant in a few of its modes, to design controllers and filters on.
-
-    The coordinates are those modes, of unit mass, and the state is measured of the whole structure:
-    modes that are left out do not show in it. Laws designed on it run on the whole model.
-
-    Parameters
-    ----------
-    plant : LinearPlant
-    modes : int or array_like of int
-        How many of the lowest, or their indices in :func:`modes` of the plant.
-
-    Returns
-    -------
-    ReducedPlant
-
-    Raises
-    ------
-    TypeError, ValueError
-        If ``plant`` is not a linear plant in ``"internal"`` or ``"minimal"`` coordinates, or has no
-        such modes.
-
-    Notes
-    -----
-    Modal truncation. The modes are those of the stiffness; of the damping, what acts between modes
-    that are kept stays, and what acts between them and the others is left out. Without damping the
-    plants differ by the modes left out alone: inputs drive these as well (spillover), so keep what
-    lies below the bandwidth of a controller. There is no static correction: it changes outputs, and
-    laws feed back states. :attr:`~ReducedPlant.dropped` says what it would be, and
-    :attr:`~ReducedPlant.error_bound` bounds all of the error of damped plants.
-
-    Examples
-    --------
-    >>> import tenscontrol as tc
-    >>> tower = tc.prism_tower(stages=4)
-    >>> model = tc.Model(tower, strings=tc.LinearStrings(stiffness=1e3))
-    >>> plant = tc.linearize(model, tc.prestress(tower, min_force_density=5), input="rest_length")
-    >>> small = tc.reduce(plant, modes=6)
-    >>> small
-    ReducedPlant(6 of 54 internal coordinates, input rest_length, 72 inputs)
-    """
-    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
-    if plant.coordinates.kind == "nodes":
-        raise ValueError(
-            "plant is in 'nodes' coordinates, in which bars change their lengths; expected "
-            "'internal' or 'minimal': in_coordinates(plant, 'internal')"
-        )
-    if plant.sparse is None:
-        raise ValueError("plant has other A and B than linearize made, or is reduced already")
-    r, still = plant.degrees_of_freedom, 0 * plant.sparse.damping
-    still.eliminate_zeros()
-    undamped = replace(plant, sparse=replace(plant.sparse, damping=still), A=None, B=None)
-    if isinstance(modes, int | np.integer):
-        chosen = np.arange(whole_number("modes", modes, 1, r))
-    else:
-        chosen = indices("modes", np.atleast_1d(float_array("modes", modes)), r, "modes of plant")
-        if not len(chosen) or len(np.unique(chosen)) < len(chosen):
-            raise ValueError(f"modes is {chosen.tolist()}, expected different indices of modes")
-    d, n = plant.nodes.shape
-    shape = all_modes(undamped, int(chosen.max()) + 1).shape[..., chosen]
-    q = plant.coordinates.project(shape.swapaxes(0, 1).reshape(d * n, -1))
-    q, turn = np.linalg.qr(q)
-    within = plant.coordinates.within(q * np.sign(np.diag(turn)))
-    small = replace(plant, coordinates=within, A=None, B=None, drift=None)
-    kept = {each.name: getattr(small, each.name) for each in fields(small)}
-    return ReducedPlant(**kept, whole=plant)
-
-
-all_modes = modes  # `reduce` has an argument of this name

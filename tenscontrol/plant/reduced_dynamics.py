@@ -1,7 +1,8 @@
-"""The nonlinear equations of motion in reduced coordinates, one sample at a time."""
+"""Plants in a few modes, and the nonlinear equations of motion in reduced coordinates."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from math import ceil
 from typing import Any
@@ -11,8 +12,12 @@ import numpy as np
 
 from tenscontrol.dynamics import ContactLaw, kernel
 from tenscontrol.plant.linear_plant import LinearPlant, kept
+from tenscontrol.plant.modes import modes as all_modes  # `reduce` has an argument of this name
 from tenscontrol.plant.string_outputs import model_input, string_forces
-from tenscontrol.validation import FloatArray, float_array
+from tenscontrol.validation import FloatArray, float_array, indices, instance, whole_number
+
+# Stiffness and damping below this part of the largest are none.
+_SINGULAR = 1e-11
 
 # Radians of the fastest vibration in a step of RK4: its error is then about 1e-4 of it.
 _RADIANS = 0.35
@@ -26,6 +31,131 @@ _SHALLOWEST, _DEEPEST = 1e-12, 1e6
 
 # More steps of RK4 in a sample than this are refused.
 _MOST_SUBSTEPS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedPlant(LinearPlant):
+    """A linear plant reduced to a few modes. Made by :func:`reduce`; controllers accept it.
+
+    Attributes
+    ----------
+    whole : LinearPlant
+        The plant that was reduced.
+    model, coordinates, input, A, B, drift, commanded, force_density, rest_length : as of it
+    external_force, invariance_residual, feet, sparse : as of it
+    """
+
+    whole: LinearPlant = field(kw_only=True)
+
+    def __repr__(self) -> str:
+        whole = repr(self.whole).removeprefix("LinearPlant(")
+        return f"ReducedPlant({self.degrees_of_freedom} of {whole}"
+
+    @property
+    def dropped(self) -> float:
+        """Share of the displacements by constant inputs that the modes left out have, 0 to 1.
+
+        Root mean square of all: what the reduced plant does not see of slow commands. 1 where the
+        whole plant does not resist all of its motions.
+        """
+        small: LinearPlant = self
+        whole, r, own = self.whole, self.whole.degrees_of_freedom, self.degrees_of_freedom
+        stiffness = -whole.A[r:, :r]
+        if np.linalg.cond(stiffness) > 1 / _SINGULAR:
+            return 1.0
+        full = whole.basis @ np.linalg.solve(stiffness, whole.B[r:])
+        kept = small.basis @ np.linalg.solve(-small.A[own:, :own], small.B[own:])
+        return float(np.linalg.norm(full - kept) / max(float(np.linalg.norm(full)), 1e-300))
+
+    @property
+    def error_bound(self) -> float:
+        """Most that node displacements differ from the whole plant's, m per unit of the inputs.
+
+        In the H∞ norm, root sums of squares of both over all time: at most twice the sum of the
+        Hankel singular values of the difference of the two plants (Glover 1984). Infinite where
+        anything that differs is not damped: driven at its frequency, it grows without end.
+        """
+        from scipy.linalg import block_diag, solve_continuous_lyapunov
+
+        small: LinearPlant = self
+        whole = self.whole
+        A, B = block_diag(whole.A, small.A), np.vstack([whole.B, small.B])
+        C = np.hstack([whole.basis, 0 * whole.basis, -small.basis, 0 * small.basis])
+        if np.linalg.eigvals(A).real.max() > -_SINGULAR * whole.spectral_radius:
+            return float("inf")
+        reached = solve_continuous_lyapunov(A, -B @ B.T)
+        seen = solve_continuous_lyapunov(A.T, -C.T @ C)
+        squares = np.linalg.eigvals(reached @ seen).real
+        return 2 * float(np.sqrt(np.maximum(squares, 0.0)).sum())
+
+
+def reduce(plant: LinearPlant, modes: object = 20) -> ReducedPlant:
+    """Return a linear plant reduced to a few of its modes, for the design of controllers.
+
+    Its coordinates are those modes, scaled to unit mass. Its state is measured on the whole
+    structure, without the modes that are left out. Controllers and filters designed on it run with
+    the whole model.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    modes : int or array_like of int
+        How many of the lowest, or their indices in :func:`modes` of the plant.
+
+    Returns
+    -------
+    ReducedPlant
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``plant`` is not a linear plant in ``"internal"`` or ``"minimal"`` coordinates, or has no
+        such modes.
+
+    Notes
+    -----
+    Modal truncation. The modes are those of the stiffness; of the damping, what acts between modes
+    that are kept stays, and what acts between them and the others is left out. Without damping the
+    plants differ by the modes left out alone: inputs drive these as well (spillover), so keep what
+    lies below the bandwidth of a controller. There is no static correction: it changes outputs, and
+    laws feed back states. :attr:`~ReducedPlant.dropped` says what it would be, and
+    :attr:`~ReducedPlant.error_bound` bounds all of the error of damped plants.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> tower = tc.prism_tower(stages=4)
+    >>> model = tc.Model(tower, strings=tc.LinearStrings(stiffness=1e3))
+    >>> plant = tc.linearize(model, tc.prestress(tower, min_force_density=5), input="rest_length")
+    >>> small = tc.reduce(plant, modes=6)
+    >>> small
+    ReducedPlant(6 of 54 internal coordinates, input rest_length, 72 inputs)
+    """
+    instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
+    if plant.coordinates.kind == "nodes":
+        raise ValueError(
+            "plant is in 'nodes' coordinates, in which bars change their lengths; expected "
+            "'internal' or 'minimal': in_coordinates(plant, 'internal')"
+        )
+    if plant.sparse is None:
+        raise ValueError("plant has other A and B than linearize made, or is reduced already")
+    r, still = plant.degrees_of_freedom, 0 * plant.sparse.damping
+    still.eliminate_zeros()
+    undamped = replace(plant, sparse=replace(plant.sparse, damping=still), A=None, B=None)
+    if isinstance(modes, int | np.integer):
+        chosen = np.arange(whole_number("modes", modes, 1, r))
+    else:
+        chosen = indices("modes", np.atleast_1d(float_array("modes", modes)), r, "modes of plant")
+        if not len(chosen) or len(np.unique(chosen)) < len(chosen):
+            raise ValueError(f"modes is {chosen.tolist()}, expected different indices of modes")
+    d, n = plant.nodes.shape
+    shape = all_modes(undamped, int(chosen.max()) + 1).shape[..., chosen]
+    q = plant.coordinates.project(shape.swapaxes(0, 1).reshape(d * n, -1))
+    q, turn = np.linalg.qr(q)
+    within = plant.coordinates.within(q * np.sign(np.diag(turn)))
+    small = replace(plant, coordinates=within, A=None, B=None, drift=None)
+    kept = {each.name: getattr(small, each.name) for each in fields(small)}
+    return ReducedPlant(**kept, whole=plant)
 
 
 @kept
@@ -101,7 +231,7 @@ def _motion(
 def refuse_lost_place(plant: LinearPlant) -> None:
     """Raise if forces of the ground depend on where the structure is, and coordinates do not say.
 
-    Where supports leave no motion as one body, internal coordinates say it.
+    Where supports leave no rigid-body motion, internal coordinates say it.
     """
     frame = plant.coordinates
     if plant.model.contacts is not None and frame.kind == "internal" and frame.is_loose:
@@ -123,8 +253,7 @@ def sampled_motion(plant: LinearPlant, sample_time: float) -> ca.Function:
         raise ValueError(
             f"plant vibrates with up to {plant.spectral_radius:.3g} rad/s: a sample of "
             f"{sample_time:g} s takes {count} steps of RK4 to predict, expected at most "
-            f"{_MOST_SUBSTEPS}; give a shorter sample_time, or take what predicts by the linear "
-            "plant"
+            f"{_MOST_SUBSTEPS}; give a shorter sample_time, or use a linear prediction"
         )
     motion = _rk4_step(plant, sample_time / count)
     if count == 1:

@@ -1,4 +1,4 @@
-"""References of controllers: shapes over time, and what holds the plant in them."""
+"""Reference trajectories of controllers, and the inputs that hold the plant at their shapes."""
 
 from __future__ import annotations
 
@@ -43,14 +43,15 @@ _STRONGEST = 0.99
 
 #: Why a place cannot be asked for.
 STRINGS_MOVE_NO_CENTRE = (
-    "Strings and bars pull and push within the structure: they cannot move the centre of mass of a "
-    "free one, nor turn it about that. Supports, contact with the ground and external forces can"
+    "Strings and bars exert internal forces only: they cannot move the centre of mass of a free "
+    "structure, nor rotate it about that. Supports, contact with the ground and external forces "
+    "can"
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Shapes at given times, held before the first and after the last, straight in between.
+    """Reference trajectory: shapes at given times, linear in between, constant before and after.
 
     Parameters
     ----------
@@ -59,9 +60,9 @@ class Reference:
     nodes : array_like, shape (d, n, K)
         Node positions at these times, m.
     force_density : array_like, shape (α, K), optional
-        γ that holds the shapes, N/m, at least 0. Where several balance in a shape, it says which
-        is wanted; if not given, the nearest to the operating point of the controller. For
-        controllers of rest lengths: those of γ aim at γ of their operating point.
+        γ that holds the shapes, N/m, at least 0. Several γ may balance in a shape. If not given,
+        controllers of rest lengths take the one nearest to their operating point. Controllers
+        of γ always aim at the γ of their operating point.
 
     Raises
     ------
@@ -184,7 +185,7 @@ class Reference:
         time = np.concatenate([self.time, begin + other.time])
         if (np.diff(time) <= 0).any():
             raise ValueError(
-                f"pause is {pause:g} s, after which the times of other are not told apart"
+                f"pause is {pause:g} s, after which rounding makes times of other equal"
             )
         gamma = None
         if self.force_density is not None and other.force_density is not None:
@@ -421,9 +422,9 @@ def _reached(plant: LinearPlant, reference: Reference, name: str) -> FloatArray:
         step, pair = passed[0]
         i, j = apart[0].pairs[pair]
         raise ValueError(
-            f"in {names[step or near]}, bars {i} and {j} pass one another on the other side than "
-            "before: they would have to go through each other, as from a shape to its mirror "
-            "image. Give shapes in between if there is another way"
+            f"in {names[step or near]}, bars {i} and {j} have changed sides: they would have to "
+            "pass through each other, as from a shape to its mirror image. Give intermediate "
+            "shapes that lead around, if there are any"
         )
     return q
 
@@ -443,8 +444,8 @@ def _refuse_motion_as_one_body(plant: LinearPlant, reference: Reference, name: s
         k = int(gone.argmax())
         if gone[k] > share * size and changed.max() < _UNCHANGED * gone[k]:
             raise ValueError(
-                f"{name} asks the structure only to move as one body: at {reference.time[k]:g} s "
-                f"by up to {gone[k]:.3g} m, in the same shape. {STRINGS_MOVE_NO_CENTRE}"
+                f"{name} asks for a rigid-body motion only: at {reference.time[k]:g} s "
+                f"by up to {gone[k]:.3g} m, without a change of shape. {STRINGS_MOVE_NO_CENTRE}"
             )
 
 
@@ -462,8 +463,8 @@ def reduced_shape(plant: LinearPlant, name: str, nodes: FloatArray, off: float) 
     error = float(np.abs(length(found) - length(nodes)).max(initial=0.0))
     if error > off * float(np.ptp(plant.nodes, axis=1).max()):
         raise ValueError(
-            f"{name} is a shape that these coordinates give with strings {error:.3g} m off: it is "
-            "out of reach of the operating point; linearize about a shape nearer to it"
+            f"{name} is too far from the operating point for these coordinates: strings are "
+            f"{error:.3g} m off; linearize about a nearer shape"
         )
     return q
 

@@ -1,4 +1,4 @@
-"""Algebraic Riccati equations of regulators and filters, solved in scaled units and checked."""
+"""Algebraic Riccati equations of regulators and filters, solved in scaled units, with checks."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ class _Messages:
 _REGULATOR = _Messages(
     equation="the Riccati equation",
     loop="the closed loop",
-    no_solution="An undamped mode without weight in Q is one reason; Q and R that differ by many "
-    "powers of ten are another, or a sample_time of many periods",
+    no_solution="Possible reasons: an undamped mode without weight in Q; Q and R that differ by "
+    "many powers of ten; a sample_time of many periods",
     large_residual="Bring the weights Q and R closer together",
     unstable="Give every mode some weight in Q",
 )
 _FILTER = _Messages(
     equation="the Riccati equation of the filter",
     loop="the filter",
-    no_solution="A sample_time at which two vibrations look alike is one reason; process_noise "
-    "that is tiny against the noise of the sensors is another",
+    no_solution="Possible reasons: a sample_time at which two vibrations are aliased; "
+    "process_noise that is very small against the noise of the sensors",
     large_residual="Bring process_noise and the noise of the sensors closer together",
     unstable="Bring process_noise and the noise of the sensors closer together",
 )
@@ -190,8 +190,9 @@ def check_riccati(
     """Raise ValueError if a residual is too large or a pole is not stable."""
     if not residual <= _RESIDUAL_TOLERANCE:
         raise ValueError(
-            f"{messages.equation} is left with a residual of {residual:.1e}, expected at most "
-            f"{_RESIDUAL_TOLERANCE:.0e}: its solution is not to be trusted. "
+            f"{messages.equation} has a solution with a residual of {residual:.1e}, expected at "
+            "most "
+            f"{_RESIDUAL_TOLERANCE:.0e}: it is not accurate. "
             f"{messages.large_residual}"
         )
     margin = float(1 - np.abs(poles).max()) if discrete else float(-poles.real.max())
@@ -263,7 +264,7 @@ def _doubled(
 
 
 def energy_weights(plant: LinearPlant, by_mode: bool = False) -> tuple[FloatArray, FloatArray]:
-    """Return weights that make displacement, speed and input commensurate.
+    """Return LQR weights from the energy: displacement, velocity and input on one scale.
 
     With ω the highest frequency of the plant (1 rad/s if all are zero) and b
     the largest acceleration that a unit input gives: ω² for displacements and

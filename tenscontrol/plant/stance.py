@@ -1,4 +1,4 @@
-"""Stances: shapes that stand on the ground, their contact forces and margin against tipping."""
+"""Stances: equilibria on the ground, with contact forces and the margin against tipping."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class StanceContacts:
 
 @dataclass(frozen=True)
 class Tipping:
-    """How far a stance is from tipping over an edge of its support polygon.
+    """Margin of a stance against tipping over an edge of its support polygon.
 
     Attributes
     ----------
@@ -310,7 +310,7 @@ def let_down(model: Model, start: FloatArray, load: FloatArray) -> FloatArray:
         if abs(way) <= _LANDED * size:
             return nodes
     raise ValueError(
-        "no equilibrium: the structure is in the air, and falls along "
+        "no equilibrium: no node touches the ground, and the structure falls along "
         f"{np.array2string(fall, precision=3)} without meeting ground. Give Model(...) ground "
         "below it, or nodes above the ground that it has"
     )
@@ -419,15 +419,15 @@ def refuse_slip(contacts: StanceContacts) -> None:
     asked = float(np.linalg.norm(contacts.tangential_force[:, i]))
     held = asked / contacts.cone_use[i]
     raise ValueError(
-        f"no equilibrium: node {contacts.node[i]} slips, even where the feet share what they have "
-        f"to hold. To stay it takes {asked:.4g} N along the ground, and friction holds up to "
+        f"no equilibrium: node {contacts.node[i]} slips, however the feet share the load. It "
+        f"needs {asked:.4g} N along the ground, and friction gives at most "
         f"{held:.4g} N. Give the ground more friction or less slope, or set the structure down on "
         "other nodes by plant.set_down(model, feet)"
     )
 
 
 def set_down(model: Model, feet: object, nodes: object = None) -> FloatArray:
-    """Return the nodes turned and moved as one body so that given nodes stand on the ground.
+    """Return the nodes after a rigid-body motion that puts given nodes on the ground.
 
     The plane through the feet (the one nearest to them, if they are more than three) is laid on
     the first law of ``model.ground``, by the least turn that has the centre of the nodes above it.

@@ -15,6 +15,7 @@ from tenscontrol.plot.animation import animate
 from tenscontrol.plot.estimation_error import estimate
 from tenscontrol.plot.ground_drawing import contacts
 from tenscontrol.plot.histories import Curves, history
+from tenscontrol.plot.interactive_view import view
 from tenscontrol.plot.mode_shapes import ModeShape, mode_shapes
 from tenscontrol.plot.motion_histories import health, motors, tracking, trajectory
 from tenscontrol.plot.pole_map import PoleMap, poles
@@ -22,6 +23,7 @@ from tenscontrol.plot.structure_drawing import Drawing, structure
 from tenscontrol.plot.structure_drawing import new_space as new_space  # for figures of the demo
 from tenscontrol.plot.style import save_figure
 from tenscontrol.plot.sweep_figures import SweepDrawing, sweep
+from tenscontrol.web_page import View
 
 __all__ = [
     "Curves",
@@ -29,6 +31,7 @@ __all__ = [
     "ModeShape",
     "PoleMap",
     "SweepDrawing",
+    "View",
     "animate",
     "contacts",
     "convergence_order",
@@ -46,5 +49,6 @@ __all__ = [
     "sweep",
     "tracking",
     "trajectory",
+    "view",
     "work_precision",
 ]

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter
 
 from tenscontrol.accuracy import ConvergenceOrder, Growth, LongRun, StabilityMap, WorkPrecision
 from tenscontrol.plot.histories import Curves
@@ -18,6 +18,7 @@ from tenscontrol.plot.style import (
     PALETTE,
     REFERENCE_COLOR,
     REFERENCE_WIDTH,
+    decade_ticks,
     dress,
     flat_axes,
     legend_above,
@@ -36,9 +37,6 @@ _NAME_MOVES = (0.0, 6.0, -6.0, 11.0, -11.0, 22.0, -22.0, 33.0)
 
 # Inches.
 _SIZE = (6.8, 4.4)
-
-# Decades below which an axis is marked between them too.
-_FEW_DECADES = 2.0
 
 
 def work_precision(result: WorkPrecision, *, ax: Axes | None = None) -> Curves:
@@ -106,7 +104,7 @@ def work_precision(result: WorkPrecision, *, ax: Axes | None = None) -> Curves:
     ax.invert_xaxis()
     reference = _reference_band(ax, result.reference.error)
     _name_ends(ax, ends)
-    _ticks(ax)
+    decade_ticks(ax.xaxis, ax.yaxis)
     return Curves(ax, lines, {"reference": reference}, {})
 
 
@@ -166,7 +164,7 @@ def convergence_order(result: ConvergenceOrder, *, ax: Axes | None = None) -> Cu
     )
     references["reference"].set_label("error of the reference")
     legend_above(ax)
-    _ticks(ax)
+    decade_ticks(ax.xaxis, ax.yaxis)
     return Curves(ax, {result.method: (fitted, others)}, references, {})
 
 
@@ -223,7 +221,7 @@ def stability_map(result: StabilityMap, *, ax: Axes | None = None) -> Curves:
         text += f", lines h ω = {result.limit:.3f}"
     _logarithmic(ax, "stiffness of a string, N/m", "largest stable step, s", text)
     _name_ends(ax, ends)
-    _ticks(ax)
+    decade_ticks(ax.xaxis, ax.yaxis)
     return Curves(ax, lines, references, {})
 
 
@@ -341,7 +339,7 @@ def growth(result: Growth, quantity: str = "seconds", *, ax: Axes | None = None)
     name = "processor time, s" if quantity == "seconds" else "peak memory, MB"
     _logarithmic(ax, "members", name)
     ax.legend(fontsize="small", frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    _ticks(ax)
+    decade_ticks(ax.xaxis, ax.yaxis)
     return Curves(ax, lines, {"in proportion": guide}, {})
 
 
@@ -424,14 +422,3 @@ def _slope_triangle(ax: Axes, ends: FloatArray, result: ConvergenceOrder) -> Non
     below = (float(np.sqrt(x[0] * x[1])), foot)
     _note(ax, str(order), at, (4, 0), va="center", color="0.35")
     _note(ax, "1", below, (0, -4), va="top", ha="center", color="0.35")
-
-
-def _ticks(ax: Axes) -> None:
-    """Mark decades, no more of them than can be read; within two decades also 2 and 5."""
-    for axis, limits in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
-        axis.set_major_locator(LogLocator(numticks=10))
-        axis.set_minor_formatter(NullFormatter())
-        if abs(np.log10(limits[1] / limits[0])) < _FEW_DECADES:
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
-        axis.set_minor_locator(LogLocator(subs=(), numticks=10))

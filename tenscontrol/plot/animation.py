@@ -1,8 +1,12 @@
-"""A motion as an animated GIF."""
+"""A motion as a film: an animated GIF, or MP4 by ffmpeg."""
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import tempfile
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
 from os import PathLike
@@ -75,6 +79,49 @@ def write_gif(path: Path, canvas: Any, pictures: Iterable[None], count: int, rat
     write_file(path, buffer.getbuffer())
 
 
+def write_mp4(path: Path, canvas: Any, pictures: Iterable[None], rate: float) -> None:
+    """Write what an Agg canvas shows after each picture, ``rate`` a second, by ffmpeg as H.264."""
+    width, height = canvas.get_width_height()
+    with tempfile.TemporaryDirectory() as folder:
+        film = Path(folder) / "film.mp4"
+        command = [
+            _ffmpeg(path), "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgba",
+            "-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "pipe:0",
+            # H.264 takes even sizes only, and most players this form of colours only.
+            "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white,format=yuv420p",
+            "-c:v", "libx264", "-crf", "18", "-movflags", "+faststart", str(film),
+        ]  # fmt: skip
+        with tempfile.TemporaryFile() as told:
+            process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=told)
+            assert process.stdin is not None  # a pipe was asked for
+            try:
+                with suppress(BrokenPipeError), process.stdin as pipe:  # it ended, and says why
+                    for _ in pictures:
+                        pipe.write(canvas.buffer_rgba())
+            except BaseException:  # Ctrl-C too
+                process.kill()
+                raise
+            finally:
+                code = process.wait()
+            told.seek(0)
+            said = told.read().decode(errors="replace").strip()
+        if code != 0:
+            last = said.splitlines()[-1] if said else "no reason given"
+            raise OSError(f"ffmpeg could not write {str(path)!r}: {last}; or write a .gif")
+        write_file(path, film.read_bytes())
+
+
+def _ffmpeg(path: Path) -> str:
+    """Return where ffmpeg is."""
+    found = shutil.which("ffmpeg")
+    if found is None:
+        raise FileNotFoundError(
+            f"path is {str(path)!r}, but the program ffmpeg, which writes .mp4 files, was not "
+            "found: install it and have it on PATH, or give a path that ends in .gif"
+        )
+    return found
+
+
 def _palette(picture: Image.Image) -> Image.Image:
     """Return an image whose palette is that of the picture, with the paper purely white."""
     colors = np.array(picture.quantize(_COLORS).getpalette(), dtype=np.uint8).reshape(-1, 3)
@@ -94,7 +141,7 @@ def animate(
     view: tuple[float, float] = (20.0, -60.0),
     dpi: int = 100,
 ) -> Path:
-    """Write a motion as an animated GIF, which repeats without end.
+    """Write a motion as an animated GIF, which repeats without end, or as an MP4 film.
 
     The frames are equally spaced in time, the first and the last state among
     them, and nothing but the structure moves. Slack strings are dotted, and nodes that press on the
@@ -104,7 +151,8 @@ def animate(
     ----------
     run : Trajectory
     path : str or path
-        Where to write; ends in ``.gif``. A file that is there is replaced.
+        Where to write; ends in ``.gif``, or in ``.mp4``, which needs the program ffmpeg. A file
+        that is there is replaced.
     fps : float
         Frames a second, 0.01 to 50.
     duration : float, optional
@@ -127,10 +175,10 @@ def animate(
     ------
     TypeError, ValueError
         If an argument is of the wrong kind, does not fit or is not finite, or
-        ``path`` does not end in ``.gif``. Nothing is written then.
+        ``path`` does not end in ``.gif`` or ``.mp4``. Nothing is written then.
     OSError
-        If the folder of ``path`` is not there, or the file cannot be written: a file that was there
-        is as it was.
+        If the folder of ``path`` is not there, ffmpeg is not found, or the file cannot be written:
+        a file that was there is as it was.
 
     Examples
     --------
@@ -145,9 +193,12 @@ def animate(
     ('prism.gif', True)
     """
     instance("run", run, Trajectory, "make one by simulate(model, ...)")
-    place = file_path("path", path, [".gif"])
+    place = file_path("path", path, [".gif", ".mp4"])
     if not place.parent.is_dir():
         raise FileNotFoundError(f"path is {str(place)!r}, but its folder is not there; make it")
+    is_film = place.suffix.lower() == ".mp4"
+    if is_film:
+        _ffmpeg(place)
     rate = positive_number("fps", fps, "1/s")
     if not _SLOWEST <= rate <= _FASTEST:
         raise ValueError(
@@ -217,7 +268,10 @@ def animate(
                 artist.draw(canvas.get_renderer())
             yield
 
-    write_gif(place, canvas, pictures(), len(times), rate)
+    if is_film:
+        write_mp4(place, canvas, pictures(), rate)
+    else:
+        write_gif(place, canvas, pictures(), len(times), rate)
     return place
 
 

@@ -20,6 +20,9 @@ from tenscontrol.plot.style import (
 )
 from tenscontrol.validation import FloatArray, float_array, text, wrong_kind
 
+# Up to so many curves of one name have full width; many more at least this share of it.
+_FEW, _THINNEST = 4, 0.35
+
 
 @dataclass(frozen=True, eq=False)
 class Curves:
@@ -110,12 +113,14 @@ def draw_curves(
     """Draw checked curves, rows of shape (k, T); a held quantity is drawn in steps."""
     lines = {}
     for position, (name, values) in enumerate(rows.items()):
+        style = curve_style(position)
+        style["linewidth"] *= min(1.0, max(_THINNEST, (_FEW / max(len(values), 1)) ** 0.5))
         drawn = ax.plot(
             time,
             values.T,
             label=_entry(name),
             drawstyle="steps-pre" if held else "default",
-            **curve_style(position),
+            **style,
         )
         for line in drawn[1:]:
             line.set_label("_")  # one entry in the legend for all rows

@@ -12,12 +12,19 @@ import numpy as np
 
 from tenscontrol.plant import LinearPlant, Modes
 from tenscontrol.plot.structure_drawing import Drawing, draw, frame, new_view
-from tenscontrol.plot.style import SMALL, SMALL_FAINT, checked_indices, given_axes
+from tenscontrol.plot.style import PALETTE, SMALL, SMALL_FAINT, checked_indices, given_axes
 from tenscontrol.validation import FloatArray, instance, positive_number
 
 _COLUMNS = 3
 _MOST = 9  # modes shown unless the user says which
-_PANEL = 2.1  # inches
+_PANEL = 2.5  # inches, the larger side of a panel
+_NARROWEST = 0.6  # the smaller one, as part of it
+_TITLE = 0.45  # above a panel, inches
+
+# Nodes that move less than this part of the largest displacement have no arrow; of many that move,
+# so many have one.
+_STILL, _MOST_ARROWS = 0.15, 24
+_ARROW = PALETTE[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +39,15 @@ class ModeShape:
         The shape at the operating point, in grey.
     displaced : Drawing
         The shape displaced along the mode.
+    arrows : Line3DCollection or Quiver
+        From where a node is to where it is displaced; none for nodes that hardly move,
+        and for at most 24 nodes.
     """
 
     mode: int
     reference: Drawing
     displaced: Drawing
+    arrows: Any
 
     @property
     def ax(self) -> Any:
@@ -52,7 +63,7 @@ def mode_shapes(
     scale: float = 0.2,
     axes: Sequence[Any] | None = None,
 ) -> tuple[ModeShape, ...]:
-    """Draw mode shapes side by side, each over the reference shape in grey.
+    """Draw mode shapes side by side, each over the reference shape in grey, with arrows.
 
     A mode has no size of its own: the displacements are exaggerated, and along straight lines, so
     that bars look longer than they are. All panels have one scale; axes are left out for that.
@@ -115,36 +126,62 @@ def mode_shapes(
     share = positive_number("scale", scale, "structure sizes")
     size = float(share * np.ptp(nodes, axis=1).max())
     moved = [nodes + size * _at_largest(modes.shape[:, :, mode]) for mode in chosen]
-    panels = _panels(axes, len(chosen), structure.dimension)
+    panels, top = _panels(axes, len(chosen), nodes)
     drawn = []
     for ax, mode, displaced in zip(panels, chosen, moved, strict=True):
         shape = ModeShape(
             mode,
             reference=draw(ax, structure, nodes, SMALL_FAINT),
             displaced=draw(ax, structure, displaced, SMALL),
+            arrows=_arrows(ax, nodes, displaced - nodes, _STILL * size),
         )
-        frame(ax, [nodes, *moved], grow=False, fill=0.9)
+        frame(ax, [nodes, *moved], grow=False, fill=0.8)
         ax.set_axis_off()
         frequency = f"{modes.frequency[mode]:#.4g}" if modes.frequency[mode] > 0 else "0"
         title = f"mode {mode}: {frequency} Hz\n{modes.label[mode]}"
-        ax.set_title(title, fontsize="small", y=0.97)
+        ax.set_title(title, fontsize="small", y=top)
         drawn.append(shape)
     return tuple(drawn)
 
 
-def _panels(axes: Sequence[Any] | None, count: int, dimension: int) -> list[Any]:
+def _arrows(ax: Any, nodes: FloatArray, moved: FloatArray, least: float) -> Any:
+    """Draw arrows of nodes that move by more than ``least``, m: of all, or of some of many."""
+    seen = np.flatnonzero(np.linalg.norm(moved, axis=0) > least)
+    seen = seen[np.linspace(0, len(seen) - 1, min(len(seen), _MOST_ARROWS)).round().astype(int)]
+    ends = (*nodes[:, seen], *moved[:, seen])
+    if len(nodes) == 3:
+        return ax.quiver(
+            *ends, color=_ARROW, linewidth=1.1, arrow_length_ratio=0.3, zorder=SMALL.layer + 1
+        )
+    look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "units": "inches", "width": 0.02}
+    return ax.quiver(*ends, color=_ARROW, zorder=SMALL.layer + 1, **look)
+
+
+def _panels(axes: Sequence[Any] | None, count: int, nodes: FloatArray) -> tuple[list[Any], float]:
+    """Return the axes, and the height of their titles as part of that of the axes."""
+    dimension = len(nodes)
     if axes is not None:
         kind = "three-dimensional" if dimension == 3 else "flat"
-        return given_axes(axes, count, "one for each mode drawn", kind)
+        return given_axes(axes, count, "one for each mode drawn", kind), 0.97
+    # Tall structures stand close together, flat ones have little height. Axes are square and may
+    # overlap: nothing is drawn in them but the structure.
+    extent = np.ptp(nodes, axis=1)
+    shape = np.array([np.linalg.norm(extent[:-1]), extent[-1]])
+    wide, high = np.maximum(shape / shape.max(), _NARROWEST) * _PANEL
     columns = min(count, _COLUMNS)
     rows = ceil(count / columns)
-    figure = plt.figure(figsize=(_PANEL * columns, _PANEL * rows + 0.2))
-    panels = [new_view(figure, dimension, rows, columns, i + 1) for i in range(count)]
-    room = {"top": 0.93, "wspace": -0.1, "hspace": -0.05}
-    if dimension == 2:
-        room = {"top": 1 - 0.5 / figure.get_figheight(), "wspace": 0.1, "hspace": 0.3}
-    figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, **room)
-    return panels
+    width, height = max(wide * columns, _PANEL), (high + _TITLE) * rows
+    figure = plt.figure(figsize=(width, height))
+    panels = []
+    for i in range(count):
+        row, column = divmod(i, columns)
+        x, y = (column + 0.5) * width / columns, height - (row + 1) * (high + _TITLE) + high / 2
+        ax = new_view(figure, dimension, rows, columns, i + 1)
+        corner = np.array([x, y]) - _PANEL / 2
+        ax.patch.set_visible(False)
+        ax.set_position((*corner / (width, height), _PANEL / width, _PANEL / height))
+        panels.append(ax)
+    return panels, 0.5 + 0.5 * high / _PANEL
 
 
 def _at_largest(shape: np.ndarray) -> FloatArray:

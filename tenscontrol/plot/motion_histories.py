@@ -8,7 +8,6 @@ from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import NullLocator
 
 from tenscontrol.control import Status
 from tenscontrol.plot.histories import Curves, checked_references, draw_curves, mark_statuses
@@ -16,18 +15,22 @@ from tenscontrol.plot.style import (
     REFERENCE_COLOR,
     REFERENCE_WIDTH,
     checked_indices,
+    decade_ticks,
     legend_above,
     reference_style,
     timed_panels,
 )
 from tenscontrol.simulation import ControlRecord, CutString, Trajectory
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray, instance
+from tenscontrol.validation import FloatArray, choice, float_array, instance
 
 # Marks for statuses, told apart by their form.
 _MARKERS = ("v", "x", "s", "d", "P", "^")
 
 _ROUND_OFF = float(np.finfo(float).eps)
+
+# Nodes drawn unless the user says which, and the grey of all others.
+_MOVING, _OTHERS = 4, "0.8"
 
 # Round-off fills the foot of a panel, not the whole of it.
 _LEAST_SPAN = 1e4
@@ -72,27 +75,34 @@ def _rest_lengths(run: Trajectory) -> FloatArray:
 def trajectory(
     run: Trajectory,
     *,
-    nodes: Sequence[int] = (0,),
+    nodes: Sequence[int] | None = None,
     directions: str | None = None,
+    relative_to: object = "start",
     references: Mapping[str, object] | None = None,
     axes: Sequence[Axes] | None = None,
 ) -> dict[str, Curves]:
     """Draw the time histories of a motion, one panel for each kind of quantity.
 
     The panels are ``"coordinates"``; ``"force_density"``, with one style for each string group, if
-    there are strings; and ``"rest_length"`` if rest lengths were held. What was held is drawn in
+    there are strings; and ``"rest_length"`` if rest lengths were held. The first shows how far the
+    nodes that move most are from where they started, with all others in grey, and under a
+    controller with a reference how far the farthest node is from that. What was held is drawn in
     steps. Samples at which a controller's status was not ``"ok"`` are marked on the lowest time
     axis, faults in the panels of force densities and rest lengths; a cut string has no rest length.
 
     Parameters
     ----------
     run : Trajectory
-    nodes : sequence of int
-        The nodes whose coordinates are drawn.
+    nodes : sequence of int, optional
+        The nodes drawn; if not given, up to four that move most.
     directions : str, optional
-        Which coordinates: letters out of ``"xyz"``, all that there are if not given.
+        Coordinates to draw, letters out of ``"xyz"``, in place of distances.
+    relative_to : {"start", "origin"} or array_like, shape (d, n) or (d, n, T)
+        What displacements are counted from: the start of the run, or a shape of reference, m,
+        fixed or one for each time. ``"origin"`` draws absolute coordinates, in all directions if
+        none are given.
     references : mapping of str to float or array_like, shape (T,), optional
-        Lines to compare the coordinates with, m: a target height, say.
+        Lines to compare with, m: a target height, say.
     axes : sequence of Axes, optional
         Where to draw, one for each panel; a new figure if not given.
 
@@ -113,17 +123,31 @@ def trajectory(
     >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
     >>> start = tc.to_rest_length(model, prism.nodes, [17.3205] * 6 + [9.0] * 3).rest_length
     >>> run = tc.simulate(model, 0.2, rest_length=start, step=1e-3)
-    >>> panels = tc.plot.trajectory(run, directions="z", references={"at start": 1.0})
+    >>> panels = tc.plot.trajectory(run)
     >>> list(panels), list(panels["force_density"].lines)
     (['coordinates', 'force_density', 'rest_length'], ['top', 'bottom', 'vertical'])
+    >>> list(panels["coordinates"].lines)
+    ['node 0', 'node 1', 'node 2', 'node 3', 'other 2 of 6 nodes']
+
+    Heights above the ground, of two nodes:
+
+    >>> heights = tc.plot.trajectory(run, nodes=[0, 3], directions="z", relative_to="origin")
+    >>> list(heights["coordinates"].lines)
+    ['z[0]', 'z[3]']
+    >>> plt.close(heights["coordinates"].ax.figure)
     >>> plt.close(panels["coordinates"].ax.figure)
     """
     instance("run", run, Trajectory, "make one by simulate(model, ...)")
-    coordinates = _coordinates(run, nodes, directions)
+    base, of = _base(run, relative_to)
+    from_start, absolute = (
+        isinstance(relative_to, str) and relative_to == each for each in ("start", "origin")
+    )
+    coordinates, others = _coordinates(run, nodes, directions, base, absolute)
     levels = checked_references(references, len(run.time))
+    tracked = directions is None and from_start
     # Panel: curves, label, and whether the quantity was held from sample to sample.
     content: dict[str, tuple[dict[str, FloatArray], str, bool]] = {
-        "coordinates": (coordinates, "node position, m", False)
+        "coordinates": (coordinates, of, False)
     }
     if len(run.structure.strings):
         by_group = _by_group(run.structure, run.force_density)
@@ -143,25 +167,84 @@ def trajectory(
             xlabel=xlabel,
             references=levels if name == "coordinates" else None,
         )
-        if name != "coordinates":
+        if name == "coordinates":
+            panels[name] = _with_distances(panels[name], run, others, tracked)
+        else:
             panels[name] = _with_faults(panels[name], run)
     if run.control is not None:
         panels[name] = _with_statuses(panels[name], run.control)
     return panels
 
 
-def _coordinates(run: Trajectory, nodes: object, directions: object) -> dict[str, FloatArray]:
-    """Return the chosen coordinates by name: ``"x[0]"`` as in the names of a plant's states."""
+def _base(run: Trajectory, relative_to: object) -> tuple[FloatArray, str]:
+    """Return what displacements are counted from, shape (d, n, 1) or (d, n, T), and their name."""
+    start = run.nodes[:, :, :1]
+    if isinstance(relative_to, str):
+        if choice("relative_to", relative_to, ("start", "origin")) == "start":
+            return start, "displacement\nfrom the start, m"
+        return 0 * start, "node position, m"
+    base = float_array("relative_to", relative_to)
+    if base.shape not in (run.nodes.shape[:2], run.nodes.shape):
+        raise ValueError(
+            f"relative_to has shape {base.shape}, expected {run.nodes.shape[:2]} for one shape, or "
+            f"{run.nodes.shape} for one at each time"
+        )
+    return base.reshape(*base.shape[:2], -1), "displacement from\nthe reference, m"
+
+
+def _coordinates(
+    run: Trajectory, nodes: object, directions: object, base: FloatArray, absolute: bool
+) -> tuple[dict[str, FloatArray], FloatArray]:
+    """Return curves by name, ``"node 0"`` or ``"x[0]"``, and the distances of all other nodes."""
     axes = "xyz"[: run.structure.dimension]
-    directions = axes if directions is None else directions
-    if not isinstance(directions, str) or not directions or set(directions) - set(axes):
+    if directions is None and absolute:
+        directions = axes
+    if directions is not None and (
+        not isinstance(directions, str) or not directions or set(directions) - set(axes)
+    ):
         raise ValueError(f"directions is {directions!r}, expected letters out of {axes!r}")
-    count = run.nodes.shape[1]
-    rows = {}
-    for node in checked_indices("nodes", nodes, count, "node indices", "(0, 1)"):
-        for direction in directions:
-            rows[f"{direction}[{node}]"] = run.nodes["xyz".index(direction), node][None]
-    return rows
+    moved, count = run.nodes - base, run.nodes.shape[1]
+    if nodes is None:
+        most = max(1, _MOVING // len(directions or "d"))
+        away = np.linalg.norm(moved - moved[:, :, :1] if absolute else moved, axis=0)
+        # Nodes of a symmetric structure move alike: round-off does not choose between them.
+        far = np.round(away.max(axis=1) / max(float(away.max()), 1e-300), 6)
+        most = max(1, min(most, int((far > 0).sum())))
+        chosen = sorted(np.argsort(-far, kind="stable")[:most].tolist())
+    else:
+        chosen = checked_indices("nodes", nodes, count, "node indices", "(0, 1)")
+    if directions is None:
+        distance = np.linalg.norm(moved, axis=0)
+        return (
+            {f"node {node}": distance[node][None] for node in chosen},
+            distance[np.setdiff1d(np.arange(count), chosen)],
+        )
+    return {
+        f"{direction}[{node}]": moved["xyz".index(direction), node][None]
+        for node in chosen
+        for direction in directions
+    }, np.zeros((0, len(run.time)))
+
+
+def _with_distances(panel: Curves, run: Trajectory, others: FloatArray, tracked: bool) -> Curves:
+    """Draw the distances of the other nodes in grey, and that from a controller's reference."""
+    lines = dict(panel.lines)
+    if len(others):
+        label = f"other {len(others)} of {run.nodes.shape[1]} nodes"
+        drawn = panel.ax.plot(run.time, others.T, color=_OTHERS, linewidth=0.6, zorder=1.6)
+        for line in drawn:
+            line.set_label(label if line is drawn[0] else "_")
+        lines[label] = tuple(drawn)
+    references = dict(panel.references)
+    if tracked and run.control is not None and run.control.tracking_error is not None:
+        label = "farthest from reference"
+        times = np.append(run.control.time, run.time[-1])
+        style = reference_style(len(references))
+        (references[label],) = panel.ax.plot(
+            times, run.control.tracking_error, label=label, **style
+        )
+    legend_above(panel.ax)
+    return replace(panel, lines=lines, references=references)
 
 
 def _by_group(structure: Structure, values: FloatArray) -> dict[str, FloatArray]:
@@ -368,7 +451,7 @@ def tracking(run: Trajectory, *, axes: Sequence[Axes] | None = None) -> dict[str
         panels[name] = draw_curves(ax, times, rows, label, references=levels, xlabel=xlabel)
         if (values > 0).any():  # NaN is not
             ax.set_yscale("log")
-            ax.yaxis.set_minor_locator(NullLocator())
+            decade_ticks(ax.yaxis)
     panels[name] = _with_statuses(panels[name], record)
     return panels
 
@@ -406,6 +489,6 @@ def _logarithmic(
     curves = draw_curves(ax, time, rows, ylabel, references=round_off, xlabel=xlabel)
     largest = max(float(values.max()) for values in errors.values())
     ax.set_yscale("log")
-    ax.yaxis.set_minor_locator(NullLocator())
     ax.set_ylim(floor / 5, max(_LEAST_SPAN * floor, 5 * largest))
+    decade_ticks(ax.yaxis)
     return curves

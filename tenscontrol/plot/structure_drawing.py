@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -15,9 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
+from tenscontrol.plot.depth_cue import DepthLines
 from tenscontrol.plot.ground_drawing import add_ground, ground_samples, near_ground, touching
+from tenscontrol.plot.number_labels import NumberPlaces, write_numbers
 from tenscontrol.plot.style import (
     DOTTED,
     FAINT,
@@ -48,14 +50,8 @@ from tenscontrol.validation import (
 # A string below this fraction of the largest force density carries nothing.
 _SLACK = 1e-9
 
-# Distance of a node's number from the node, relative to the size of the structure.
-_LABEL_DISTANCE = 0.08
-
-# Room for the colour scale, inches.
-_SCALE_WIDTH = 0.9
-
-# White behind a number, so that it can be read on top of a member.
-_CARD = {"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+# Room for the colour scale beside the axes, width and share of the height of the scale; inches.
+_SCALE_ROOM, _SCALE_WIDTH, _SCALE_SHARE = 0.9, 0.14, 0.6
 
 SIZE = (5.0, 4.5)  # inches
 
@@ -70,7 +66,7 @@ _TICKS = 4  # along the longest edge
 _CORNER = 0.04  # of an edge, without ticks
 
 # Points; the offsets are what Matplotlib adds itself.
-_LABEL_PAD = {"x": 2.0, "y": 6.0, "z": 5.0}
+_LABEL_PAD = {"x": 5.0, "y": 7.0, "z": 10.0}
 _LABEL_OFFSET, _TICK_OFFSET = 21.0, 8.0
 
 # A triangle that stands on a line and holds what is above its tip, of size 1.
@@ -212,6 +208,7 @@ class Drawing:
     supports: Any = None
     ground: tuple[Any, ...] = ()
     touching: Any = None
+    _places: NumberPlaces | None = field(default=None, repr=False)
 
     def update(self, nodes: object, force_density: object = None, touching: object = None) -> None:
         """Move the drawing to other node positions. The limits of the axes stay.
@@ -250,7 +247,9 @@ class Drawing:
         for points, where in moved:
             set_places = points.set_data_3d if self.structure.dimension == 3 else points.set_data
             set_places(*where)
-        places = label_places(self.structure, positions)
+        if self._places is None:
+            return
+        places = self._places.at(self.structure, positions)
         labels = (self.node_labels, self.bar_labels, self.string_labels)
         for texts, at in zip(labels, places, strict=True):
             for text, place in zip(texts, at, strict=False):
@@ -263,7 +262,10 @@ class Drawing:
 def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -> Drawing:
     """Draw bars, strings and nodes in one style, without numbers or colour scale."""
     style = style.fitted(len(structure.bars) + len(structure.strings))
-    lines: Any = Line3DCollection if structure.dimension == 3 else LineCollection
+    lines: Any = LineCollection
+    if structure.dimension == 3:
+        lines = partial(DepthLines, fade=style.fade)
+        ax.computed_zorder = False  # a faint shape stays behind, also in axes that a user made
     paths = _paths(structure)
     strings = lines(
         segments(nodes, paths),
@@ -283,7 +285,7 @@ def draw(ax: Any, structure: Structure, nodes: FloatArray, style: MemberStyle) -
             add = ax.add_collection3d if structure.dimension == 3 else ax.add_collection
             add(members)
     dot = marker_style("o", style.node_size, style.node_color)
-    (dots,) = ax.plot(*nodes, zorder=style.layer + 0.6, **dot)
+    (dots,) = ax.plot(*nodes, zorder=style.layer + 0.2, **dot)
     supports = None
     if len(structure.fixed):
         triangle = marker_style("^", _SUPPORT * style.node_size, style.node_color, mfc="white")
@@ -368,24 +370,6 @@ def _paths(structure: Structure) -> IntArray:
     return np.array([[*path, *[path[-1]] * (longest - len(path))] for path in structure.paths])
 
 
-def label_places(
-    structure: Structure, nodes: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return where the numbers of nodes, bars and strings go, shape (count, d) each, m."""
-    points = nodes.T
-    outward = points - points.mean(axis=0)
-    distance = np.linalg.norm(outward, axis=1, keepdims=True)
-    outward = outward / np.maximum(distance, 1e-300)
-    shift = _LABEL_DISTANCE * float(np.ptp(nodes, axis=1).max())
-    # A third along a bar, not half: bars that cross in the middle keep their numbers apart.
-    bars = points[structure.bars[:, 0]] * (2 / 3) + points[structure.bars[:, 1]] / 3
-    # In the middle of a string, or of the middle segment of a clustered one.
-    counts = np.bincount(structure.segment_string, minlength=len(structure.strings))
-    middle = np.cumsum(counts) - counts + (counts - 1) // 2
-    strings = segments(nodes, structure.segments[middle]).mean(axis=1)
-    return points + shift * outward, bars, strings
-
-
 def legend_samples(structure: Structure, slack: bool, colored: bool = False) -> list[Line2D]:
     """Return the samples of members that a legend shows, of those kinds that there are."""
     bar = {"color": NORMAL.bar_color, "linewidth": NORMAL.bar_width, "solid_capstyle": "round"}
@@ -437,7 +421,9 @@ def structure(
     Fixed nodes stand on triangles, rollers on triangles with a line, beneath or, along x, beside
     the node. Nodes that bars share are white; a node that a clustered string runs over has a
     ring, and a point mass on a bar is a large dot. A structure in the plane is drawn in flat axes.
-    Drawn into axes that hold a drawing already, the limits grow to hold both.
+    Drawn into axes that hold a drawing already, the limits grow to hold both. In space, members far
+    from the eye are paler, and the axes no longer sort what they hold by depth
+    (``computed_zorder``), so that a faint shape stays behind.
 
     Parameters
     ----------
@@ -501,7 +487,7 @@ def structure(
         gamma = checked_force_density(structure, colours)
     own = ax is None
     if own:
-        figure = plt.figure(figsize=(SIZE[0] + (0.0 if gamma is None else _SCALE_WIDTH), SIZE[1]))
+        figure = plt.figure(figsize=SIZE)
         fill_figure(figure, structure.dimension)
         ax = new_view(figure, structure.dimension)
     checked_axes("ax", ax, "three-dimensional" if structure.dimension == 3 else "flat")
@@ -513,20 +499,38 @@ def structure(
         pressed = touching(run.contacts, state)
         ground, marks = add_ground(ax, laws, shape[:, pressed], len(structure.bars))
         drawing = replace(drawing, ground=ground, touching=marks)
-    drawing = _numbered(drawing, shape, labels, member_labels)
+    if labels or member_labels:
+        places, texts = write_numbers(ax, structure, shape, labels, member_labels)
+        drawing = replace(
+            drawing, node_labels=texts[0], bar_labels=texts[1], string_labels=texts[2],
+            _places=places,
+        )  # fmt: skip
     if gamma is not None:
         color_by_force(drawing.strings, gamma)
-        gap = 0.02 if own else 0.14  # new axes have room of their own
-        bar = ax.figure.colorbar(
-            drawing.strings, ax=ax, shrink=0.6, pad=gap, aspect=18, label="γ, N/m"
-        )
-        drawing = replace(drawing, colorbar=bar)
+        drawing = replace(drawing, colorbar=_scale(drawing, own))
     if legend and not faint:
         slack = gamma is not None and bool(is_slack(gamma).any())
         samples = legend_samples(structure, slack, colored=gamma is not None)
         samples += ground_samples(laws)
         ax.legend(handles=samples, **legend_place(structure))
     return drawing
+
+
+def _scale(drawing: Drawing, own: bool) -> Any:
+    """Draw the colour scale beside the axes; in a figure of our own in room that is added."""
+    figure = drawing.ax.figure
+    place: dict[str, Any] = {"ax": drawing.ax, "shrink": 0.6, "pad": 0.14, "aspect": 18}
+    if own:
+        width, height = figure.get_size_inches()
+        wider = width + _SCALE_ROOM
+        figure.set_size_inches(wider, height)
+        room = drawing.ax.get_position().bounds
+        drawing.ax.set_position(
+            (room[0] * width / wider, room[1], room[2] * width / wider, room[3])
+        )
+        left, low = (width + 0.05) / wider, (1 - _SCALE_SHARE) / 2
+        place = {"cax": figure.add_axes((left, low, _SCALE_WIDTH / wider, _SCALE_SHARE))}
+    return figure.colorbar(drawing.strings, label="γ, N/m", **place)
 
 
 def _in_a_shape(
@@ -553,21 +557,3 @@ def _in_a_shape(
     assert isinstance(found, Structure)  # just checked
     chosen = shape if nodes is None else nodes, gamma if force_density is None else force_density
     return found, *chosen, k
-
-
-def _numbered(drawing: Drawing, shape: FloatArray, nodes: bool, members: bool) -> Drawing:
-    of_nodes, of_bars, of_strings = label_places(drawing.structure, shape)
-
-    def write(places: FloatArray, sign: str, shown: bool, color: str) -> tuple[Any, ...]:
-        style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": "small", "bbox": _CARD}
-        return tuple(
-            drawing.ax.text(*place, f"{sign}{i}", color=color, zorder=6, **style)
-            for i, place in enumerate(places if shown else [])
-        )
-
-    return replace(
-        drawing,
-        node_labels=write(of_nodes, "", nodes, "black"),
-        bar_labels=write(of_bars, "b", members, NORMAL.bar_color),
-        string_labels=write(of_strings, "s", members, NORMAL.string_color),
-    )

@@ -19,8 +19,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from tenscontrol.files import write_file
 from tenscontrol.validation import file_path, float_array, indices, instance, wrong_kind
@@ -58,7 +60,10 @@ _WIDTH, _ROW_HEIGHT, _SINGLE_HEIGHT = 6.4, 2.2, 3.2
 # Width of a legend entry, points: of its sample with the gaps, and of a letter.
 _SAMPLE_WIDTH, _LETTER_WIDTH = 44.0, 5.0
 
-_DPI = 130
+_DPI = 200
+
+# Decades below which an axis is marked between them too.
+_FEW_DECADES = 2.0
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,7 @@ class MemberStyle:
     node_color: str
     node_size: float
     layer: float
+    fade: float = 0.0  # how much of its colour the farthest member loses
 
     def fitted(self, members: int) -> MemberStyle:
         """Return the style for a structure of so many members: thinner where there are many."""
@@ -84,11 +90,11 @@ class MemberStyle:
         )
 
 
-NORMAL = MemberStyle("0.15", 4.0, PALETTE[0], 1.2, "0.15", 5.0, 4.0)
+NORMAL = MemberStyle("0.15", 4.0, PALETTE[0], 1.2, "0.15", 3.8, 4.0, fade=0.5)
 FAINT = MemberStyle("0.82", 3.5, "0.72", 0.9, "0.82", 4.0, 1.0)
 
 # Beside one another, smaller.
-SMALL = MemberStyle("0.15", 2.6, PALETTE[0], 0.9, "0.15", 3.2, 4.0)
+SMALL = MemberStyle("0.15", 2.6, PALETTE[0], 0.9, "0.15", 2.4, 4.0, fade=0.6)
 SMALL_FAINT = MemberStyle("0.82", 2.4, "0.72", 0.7, "0.82", 2.6, 1.0)
 
 
@@ -186,6 +192,18 @@ def dress(ax: Axes, xlabel: str | None, ylabel: str) -> None:
     ax.spines[["top", "right"]].set_visible(False)
 
 
+def decade_ticks(*axes: Axis) -> None:
+    """Mark decades, no more of them than can be read; within two decades also 2 and 5."""
+    for axis in axes:
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(numticks=10))
+        axis.set_minor_formatter(NullFormatter())
+        if abs(np.log10(high / low)) < _FEW_DECADES:
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+        axis.set_minor_locator(LogLocator(subs=(), numticks=10))
+
+
 def legend_above(ax: Axes) -> None:
     """Put the legend above the axes, where no curve can be, or none if nothing has a name."""
     handles, names = ax.get_legend_handles_labels()
@@ -194,7 +212,7 @@ def legend_above(ax: Axes) -> None:
     columns = _legend_columns(names, ax.bbox.width * 72 / ax.figure.dpi)
     # The legend is filled column by column, but read row by row.
     order = [i for first in range(columns) for i in range(first, len(handles), columns)]
-    ax.legend(
+    legend = ax.legend(
         handles=[handles[i] for i in order],
         loc="lower left",
         bbox_to_anchor=(0.0, 1.0),
@@ -206,6 +224,8 @@ def legend_above(ax: Axes) -> None:
         borderaxespad=0.2,
         borderpad=0.2,
     )
+    for line in legend.get_lines():  # curves of many strings are thin, their sample is not
+        line.set_linewidth(max(line.get_linewidth(), REFERENCE_WIDTH))
 
 
 def _legend_columns(names: Sequence[str], room: float) -> int:

@@ -1,4 +1,4 @@
-"""Robustness: many runs of one case with parameters drawn at random."""
+"""Robustness studies by Monte Carlo: many runs of a case with random parameters."""
 
 from tenscontrol.robustness.closed_loop_case import ClosedLoopCase, Outcome, farthest_node
 from tenscontrol.robustness.distributions import Distribution, Normal, OneOf, Uniform

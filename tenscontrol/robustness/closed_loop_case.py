@@ -1,4 +1,4 @@
-"""A case for sweeps: a controller on a plant that is not the one it was designed on."""
+"""A closed loop for Monte Carlo studies: the plant differs from that of the design."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _SETTLED = 0.1
 @final
 @dataclass(frozen=True, init=False)
 class Outcome:
-    """What a case returns: whether the run was a success, and its figures.
+    """Result of one run of a case: success or not, and its figures.
 
     Parameters
     ----------
@@ -98,21 +98,26 @@ class Outcome:
 class ClosedLoopCase:
     """A closed loop whose plant varies, while the controller keeps its nominal design.
 
-    For :func:`sweep`. The parameters it knows: ``"bar_mass"``, ``"string_node_mass"``,
-    ``"point_mass"``, ``"stiffness"`` and ``"damping"`` are factors on the nominal values, one for
-    all or one a member, of point masses one a node; so are ``"ground_stiffness"``,
-    ``"ground_damping"`` and ``"friction"``, one for all contact laws of the ground or one a law;
-    ``"start"`` is where the structure starts,
-    coordinates q of the controller's plant, m √kg, for a function internal ones about the target.
-    With an estimator, ``"noise"`` is a factor on the standard deviations of all readings, and
-    ``"delay"`` how many samples late they come: draw it by :class:`OneOf`. The estimator is not
-    told, as the controller is not. The noise itself is drawn from the run's generator.
+    For :func:`sweep`. These parameters can vary:
 
-    The figures of a run: ``final_error``, m, the largest distance of a node from
-    its place in the last tenth of the run, motion of the structure as one body
-    apart; ``least_force_density`` and ``largest_force_density``, N/m, of all
-    strings; ``largest_command``, N/m or m; ``commands_not_ok``, how many commands
-    had another status than ``Status.OK``. A motion that is not accurate is a failure.
+    - ``"bar_mass"``, ``"string_node_mass"``, ``"point_mass"``, ``"stiffness"``, ``"damping"``:
+      factors on the nominal values, one for all or one for each member (point masses: one for
+      each node);
+    - ``"ground_stiffness"``, ``"ground_damping"``, ``"friction"``: factors, one for all contact
+      laws or one for each;
+    - ``"start"``: where the structure starts, coordinates q of the controller's plant, m √kg; for
+      a function, internal coordinates about the target;
+    - ``"noise"``, with an estimator: a factor on the standard deviations of all readings;
+    - ``"delay"``, with an estimator: delay of the readings in samples; draw it by :class:`OneOf`.
+
+    Neither the controller nor the estimator knows the values drawn. The measurement noise comes
+    from the random generator of the run.
+
+    The figures of a run are ``final_error``, m: the largest distance of a node from its target in
+    the last tenth of the run, without rigid-body motion; ``least_force_density`` and
+    ``largest_force_density`` of all strings, N/m; ``largest_command``, N/m or m; and
+    ``commands_not_ok``, the number of commands with a status other than ``Status.OK``. A motion
+    that is not accurate counts as a failure.
 
     Parameters
     ----------
@@ -301,8 +306,9 @@ class ClosedLoopCase:
         known = self._coordinates
         if known.nodes.shape != self.structure.nodes.shape:
             raise SweepError(
-                f"start gives the {known.nodes.shape[1]} nodes of the controller's plant a place, "
-                f"but the structure has {self.structure.nodes.shape[1]}: give nodes instead"
+                f"start gives the {known.nodes.shape[1]} nodes of the controller's plant a "
+                f"position, but the structure has {self.structure.nodes.shape[1]}: give nodes "
+                "instead"
             )
         return known.to_nodes(parameters["start"])
 
@@ -373,7 +379,7 @@ def _varied_sensors(sensors: Sensors | None, parameters: Mapping[str, object]) -
 
 
 def farthest_node(plant: LinearPlant | Coordinates, nodes: FloatArray, target: FloatArray) -> float:
-    """Return the largest distance of a node from its place, m, over all moments.
+    """Return the largest distance of a node from its target over a motion, m.
 
     Motions that the coordinates of the plant, or those given in its place, leave out do not
     count: in internal coordinates, those of the structure as one body.

@@ -1,4 +1,4 @@
-"""What a parameter of a sweep is drawn from."""
+"""Distributions of the random parameters of a sweep."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PARAMETERS, CASE = 0, 1
 
 @dataclass(frozen=True, eq=False)
 class Distribution(ABC):
-    """Numbers to draw, independent of each other.
+    """Base class of distributions of independent random numbers.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Distribution(ABC):
 @final
 @dataclass(frozen=True, eq=False)
 class Uniform(Distribution):
-    """Numbers between two bounds, all equally likely.
+    """Uniform distribution between two bounds.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Uniform(Distribution):
 @final
 @dataclass(frozen=True, eq=False)
 class Normal(Distribution):
-    """Numbers of a normal distribution.
+    """Normal distribution.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ class Normal(Distribution):
 @final
 @dataclass(frozen=True, eq=False)
 class OneOf(Distribution):
-    """One of some given numbers, all equally likely.
+    """Discrete uniform distribution over given numbers.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Many runs of one case with parameters drawn at random."""
+"""Monte Carlo studies: many runs of one case with random parameters."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ def sweep(
     file: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> SweepReport:
-    """Do many runs of a case with parameters drawn at random, and report how many succeed.
+    """Run a Monte Carlo study: many runs with random parameters, and how many succeed.
 
-    The numbers of a run hang on the seed and the index of the run alone: any executor, with any
-    number of workers, gives the same report to the last bit on one machine.
+    The random numbers of a run depend on the seed and the index of the run only. On one machine,
+    any executor with any number of workers gives the same report, bit by bit.
 
     Parameters
     ----------
@@ -70,10 +70,10 @@ def sweep(
         How many runs are handed out at a time, at least the number of workers. Two
         a process if not given, 64 on an executor that is given.
     file : path, optional
-        Where each run is written down as soon as it is done. If the file is there, the sweep goes
-        on from it: all parameters and one of its runs must come out the same again. ``count`` may
-        differ from that of the file: a larger one adds runs to it, with a smaller one the first
-        ``count`` runs are reported, and the file keeps all.
+        Each run is written to it as soon as it is done. If the file exists, the sweep continues it:
+        all parameters and one of its runs must be reproduced. ``count`` may differ from that of
+        the file: a larger one adds runs, and with a smaller one the first ``count`` runs are
+        reported while the file keeps all.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
 
@@ -91,15 +91,15 @@ def sweep(
         If the file cannot be read or written, or another sweep writes to it. It keeps all runs
         that were written.
     SweepError
-        If a worker dies, the case is none, or a run of the file gives other
-        numbers now. It carries the report of what is done.
+        If a worker process dies, the case returns no :class:`Outcome`, or a run of the file is not
+        reproduced. It carries the report of the runs done.
 
     Warns
     -----
     RuntimeWarning
-        If the user interrupts: the report of what is done is returned, and runs at
-        work are given up; an executor that is given ends those by itself. If the last
-        line of the file is torn: it is dropped. If the file system has no locks.
+        If the user interrupts: the report of the runs done is returned, and running ones are
+        abandoned, except on an executor that was given. If the last line of the file is
+        incomplete: it is ignored. If the file system has no locks.
 
     Examples
     --------
@@ -132,7 +132,10 @@ def sweep(
             "executor", executor, Executor, "of concurrent.futures; Dask's is client.get_executor()"
         )
         if processes is not None:
-            raise ValueError("processes goes without executor, which has workers of its own")
+            raise ValueError(
+                "processes and executor are both given, expected one: an executor "
+                "has its own workers"
+            )
     if processes is not None:
         processes = whole_number("processes", processes, least=1)
     if in_flight is not None:
@@ -190,7 +193,8 @@ def _pickled(case: object) -> bytes:
         return pickle.dumps(case)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise TypeError(
-            f"case cannot be pickled, so no worker can have it: {error}. Make it a function at "
+            f"case cannot be pickled, so it cannot be sent to a worker: {error}. Make it a "
+            "function at "
             "the top of a module, or an object of a class there whose attributes can be pickled"
         ) from error
 

@@ -1,4 +1,4 @@
-"""Runs of a sweep spread over an executor, and what a worker does: one run from its arguments."""
+"""Runs of a sweep on an executor: what the caller and what the workers do."""
 
 from __future__ import annotations
 

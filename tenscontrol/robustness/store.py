@@ -53,7 +53,7 @@ class Line:
         found = dict(json.loads(text))
         made = cls(**{name: value for name, value in found.items() if name != "check"})
         if made.line() != text:
-            raise ValueError("it was changed after it was written: its check sum is another")
+            raise ValueError("it was changed after it was written: its checksum does not match")
         return made
 
 
@@ -108,7 +108,7 @@ def read(
         header = Header.read(b"".join(lines[:1]).decode())
     except _FAULTS as error:
         raise ValueError(
-            f"{file} is no file of a sweep: its first line is not a header ({error})"
+            f"{file} is not a sweep file: its first line is not a header ({error})"
         ) from None
     if wanted is not None:
         _refuse_another(file, header, wanted)
@@ -133,7 +133,7 @@ def read(
             if drawn is not None and parameters != draw_run(drawn, header.seed, run):
                 raise ValueError(
                     f"parameters are {parameters!r:.99}, expected those of the seed {header.seed}: "
-                    "the file was changed, or NumPy has"
+                    "the file, or NumPy, has changed"
                 )
             refuse_other_figures(record, records)
         except _FAULTS as error:
@@ -141,7 +141,7 @@ def read(
         records[run] = record
     if torn:
         warnings.warn(
-            f"{file} ends in a torn line, which is dropped as if it had not been written",
+            f"{file} ends in an incomplete line, which is ignored",
             RuntimeWarning,
             stacklevel=3,
         )
@@ -176,13 +176,14 @@ def opened(
             except OSError as error:
                 with suppress(OSError):  # else the torn line is dropped when it is read
                     os.ftruncate(descriptor, size)
-                text = f"{error.strerror}; the runs so far are kept, and the same call goes on"
+                text = f"{error.strerror}; the runs so far are kept, and the same call "
+                "continues the sweep"
                 raise OSError(error.errno, text, str(file)) from None
 
         content = _content(file)
         if b"\n" not in content and _BEGIN.startswith(content[: len(_BEGIN)]):
             if content:
-                text = f"{file} has a torn header and no run, and is begun anew"
+                text = f"{file} has an incomplete header and no run; it is started again"
                 warnings.warn(text, RuntimeWarning, stacklevel=4)
             os.ftruncate(descriptor, 0)
             write(header)
@@ -237,6 +238,6 @@ def _refuse_another(file: Path, found: Header, wanted: Header) -> None:
     for name in sorted({*there, *here} - {"count", "parameters"}):
         if there.get(name) != here.get(name):
             raise ValueError(
-                f"{file} is of another sweep: {name} is {there.get(name)!r} there and "
+                f"{file} belongs to another sweep: {name} is {there.get(name)!r} there and "
                 f"{here.get(name)!r} here. Give another file, or remove this one"
             )

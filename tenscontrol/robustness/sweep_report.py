@@ -1,4 +1,4 @@
-"""What a sweep found, or what stopped it."""
+"""Report of a sweep, and the error that carries one if it stops."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _QUANTILES = (0.05, 0.5, 0.95)
 
 
 class SweepError(RuntimeError):
-    """A sweep that could not go on.
+    """A sweep that stopped before its end; it carries the report so far.
 
     A case raises it to stop the whole sweep, where not the run is at fault but
     the sweep: a parameter that it does not know, say.
@@ -121,7 +121,7 @@ class SweepReport:
 
     @property
     def parameters(self) -> dict[str, FloatArray]:
-        """What was drawn, by name: one row a run, shape (m,) or (m, size)."""
+        """Parameters drawn, by name: one row for each run, shape (m,) or (m, size)."""
         rows = [record.parameters for record in self._records]
         names = rows[0] if rows else {}
         return {name: frozen(np.array([row[name] for row in rows])) for name in names}
@@ -133,7 +133,7 @@ class SweepReport:
 
     @property
     def completed(self) -> np.ndarray:
-        """Whether each run came to its end, shape (m,): its case raised nothing."""
+        """Whether each run was completed without an error, shape (m,)."""
         return frozen(np.array([record.error is None for record in self._records], dtype=bool))
 
     @property
@@ -170,7 +170,7 @@ class SweepReport:
         return float(np.mean(self.success))
 
     def confidence_interval(self, level: float = 0.95) -> tuple[float, float]:
-        """Return bounds between which the true rate of success is, at this confidence.
+        """Return the confidence interval of the rate of success.
 
         Parameters
         ----------
@@ -206,7 +206,7 @@ class SweepReport:
         return low, high
 
     def rank_correlation(self, figure: str) -> dict[str, float]:
-        """Return how each number drawn goes with a figure, over the completed runs.
+        """Return the rank correlation of each number drawn with a figure, over completed runs.
 
         Spearman's rank correlation: 1 where the figure always rises with the
         number, −1 where it always falls, near 0 where the number hardly matters

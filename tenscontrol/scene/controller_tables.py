@@ -1,4 +1,4 @@
-"""The tables of a scene that close the loop: controller, winches, sensors, estimator, faults."""
+"""Tables of a scene for the closed loop: controller, winches, sensors, estimator, faults."""
 
 from __future__ import annotations
 
@@ -147,8 +147,8 @@ def _imported(table: Table, key: str) -> Any:
     is_file = place.endswith(".py")
     if not name.isidentifier() or not (is_file or all(map(str.isidentifier, place.split(".")))):
         raise table.error(
-            key, f"in {table.title}, {key} is {text!r:.60}, expected 'file.py:name', as seen from "
-            "the scene file, or 'module:name'"
+            key, f"in {table.title}, {key} is {text!r:.60}, expected 'file.py:name', relative "
+            "to the scene file, or 'module:name'"
         )  # fmt: skip
     try:
         module = _run_file(Path(table.document.file).parent / place) if is_file else None
@@ -179,7 +179,8 @@ def _schedule(table: Table, model: Model, arguments: dict[str, Any], input: str)
     if "reference" not in table:
         raise table.error(
             "plants",
-            f"in {table.title}, plants counts those along the reference, but there is none: add "
+            f"in {table.title}, plants is a number of shapes along the reference, but there is "
+            "none: add "
             "[[controller.reference]]",
         )
     with table.checked("plants"):
@@ -231,7 +232,7 @@ def _entries(table: Table, key: str, known: schema.Keys) -> Iterator[Table]:
 
 def _limit(entry: Table, structure: Structure) -> OutputLimit:
     if "low" not in entry and "high" not in entry:
-        raise entry.error(None, f"{entry.title} limits nothing: give low or high, m")
+        raise entry.error(None, f"{entry.title} has no limit: give low or high, m")
     row = _row(entry, structure)
     with entry.checked():
         return OutputLimit(row[None], **entry.given("low", "high", "penalty"))

@@ -1,7 +1,8 @@
-"""A scene file as it was read: its tables, checked, and the line of each key."""
+"""A scene file as read: its tables, checked, and the line of each key."""
 
 from __future__ import annotations
 
+import errno
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -9,9 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from stat import S_ISREG
 from typing import Any
 
+from tenscontrol.files import read_file
 from tenscontrol.scene.schema import LISTS, ONE_OR_LIST, RENAMED, TABLES, Keys
 
 # A scene of 30,000 bars given by their numbers is below this, and is read in a few seconds.
@@ -159,16 +160,15 @@ class Table:
 
 def read_document(file: str | Path) -> Document:
     """Return the tables of a scene file, or raise a SceneError where it is not one."""
-    name, path = str(file), Path(file)
+    name = str(file)
     try:
-        if not S_ISREG(path.stat().st_mode):  # a pipe may never end
-            raise OSError(None, "it is a folder, a pipe or a device")
-        with path.open("rb") as stream:
-            raw = stream.read(_MOST_BYTES + 1)
+        raw = read_file(Path(file), _MOST_BYTES)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise SceneError(f"{name}: cannot be read: {getattr(error, 'strerror', error)}") from error
-    if len(raw) > _MOST_BYTES:
-        raise SceneError(f"{name}: is too large: {_LIMITS}")
+        if getattr(error, "errno", None) == errno.EFBIG:
+            raise SceneError(f"{name}: is too large: {_LIMITS}") from error
+        raise SceneError(
+            f"{name}: {getattr(error, 'strerror', f'cannot be read: {error}')}"
+        ) from error
     try:
         text = raw.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
@@ -211,7 +211,7 @@ def _hint(key: str, known: Mapping[str, Any], what: str = "The keys") -> str:
         unit = known[name][1]
         return (
             f"; did you mean {name!r}{f', in {unit}' if unit else ''}? "
-            f"Quantities are in SI units, and no key names another. {listed}"
+            f"Quantities are in SI units, and keys do not name units. {listed}"
         )
     return f"; did you mean {near[0]!r}? {listed}" if near else f". {listed}"
 
@@ -242,7 +242,7 @@ def headings(name: str, text: str) -> list[tuple[int, str]]:
         dots += text.count(".", end, start) - text.count(",", end, start)
         end = token.end()
         if keys > _MOST_KEYS or lists > _MOST_LISTS or max(depth, dots) > _DEEPEST:
-            raise SceneError(f"{name}:{line}: goes beyond what is read: {_LIMITS}")
+            raise SceneError(f"{name}:{line}: exceeds the limits: {_LIMITS}")
         if sign == "=":
             keys += 1
             if depth == 0 and not in_value:

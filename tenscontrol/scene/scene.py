@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from functools import cache
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from tenscontrol.actuation import Winches, to_rest_length
 from tenscontrol.control import BaseController
 from tenscontrol.dynamics import Model
 from tenscontrol.estimation import KalmanFilter
-from tenscontrol.files import write_file
 from tenscontrol.integrate import METHODS
 from tenscontrol.plant import LinearPlant, equilibrium, linearize
 from tenscontrol.scene.controller_tables import (
@@ -43,9 +41,7 @@ from tenscontrol.structure import (
 )
 from tenscontrol.validation import (
     FloatArray,
-    file_path,
     frozen,
-    instance,
     positive_number,
     wrong_kind,
 )
@@ -131,13 +127,16 @@ class Scene:
         """The structure, skinned and cut as the scene says."""
         return self.model.structure
 
-    def simulate(self, progress: bool = False) -> Trajectory:
+    def simulate(self, progress: bool = False, start: Trajectory | None = None) -> Trajectory:
         """Return the motion.
 
         Parameters
         ----------
         progress : bool
             Whether to show a progress bar; never shown away from a terminal.
+        start : Trajectory, optional
+            A run of the scene to go on from, in place of its start: with the rest lengths or force
+            densities at the end of that run. See :func:`simulate`.
 
         Returns
         -------
@@ -154,6 +153,8 @@ class Scene:
         if self.controller is not None:
             names += ["controller", "input", "winches", "sample_time", "estimator", "seed"]
         settings: dict[str, Any] = {name: getattr(self, name) for name in names}
+        if start is not None:
+            return simulate(self.model, start=start, progress=progress, **settings)
         if self.controller is not None and self.rest_length is not None:
             wound = self.rest_length
             if len(self.controller.structure.strings) != len(wound):
@@ -192,7 +193,7 @@ class Scene:
             )
         except ValueError as error:
             raise ValueError(
-                f"the scene has no linear plant, as it is not at rest: {error}"
+                f"the scene cannot be linearized, as it is not at rest: {error}"
             ) from error
         return linearize(self.model, rest, self.input if input is None else input, coordinates)
 
@@ -225,9 +226,9 @@ def load_scene(file: str | Path) -> Scene:
 
     ``[structure]``
         ``generator = "prism"``, or another function of :mod:`tenscontrol.library`, with its
-        arguments, ``fixed`` and ``point_mass``; or the arguments of :class:`Structure`. ``fixed``
-        has nodes and pairs of a node and an axis, ``[0, [4, "z"]]``; ``strings`` has pairs of nodes
-        and paths of more.
+        arguments, ``fixed`` and ``point_mass``; or the arguments of :class:`Structure`, as
+        :meth:`Structure.save` writes them. ``fixed`` has nodes and pairs of a node and an axis,
+        ``[0, [4, "z"]]``; ``strings`` has pairs of nodes and paths of more.
     ``[skin]``, ``[subdivide]``
         The arguments of :func:`skin` and :func:`subdivide`. A skin comes first; its strings are
         cut too.
@@ -442,71 +443,3 @@ def _refuse_contradictions(document: Document, input: str, sample_time: float | 
             "in [run], sample_time is that of a law in continuous time, but [controller] has one; "
             "leave one of them out",
         )
-
-
-def save_trajectory(run: Trajectory, file: str | Path) -> Path:
-    """Write everything that a motion holds to a NumPy archive.
-
-    Parameters
-    ----------
-    run : Trajectory
-    file : str or Path
-        Its name ends in ``.npz``.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written: a file that was there is as it was.
-
-    Notes
-    -----
-    Read it by ``numpy.load(file)``. The arrays have the names of the attributes of
-    :class:`Trajectory`, those of its structure, its contacts and its control record after
-    ``structure_``, ``contacts_`` and ``control_``. Faults and the ground are texts. Attributes that
-    are None and counts of statuses are left out.
-
-    Examples
-    --------
-    >>> import tempfile, numpy as np, tenscontrol as tc
-    >>> run = tc.simulate(tc.Model(tc.prism()), 0.1, force_density=20.0, step=1e-2)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = tc.scene.save_trajectory(run, folder + "/run.npz")
-    ...     with np.load(file) as saved:
-    ...         saved["nodes"].shape, str(saved["choice_method"]), saved["structure_bars"].shape
-    ((3, 6, 11), 'rk4', (3, 2))
-    """
-    instance("run", run, Trajectory, "make one by simulate(model, ...)")
-    path, buffer = file_path("file", file), BytesIO()
-    evaluated = {name: getattr(run, name) for name in _EVALUATED}
-    np.savez_compressed(buffer, **_arrays("", run), **evaluated)
-    return write_file(path, buffer.getbuffer())
-
-
-# What a run evaluates when it is read.
-_EVALUATED = (
-    "force_density", "kinetic_energy", "potential_energy", "momentum", "angular_momentum",
-    "bar_length_error",
-)  # fmt: skip
-
-
-def _arrays(prefix: str, value: Any) -> dict[str, Any]:
-    """Return the fields of a value as arrays by name."""
-    found: dict[str, Any] = {}
-    for field in fields(value):
-        part = getattr(value, field.name)
-        if field.name.startswith("_"):
-            continue
-        if is_dataclass(part):
-            found |= _arrays(f"{prefix}{field.name}_", part)
-        elif field.name == "fallback":
-            found[f"{prefix}{field.name}"] = np.array([str(each or "") for each in part], dtype=str)
-        elif field.name in ("faults", "ground"):
-            found[field.name] = np.array([repr(each) for each in part], dtype=str)
-        elif part is not None and not isinstance(part, dict):
-            found[f"{prefix}{field.name}"] = np.asarray(part)
-    return found

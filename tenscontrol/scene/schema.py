@@ -33,7 +33,7 @@ from tenscontrol.dynamics import (
 )
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.simulation import CutString, LostMeasurement, StuckWinch
-from tenscontrol.structure import Structure, skin, subdivide
+from tenscontrol.structure import STRUCTURE_KEYS, Structure, skin, subdivide
 from tenscontrol.validation import LARGEST_WHOLE
 
 # Beyond, squares and products leave the range of double precision.
@@ -190,12 +190,12 @@ _MEANINGS: Keys = {
         (TRUTH, "", "diagonals shape_gives ramp load floating continuous"),
         (WHOLE, "", "sides iterations seed node relative_to string"),
         (WHOLE, "", "stages sections vertebrae hoops spokes rows columns dimension"),
-        (WHOLE, "", "horizon max_iterations plants substeps delay patience"),
+        (WHOLE, "", "horizon max_iterations plants substeps delay patience version"),
         (NUMBER, "m", "radius height top_radius disturbance low high"),
         (NUMBER, "m", "bar_length leg_length length width spacing rise sag"),
         (NUMBER, "s", "duration step output_step sample_time time_limit start time until"),
         (NUMBER, "rad", "twist slope spread"),
-        (NUMBER, "", "overlap across up friction"),
+        (NUMBER, "", "linearization_tolerance overlap across up friction"),
         (NUMBER, "m/s", "slip_speed"),
         (NUMBER, "Hz", "frequency"),
         (NUMBER, "1/m", "penalty"),
@@ -288,7 +288,10 @@ GENERATOR_KEYS: Mapping[str, Keys] = MappingProxyType(
         for name, make in GENERATORS.items()
     }
 )
-MEMBERS = _keys("", Structure, nodes=(POINTS, "m"), bars=(PAIRS, ""), strings=(PATHS, ""))
+MEMBERS = _keys(
+    " ".join(STRUCTURE_KEYS), nodes=(POINTS, "m"), bars=(PAIRS, ""), strings=(PATHS, ""),
+    string_parent=(INDICES, ""), parent=(Kind("the table of a structure", _is_table), ""),
+)  # fmt: skip
 LAWS = _named(
     linear=_keys("law", LinearStrings) | _keys("per"),
     elastic=_keys("law", ElasticStrings) | _keys("per"),

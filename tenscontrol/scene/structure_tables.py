@@ -1,4 +1,4 @@
-"""The tables of a scene that say what moves: structure, strings, loads, prestress, start."""
+"""Tables of a scene for the structure: members, strings, loads, ground, prestress, start."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ from tenscontrol.simulation import initial_state
 from tenscontrol.statics import Prestress, prestress
 from tenscontrol.structure import (
     Structure,
+    from_table,
+    points,
     restore_bar_lengths,
     skin,
     spread_force_density,
@@ -86,24 +88,14 @@ def _uncut(document: Document) -> Structure:
     for key in ("nodes", "bars", "strings", *(["bar_mass"] if table.get("bars") else [])):
         table.need(key)
     with table.checked():
-        return Structure(
-            nodes=columns(table, "nodes"),
-            bar_mass=table.get("bar_mass", []),
-            **table.without("nodes", "bar_mass"),
-        )
+        return from_table(table.values, Structure)
 
 
 def columns(table: Table, key: str, dimension: int | None = None) -> FloatArray:
     """Return points of a table, shape (d, ·), all with as many coordinates as the first."""
     rows = table.need(key)
-    d = dimension or (len(rows[0]) if rows else 3)
-    wrong = [i for i, row in enumerate(rows) if len(row) != d]
-    if wrong:
-        like = f"{d} coordinates" + ("" if dimension else f" as {key}[0] has")
-        raise table.error(
-            key, f"in {table.title}, {key}[{wrong[0]}] is {rows[wrong[0]]}, expected {like}"
-        )
-    return np.array(rows, dtype=float).reshape(-1, d).T
+    with table.checked(key):
+        return points(key, rows, dimension)
 
 
 def per_string(table: Table, key: str, structure: Structure) -> FloatArray:
@@ -163,7 +155,7 @@ def build_loads(document: Document, structure: Structure) -> tuple[object, Float
         node = entry.index("node", count, "nodes", f"{said} is on node")
         force = np.array(entry.need("force"), dtype=float)  # of whole numbers of any size too
         if node in seen:
-            raise entry.error("node", f"{said} is on node {node} once more")
+            raise entry.error("node", f"{said} is on node {node} a second time")
         if len(force) != structure.dimension:
             raise entry.error(
                 "force",
@@ -220,9 +212,9 @@ def build_force_density(document: Document, structure: Structure, load: FloatArr
         if load[:, count:].any():
             raise table.error(
                 key,
-                f"in [prestress], {key} is a {'bound' if bounds else 'single number'}, for which a "
-                "balance is sought, but the loads act on the nodes within strings, which are in no "
-                "balance while the strings are straight; give a table by string group",
+                f"in [prestress], {key} is a {'bound' if bounds else 'single number'}, which "
+                "asks for an equilibrium, but loads act on nodes within strings, and straight "
+                "strings cannot balance them; give a table by string group",
             )
         settings: dict[str, Any] = {each: per_string(table, each, given) for each in bounds}
         settings |= table.given("force_density", "reference")

@@ -1,4 +1,4 @@
-"""Shapes as a control engineer needs them: targets in equilibrium and paths between them."""
+"""Shapes for control: equilibrium shapes that meet demands, and paths between them."""
 
 from tenscontrol.shape.demands import Demand, Height, NodesAt, PointAt, Twist
 from tenscontrol.shape.equilibrium_path import PathError

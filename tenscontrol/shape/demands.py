@@ -1,4 +1,4 @@
-"""Demands on a shape: places of nodes and points, a height, a twist."""
+"""Demands on a shape: positions of nodes and points, height, twist."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-# A motion as one body whose speed is less than this part of the largest is none.
+# A rigid-body motion whose speed is less than this part of the largest is none.
 _STILL = 1e-9
 
 # Indices beyond are of no structure, and not all whole.
@@ -42,7 +42,7 @@ MOST_NODES = 10**9
 
 
 class Demand(ABC):
-    """A demand on a shape; it is exact if the tolerance is 0.
+    """Base class of demands on a shape; a demand with tolerance 0 is met exactly.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class Demand(ABC):
 @final
 @dataclass(frozen=True, eq=False)
 class NodesAt(Demand):
-    """Nodes at given places.
+    """Demand: the positions of some nodes.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ class NodesAt(Demand):
 @final
 @dataclass(frozen=True, eq=False)
 class PointAt(Demand):
-    """A point of the structure at a given place: the mean of some nodes.
+    """Demand: the position of a point of the structure, the mean of some nodes.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ class PointAt(Demand):
     Examples
     --------
     >>> import tenscontrol as tc
-    >>> tc.PointAt([0, 1, 2], [0.1, 0.0], directions="xy").names
+    >>> tc.shape.PointAt([0, 1, 2], [0.1, 0.0], directions="xy").names
     ('x of point', 'y of point')
     """
 
@@ -263,7 +263,7 @@ class PointAt(Demand):
 @final
 @dataclass(frozen=True, eq=False)
 class Height(Demand):
-    """A distance between the centres of two sets of nodes, measured along an axis.
+    """Demand: the distance between the centres of two sets of nodes along an axis.
 
     Parameters
     ----------
@@ -333,11 +333,11 @@ class Height(Demand):
 @final
 @dataclass(frozen=True, eq=False)
 class Twist(Demand):
-    """A turn of one set of nodes against another, about the line through their centres.
+    """Demand: the rotation of one set of nodes against another about the line of their centres.
 
-    Positive as a right-handed screw, whichever set is called top:
-    :func:`prism` has ``π/2 − π/q`` if right-handed, and the opposite if
-    left-handed. In the plane, the turn from bottom to top, positive counterclockwise.
+    Positive for a right-handed screw, whichever set is the top. A right-handed :func:`prism` has
+    ``π/2 − π/q``, a left-handed one the negative of it. In the plane it is the angle from the
+    bottom to the top set, positive counterclockwise.
 
     Parameters
     ----------
@@ -417,7 +417,7 @@ class Twist(Demand):
 @final
 @dataclass(frozen=True, eq=False)
 class CentreKept(Demand):
-    """No part of the way from a shape is a motion as one body that the supports leave.
+    """No part of the way from a shape is a rigid-body motion that the supports leave.
 
     Internal forces leave momenta at zero: the centre of mass stays, and as far as the way is
     straight, the structure does not turn.
@@ -445,7 +445,7 @@ class CentreKept(Demand):
 def centre_kept(structure: Structure, start: FloatArray) -> tuple[CentreKept, ...]:
     """Return the demand that internal forces can bring the structure from this shape, at rest.
 
-    Empty where the supports leave no motion as one body.
+    Empty where the supports leave no rigid-body motion.
     """
     if not rigid_basis(structure).shape[1]:
         return ()

@@ -1,4 +1,4 @@
-"""Equilibria between two equilibria, and how they are laid out in time."""
+"""Equilibria between two equilibria, by continuation, and their timing."""
 
 from __future__ import annotations
 
@@ -213,8 +213,8 @@ class TimedPath:
                 self.shortest = max(fastest) * (1 + _ROUND_OFF)
                 if duration is not None and duration < self.shortest:
                     raise ValueError(
-                        f"duration is {duration:g} s, expected at least {self.shortest:.6g} s: the "
-                        "winches are not faster"
+                        f"duration is {duration:g} s, expected at least {self.shortest:.6g} s: "
+                        "that is the speed limit of the winches"
                     )
                 total = self.shortest if duration is None else duration
             self.rest_length_rate = winding / total
@@ -235,8 +235,8 @@ class TimedPath:
             found = self._continuation.at(s, guess, before.multipliers)
             if found is None:
                 raise PathError(
-                    f"no equilibrium found {100 * s:.4g} % of the way to the goal, though there "
-                    "are some before and after. Go by shapes in between",
+                    f"no equilibrium found {100 * s:.4g} % of the way to the goal, although "
+                    "there are some before and after. Add intermediate shapes",
                     rest_at(self._continuation.problem, before),
                 )
             points.append(found)

@@ -1,4 +1,4 @@
-"""Level and bounds of the forces in a shape, and the forces chosen between them."""
+"""Level and bounds of the force densities in a shape, and the choice between them."""
 
 from __future__ import annotations
 
@@ -99,7 +99,8 @@ def refuse_ground(model: Model) -> None:
     """Raise if a model has ground, whose forces searches for shapes do not know."""
     if model.ground:
         raise ValueError(
-            "model has ground, whose forces a search for shapes does not know: give the model of a "
+            "model has ground, whose contact forces the search for shapes does not include: "
+            "give the model of a "
             "plant about a stance, linearize(model, equilibrium(model, ...)).model, whose feet are "
             "fixed nodes, or a model without ground"
         )
@@ -135,8 +136,8 @@ def checked_limits(
     strings = strings[np.bincount(structure.segment_string, movable)[strings] > 0]
     if len(strings) == 0:
         raise ValueError(
-            f"the {group!r} strings are held at both ends, so that their γ says nothing; "
-            "refer to another group by reference=..."
+            f"the {group!r} strings have both ends fixed, so that their γ has no effect; name "
+            "another group by reference=..."
         )
     level = None
     if force_density is not None:
@@ -151,7 +152,7 @@ def checked_limits(
     loaded = bool(free_coordinates(structure, model.constant_force).any())
     if level is None and prestress == "centred" and not np.isfinite(high).all():
         raise ValueError(
-            "nothing bounds the level of the prestress: give force_density or "
+            "the level of the prestress is unbounded: give force_density or "
             "max_force_density, or ask for prestress='least'"
         )
     if level is None and not low.any() and not loaded and not np.isfinite(high).all():

@@ -211,7 +211,7 @@ class ShapeProblem:
     def stability_margin(self, rest: Prestress) -> float:
         """Return the smallest eigenvalue of the stiffness at rest, N/m, of what can move.
 
-        As in :class:`ShapeTarget`; motions as one body that nothing resists are left out.
+        As in :class:`ShapeTarget`; rigid-body motions that nothing resists are left out.
         """
         from scipy import linalg
 
@@ -265,7 +265,7 @@ class ShapeProblem:
         return np.asarray(motions @ null_space(np.array(powers)))
 
     def _fields(self, nodes: FloatArray, motions: FloatArray) -> FloatArray:
-        """Return the displacements of nodes in motions as one body, shape (d k, m)."""
+        """Return the displacements of nodes in rigid-body motions, shape (d k, m)."""
         arms = (nodes - self._reduced.centre[:, None]) / self.size
         d = len(arms)
         if d == 3:

@@ -1,4 +1,4 @@
-"""Rolling: steps in which a structure tips over an edge of what it stands on."""
+"""Rolling: steps in which a structure tips over an edge of its base."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class RollingStep:
 
 @final
 class RollingGait:
-    """Rolls a structure on the ground along a line, step by step, by its rest lengths.
+    """A controller that rolls a structure on the ground along a line, by its rest lengths.
 
     An object with a method ``command``, as ``simulate(controller=...)`` takes it. At rest it sees
     which nodes it stands on, and tips over the edge of these feet from which two steps, of a shape
@@ -162,7 +162,7 @@ class RollingGait:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the steps made, and stand."""
+        """Forget the steps made and start from the standing shape."""
         self.made: tuple[RollingStep, ...] = ()
         self._phase = _Phase.STANDS
         self._since = 0.0

@@ -1,4 +1,4 @@
-"""A path from shape to shape through equilibria, timed for the winches."""
+"""A path between two shapes through equilibria, timed for the winches."""
 
 from __future__ import annotations
 
@@ -51,10 +51,11 @@ from tenscontrol.validation import (
     truth,
     whole_number,
 )
+from tenscontrol.web_page import View, Viewable
 
 
 @dataclass(frozen=True, eq=False)
-class ShapePath:
+class ShapePath(Viewable):
     """Equilibria over time from one shape to another. Made by :func:`shape_path`.
 
     Attributes
@@ -96,8 +97,18 @@ class ShapePath:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
+    def view(self) -> View:
+        """Return a view to be played in a browser.
+
+        Returns
+        -------
+        View
+        """
+        what = f"path of {self.time[-1]:g} s"
+        return View(what, self.model.structure, self.nodes, self.time, self.force_density)
+
     def reference(self, times: object = None) -> Reference:
-        """Return the path as a controller takes it, for example ``MPC(..., reference=...)``.
+        """Return the path as the reference of a controller, as in ``MPC(..., reference=...)``.
 
         Parameters
         ----------
@@ -131,7 +142,7 @@ class ShapePath:
         return Reference(at, np.stack(kept, axis=-1), gamma)
 
     def plants(self, count: int, input: str) -> tuple[LinearPlant, ...]:
-        """Return linear plants along the way, evenly by the distance that nodes travel.
+        """Return linear plants along the path, at equal distances of node travel.
 
         Parameters
         ----------
@@ -202,11 +213,11 @@ def shape_path(
     place: str = "anywhere",
     require_stable: bool = True,
 ) -> ShapePath:
-    """Return a path from shape to shape on which every shape is an equilibrium.
+    """Return a path between two shapes through equilibrium shapes.
 
-    The path follows the straight line from start to goal, in node positions and
-    γ, as closely as equilibria do. Where the winches have a limit of rate, one of
-    them runs at its limit all the time but for the ramps.
+    It stays as close to the straight line from start to goal, in node positions and γ, as
+    equilibria allow. If the winches have a speed limit, one of them runs at its limit at any time,
+    except while speeding up and slowing down.
 
     Parameters
     ----------
@@ -301,9 +312,10 @@ def shape_path(
         last = rest_at(problem, waypoints[-1])
         off = np.linalg.norm(last.structure.nodes - end.structure.nodes, axis=0).max()
         raise PathError(
-            f"equilibria do not lead from start to goal: they end or jump where a node is still "
-            f"{off:.3g} m from its goal, {100 * waypoints[-1].place:.3g} % of the way. Go by "
-            "shapes in between, or widen the bounds of γ",
+            f"no continuous path of equilibria leads from start to goal: it ends or jumps where "
+            "a node is still "
+            f"{off:.3g} m from its goal, {100 * waypoints[-1].place:.3g} % of the way. Add "
+            "intermediate shapes, or widen the bounds of γ",
             last,
         )
     margin = _least_margin(problem, waypoints, require_stable)
@@ -385,11 +397,13 @@ def _refuse_same(model: Model, start: Prestress, goal: Prestress) -> None:
     level = max(float(rest.force_density.max()) for rest in (start, goal))
     size = float(np.ptp(start.structure.nodes, axis=1).max())
     if travel <= 1e-9 * size and change <= 1e-9 * level:
-        raise ValueError("start and goal are the same shape with the same γ: there is no way to go")
+        raise ValueError(
+            "start and goal are the same shape with the same γ, expected different ones"
+        )
     gone = moved_as_one_body(model, start.structure.nodes, goal.structure.nodes)
     if gone and change <= 1e-9 * level:
         raise ValueError(
-            f"goal is the shape of start, moved as one body by up to {gone:.3g} m. "
+            f"goal is start after a rigid-body motion of up to {gone:.3g} m. "
             f"{STRINGS_MOVE_NO_CENTRE}"
         )
 
@@ -402,10 +416,10 @@ def _least_margin(problem: ShapeProblem, waypoints: list[Waypoint], require_stab
         now = problem.stability_margin(rest)
         if require_stable and now <= STIFF * float(rest.force_density.max()):
             raise PathError(
-                f"the path leads through a shape that gives way to a push, "
+                f"the path leads through an unstable shape, "
                 f"{100 * point.place:.3g} % of the way to the goal: its stability margin is "
-                f"{now:.3g} N/m. Go by other shapes in between, keep strings taut by "
-                "min_force_density, or take it all the same by require_stable=False",
+                f"{now:.3g} N/m. Add intermediate shapes, keep strings taut by "
+                "min_force_density, or accept it by require_stable=False",
                 rest,
             )
         least = min(least, now)
@@ -422,8 +436,8 @@ def _least_clearance(problem: ShapeProblem, waypoints: list[Waypoint]) -> float:
         if pair is not None:
             raise PathError(
                 f"bars {pair[0]} and {pair[1]} would pass through each other, "
-                f"{100 * waypoints[k].place:.3g} % of the way to the goal. Go by shapes in between "
-                "that lead them past each other's ends",
+                f"{100 * waypoints[k].place:.3g} % of the way to the goal. Add intermediate "
+                "shapes that lead them past each other's ends",
                 rest_at(problem, waypoints[k - 1]),
             )
     return min(each.least for each in distances)

@@ -1,4 +1,4 @@
-"""The search for an equilibrium shape that meets demands, or misses them least."""
+"""Search for the equilibrium shape that meets the demands, or misses them least."""
 
 from __future__ import annotations
 

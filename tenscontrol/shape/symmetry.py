@@ -1,4 +1,4 @@
-"""A symmetry of rotation that a shape is to keep, and the coordinates that keep it."""
+"""Rotational symmetry of a shape, and coordinates that keep it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _TOLERANCE = 1e-8
 @final
 @dataclass(frozen=True, eq=False)
 class RotationalSymmetry:
-    """Shapes that a turn about an axis maps onto themselves.
+    """Symmetry demand: a rotation about an axis maps the shape onto itself.
 
     Parameters
     ----------

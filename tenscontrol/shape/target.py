@@ -35,7 +35,7 @@ _UNCHANGED, _STAYED = 1e-3, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class DemandCheck:
-    """One demanded number, and the number found.
+    """A demanded number, and the number of the shape found.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class ShapeTarget:
 
     @property
     def is_stable(self) -> bool:
-        """Whether a small push is answered by a force back, in every direction."""
+        """Whether the equilibrium is stable: positive stiffness in every direction."""
         return self.stability_margin > STIFF * float(self.force_density.max(initial=0.0))
 
     @property
@@ -124,7 +124,7 @@ class ShapeTarget:
 
 
 class ShapeError(ValueError):
-    """No equilibrium shape meets the demands, as far as was found.
+    """No equilibrium shape was found that meets the demands.
 
     Attributes
     ----------
@@ -154,12 +154,12 @@ def shape_target(
     place: str = "anywhere",
     require_stable: bool = True,
 ) -> ShapeTarget:
-    """Return an equilibrium shape that meets demands.
+    """Return an equilibrium shape that meets given demands, and its force densities.
 
-    Of the shapes that meet them, the one nearest to ``start`` is taken (least sum
-    of squares of the node displacements). Weights and the built-in load of the
-    model act. Members have no thickness: ``clearance`` says how near bars come. No
-    string shrinks to less than a hundredth of its length in ``start``.
+    Of the shapes that meet them, it is the one nearest to ``start`` (least sum of squares of the
+    node displacements). Weights and the constant load of the model act. Members have no
+    thickness: ``clearance`` sets the least distance of bars. Each string keeps at least a
+    hundredth of its length in ``start``.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def shape_target(
     if solved is None:
         level = f", {limits.level:g} N/m in the reference strings" if limits.level else ""
         raise ShapeError(
-            "no equilibrium found with bars of their lengths and γ of at least "
+            "no equilibrium found with the bar lengths of the structure and γ of at least "
             f"min_force_density{level}. Start from another shape, or lower "
             "min_force_density",
             None,
@@ -275,14 +275,14 @@ def shape_target(
         why = f" {STRINGS_MOVE_NO_CENTRE}." if len(asked) > len(wanted) else ""
         raise ShapeError(
             f"no equilibrium found that meets the demands. The nearest one found, .nearest, "
-            f"misses {len(target.missed)} of {len(target.demands)}: {misses}.{why} Another start "
-            "may lead nearer; tolerances, wider bounds or more strings leave more room",
+            f"misses {len(target.missed)} of {len(target.demands)}: {misses}.{why} Try another "
+            "start, larger tolerances, wider bounds or more strings",
             target,
         )
     gone = moved_as_one_body(model, begin, target.nodes)
     if gone and wanted:
         raise ShapeError(
-            f"the demands ask the structure only to move as one body: the shape found is that of "
+            f"the demands are met by a rigid-body motion only: the shape found is that of "
             f"start, moved by up to {gone:.3g} m. {STRINGS_MOVE_NO_CENTRE}. To put the structure "
             "there by hand, move the nodes of start",
             target,
@@ -291,17 +291,16 @@ def shape_target(
         slack = np.flatnonzero(target.force_density == 0)
         why = f" with strings {slack.tolist()} slack" if len(slack) else ""
         raise ShapeError(
-            f"the equilibrium found{why} gives way to a push: its stability margin is "
+            f"the equilibrium found{why} is unstable: its stability margin is "
             f"{target.stability_margin:.3g} N/m, expected more than 0. Ask for a higher "
-            "min_force_density, start from another shape, or take it all the same by "
-            "require_stable=False",
+            "min_force_density, start from another shape, or accept it by require_stable=False",
             target,
         )
     return target
 
 
 def moved_as_one_body(model: Model, before: FloatArray, after: FloatArray) -> float:
-    """Return how far nodes move, m, where two shapes differ by a motion as one body alone; or 0."""
+    """Return how far nodes move, m, where two shapes differ by a rigid-body motion alone; or 0."""
     laid = coordinates(model, before, "nodes").laid_over(after, np.zeros_like(after))[0]
     gone, changed = (float(np.linalg.norm(nodes - before, axis=0).max()) for nodes in (after, laid))
     size = float(np.ptp(before, axis=1).max())

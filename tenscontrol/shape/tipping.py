@@ -48,7 +48,7 @@ _SHORTEST_STEP = 1e-5
 
 
 class TippingError(ValueError):
-    """No winding was found that brings the centre of mass over the edge.
+    """No rest lengths were found that bring the centre of mass over the edge.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class TippingError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class TippingPath:
-    """Equilibria on the way over an edge. Made by :func:`tipping_path`.
+    """Equilibria until a structure tips over an edge. Made by :func:`tipping_path`.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ def tipping_path(
     step: float | None = None,
     clearance: float = 0.0,
 ) -> TippingPath:
-    """Return rest lengths that bring the centre of mass over an edge of the base.
+    """Return a path of rest lengths that tips a structure over an edge of its base.
 
     The structure stands on its feet, which slide without friction on the plane that they span. Of
     the edges of their convex hull, the one is taken that looks most in the direction. From
@@ -196,8 +196,8 @@ def tipping_path(
         planner.start(shape, found, edge)
     except StuckError as error:
         raise ValueError(
-            f"feet are {found.tolist()}, but nothing stands on them with these nodes and this "
-            f"rest_length: {error}"
+            f"feet are {found.tolist()}, on which the structure does not stand with these nodes "
+            f"and this rest_length: {error}"
         ) from None
     points, trouble = [planner.point], None
     while planner.margin < enough and trouble is None:
@@ -213,7 +213,7 @@ def tipping_path(
     if trouble is not None:
         raise TippingError(
             f"margin is {enough:.3g} m, but the centre of mass comes to {path.margin.max():.3g} m "
-            f"beyond the edge {path.edge.tolist()}: {trouble}. Allow the winches a longer way, "
+            f"beyond the edge {path.edge.tolist()}: {trouble}. Give the winches a larger range, "
             "change the prestress, take a smaller step, or go in another direction",
             path,
         )
@@ -240,10 +240,12 @@ class TippingPlanner:
         instance("model", model, Model, "make one by Model(structure, strings=..., gravity=...)")
         structure, force = model.structure, model.constant_force.sum(axis=1)
         if len(structure.fixed_rows):
-            raise ValueError("the structure has supports, but what rolls has none: leave them out")
+            raise ValueError(
+                "the structure has supports, but a rolling structure must be free: leave them out"
+            )
         if model.strings is None:
             raise ValueError(
-                "the model has no string law, so rest lengths mean nothing to it; build it as "
+                "the model has no string law, so rest lengths have no meaning for it; build it as "
                 "Model(structure, strings=LinearStrings(stiffness=...))"
             )
         weight = float(np.linalg.norm(force))
@@ -323,7 +325,7 @@ class TippingPlanner:
         low, high = self.rest_length <= self._low, self.rest_length >= self._high
         uphill[(low & (uphill < 0)) | (high & (uphill > 0))] = 0.0
         if np.linalg.norm(uphill) < _VAIN:
-            raise StuckError("the winches that would move it are at the end of their way")
+            raise StuckError("the winches that would move it are at the end of their range")
         change = uphill * np.min(most / np.maximum(np.abs(uphill), _VAIN**2))
         for _ in range(_HALVINGS):
             wanted = np.clip(self.rest_length + change, self._low, self._high)
@@ -381,14 +383,14 @@ class TippingPlanner:
             raise StuckError("there it is not stable")
         above = np.delete(self._up @ nodes, self.feet)
         if above.min(initial=np.inf) < self._up @ nodes[:, self.feet].mean(axis=1):
-            raise StuckError("another node would come to the ground before")
+            raise StuckError("another node would touch the ground first")
         apart = bar_distances(self._structure, nodes).least if self._clearance else np.inf
         if apart < self._clearance:
             raise StuckError(f"bars would come as near as {apart:.3g} m, less than clearance")
         across, _ = across_edge(nodes, self.feet, self.edge, self._down)
         margin = float(across @ (nodes @ self._shares - nodes[:, self.edge[0]]))
         if margin < least:
-            raise StuckError("winding on brings it no farther")
+            raise StuckError("further winding does not move it")
         self.nodes, self.margin = nodes, margin
 
     def _uphill(self) -> FloatArray:

@@ -3,14 +3,17 @@
 from tenscontrol.simulation.batch import Batch, simulate_many
 from tenscontrol.simulation.contacts import ContactRecord
 from tenscontrol.simulation.faults import CutString, Fault, Faults, LostMeasurement, StuckWinch
-from tenscontrol.simulation.health import AccuracyWarning, Health, HealthLimits
+from tenscontrol.simulation.health import (
+    AccuracyWarning,
+    ControlRecord,
+    Given,
+    Health,
+    HealthLimits,
+)
 from tenscontrol.simulation.loop import SimulationError
 from tenscontrol.simulation.observation import EstimateRecord
 from tenscontrol.simulation.simulate import checked_load, initial_state, simulate
-from tenscontrol.simulation.trajectory import (
-    ControlRecord,
-    Trajectory,
-)
+from tenscontrol.simulation.trajectory import Trajectory, load_run
 
 __all__ = [
     "AccuracyWarning",
@@ -21,6 +24,7 @@ __all__ = [
     "EstimateRecord",
     "Fault",
     "Faults",
+    "Given",
     "Health",
     "HealthLimits",
     "LostMeasurement",
@@ -29,6 +33,7 @@ __all__ = [
     "Trajectory",
     "checked_load",
     "initial_state",
+    "load_run",
     "simulate",
     "simulate_many",
 ]

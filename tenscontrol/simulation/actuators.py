@@ -1,4 +1,4 @@
-"""The actuators of a closed loop: commands become force densities, or rest lengths by winches."""
+"""Actuators of a closed loop: they turn commands into force densities or rest lengths."""
 
 from __future__ import annotations
 
@@ -108,8 +108,8 @@ class Actuators:
             winches is not None and (winches.rate is not None or winches.ramp or winches.motor)
         ):
             raise ValueError(
-                "winches with a rate, substeps or a motor need rest_length: where they stand, "
-                "m; to_rest_length(model, nodes, force_density) finds it"
+                "winches with a rate, substeps or a motor need rest_length, the rest lengths at "
+                "the start, m; to_rest_length(model, nodes, force_density) finds it"
             )
         if self.start is not None:
             self._current = self.start
@@ -240,8 +240,8 @@ class Actuators:
         if self._current is None:
             how = "give rest_length, or" if self._held == "rest_length" else "give"
             raise ValueError(
-                f"faults has winch {stuck[0]} stuck from the start, but it is not known where it "
-                f"stands: {how} a time after the first sample"
+                f"faults has winch {stuck[0]} stuck from the start, but the value that it "
+                f"holds is not known then: {how} a time after the first sample"
             )
         moved = desired.copy()
         moved[stuck] = self._current[stuck]

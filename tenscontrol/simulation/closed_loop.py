@@ -12,9 +12,10 @@ from tenscontrol.control import BaseController, Command, Controller
 from tenscontrol.estimation import KalmanFilter, Sensors
 from tenscontrol.interrupt import check
 from tenscontrol.simulation.actuators import Actuators
+from tenscontrol.simulation.health import ControlRecord, Given
 from tenscontrol.simulation.loop import Loop
 from tenscontrol.simulation.observation import Observation
-from tenscontrol.simulation.trajectory import ControlRecord, Trajectory
+from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.validation import (
     LARGEST,
     FloatArray,
@@ -167,6 +168,7 @@ def _control_record(
         at_bound=_at_bound(controller, command),
         controller=repr(controller),
         sample_time=sample_time,
+        settings=Given(controller.made_with),
         size=float(np.ptp(controller.structure.nodes, axis=1).max()),
         slowest_vibration=(
             controller.plant.slowest_vibration if isinstance(controller, Controller) else None

@@ -1,4 +1,4 @@
-"""Faults of a simulation: cut strings, stuck winches, lost measurements."""
+"""Faults in a simulation: cut strings, stuck winches, lost measurements."""
 
 from __future__ import annotations
 
@@ -48,25 +48,24 @@ class Fault(ABC):
 
     @property
     def end(self) -> float:
-        """When it is over, s; infinite if never."""
+        """End, s; infinite if it never ends."""
         return np.inf if self.until is None else self.until
 
     @property
     @abstractmethod
     def label(self) -> str:
-        """What is broken, in a few words."""
+        """What fails, in a few words."""
 
 
 @final
 @dataclass(frozen=True)
 class CutString(Fault):
-    """A string that carries nothing from a time on.
+    """A string that is cut at a given time.
 
-    From exactly that time γ of the string is 0, whatever is commanded: the motion
-    is integrated in spans that end there. Where rest lengths are held, the string
-    is given one of a million sizes of the structure, so that it stays slack. The
-    energy that it stored is lost (:attr:`Trajectory.released_energy`). The
-    controller does not notice.
+    From exactly that time the γ of the string is 0, whatever is commanded: integration stops
+    there and starts again. Where rest lengths are the input, that of the string is set to a
+    million times the size of the structure, so that it stays slack. The energy that it stored is
+    lost (:attr:`Trajectory.released_energy`). The controller is not informed.
 
     Parameters
     ----------
@@ -105,11 +104,10 @@ class CutString(Fault):
 @final
 @dataclass(frozen=True)
 class StuckWinch(Fault):
-    """An actuator that holds what it has, whatever is commanded.
+    """A winch that is stuck for a time: it keeps its rest length, or its γ.
 
-    Commands take effect at samples, so those from ``time`` on, before ``until``,
-    have none. Where γ is held, the actuator holds its γ. The controller gets
-    the applied input (:meth:`Controller.applied`).
+    Commands at samples from ``time`` on and before ``until`` have no effect. The controller is
+    told the input that was applied (:meth:`Controller.applied`).
 
     Parameters
     ----------
@@ -147,10 +145,10 @@ class StuckWinch(Fault):
 @final
 @dataclass(frozen=True)
 class LostMeasurement(Fault):
-    """A time in which nothing is measured.
+    """A period without measurements.
 
-    The controller is given NaN for positions and velocities. With an estimator the readings
-    taken in that time do not come, and the controller is given the estimate without them.
+    The controller receives NaN for positions and velocities. With an estimator, the readings of
+    this period are lost, and the controller receives the estimate without them.
 
     Parameters
     ----------

@@ -32,16 +32,14 @@ from tenscontrol.integrate import (
 from tenscontrol.interrupt import finishing
 from tenscontrol.simulation.contacts import Segments, record_contacts
 from tenscontrol.simulation.faults import Faults
-from tenscontrol.simulation.trajectory import ControlRecord, Quantities, Trajectory
+from tenscontrol.simulation.health import BLOCK, ControlRecord, Given, Quantities
+from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import Structure, carried_by_supports, node_mass
 from tenscontrol.validation import FloatArray, frozen, positive_number
 
 # Intervals that are integrated again: those in which velocities change most, others spread over
 # the motion, and the largest part of it that they may be.
 _VIOLENT, _SPREAD, _SHARE = 4, 16, 0.25
-
-# States that are turned into nodes and velocities in one go.
-_BLOCK = 128
 
 # These intervals may miss the worst of the motion.
 _SAFETY = 2.0
@@ -56,7 +54,7 @@ _JUMP, _ALIKE = 1e-9, 1e-12
 
 
 class SimulationError(ArithmeticError):
-    """A simulation that could not go on.
+    """A simulation that stopped before its end; it carries the motion up to there.
 
     Attributes
     ----------
@@ -122,6 +120,7 @@ class Loop:
     integrator: Integrator | None = None
     choice: Choice | None = None
     note: str | None = None
+    given: Given = field(default_factory=Given)
 
     def __post_init__(self) -> None:
         self._method = method_of(self.method)
@@ -180,9 +179,10 @@ class Loop:
         if equation.layout.degree and not method.follows:
             able = [name for name, each in METHODS.items() if each.follows]
             raise ValueError(
-                f"method {method.name!r} takes held inputs only, but an input changes in time; "
-                f"these follow it: {able}. A method of your own that asks equation.ahead(u, t) for "
-                "the input at each time says so by Method(follows=True)"
+                f"method {method.name!r} takes inputs that are constant over a step only, but "
+                f"an input changes in time; methods that follow it are: {able}. For a method of "
+                "your own that evaluates the input by equation.ahead(u, t), give "
+                "Method(follows=True)"
             )
         if method.differentiates and equation.form == "loops":
             equation = self._equation_of("mapped")
@@ -441,7 +441,6 @@ class Loop:
                 moved = np.cumsum((off[:, 1:] + off[:, :-1]) / 2 * np.diff(time), axis=1)
                 reach = float(model.mass_matrix().sum() * np.ptp(structure.nodes, axis=1).max())
                 error += _BY_CENTRE * float(np.abs(moved).max(initial=0.0)) / reach
-        weight = float(model.constant_force[-1].sum())
         run = Trajectory(
             structure=structure,
             time=frozen(time),
@@ -458,11 +457,12 @@ class Loop:
             stopped=stopped,
             position_error=error,
             released_energy=frozen(released),
-            falls=free and contacts is None and weight < 0,
-            ground=model.ground,
+            falls=free and contacts is None and float(model.constant_force[-1].sum()) < 0,
             contacts=contacts,
             faults=self.faults.listed,
             note=self.note,
+            given=self.given,
+            _ground=model.ground,
             _quantities=quantities,
         )
         vars(run).update(known)
@@ -487,8 +487,8 @@ class Loop:
         nodes, velocities = np.empty(shape), np.empty(shape)
         place = 0
         for span in self.spans:
-            for first in range(0, len(span.time), _BLOCK):
-                some = slice(first, first + _BLOCK)
+            for first in range(0, len(span.time), BLOCK):
+                some = slice(first, first + BLOCK)
                 offset = rate = None
                 if self.offset is not None:
                     within, rows = span.time[some] - span.origin, span.coefficients[self._offsets]

@@ -175,7 +175,8 @@ def _refuse_misfits(
         )
     if estimator.input != input:
         raise ValueError(
-            f"estimator knows the effect of {estimator.input}, but the actuators hold {input} "
+            f"estimator was designed for the input {estimator.input}, but the actuators hold "
+            f"{input} "
             f"between samples: design it on linearize(model, rest, input={input!r})"
         )
     if estimator.substeps != substeps:
@@ -191,7 +192,7 @@ def _refuse_misfits(
         )
     if len(estimator.plant.commanded.strings) != len(controller.commanded.strings):
         raise ValueError(
-            f"estimator is told {len(estimator.plant.commanded.strings)} strings, but the "
+            f"estimator has inputs for {len(estimator.plant.commanded.strings)} strings, but the "
             f"controller commands {len(controller.commanded.strings)}: use command_parents "
             "on both plants or on none"
         )

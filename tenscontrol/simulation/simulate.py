@@ -19,7 +19,7 @@ from tenscontrol.plant import held_value
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.closed_loop import run_closed_loop
 from tenscontrol.simulation.faults import Fault, Faults
-from tenscontrol.simulation.health import AccuracyWarning, HealthLimits
+from tenscontrol.simulation.health import AccuracyWarning, Given, HealthLimits
 from tenscontrol.simulation.loop import Loop, SimulationError, support_offset
 from tenscontrol.simulation.trajectory import Trajectory
 from tenscontrol.structure import (
@@ -81,12 +81,11 @@ def simulate(
     start: Trajectory | None = None,
     support_motion: object = None,
 ) -> Trajectory:
-    """Return the motion of a model.
+    """Return the simulated motion of a model, in open loop or under a controller.
 
-    Give one of ``force_density`` (γ held), ``rest_length`` (rest length held)
-    and ``controller``. What is held may change in time as it is told. Under a controller the
-    actuators hold their value from sample to sample: real winches hold the rest length, so that γ
-    moves with the structure between samples.
+    Give one of ``force_density``, ``rest_length`` and ``controller``. The first two may be
+    functions of time. Under a controller the actuators hold their value from one sample to the
+    next. Winches hold the rest length, so that γ changes with the motion between samples.
 
     Parameters
     ----------
@@ -95,37 +94,36 @@ def simulate(
         s.
     nodes, velocities : array_like, shape (d, n), optional
         Motion at the start, m and m/s; the reference shape at rest if not given.
-        Bars must have their lengths, and must not be stretching: what is off by less than a
-        thousandth is projected onto rigid bars, and ``run.note`` says so. Supports and rollers
-        must be where the structure has them, and must not move.
+        Bars must have their lengths, and these must not change. Errors below a thousandth are
+        corrected by projection, and ``run.note`` says so. Supports and rollers must be at their
+        places in the structure, and at rest.
     start : Trajectory, optional
-        A run to go on from, in place of ``nodes`` and ``velocities``; see the notes.
+        A run to continue, in place of ``nodes`` and ``velocities``; see the notes.
     rest_length : float, array_like, shape (α,), Profile or callable, optional
         Rest lengths, m; over time as a :class:`Profile` or a function of time, see the notes. With
         a controller: those at the start, one per string that it commands, constant.
     force_density : float, array_like, shape (α,), Profile or callable, optional
         γ, N/m.
     controller : controller, callable or object with a method ``command``, optional
-        For example ``LQR(...)`` or ``MPC(...)``. It is reset first. One that
-        was designed on the parent of a subdivided structure sees the parent's
-        nodes and commands the parent's strings. A function ``(time, nodes, velocities) -> command``
-        does so too, and commands what the actuators hold; :class:`FunctionController` says more,
-        and gives it bounds.
+        For example ``LQR(...)`` or ``MPC(...)``. It is reset first. A controller
+        designed on the parent of a subdivided structure receives the parent's nodes and commands
+        the parent's strings. So does a function ``(time, nodes, velocities) -> command``, whose
+        command is the input of the actuators; see :class:`FunctionController`, also for bounds.
     input : {"rest_length", "force_density"}, optional
         What the actuators hold between samples. The rest length if the model
         has a string law, else γ.
     winches : Winches, optional
         Limits of the winches and their motors; none if not given. With a rate, substeps or a
-        motor, ``rest_length`` says where they start. Where γ is held, the motors of the cables.
+        motor, give their start by ``rest_length``. If γ is the input: the motors of the cables.
     sample_time : float, optional
         For a controller without a sample time of its own, s; else ``step``.
     faults : sequence of CutString, StuckWinch and LostMeasurement
-        The controller gets the input that is applied (:meth:`Controller.applied`), but
-        does not notice cuts.
+        The controller receives the applied input (:meth:`Controller.applied`), but no
+        information on cut strings.
     external_force : array_like, shape (d, n), Profile or callable, optional
         Load W, N, for a model built with ``external_force=True``.
     support_motion : Profile, callable or array_like, shape (d, number of fixed nodes), optional
-        By how much fixed nodes are displaced from where the structure has them, m, in the order of
+        Displacement of the fixed nodes from their places in the structure, m, in the order of
         ``structure.fixed``. See the notes.
     method : str or Method
         ``"auto"``, one of :data:`METHODS`, or a :class:`Method` of your own. ``"auto"`` is
@@ -143,20 +141,20 @@ def simulate(
     project : bool, optional
         Whether to make the bar lengths exact after each step, for a method
         from which they drift. If not given, methods that control their error
-        do, and RK4 does not: its drift tells of too long a step.
+        do, and RK4 does not: its drift shows too long a step.
     machine_code : bool
         Whether to compile the steps by the C compiler of the machine: the same
         numbers, several times as fast, after some seconds for the first run.
         Where there is no compiler, or the method cannot be compiled, the steps
-        run in CasADi's virtual machine; ``run.choice.back_end`` says which.
+        run in CasADi's virtual machine; see ``run.choice.back_end``.
     limits : HealthLimits, optional
         Limits on the figures in ``run.health``; ``HealthLimits()`` if not given.
     progress : bool
         Whether to show a progress bar; never shown away from a terminal.
     estimator : KalmanFilter, optional
-        The controller then gets its estimate in place of the motion, and the estimator the applied
-        input. It is reset first. Its sample time and the substeps of
-        its winches are those of the run.
+        The controller then receives the estimate in place of the motion, and the estimator the
+        applied input. It is reset first. It must have the sample time of the controller, and
+        the substeps of the winches.
     sensors : Sensors, optional
         The actual sensors, if noise, delay or losses differ from those of the estimator.
     seed : int, optional
@@ -172,9 +170,9 @@ def simulate(
         If an argument is of the wrong kind or does not fit, with its name; if a function of time
         jumps or has kinks, or supports jump, or bars join supports that move differently.
     SimulationError
-        If the motion runs away, passes a limit that is set to raise, or the controller raises,
-        which is then its cause; it carries the motion up to there. What a controller raises at
-        the first sample, before there is a motion, goes through.
+        If the motion diverges, passes a limit with ``action="raise"``, or the controller raises an
+        error, which is then its cause. It carries the motion up to there. An error of the
+        controller at the first sample, before there is a motion, is raised unchanged.
 
     Warns
     -----
@@ -191,35 +189,35 @@ def simulate(
 
     Notes
     -----
-    A run that is given as ``start`` goes on from its last state, also where it was interrupted:
-    times, and those of faults and references, count on. Its faults, its rest lengths or force
-    densities and those of the winches stay, unless others are given; method and step are those of
-    this call. Neither the controller nor the estimator is reset: give those of the run as it left
-    them (new ones begin anew). Noise goes on in its sequence, and measurements under way arrive.
+    **Continued runs.** A run given as ``start`` is continued from its last state, also if it was
+    interrupted. Times continue, with those of faults and references. Its faults and its inputs stay
+    unless others are given; method and step are those of this call. Controller and estimator are
+    not reset: give those of the run, in their last state. The sequence of the noise continues, and
+    delayed measurements still arrive.
 
-    So a run in two parts is the same, to the last bit, as in one, if the method has fixed steps
-    and the first part ends with a whole step and sample. Methods with steps of their own begin with
-    a new first step: the same to their tolerance. A run that ended within a sample begins a new
-    one, and a sample whose command was interrupted is measured again.
+    With a method of fixed steps, a run in two parts equals one in a single part, bit by bit, if the
+    first part ends with a whole step and sample. Methods that choose their steps begin with a new
+    first step, and agree to their tolerance. A run that ended within a sample begins a new one. A
+    sample whose command was interrupted is measured again.
 
-    **What changes in time** is a :class:`Profile`, or a function ``time -> array`` that is smooth,
-    time in s. A function is replaced by polynomials of degree 9, off by 1e-12 of its largest value;
-    it is called before the run, and what happens between the times it is called at, some hundred a
-    run at least, is not seen. Every method integrates the polynomials themselves, and ends a step
-    where a piece of a profile does. So its order holds, also where strings go slack and taut
-    meanwhile; but steps are no longer than pieces. A string that is damped is so by the rate of its
-    length, not by that of its rest length. Times are those of the run: one that goes on by
-    ``start`` is given the same profile; without it, the last values stay.
+    **Functions of time** are a :class:`Profile`, or a smooth function ``time -> array``, time in s.
+    Before the run, a function is replaced by polynomials of degree 9 with errors of 1e-12 of its
+    largest value. It is sampled at some hundred times or more; faster changes are not seen. Every
+    method integrates these polynomials and ends a step where a piece ends. So its order of
+    convergence holds, also where strings go slack or taut, but steps are no longer than pieces.
+    Damping of a string acts on the rate of its length, not on that of its rest length. Times are
+    those of the run: give a run continued by ``start`` the same profile; without it, the last
+    values are held.
 
-    **Supports that move** carry the bars on them, and all bars joined to these, so supports joined
-    by bars must move alike. Where the velocity of a support jumps, as at the start of a motion
-    that does not begin slowly and at each kink of a linear profile, the bars on it are struck: of
-    a uniform bar, the free end goes along with the hinge in the direction of the bar, and back by
-    half across it. States returned at such a time are those before it, but the first. Nodes and
-    velocities at the start are those in space; velocities of supports there are those before.
+    **Moving supports** carry the bars on them, so supports joined by bars must have the same
+    displacement. If the velocity of a support jumps, as at a sudden start and at each kink of a
+    linear profile, the bars on it receive an impulse: the free end of a uniform bar takes on the
+    velocity of the hinge along the bar, and minus half of it across. States returned at such a time
+    are those before the jump, except at the start of the run. Nodes and velocities at the start are
+    absolute; velocities of supports there are those before a jump.
 
-    Where any of these changes, ``run.conserves_energy`` is false, and the energy of a load is that
-    of the load at the time.
+    If any of these changes, ``run.conserves_energy`` is false, and the energy of a load is that of
+    the load at the time.
 
     Examples
     --------
@@ -313,6 +311,13 @@ def simulate(
             degree=_degree(held, what, winches),
             offset=offset,
         )
+        loop.given = _given(
+            law is None,
+            rest_length=rest_length,
+            force_density=force_density,
+            external_force=external_force,
+            support_motion=support_motion,
+        )
         loop.output_step = _output_step(loop, output_step, duration)
         loop.now = now
         if law is None and (
@@ -354,12 +359,24 @@ def simulate(
         found = [] if run.control is None else run.control.problems
         if found:
             warnings.warn(
-                f"under {type(controller).__name__} the run did not do what was asked: "
+                f"under {type(controller).__name__} the run did not reach its goal: "
                 f"{'; '.join(found)}. run.control.summary() says more",
                 ControlWarning,
                 stacklevel=2,
             )
     return run
+
+
+def _given(in_open_loop: bool, **arguments: object) -> Given:
+    """Return what is given of arguments; those of a controller's start are in its record."""
+    kept = {name: value for name, value in arguments.items() if value is not None}
+    if not in_open_loop:
+        kept.pop("rest_length", None)
+    plain = {
+        name: value if changes_in_time(value) else np.asarray(value, dtype=float)
+        for name, value in kept.items()
+    }
+    return Given(plain)
 
 
 def _check(run: Trajectory, limits: HealthLimits) -> None:
@@ -446,8 +463,8 @@ def checked_inputs(
     if least < -round_off or (least <= 0 and name == "rest_length"):
         what = "a positive length in m" if name == "rest_length" else "at least 0"
         raise ValueError(
-            f"{name} falls to {least:.3g} at {time:.6g} s, expected {what}. Cubic pieces may swing "
-            "below the values given; linear ones do not"
+            f"{name} falls to {least:.3g} at {time:.6g} s, expected {what}. Cubic interpolation "
+            "may go below the values given; linear interpolation does not"
         )
     return pieces
 
@@ -482,7 +499,7 @@ def _beside(
     carried = carried_by_supports(structure)
     before = np.zeros_like(N) if V is None else np.where(carried >= 0, V[:, carried], 0.0)
     if loop.offset is None and before.any():
-        raise ValueError("supports move at the end of start: give support_motion, how it goes on")
+        raise ValueError("supports move at the end of start: give support_motion, how they go on")
     if loop.offset is not None:
         loop.offset_rate = before.ravel(order="F")
         displaced = loop.offset.at(np.array([loop.now])).reshape(N.shape, order="F")

@@ -1,274 +1,48 @@
-"""Trajectories of simulations, their control records, and figures of their accuracy."""
+"""Trajectories of simulations: what moved, figures of its accuracy, and its file."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Container
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tenscontrol.actuation import MotorRecord
-from tenscontrol.control import UNSOLVED, Fallback, Status
-from tenscontrol.dynamics import ContactLaw, Model, evaluate_columns
+from tenscontrol.dynamics import ContactLaw, Model
 from tenscontrol.integrate import Choice, Work
-from tenscontrol.simulation.contacts import ContactRecord
+from tenscontrol.simulation.contacts import ContactRecord, drawn_ground
 from tenscontrol.simulation.faults import Fault
-from tenscontrol.simulation.health import Health
-from tenscontrol.simulation.observation import EstimateRecord
+from tenscontrol.simulation.health import (
+    BLOCK,
+    ControlRecord,
+    Given,
+    Health,
+    Quantities,
+    Unsaved,
+    by_node,
+    read_only,
+)
+from tenscontrol.simulation.run_file import (
+    EVALUATED,
+    dataset,
+    model_of,
+    model_parts,
+    read_run,
+    write_run,
+    write_table,
+)
 from tenscontrol.structure import Structure
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import FloatArray, IntArray
+from tenscontrol.web_page import View, Viewable
 
-# A run ends away from its reference: by this part of the size, with errors in the last third above
-# this part of those before, if it lasts so many radians of the slowest vibration. Or
-# by the fourth, and so many times the error at the start.
-_AWAY, _FALLING, _TURNED, _LOST, _WORSE = 0.02, 0.9, 4 * np.pi, 0.2, 1.2
-
-# More programs not solved than this are worth a warning.
-_UNSOLVED_SHARE = 0.05
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 
 @dataclass(frozen=True, eq=False)
-class ControlRecord:
-    """Commands and moves of the winches, sample by sample.
-
-    Attributes
-    ----------
-    time : ndarray, shape (K,)
-        Start of each sample, s.
-    command : ndarray, shape (α, K)
-        Desired input, in the unit of the controller.
-    applied : ndarray, shape (α, K)
-        Applied input: γ, N/m, or rest lengths, m, one a string of the controller;
-        of a ramp, its end.
-    status : tuple of Status, length K
-        Status of each command; ``Status.OK`` where all went well.
-    fallback : tuple, length K
-        Fallback of each command, None where there was a decision.
-    detail : tuple of str, length K
-        Figures to the status.
-    winch_rate : ndarray, shape (α, K)
-        Change of the rest length in each sample over the sample time, m/s;
-        zero where γ is held. The first counts from the start, if that is known.
-    rate_limited, range_limited : ndarray of int, shape (K,)
-        Number of winches that met a limit.
-    computing_time : ndarray, shape (K,)
-        Time the controller took, s.
-    estimate : EstimateRecord or None
-        Measurements and estimates; None without an estimator.
-    motors : MotorRecord or None
-        Angle, speed, torque, power and energy; None where the winches have no motor.
-    prediction_error : ndarray, shape (K,), or None
-        How far the node that was off most was from where the controller had predicted it a sample
-        before, m. NaN where nothing was predicted, or nothing measured; None where that is so
-        throughout.
-    tracking_error : ndarray, shape (K + 1,), or None
-        Distance of the node that is farthest off its place in the reference of the controller, at
-        the start of each sample and at the end of the run, m. The shape is first laid over that
-        of the plant by what supports leave of motion as one body. None where the controller has
-        no reference.
-    at_bound : ndarray of int, shape (K,), or None
-        Number of strings commanded at a bound of the controller, or of its change.
-    controller : str
-        What it was.
-    sample_time : float or None
-        s.
-    size : float or None
-        Largest extent of the structure, m.
-    slowest_vibration : float or None
-        Of the controller's plant, 1/s.
-    """
-
-    time: FloatArray
-    command: FloatArray
-    applied: FloatArray
-    status: tuple[Status, ...]
-    fallback: tuple[Fallback | None, ...]
-    detail: tuple[str, ...]
-    winch_rate: FloatArray
-    rate_limited: np.ndarray
-    range_limited: np.ndarray
-    computing_time: FloatArray
-    estimate: EstimateRecord | None = None
-    motors: MotorRecord | None = None
-    prediction_error: FloatArray | None = None
-    tracking_error: FloatArray | None = None
-    at_bound: np.ndarray | None = None
-    controller: str = ""
-    sample_time: float | None = None
-    size: float | None = None
-    slowest_vibration: float | None = None
-
-    @property
-    def unsolved(self) -> float:
-        """Fraction of the samples whose program was not solved."""
-        return sum(status in UNSOLVED for status in self.status) / len(self.status)
-
-    @property
-    def problems(self) -> list[str]:
-        """A sentence for what went wrong; empty where the run did what was asked.
-
-        The run ends away from the reference: by more than 2 % of the size in its last tenth, with
-        errors in the last third of more than 0.9 of the largest of those in the second, after two
-        turns of the slowest vibration of the plant. Or by more than a fifth of the size, and 1.2
-        times as far as it began. Programs were not solved: more than one in twenty.
-        """
-        found, error = [], self.tracking_error
-        if error is not None and self.size is not None and self.slowest_vibration is not None:
-            off = error / self.size
-            end = float(off[-max(1, len(off) // 10) :].max())
-            third = max(1, len(off) // 3)
-            long = float(self.time[-1] - self.time[0]) * self.slowest_vibration > _TURNED
-            stays = long and off[-third:].max() > _FALLING * off[-2 * third :].max()
-            if (end > _AWAY and stays) or end > max(_LOST, _WORSE * float(off[0])):
-                found.append(
-                    f"it ends up to {end * self.size:.2g} m from its reference, {100 * end:.2g} % "
-                    "of the size, and comes no nearer"
-                )
-        if self.unsolved > _UNSOLVED_SHARE:
-            worst = Counter(status for status in self.status if status in UNSOLVED).most_common(1)
-            found.append(
-                f"{100 * self.unsolved:.2g} % of the programs were not solved, most of them "
-                f"{worst[0][0]}"
-            )
-        return found
-
-    def summary(self) -> str:
-        """Return how the controller did, as text.
-
-        Returns
-        -------
-        str
-
-        Examples
-        --------
-        >>> import tenscontrol as tc
-        >>> prism = tc.prism()
-        >>> model = tc.Model(prism, strings=tc.LinearStrings(stiffness=100.0))
-        >>> plant = tc.linearize(model, tc.prestress(prism, 17.3205), input="rest_length")
-        >>> start = plant.to_nodes([0.02] * 9)
-        >>> mpc = tc.MPC(plant, horizon=10, sample_time=0.02)
-        >>> run = tc.simulate(model, 3.0, start, controller=mpc, step=1e-3)
-        >>> print(run.control.summary())  # doctest: +ELLIPSIS
-        controller        MPC(... horizon 10, sample time 0.02 s, condensed, daqp)
-        samples           150 of 0.02 s: 150 ok
-        tracking error    0.00... m at the end, 0.00... m rms (0.2... % and 0.9... % of the size)
-        prediction error  ...e-05 m rms, 0.0005... m at most
-        at a bound        0 % of the samples
-        computing time    ... ms in the median, ... ms at most: ... % of a sample
-        """
-        counts = ", ".join(
-            f"{count} {name}"
-            for kind in (self.status_count, self.fallback_count)
-            for name, count in kind.items()
-        )
-        lines = [f"samples           {len(self.time)}: {counts}"]
-        if self.sample_time is not None:
-            lines = [
-                f"controller        {self.controller}",
-                f"samples           {len(self.time)} of {self.sample_time:g} s: {counts}",
-            ]
-        if self.unsolved:
-            lines.append(f"not solved        {100 * self.unsolved:.2g} % of the samples")
-        if self.tracking_error is not None and self.size is not None:
-            end, rms = float(self.tracking_error[-1]), _rms(self.tracking_error)
-            lines.append(
-                f"tracking error    {end:.2g} m at the end, {rms:.2g} m rms "
-                f"({100 * end / self.size:.2g} % and {100 * rms / self.size:.2g} % of the size)"
-            )
-        if self.prediction_error is not None and np.isfinite(self.prediction_error).any():
-            off = self.prediction_error[np.isfinite(self.prediction_error)]
-            lines.append(f"prediction error  {_rms(off):.2g} m rms, {off.max():.2g} m at most")
-        if self.at_bound is not None:
-            share = np.count_nonzero(self.at_bound) / len(self.at_bound)
-            lines.append(f"at a bound        {100 * share:.2g} % of the samples")
-        slow, out = (int((each > 0).sum()) for each in (self.rate_limited, self.range_limited))
-        if slow or out:
-            lines.append(f"winches           too slow in {slow} samples, out of range in {out}")
-        typical, worst = float(np.median(self.computing_time)), float(self.computing_time.max())
-        lines.append(
-            f"computing time    {1e3 * typical:.2g} ms in the median, {1e3 * worst:.2g} ms"
-        )
-        lines[-1] += " at most"
-        if self.sample_time is not None:
-            lines[-1] += f": {100 * worst / self.sample_time:.2g} % of a sample"
-        return "\n".join(lines)
-
-    @property
-    def status_count(self) -> dict[Status, int]:
-        """How often each status came."""
-        return dict(Counter(self.status))
-
-    @property
-    def fallback_count(self) -> dict[Fallback, int]:
-        """How often each fallback was taken."""
-        return dict(Counter(fallback for fallback in self.fallback if fallback is not None))
-
-
-# Times at which functions of the model are evaluated in one go: few enough that what they need of a
-# large structure stays small.
-_BLOCK = 128
-
-
-@dataclass(frozen=True, eq=False)
-class Quantities:
-    """What energies, momenta and force densities of a motion are evaluated from, when asked for.
-
-    Attributes
-    ----------
-    model : Model
-    moved : bool
-        Whether supports move: functions are then those of all nodes.
-    inputs : ndarray, shape (α, T)
-        Rest lengths or force densities.
-    load : ndarray, shape (d, n), or (d n, T) where it changes, node by node; or None
-        N.
-    stored : ndarray, shape (T,), or None
-        What the ground stores, J.
-    """
-
-    model: Model
-    moved: bool
-    inputs: FloatArray
-    load: FloatArray | None = None
-    stored: FloatArray | None = None
-
-    def of(
-        self, name: str, nodes: FloatArray, velocities: FloatArray, *more: FloatArray
-    ) -> list[FloatArray]:
-        """Return a function of the model at all times, read-only: one array an output."""
-        model, count = self.model, nodes.shape[2]
-        every = self.moved or not len(model.structure.fixed_rows)
-        rows = slice(None) if every else model.structure.free_rows
-        function = model.of_all_nodes(name) if self.moved else getattr(model, name)
-
-        def within(first: int) -> list[FloatArray]:
-            some = slice(first, first + _BLOCK)
-            moving = [_by_node(part[:, :, some])[rows] for part in (nodes, velocities)]
-            return evaluate_columns(function, np.vstack(moving), *(each[:, some] for each in more))
-
-        parts = zip(*(within(first) for first in range(0, count, _BLOCK)), strict=True)
-        return [_read_only(np.hstack(part)) for part in parts]
-
-
-# What a trajectory evaluates when it is first read.
-_EVALUATED = ("force_density", "kinetic_energy", "potential_energy", "_momenta", "bar_length_error")
-
-
-def _by_node(part: FloatArray) -> FloatArray:
-    """Return shape (d n, T), node by node, of (d, n, T)."""
-    return part.swapaxes(0, 1).reshape(-1, part.shape[2])
-
-
-def _read_only(array: FloatArray) -> FloatArray:
-    array.setflags(write=False)
-    return array
-
-
-@dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Viewable):
     """A simulated motion. Made by :func:`simulate`.
 
     Energies, momenta, force densities and bar-length errors are evaluated when they are first read,
@@ -308,7 +82,9 @@ class Trajectory:
         What was made to break.
     note : str or None
         What was put right at the start.
-    ground : tuple of ContactLaw
+    given : Given
+        What :func:`simulate` was given in open loop, by name: ``rest_length`` or
+        ``force_density``, ``external_force``, ``support_motion``.
     contacts : ContactRecord or None
         What touched the ground; None without ground.
     falls : bool
@@ -330,10 +106,12 @@ class Trajectory:
     position_error: float | None = None
     faults: tuple[Fault, ...] = ()
     note: str | None = None
-    ground: tuple[ContactLaw, ...] = ()
     contacts: ContactRecord | None = None
     falls: bool = False
-    _quantities: Quantities | None = field(default=None, repr=False)
+    given: Given = field(default_factory=Given)
+    _ground: tuple[ContactLaw, ...] | Unsaved = ()
+    # Of a copy there are none; of a run from a file they may not be there.
+    _quantities: Quantities | Unsaved | None = field(default=None, repr=False)
 
     @property
     def method(self) -> str:
@@ -357,14 +135,35 @@ class Trajectory:
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle and copy with all that has not been evaluated yet, and without the model."""
-        for name in _EVALUATED:
+        for name in EVALUATED:
             getattr(self, name)
         return vars(self) | {"_quantities": None}
 
     @property
     def _of_model(self) -> Quantities:
-        assert self._quantities is not None  # a copy without it has all values
+        assert isinstance(self._quantities, Quantities)  # a copy without it has all values
         return self._quantities
+
+    @property
+    def model(self) -> Model:
+        """The model that was simulated.
+
+        Raises a ValueError where it has a string law or a ground of your own and the run is from a
+        file, or where the run is a copy.
+        """
+        if isinstance(self._quantities, Quantities):
+            return self._quantities.model
+        raise ValueError(str(self._quantities or "a copy of a run has no model: use your own"))
+
+    @property
+    def ground(self) -> tuple[ContactLaw, ...]:
+        """The contact laws of the ground; empty where there is none.
+
+        Raises a ValueError where one is of your own and the run is from a file.
+        """
+        if isinstance(self._ground, Unsaved):
+            raise ValueError(str(self._ground))
+        return self._ground
 
     @cached_property
     def force_density(self) -> FloatArray:
@@ -372,6 +171,24 @@ class Trajectory:
         if self.rest_length is None:
             return self._of_model.inputs
         return self._evaluated("string_force_density", self._of_model.inputs)[0]
+
+    @cached_property
+    def tension(self) -> FloatArray:
+        """Tension of each string, γ times its length, N, shape (α, T)."""
+        of = self.structure.segment_string
+        length = np.zeros(self.force_density.shape)
+        np.add.at(length, of, self._lengths(self.structure.segments))
+        return read_only(self.force_density * length)
+
+    def _lengths(self, members: IntArray) -> FloatArray:
+        """Return the distance between the nodes of each pair, m, shape (members, T)."""
+        start, end = members.T
+        length = np.empty((len(start), len(self.time)))
+        for first in range(0, len(self.time), BLOCK):
+            some = slice(first, first + BLOCK)
+            apart = self.nodes[:, end, some] - self.nodes[:, start, some]
+            length[:, some] = np.linalg.norm(apart, axis=0)
+        return length
 
     @cached_property
     def kinetic_energy(self) -> FloatArray:
@@ -397,9 +214,9 @@ class Trajectory:
             energy = energy - (
                 np.einsum("in,int->t", quantities.load, self.nodes)
                 if fixed
-                else (quantities.load * _by_node(self.nodes)).sum(axis=0)
+                else (quantities.load * by_node(self.nodes)).sum(axis=0)
             )
-        return _read_only(energy)
+        return read_only(energy)
 
     @property
     def momentum(self) -> FloatArray:
@@ -418,14 +235,9 @@ class Trajectory:
     @cached_property
     def bar_length_error(self) -> FloatArray:
         """Current length less true length of each bar, m, shape (β, T)."""
-        start, end = self.structure.bars.T
-        error = np.empty((len(start), len(self.time)))
-        for first in range(0, len(self.time), _BLOCK):
-            some = slice(first, first + _BLOCK)
-            bars = self.nodes[:, end, some] - self.nodes[:, start, some]
-            error[:, some] = np.linalg.norm(bars, axis=0)
+        error = self._lengths(self.structure.bars)
         error -= self.structure.bar_length[:, None]
-        return _read_only(error)
+        return read_only(error)
 
     def _evaluated(self, name: str, *more: FloatArray) -> list[FloatArray]:
         return self._of_model.of(name, self.nodes, self.velocities, *more)
@@ -508,7 +320,7 @@ class Trajectory:
 
     @property
     def lost_energy(self) -> FloatArray:
-        """What damping and friction of the ground took before each time, J, shape (T,)."""
+        """Energy lost to damping and friction of the ground before each time, J, shape (T,)."""
         return np.zeros(len(self.time)) if self.contacts is None else self.contacts.lost_energy
 
     def summary(self) -> str:
@@ -574,7 +386,7 @@ class Trajectory:
         if self.choice.back_end != "virtual machine":
             lines.append(f"steps run in      {self.choice.back_end}")
         if self.position_error is not None:
-            lines.append(f"nodes off by      some {self.position_error:.1e} of the size, estimated")
+            lines.append(f"position error    {self.position_error:.1e} of the size, estimated")
         if self.work.rejections:
             lines.append(f"rejected steps    {self.work.rejections}")
         if self.work.switches:
@@ -588,13 +400,166 @@ class Trajectory:
             lines.append(f"not located       {self.work.unlocated} steps across a switch")
         return lines
 
+    def view(self) -> View:
+        """Return a view to be played in a browser.
+
+        Returns
+        -------
+        View
+        """
+        what = f"run of {self.time[-1]:g} s by {self.method}"
+        ground = drawn_ground(self.ground, self.contacts, self.nodes)
+        return View(what, self.structure, self.nodes, self.time, self.force_density, **ground)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the run to a file, from which :func:`load_run` makes an equal one.
+
+        Parameters
+        ----------
+        path : str or Path
+            Its name ends in ``.npz``.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ValueError
+            If the name has another ending.
+        OSError
+            If the file cannot be written: one that was there is as it was.
+
+        Notes
+        -----
+        The file is a NumPy archive without pickles. ``numpy.load(path)`` reads its arrays, which
+        have the names of the attributes: ``nodes``, ``structure_bars``, ``control_command``.
+        The array ``header`` is JSON, in bytes of UTF-8. Functions and classes of your own are named
+        in it, and not written: loads over time as a function, string laws, grounds.
+
+        Examples
+        --------
+        >>> import tempfile, tenscontrol as tc
+        >>> ball = tc.library.six_bar_ball()
+        >>> run = tc.simulate(tc.Model(ball), 0.1, force_density=20.0, step=1e-2)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = run.save(folder + "/run.npz")
+        ...     tc.load_run(file)
+        Trajectory(0.1 s, 11 states, rk4)
+        """
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        ground, found = values.pop("_ground"), values.pop("_quantities")
+        more: dict[str, Any] = {"model": found, "moved": False, "load": None}
+        if isinstance(found, Quantities):
+            parts = model_parts(found.model)
+            more = {"model": parts, "moved": found.moved, "load": found.load}
+        evaluated = {name: getattr(self, name) for name in EVALUATED}
+        return write_run(path, {**values, "ground": ground, **more, **evaluated})
+
+    def to_csv(self, path: str | Path) -> Path:
+        """Write the motion as CSV: a line a time, with full precision.
+
+        Columns are time, node coordinates, γ, tension and rest length of the strings, and, under a
+        controller, the command that acted in the step to each time. The first line has names and
+        units. Rest lengths are left out where γ was held.
+
+        Parameters
+        ----------
+        path : str or Path
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written: one that was there is as it was.
+        """
+        return write_table(self, path)
+
+    def to_xarray(self) -> Dataset:
+        """Return the motion as a dataset of xarray, which labels axes and units.
+
+        Dimensions are ``time``, ``axis``, ``node``, ``string`` and ``bar``; of a controller
+        ``sample`` and ``winch``. Each variable has its unit as the attribute ``units``.
+
+        Returns
+        -------
+        xarray.Dataset
+
+        Raises
+        ------
+        ImportError
+            If xarray is not installed: ``pip install 'tenscontrol[xarray]'``.
+        """
+        made: Dataset = dataset(self)
+        return made
+
     def __repr__(self) -> str:
         return f"Trajectory({self.time[-1]:g} s, {len(self.time)} states, {self.method})"
 
 
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def _share(change: float, scale: float) -> float:
     return change / scale if scale > 0 else change
+
+
+def load_run(path: str | Path) -> Trajectory:
+    """Return the run of a file that :meth:`Trajectory.save` wrote.
+
+    It plots, summarizes and goes on (``simulate(run.model, ..., start=run)``) as the saved one
+    does, and its arrays are equal bit by bit.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    TypeError
+        If ``path`` is no path.
+    OSError
+        If the file cannot be read.
+    ValueError
+        If it is no run, was written by a later release, is damaged, or has arrays that do not fit
+        each other or are not finite. The message names the file.
+
+    Notes
+    -----
+    A string law, a ground or a function of your own is not in the file. Where one was used,
+    ``run.model``, ``run.ground`` or ``run.given[name]`` raises a ValueError that names it; the
+    motion and all that was evaluated from it are there.
+
+    Examples
+    --------
+    >>> import tempfile, tenscontrol as tc
+    >>> ball = tc.library.six_bar_ball()
+    >>> model = tc.Model(ball, gravity=9.81, ground=tc.Ground(stiffness=5e3, height=-1.0))
+    >>> run = tc.simulate(model, 0.1, force_density=20.0, step=1e-3)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     saved = tc.load_run(run.save(folder + "/run.npz"))
+    >>> bool((saved.nodes == run.nodes).all()), saved.summary() == run.summary()
+    (True, True)
+    >>> more = tc.simulate(saved.model, 0.1, start=saved, step=1e-3)
+    >>> more.time[[0, -1]].round(3)
+    array([0.1, 0.2])
+    """
+    found = read_run(path)
+    evaluated = {name: found.pop(name) for name in EVALUATED}
+    evaluated["_momenta"] = [evaluated.pop(name) for name in ("momentum", "angular_momentum")]
+    ground, parts, moved, load = (found.pop(name) for name in ("ground", "model", "moved", "load"))
+    made: Any = None if parts is None else model_of(found["structure"], ground, parts)
+    if isinstance(made, Model):
+        lengths, contacts = found["rest_length"], found["contacts"]
+        inputs = evaluated["force_density"] if lengths is None else lengths
+        stored = None if contacts is None else contacts.stored_energy.sum(axis=0)
+        made = Quantities(made, moved, inputs, load, stored)
+    run = Trajectory(**found, _ground=ground, _quantities=made)
+    vars(run).update(evaluated)
+    return run

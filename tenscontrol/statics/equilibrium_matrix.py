@@ -37,7 +37,7 @@ _NO_LENGTH = 1e-12
 
 
 def equilibrium_matrix(structure: Structure, nodes: object = None) -> FloatArray:
-    """Return E with ``vec(N K_s) = E [γ; λ]``: what the members need as load to be at rest.
+    """Return the equilibrium matrix E: ``vec(N K_s) = E [γ; λ]`` is the load in equilibrium.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def affine_picture(structure: Structure) -> csr_array:
 
 
 def rigid_picture(structure: Structure, picture: csr_array) -> FloatArray:
-    """Return an orthonormal basis, shape (f, ·), of the motions as one body in the picture."""
+    """Return an orthonormal basis, shape (f, ·), of the rigid-body motions in the picture."""
     # A motion v of the shape is (P Pᵀ)⁻¹ P v in the picture, where motions are well apart.
     axes = picture_axes(structure)[0]
     body = rigid_motions(axes @ structure.nodes)

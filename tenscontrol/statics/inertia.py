@@ -1,4 +1,4 @@
-"""Sparse symmetric matrices: LDLᵀ factors, their signs, and the null space that they show."""
+"""Sparse symmetric matrices: LDLᵀ factors, inertia (signs of the eigenvalues), null space."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def held_factors(matrix: csc_array, fields: FloatArray, least: float = 0.0) -> F
         if len(sizes) == count and sizes[-1] > _HELD * sizes[0]:
             break
         if size >= len(last):
-            raise ArithmeticError("the motions as one body are not independent")
+            raise ArithmeticError("the rigid-body motions are not independent")
         size *= 2
     _, _, chosen = qr(Q.T, mode="economic", pivoting=True)
     return factorized(matrix, rows[chosen[:count]], least)
@@ -118,8 +118,8 @@ def nearly_null(factors: Factors, more: int = _MORE) -> FloatArray:
         return np.zeros((n, 0))
     if n * count > _MOST_ENTRIES:
         raise ValueError(
-            f"the structure has {n} free coordinates and perhaps {len(doubtful)} motions that "
-            f"change no length, which would be found one beside the other; expected at most "
+            f"the structure has {n} free coordinates and possibly {len(doubtful)} mechanisms, "
+            "which are computed as a dense matrix; expected at most "
             f"{_MOST_ENTRIES // n}. Give it more strings, or fewer members"
         )
     found = np.cos(np.outer(np.arange(1.0, n + 1) ** 2, np.arange(1.0, count + 1)))  # any

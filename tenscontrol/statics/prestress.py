@@ -1,4 +1,4 @@
-"""Prestress: force densities at which a structure rests, and what they make of it."""
+"""Prestress: force densities in equilibrium, and the self-stress and mechanisms of a structure."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Prestress:
 
     @cached_property
     def stability(self) -> Stability:
-        """What the prestress makes of the mechanisms; see :class:`Stability`."""
+        """Stiffness of the mechanisms by the prestress; see :class:`Stability`."""
         return stability(
             self.structure, self.force_density, self.bar_force_density, self._is_loaded
         )
@@ -187,9 +187,9 @@ def prestress(
     min_force_density: object = None,
     max_force_density: object = None,
 ) -> Prestress:
-    """Return the force densities at which a structure rests in its reference shape.
+    """Return force densities (tension per length) that hold a structure in equilibrium.
 
-    Bars may push or pull; ``bars_in_tension`` of the result says which ones pull.
+    Bars may be in compression or in tension: see ``bars_in_tension`` of the result.
 
     Parameters
     ----------
@@ -206,10 +206,10 @@ def prestress(
         Load W on the nodes, N.
     min_force_density : float or array_like, shape (α,), optional
         Least γ of each string, N/m: a positive number makes every string taut. Without
-        ``force_density``, the level is the least that this takes: among all γ that balance
-        within the bounds, the one nearest (least sum of squares) to a uniform γ of the largest
-        entry. With 0 for all, the least γ that carry the load. Strings between fixed nodes move
-        nothing, and get their entry.
+        ``force_density``, the result is, of all γ in equilibrium within the bounds, the one
+        nearest (least sum of squares) to a uniform γ of the largest entry. With 0 for all it is
+        the least γ that carries the load. Strings with both ends fixed get their entry, as they
+        have no effect.
     max_force_density : float or array_like, shape (α,), optional
         Largest γ of each string, N/m. Alone, it makes the least γ of all strings with a free end as
         large as can be (but for a part in 1e6), and of the γ that do, takes the most uniform one.
@@ -270,8 +270,9 @@ def prestress(
     if given is not None and given.ndim > 0:
         if is_bounded:
             raise ValueError(
-                "force_density gives γ of every string, which leaves nothing to "
-                "min_force_density and max_force_density; leave them out, or give one number"
+                "force_density gives γ of every string, so that min_force_density and "
+                "max_force_density have no effect; leave them out, or give force_density as one "
+                "number"
             )
         gamma = shaped("force_density", given, (alpha,), "one per string")
         non_negative("force_density", gamma, "a string can only pull")
@@ -322,11 +323,12 @@ def _found(
         _refuse_unbalanced(
             structure, forces.matrix, forces.particular, w,
             "no member forces balance external_force",
-            "In this shape the load meets a mechanism; equilibrium(model, ...) lets the shape give",
+            "In this shape the load moves a mechanism; equilibrium(model, ...) finds the shape "
+            "that carries the load",
         )  # fmt: skip
     if count == 0:
         raise ValueError(
-            "all strings run between fixed nodes, so that no force of theirs moves anything"
+            "both ends of every string are fixed, so that strings have no effect on the balance"
         )
     every = BalancedForces.of(forces)
     if as_high:
@@ -338,8 +340,8 @@ def _found(
     goal = float(low.max(initial=0.0)) if level is None else level
     if goal == 0 and not w.any():
         raise ValueError(
-            "min_force_density is 0 for every string with a free end, and without a load no force "
-            "balances that; give a positive number, or a force_density"
+            "min_force_density is 0 for every string with a free end, and without a load the "
+            "answer would be γ = 0; give a positive number, or a force_density"
         )
     if level is not None:
         kept = every.at_level(_reference(structure, strings, reference), level)
@@ -367,8 +369,8 @@ def _reference(structure: Structure, strings: IntArray, reference: str | None) -
     chosen = np.flatnonzero(np.isin(strings, structure.strings_in(group)))
     if len(chosen) == 0:
         raise ValueError(
-            f"reference is {group!r}, whose strings all run between fixed nodes: no force of "
-            "theirs moves anything; give a group with a free end as reference"
+            f"reference is {group!r}, whose strings have both ends fixed, so that they have no "
+            "effect on the balance; give a group with a free end as reference"
         )
     return chosen
 
@@ -422,7 +424,7 @@ def _at_rest(
 def prism_force_density(
     sides: int, force_density: float, radius: float = 1.0, top_radius: float | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the force densities at which a prism rests, in the order of :func:`prism`.
+    """Return the force densities of a prism in equilibrium, in the order of :func:`prism`.
 
     With top radius a and bottom radius b::
 
@@ -504,8 +506,8 @@ def _infeasible(
         )
     if at_level is not None and at_level.balance is not None and share > 1 - _CLOSE:
         raise ArithmeticError(
-            "the quadratic program of the prestress did not converge, though force densities "
-            "within the bounds balance, or nearly so; give other bounds or another level"
+            "the quadratic program of the prestress did not converge, although force densities "
+            "within the bounds balance, or nearly do; give other bounds or another level"
         )
     unbounded = np.full(count, np.inf)
     wider = (at_level or every).largest_share(low, unbounded)

@@ -1,4 +1,4 @@
-"""Stability of a prestressed shape: what the forces stiffen, and how stiff the whole is."""
+"""Stability of a prestressed shape: geometric and material stiffness."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ _ROUND_OFF = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Stability:
-    """What a prestress makes of the motions that the members leave free.
+    """Stability of a prestress: the stiffness that it gives to mechanisms.
 
-    Motions as one body, which the supports leave and the load does not resist, are left out.
+    Rigid-body motions, which the supports leave and the load does not resist, are left out.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Stability:
 class TangentStiffness:
     """Stiffness at rest, material and geometric, on the motions that keep the bar lengths.
 
-    Made by :meth:`Prestress.tangent_stiffness`. Motions as one body, which the supports leave and
+    Made by :meth:`Prestress.tangent_stiffness`. Rigid-body motions, which the supports leave and
     the load does not resist, are left out.
 
     Attributes
@@ -286,7 +286,7 @@ def _left_free(
 ) -> tuple[FloatArray, float]:  # fmt: skip
     """Return a basis, shape (f, k), of the motions that keep the lengths of some members.
 
-    Motions as one body are left out where nothing resists them. The number is the least stiffness
+    Rigid-body motions are left out where nothing resists them. The number is the least stiffness
     that is told from none, as a part of the gross one.
     """
     E = sparse_equilibrium_matrix(structure, structure.nodes).tocsr()[structure.free_rows]
@@ -304,7 +304,7 @@ def _left_free(
 def _unresisted(
     structure: Structure, picture: csc_array, stiffness: csc_array, gross: csc_array, loaded: bool
 ) -> FloatArray:
-    """Return the motions as one body that nothing resists, orthonormal in the picture."""
+    """Return the rigid-body motions that nothing resists, orthonormal in the picture."""
     pictured = rigid_picture(structure, picture)
     if loaded or structure.rollers:
         resisted = stiffness @ np.linalg.qr(picture.T @ pictured)[0]

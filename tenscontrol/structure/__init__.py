@@ -23,6 +23,7 @@ from tenscontrol.structure.segments import (
 )
 from tenscontrol.structure.skin import skin, skin_rest_length
 from tenscontrol.structure.structure import Structure, same_members
+from tenscontrol.structure.structure_file import STRUCTURE_KEYS, from_table, points, to_table
 from tenscontrol.structure.supports import (
     affine_motions,
     carried_by_supports,
@@ -36,6 +37,7 @@ from tenscontrol.structure.supports import (
 )
 
 __all__ = [
+    "STRUCTURE_KEYS",
     "BarDistances",
     "Block",
     "Structure",
@@ -46,10 +48,12 @@ __all__ = [
     "carried_by_supports",
     "crossing",
     "free_coordinates",
+    "from_table",
     "is_movable",
     "left_by_supports",
     "net",
     "node_mass",
+    "points",
     "prism",
     "prism_radius",
     "prism_tower",
@@ -70,5 +74,6 @@ __all__ = [
     "subdivide",
     "to_segments",
     "to_strings",
+    "to_table",
     "whole_strings",
 ]

@@ -1,4 +1,4 @@
-"""Members in a shape: lengths checked, those of bars restored, and how far bars are apart."""
+"""Geometry of bars and strings: length checks, restored bar lengths, distances between bars."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TOLERANCE = 1e-8
 
 
 def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
-    """Return the nodes with every bar stretched to its true length.
+    """Return the nodes, corrected so that every bar has its true length.
 
     A bar is stretched about its centre, or about its fixed end. Bars that share nodes are moved
     together, as little as can be in the metric of their mass.
@@ -52,15 +52,16 @@ def restore_bar_lengths(structure: Structure, nodes: object) -> FloatArray:
     most = _TOLERANCE / np.finfo(float).eps * structure.bar_length.min(initial=np.inf)
     if largest > most:
         raise ValueError(
-            f"nodes has entries up to {largest:g} m, expected at most {most:g} m: farther off, "
-            "double precision does not hold the shortest bar"
+            f"nodes has entries up to {largest:g} m, expected at most {most:g} m: beyond that, "
+            "double precision cannot resolve the shortest bar"
         )
     vectors = structure.bar_vectors(moved)
     length = np.linalg.norm(vectors, axis=0)
     lost = np.flatnonzero(length == 0)
     if len(lost):
         raise ValueError(
-            f"in nodes, the ends of bar {lost[0]} are at the same place: it has no direction"
+            f"in nodes, the ends of bar {lost[0]} are at the same point, so that it has no "
+            "direction; move one of them"
         )
     alone = np.concatenate([structure.free_bars, structure.swinging_bars])
     change = (vectors * (structure.bar_length / length - 1))[:, alone]
@@ -84,7 +85,7 @@ def refuse_wrong_bar_lengths(
         raise ValueError(
             f"in {name}, bar {worst} has length {length[worst]:.9g} m, expected "
             f"{structure.bar_length[worst]:.9g} m as in the structure; bars are rigid. "
-            "restore_bar_lengths(structure, nodes) mends a shape"
+            "restore_bar_lengths(structure, nodes) corrects a shape"
         )
 
 
@@ -96,7 +97,8 @@ def refuse_strings_without_length(name: str, structure: Structure, nodes: FloatA
         start, end = structure.segments[short[0]]
         raise ValueError(
             f"in {name}, strings[{structure.segment_string[short[0]]}] has no length: nodes "
-            f"{start} and {end} are at the same place, so that its force has no direction"
+            f"{start} and {end} are at the same point, so that its force has no direction; move "
+            "one of them"
         )
 
 

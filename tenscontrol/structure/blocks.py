@@ -1,4 +1,4 @@
-"""Blocks: bars that hang together by nodes that move, and which of them determine the motion."""
+"""Blocks of bars joined at free nodes, and which of their length constraints are independent."""
 
 from __future__ import annotations
 
@@ -256,8 +256,9 @@ def restore_block(structure: Jointed, block: Block, nodes: FloatArray) -> FloatA
         flat[rows] -= change
     raise ValueError(
         f"in nodes, bars {sorted(block.bars.tolist())}, which are joined to one another, cannot "
-        f"all be given their lengths near by: they are off by up to {best:.1e} of their squares "
-        "after the best of Newton's steps; start from a shape that is nearer"
+        f"all have their lengths in a shape near this one: Newton's method leaves relative "
+        f"errors of the squared lengths of up to {best:.1e}; give a shape nearer to one that "
+        "they can have"
     )
 
 
@@ -324,8 +325,8 @@ def _refuse_dead_centre(structure: Jointed, block: Block) -> None:
     if off.max() > _OFF:
         worst = block.bars[off.argmax()]
         raise ValueError(
-            f"bars {sorted(block.bars.tolist())}, with what holds them, are stiff in this shape, "
-            f"but not in shapes next to it, where bar {worst} changes its length: a dead centre, "
-            "in which their forces are not determined. Change the nodes a little, remove a bar or "
-            "hold less"
+            f"bars {sorted(block.bars.tolist())}, with their supports, are rigid in this shape, "
+            f"but not in neighbouring shapes, where bar {worst} changes its length: at such a "
+            "dead centre their forces are not determined. Change the nodes slightly, remove a "
+            "bar, or release a support"
         )

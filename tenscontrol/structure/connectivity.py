@@ -1,4 +1,4 @@
-"""Connectivity as it is given: members, paths of strings and supports, checked."""
+"""Checks of the connectivity that a user gives: members, paths of strings, supports."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def checked_strings(strings: Any, paths: Any, count: int) -> tuple[IntArray, Pat
     ends = np.array([(path[0], path[-1]) for path in found])
     if given and not np.array_equal(ends, float_array("strings", strings)):
         raise ValueError(
-            "strings and paths differ: strings are the first and the last node of each of paths. "
-            "Give paths=() with other strings, which may be paths themselves"
+            "strings and paths differ, expected in strings the first and the last node of each "
+            "path. With new strings give paths=(): strings may hold paths themselves"
         )
     if all(len(path) == 2 for path in found):
         return ends, ()

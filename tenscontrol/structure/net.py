@@ -1,4 +1,4 @@
-"""A net: strings only, held at its fixed nodes."""
+"""A rectangular net of strings with fixed nodes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tenscontrol.validation import (
 def net(
     rows: int, columns: int, spacing: float, node_mass: float, fixed: object = "corners"
 ) -> Structure:
-    """Return a flat rectangular net of strings, point masses at its knots.
+    """Return a flat rectangular net of strings with point masses at its knots.
 
     Node ``columns · i + j`` is knot j of row i, at (j, i, 0) times ``spacing``. The strings along
     the rows come first, group ``"row"``, then those along the columns, group ``"column"``.
@@ -76,7 +76,7 @@ def net(
     held = _held(fixed, knots)
     if held.size == 0:
         warnings.warn(
-            "nothing holds the net: no knot is fixed, and its strings can only pull it together; "
+            "no knot of the net is fixed, and its strings would only pull it together; "
             "give fixed='corners', 'edges' or node indices",
             UserWarning,
             stacklevel=2,

@@ -32,9 +32,9 @@ def prism(
 ) -> Structure:
     """Return the tensegrity prism in its equilibrium shape.
 
-    The top polygon is turned against the bottom one by ``π/2 − π/sides``, the only turn at which
-    strings and bars balance. Nodes 0 … q−1 are the top, the next q the bottom. The strings come in
-    groups ``"top"``, ``"bottom"`` and ``"vertical"``, q each in this order.
+    The top polygon is rotated against the bottom one by ``π/2 − π/sides``, the only angle at which
+    strings and bars are in equilibrium. Nodes 0 … q−1 are the top, the next q the bottom. The
+    strings are in the groups ``"top"``, ``"bottom"`` and ``"vertical"``, q each in this order.
 
     Parameters
     ----------
@@ -171,13 +171,13 @@ def prism_tower(
     overlap: float = 0.25,
     handedness: str = "left",
 ) -> Structure:
-    """Return a class-1 tower of tensegrity prisms, one on the other, in an equilibrium shape.
+    """Return a class-1 tower of tensegrity prisms, one above the other, in equilibrium.
 
-    The screw of the bars turns the other way from stage to stage, and no bar touches another: the
-    bottom of each stage hangs below the top of the last, in *saddle* strings that go to and fro
-    between the two polygons. *Diagonal* strings, from top to top and from bottom to bottom, hold
-    the stages together. One stage is the :func:`prism`. A higher tower needs no load to be stiff:
-    it has no mechanism, and states of self-stress that pull on all strings.
+    Stages are right- and left-handed in turn, and no bar touches another. The bottom of each stage
+    is below the top of the previous one, and *saddle* strings zigzag between these two polygons.
+    *Diagonal* strings join the tops, and the bottoms, of neighbouring stages. One stage is the
+    :func:`prism`. With more stages the tower has no mechanism, and a self-stress with all strings
+    in tension, so that it is stiff without a load.
 
     Nodes, bars and strings come stage by stage. The nodes of a stage are its top polygon, then its
     bottom polygon, q each; its strings are the groups ``"top"``, ``"bottom"`` and ``"vertical"``, q
@@ -238,8 +238,8 @@ def prism_tower(
     overlap = positive_number("overlap", overlap, "stage heights")
     if overlap > _LARGEST_OVERLAP:
         raise ValueError(
-            f"overlap is {overlap:g}, expected at most {_LARGEST_OVERLAP:g}: with more, "
-            "strings of the tower would have to push"
+            f"overlap is {overlap:g}, expected at most {_LARGEST_OVERLAP:g}: with more, no "
+            "self-stress of the tower has all strings in tension"
         )
     mirror = 1.0 if choice("handedness", handedness, ("left", "right")) == "left" else -1.0
 

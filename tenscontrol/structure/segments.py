@@ -1,4 +1,4 @@
-"""Strings cut into segments, and the only map between values of whole strings and of segments."""
+"""Strings divided into segments, and the map between values of strings and of segments."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def subdivide(
     node_mass: float | None = None,
     string_mass: object = None,
 ) -> Structure:
-    """Return the structure with its strings cut into segments, joined by point masses.
+    """Return the structure with its strings divided into segments, with point masses between.
 
     Each string becomes a straight chain of equal segments. The nodes of ``structure`` come first,
     in their order; the new ones follow string by string, each string from its start to its end.
@@ -267,7 +267,7 @@ def segment_counts(structure: Structure) -> IntArray:
 
 
 def spread_force_density(structure: Structure, force_density: object) -> FloatArray:
-    """Return the γ of segments, N/m, shape (α′,), under the tension that their strings had whole.
+    """Return the γ of segments, N/m, shape (α′,), with the tension of their whole strings.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Skins: panels of a structure covered by a mesh of strings, finer with each iteration."""
+"""Elastic skins: panels of a structure covered by a mesh of strings."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def skin(
     areal_density: object = None,
     group: str = "skin",
 ) -> Structure:
-    """Return the structure with panels covered by an elastic skin, a mesh of strings.
+    """Return the structure with an elastic skin on its panels: a mesh of strings.
 
     Each panel gets a node at its centre, the mean of its corners, and strings from it to the
     corners. This is repeated inside each new triangle, n ``iterations`` in all. Nodes and strings
@@ -170,7 +170,7 @@ def skin(
 def skin_rest_length(
     structure: Structure, rest_length: object, prestretch: float = 0.0
 ) -> FloatArray:
-    """Return the rest lengths of a skinned structure: as given, and those of the skin.
+    """Return the rest lengths of a structure with skin: those given, and those of the skin.
 
     Parameters
     ----------
@@ -410,7 +410,7 @@ def _refuse_bad_shape(name: str, loop: Loop, nodes: FloatArray) -> None:
     if fan.min() <= _ZERO or abs(turns) > 1.5:
         a, b = _edges(loop)[int(fan.argmin())]
         raise ValueError(
-            f"{name} crosses itself or is bent inwards: its edge {a} to {b} is not seen from its "
-            "centre, the mean of its corners, or is passed twice; give the nodes in order around "
+            f"{name} crosses itself or is not convex: its edge {a} to {b} is hidden from its "
+            "centre, the mean of its corners, or occurs twice; give the nodes in order around "
             "the panel, and cut it into convex panels"
         )

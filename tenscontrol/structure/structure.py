@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from tenscontrol.structure.connectivity import (
     selection,
     signed_incidence,
 )
+from tenscontrol.structure.structure_file import read_structure, write_structure
 from tenscontrol.validation import (
     FloatArray,
     IntArray,
@@ -35,16 +36,18 @@ from tenscontrol.validation import (
     positive,
     shaped,
 )
+from tenscontrol.web_page import View, Viewable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from numpy.typing import ArrayLike
     from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class Structure:
+class Structure(Viewable):
     """A tensegrity structure: rigid bars in a net of strings, in space or in the plane.
 
     Bars may share nodes, where they are joined by a ball joint (a pin in the plane). Nodes keep the
@@ -81,8 +84,8 @@ class Structure:
         For each string, the index of the string of ``parent`` that it is a
         segment of; :func:`subdivide` sets it.
     point_mass : array_like, shape (n,), optional
-        Mass at each node, kg, beside that of the bars: a payload, a motor, a string node. Every
-        string node needs one; fixed nodes have none.
+        Mass at each node, kg, in addition to that of the bars: a payload, a motor, a string node.
+        Every string node needs one; fixed nodes have none.
     rollers : sequence of (int, str), optional
         More pairs like those of ``fixed``, which end up here.
     paths : sequence of sequence of int, optional
@@ -97,7 +100,7 @@ class Structure:
         If a shape does not fit, an index is out of range, a member joins a node to itself, a bar
         repeats another, a clustered string passes a node twice, a node has no member, a bar has no
         length, a mass is missing or not positive, a fixed node is named twice, or ``string_parent``
-        does not fit ``parent``. The message names the culprit.
+        does not fit ``parent``. The message names what is wrong.
 
     Notes
     -----
@@ -241,11 +244,78 @@ class Structure:
             )
         return frozen(parent)
 
+    def view(self) -> View:
+        """Return a view of the reference shape, to be turned in a browser.
+
+        Returns
+        -------
+        View
+        """
+        return View("structure", self, self.nodes[:, :, None])
+
     def __repr__(self) -> str:
         return (
             f"Structure({self.nodes.shape[1]} nodes, {len(self.bars)} bars, "
             f"{len(self.strings)} strings)"
         )
+
+    def save(self, path: str | Path) -> Path:
+        """Write the structure to a file, as TOML or JSON. It comes back bit by bit.
+
+        Parameters
+        ----------
+        path : str or Path
+            Its name ends in ``.toml`` or ``.json``.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ValueError
+            If the name has another ending.
+        OSError
+            If the file cannot be written: one that was there is as it was.
+
+        Notes
+        -----
+        The TOML is the table ``[structure]`` of a scene file; see :func:`load_scene`. A structure
+        that was made from another, by :func:`subdivide` or :func:`skin`, holds it as ``parent``.
+
+        Examples
+        --------
+        >>> import tempfile, tenscontrol as tc
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = tc.library.six_bar_ball().save(folder + "/ball.toml")
+        ...     tc.Structure.load(file)
+        Structure(12 nodes, 6 bars, 24 strings)
+        """
+        return write_structure(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Return the structure of a file that :meth:`save` wrote, or that was written by hand.
+
+        Parameters
+        ----------
+        path : str or Path
+            Its name ends in ``.toml`` or ``.json``.
+
+        Returns
+        -------
+        Structure
+
+        Raises
+        ------
+        OSError
+            If the file cannot be read.
+        ValueError
+            If the file holds no structure, or one that :class:`Structure` refuses, or its version
+            is a later one. The message names the file and the key.
+        """
+        return read_structure(path, cls)
 
     @cached_property
     def dimension(self) -> int:

@@ -1,4 +1,4 @@
-"""Supports: which coordinates they hold, and which motions of the whole structure they leave.
+"""Supports: the coordinates that they fix, and the rigid-body motions that remain.
 
 Coordinates are counted as in ``vec(N)``: x, y, z of node 0, then of node 1, and so on.
 ``Structure.fixed_rows`` says which of them are held; the rest follows from it.
@@ -63,7 +63,7 @@ def left_by_supports(structure: Structure, fields: FloatArray) -> FloatArray:
 
 
 def rigid_basis(structure: Structure) -> FloatArray:
-    """Return an orthonormal basis of the motions as one body that the supports leave."""
+    """Return an orthonormal basis of the rigid-body motions that the supports leave."""
     motions = rigid_motions(structure.nodes)
     U, sizes, _ = np.linalg.svd(left_by_supports(structure, motions), full_matrices=False)
     largest = np.linalg.norm(motions, 2)
@@ -114,6 +114,6 @@ def refuse_load_without_support(structure: Structure, load: FloatArray) -> None:
     resultant[np.unique(structure.fixed_rows % structure.dimension)] = 0.0  # something holds it
     if np.abs(resultant).max() > 1e-9 * np.abs(load).sum():
         raise ValueError(
-            f"no equilibrium: nothing holds the structure, and its weights and loads add up to "
+            f"no equilibrium: the structure has no support, and its weights and loads add up to "
             f"{load.sum(axis=1)} N. Fix some nodes, Structure(..., fixed=[...])"
         )

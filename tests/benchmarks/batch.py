@@ -12,16 +12,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Any
 
 import numpy as np
 
 import tenscontrol as tc
-from tenscontrol.accuracy.peers.rigid_bodies import RigidScene
+from tenscontrol.accuracy.peers.rigid_bodies import NodeReader
 from tenscontrol.dynamics import pack_state, unpack_states
 from tenscontrol.integrate import Projector
 from tests.benchmarks.command_line import options
+from tests.benchmarks.jax_peers import rk4_step
 
 STIFFNESS, SPEED, WITHIN, PART = 100.0, 0.5, 1e-3, 0.99
 STEPS = (0.1, 0.0625, 0.05, 0.025, 0.0125, 0.01, 0.005, 0.0025, 0.001)
@@ -42,11 +45,14 @@ def thrown(prism: tc.Structure, runs: int) -> np.ndarray:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
     given = options(
-        __doc__, arguments, runs=1000, duration=1.0, repeats=5, scenes=("taut", "slack")
-    )
+        __doc__, arguments, runs=1000, duration=1.0, repeats=5,
+        scenes=("taut", "slack", "controlled"),
+    )  # fmt: skip
     prism = tc.prism()
     V = thrown(prism, given.runs)
-    for name in given.scenes:
+    if "controlled" in given.scenes:
+        controlled(prism, given.runs, given.duration)
+    for name in (each for each in given.scenes if each != "controlled"):
         vertical = {"taut": np.sqrt(3) * 17.3205, "slack": 9.0}[name]
         model = tc.Model(prism, strings=tc.LinearStrings(STIFFNESS))
         gamma = np.repeat([17.3205, 17.3205, vertical], 3)
@@ -61,6 +67,54 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"{name}: {given.runs} prisms, {given.duration:g} s, {switched:.1f} switches a run")
         print("method                     step s  error of 99 %  simulated s / s  first / method")
         table(batches, truth.nodes[..., -1], given.runs * given.duration, given.repeats)
+
+
+def controlled(prism: tc.Structure, runs: int, duration: float) -> None:
+    """Print what loops closed by an MPC take, at once and one by one."""
+    plant = tc.linearize(tc.Model(prism), tc.prestress(prism, force_density=17.3205))
+    mpc = tc.MPC(plant, horizon=20, sample_time=0.02, max_force_density=60.0)
+    with TemporaryDirectory() as folder:
+        code = tc.generate_c(mpc, Path(folder) / "mpc").compile()
+    offsets = np.random.default_rng(0).normal(size=(runs, 9))
+    starts = np.array([plant.to_nodes(0.02 * q) for q in offsets])
+    how = {"method": "rk4", "step": 5e-3}
+
+    def at_once() -> np.ndarray:
+        batch = tc.simulate_many(
+            plant.model, duration, starts, controller=code, threads=1, output_step=0.02, **how
+        )
+        return batch.nodes
+
+    def one_by_one(controller: Any) -> np.ndarray:
+        runs = (
+            tc.simulate(
+                plant.model, duration, start, controller=controller, output_step=0.02,
+                machine_code=True, **how,
+            )
+            for start in starts[:_SINGLE]
+        )  # fmt: skip
+        return np.array([run.nodes for run in runs])
+
+    print(f"controlled: {runs} prisms, {duration:g} s, MPC of {mpc.horizon} samples of 0.02 s")
+    print("loops                      simulated s / s  first / these  same bits")
+    ways = {
+        "compiled, at once": (at_once, runs),
+        "compiled, one by one": (lambda: one_by_one(code), len(starts[:_SINGLE])),
+        "Python, one by one": (lambda: one_by_one(mpc), len(starts[:_SINGLE])),
+    }
+    rates, nodes = {}, {}
+    for label, (run, count) in ways.items():
+        run()
+        began = process_time()
+        nodes[label] = run()
+        rates[label] = count * duration / (process_time() - began)
+    first, *_ = ways
+    for label, rate in rates.items():
+        same = np.array_equal(nodes[first][:_SINGLE], nodes[label][:_SINGLE])
+        print(f"{label:25s} {rate:16.0f} {rates[first] / rate:14.1f} {same!s:>10s}")
+
+
+_SINGLE = 50  # runs that are done one by one
 
 
 def table(batches: dict[str, Batch], truth: np.ndarray, simulated: float, repeats: int) -> None:
@@ -134,18 +188,6 @@ def _differences(pairs: np.ndarray) -> np.ndarray:
     matrix[np.arange(len(pairs)), pairs[:, 0]] = -1.0
     matrix[np.arange(len(pairs)), pairs[:, 1]] = 1.0
     return matrix
-
-
-def rk4_step(accelerations: Callable[..., Any], N: Any, V: Any, h: float) -> tuple[Any, Any]:
-    """Return nodes and velocities after a step."""
-    a1 = accelerations(N, V)
-    v2 = V + h / 2 * a1
-    a2 = accelerations(N + h / 2 * V, v2)
-    v3 = V + h / 2 * a2
-    a3 = accelerations(N + h / 2 * v2, v3)
-    v4 = V + h * a3
-    a4 = accelerations(N + h * v3, v4)
-    return N + h / 6 * (V + 2 * v2 + 2 * v3 + v4), V + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
 
 
 def columns_slope(prism: tc.Structure, lengths: np.ndarray) -> Callable[..., Any]:
@@ -254,18 +296,14 @@ def mujoco_rollout(
     except ImportError:
         print("MuJoCo is not installed: pip install '.[bench]'")
         return {}
-    prism = model.structure
-    scenes = [
-        RigidScene(tc.Case(model, duration, prism.nodes, rates, input="rest_length", value=lengths))
-        for rates in V
-    ]
-    made = mujoco.MjModel.from_xml_string(scenes[0].xml)
-    data = mujoco.MjData(made)
+    texts = [tc.exchange.to_mujoco(model, rest_length=lengths, velocities=rates) for rates in V]
+    made = mujoco.MjModel.from_xml_string(texts[0])
+    data, reader = mujoco.MjData(made), NodeReader(made, model.structure)
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     starts = np.empty((len(V), mujoco.mj_stateSize(made, kind)))
-    for row, scene in zip(starts, scenes, strict=True):
-        mujoco.mj_resetData(made, data)
-        data.qvel[:] = scene.start_velocity
+    for row, text in zip(starts, texts, strict=True):
+        own = mujoco.MjModel.from_xml_string(text)
+        mujoco.mj_resetDataKeyframe(own, data, 0)
         mujoco.mj_getState(made, data, row, kind)
 
     def batch(method: int) -> Batch:
@@ -273,12 +311,11 @@ def mujoco_rollout(
             steps = round(duration / step)
             made.opt.integrator, made.opt.timestep = method, duration / steps
             states, _ = rollout.rollout(made, data, starts, nstep=steps)
-            last = states[:, -1, 1:]
-            return (
-                scenes[0]
-                .nodes(last[:, : made.nq], last[:, made.nq : made.nq + made.nv])[0]
-                .transpose(2, 0, 1)
-            )
+            read = []
+            for state in states[:, -1]:
+                mujoco.mj_setState(made, data, state, kind)
+                read.append(reader.read(data))
+            return reader.motion(read)[0].transpose(2, 0, 1)
 
         return run
 

@@ -52,6 +52,18 @@ def acceleration(case: Case) -> Callable[[Any, Any], Any]:
     return accelerations
 
 
+def rk4_step(accelerations: Callable[..., Any], N: Any, V: Any, h: float) -> tuple[Any, Any]:
+    """Return nodes and velocities after a step."""
+    a1 = accelerations(N, V)
+    v2 = V + h / 2 * a1
+    a2 = accelerations(N + h / 2 * V, v2)
+    v3 = V + h / 2 * a2
+    a3 = accelerations(N + h / 2 * v2, v3)
+    v4 = V + h * a3
+    a4 = accelerations(N + h * v3, v4)
+    return N + h / 6 * (V + 2 * v2 + 2 * v3 + v4), V + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+
+
 def _starts(case: Case) -> tuple[Any, Any]:
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
     import jax
@@ -83,20 +95,9 @@ class JaxRK4(Peer):
         spacing, inner = spaced(times, setting)
         slope = acceleration(case)
 
-        def step(state: Any, h: Any) -> Any:
-            N, v = state
-            a = slope(N, v)
-            v2 = v + h / 2 * a
-            a2 = slope(N + h / 2 * v, v2)
-            v3 = v + h / 2 * a2
-            a3 = slope(N + h / 2 * v2, v3)
-            v4 = v + h * a3
-            a4 = slope(N + h * v3, v4)
-            return N + h / 6 * (v + 2 * v2 + 2 * v3 + v4), v + h / 6 * (a + 2 * a2 + 2 * a3 + a4)
-
         def solved(N: Any, V: Any, inner: Any, h: Any) -> Any:
             def output(state: Any, _: Any) -> Any:
-                state = jax.lax.fori_loop(0, inner, lambda _, now: step(now, h), state)
+                state = jax.lax.fori_loop(0, inner, lambda _, now: rk4_step(slope, *now, h), state)
                 return state, state
 
             return jax.lax.scan(output, (N, V), None, length=len(times))[1]

@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     runs = {"tenscontrol rk4, step 1e-3": ours}
     runs |= {f"SciPy DOP853, {t:g}": scipy_run(t) for t in (1e-4, 1e-6, 1e-8)}
-    runs |= mujoco_runs(prism, l0, outputs)
+    runs |= mujoco_runs(model, l0, outputs)
     print(f"prism, γ_v = 9 N/m, k = {STIFFNESS:g} N/m, {duration:g} s, {len(switches)} switches")
     print("method                        error m     time s  time / first")
     first = None
@@ -77,16 +77,14 @@ def timed(run: Callable[[], np.ndarray], repeats: int) -> tuple[float, np.ndarra
     return float(np.median(times)), path
 
 
-def mujoco_runs(
-    prism: tc.Structure, l0: np.ndarray, outputs: int
-) -> dict[str, Callable[[], np.ndarray]]:
+def mujoco_runs(own: tc.Model, l0: np.ndarray, outputs: int) -> dict[str, Callable[[], np.ndarray]]:
     """Return runs of MuJoCo with spatial tendons as strings; none if it is not installed."""
     try:
         import mujoco
     except ImportError:
         print("MuJoCo is not installed: pip install '.[bench]'")
         return {}
-    model = mujoco.MjModel.from_xml_string(prism_xml(prism, l0))
+    model = mujoco.MjModel.from_xml_string(tc.exchange.to_mujoco(own, rest_length=l0, step=STEP))
     data = mujoco.MjData(model)
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "n0")
 
@@ -109,34 +107,6 @@ def mujoco_runs(
         "MuJoCo RK4, step 1e-3": run_with(mujoco.mjtIntegrator.mjINT_RK4),
         "MuJoCo implicit, step 1e-3": run_with(mujoco.mjtIntegrator.mjINT_IMPLICIT),
     }
-
-
-def prism_xml(prism: tc.Structure, l0: np.ndarray) -> str:
-    """Return the free prism as MuJoCo's XML: slender bars, tendons that only pull."""
-    bodies = []
-    for start, end in prism.bars:
-        p, q = prism.nodes[:, start], prism.nodes[:, end]
-        half = 0.5 * np.linalg.norm(q - p)
-        axis = " ".join(f"{x:.17g}" for x in (q - p) / (2 * half))
-        centre = " ".join(f"{x:.17g}" for x in 0.5 * (p + q))
-        across = half**2 / 3  # m l²/12 for 1 kg
-        bodies.append(
-            f'<body pos="{centre}" zaxis="{axis}"><freejoint/>'
-            f'<inertial pos="0 0 0" mass="1" diaginertia="{across:.17g} {across:.17g} 1e-6"/>'
-            f'<site name="n{start}" pos="0 0 {-half:.17g}"/>'
-            f'<site name="n{end}" pos="0 0 {half:.17g}"/></body>'
-        )
-    tendons = [
-        f'<spatial stiffness="{STIFFNESS}" springlength="0 {l0[i]:.17g}">'
-        f'<site site="n{start}"/><site site="n{end}"/></spatial>'
-        for i, (start, end) in enumerate(prism.strings)
-    ]
-    return (
-        f'<mujoco><compiler balanceinertia="true"/>'
-        f'<option timestep="{STEP}" gravity="0 0 0"/>'
-        f"<worldbody>{''.join(bodies)}</worldbody>"
-        f"<tendon>{''.join(tendons)}</tendon></mujoco>"
-    )
 
 
 if __name__ == "__main__":

@@ -203,7 +203,7 @@ CONTROL = [
             r"tracked has a row of zeros"),
     refused("shape control of a drift",
             lambda: linearizing(tracked=np.tile([1.0, 0.0, 0.0], 6)[None]), ValueError,
-            r"tracked combinations are moved by no string"),
+            r"no string moves the tracked combinations"),
     refused("MPC load tracked nowhere",
             lambda: mpc(load_gain=0.5, tracked=np.zeros((1, 18))), ValueError,
             r"tracked has a row of zeros"),

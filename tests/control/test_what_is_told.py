@@ -220,12 +220,12 @@ def way_down(share):
 def test_a_reference_farther_than_the_linear_plant_holds_is_warned_of():
     """With γ as the input it ends off; with rest lengths of the shapes it does not."""
     far, near = way_down(0.25), way_down(0.05)
-    with pytest.warns(ControlWarning, match=r"at 1\.5 s is farther .* comes to rest") as caught:
+    with pytest.warns(ControlWarning, match=r"at 1\.5 s is outside .* comes to rest") as caught:
         far_law = law(tc.MPC, "force_density", reference=far, max_force_density=300.0)
     assert caught[0].filename == __file__
     follows = law(tc.MPC, "force_density", reference=near, max_force_density=300.0)
     quiet = law(tc.MPC, reference=far, max_force_density=None)
-    with pytest.warns(ControlWarning, match="farther than the linear plant holds") as caught:
+    with pytest.warns(ControlWarning, match="outside the range of the linear plant") as caught:
         follows.follow(far)
     assert caught[0].filename == __file__
     law(tc.NMPC, "force_density", reference=far, max_force_density=300.0)

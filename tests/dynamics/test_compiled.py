@@ -292,7 +292,7 @@ def test_a_compiler_with_an_open_quotation_is_named(monkeypatch, variable):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("echo out of order >&2; exit 3", "(?s)exit status 3.*=none to do without.*out of order"),
+        ("echo out of order >&2; exit 3", "(?s)exit status 3.*=none to run without.*out of order"),
         ("exit 0", "wrote no library"),
         ("echo rubbish > function.so", "cannot be loaded.*XDG_CACHE_HOME"),
     ],

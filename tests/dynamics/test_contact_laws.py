@@ -199,7 +199,7 @@ def test_what_is_fixed_or_not_named_touches_nothing():
         ({"normal": [0.0, 0.0, 0.0]}, "normal"),
         ({"height": float("inf")}, "height"),
         ({"height": ca.Function("f", [X], [ca.vertcat(X, X)])}, "with one number as its value"),
-        ({"height": HILLS, "normal": [1.0, 0.0, 0.0]}, "it is measured"),
+        ({"height": HILLS, "normal": [1.0, 0.0, 0.0]}, "which is measured"),
         ({"nodes": []}, "at least one node"),
         ({"nodes": [-1]}, "nodes"),
     ],

@@ -149,7 +149,7 @@ GROUND = [
             r"height is .*expected a function of the numbers x and y"),
     refused("ground height beside a normal",
             lambda: tc.Ground(1e3, normal=[1, 0, 1], height=ca.Function("h", [X, Y], [X])),
-            ValueError, r"normal is .*expected none beside a height that is a function"),
+            ValueError, r"normal is .*expected None where height is a function"),
     refused("ground nodes of none", lambda: tc.Ground(1e3, nodes=[]), ValueError,
             r"nodes has shape \(0,\), expected \(k,\): at least one"),
     refused("ground nodes negative", lambda: tc.Ground(1e3, nodes=[0, -1]), ValueError,

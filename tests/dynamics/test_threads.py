@@ -178,7 +178,7 @@ class TestLock:
         assert run.stdout.strip() == "0"
 
 
-REFUSED = "used by another thread at this moment"
+REFUSED = "in use by another thread"
 
 
 class TestMemory:

@@ -110,13 +110,13 @@ def test_it_is_refused_exactly_where_the_test_of_hautus_fails_at_zero(held, sens
     if not lost:
         assert tc.KalmanFilter(held, sensors, sample_time=STEP, load=True).riccati_residual < 1e-8
         return
-    message = rf"load: {lost} of the {r} ways to shift .*Measure in addition .*node_position"
+    message = rf"load: {lost} of the {r} directions of a load .*Measure in addition .*node_position"
     with pytest.raises(ValueError, match=message):
         tc.KalmanFilter(held, sensors, sample_time=STEP, load=True)
 
 
 def test_a_mechanism_that_changes_no_length_is_such_a_case(held, sensors_of):
-    with pytest.raises(ValueError, match="load: 1 of the 9 ways"):
+    with pytest.raises(ValueError, match="load: 1 of the 9 directions"):
         tc.KalmanFilter(held, sensors_of("string_length"), sample_time=STEP, load=True)
 
 

@@ -122,7 +122,7 @@ def test_a_mechanism_that_no_length_shows_is_seen_by_its_vibration(held, sensors
 
 def test_what_is_not_seen_is_refused_with_what_would_do(by_force, model):
     sensors = tc.Sensors(structure=model.structure, string_length=1e-3, strings=[0])
-    with pytest.raises(ValueError, match=r"10 of the 18 states are not seen") as raised:
+    with pytest.raises(ValueError, match=r"10 of the 18 states are not observable") as raised:
         tc.KalmanFilter(undamped(by_force), sensors, sample_time=STEP)
     text = str(raised.value)
     assert "string_length of all strings" in text

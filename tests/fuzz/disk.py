@@ -62,12 +62,16 @@ def controller():
 
 
 WRITERS = {
-    "run.npz": lambda path: tc.scene.save_trajectory(run(), path),
+    "run.npz": lambda path: run().save(path),
     "accuracy.csv": lambda path: measured().to_csv(path),
     "figure.png": lambda path: tc.plot.save_figure(figure(), path),
     "figure.pdf": lambda path: tc.plot.save_figure(figure(), path),
     "figure.svg": lambda path: tc.plot.save_figure(figure(), path),
     "run.gif": lambda path: tc.plot.animate(run(), path, fps=20, dpi=40),
+    "run.html": lambda path: run().to_html(path),
+    "run.glb": lambda path: tc.exchange.to_gltf(run(), path),
+    "shape.vtp": lambda path: tc.exchange.to_vtk(run().structure, path),
+    "shape.urdf": lambda path: tc.exchange.to_urdf(run().structure, path),
     "code": lambda path: tc.generate_c(controller(), path),
 }
 

@@ -180,8 +180,8 @@ def outcome(use, file, expected):
     except ValueError as error:
         said = str(error)
         named = str(file) in said and (
-            re.search(r", line \d+ is not", said) or "is no file of a sweep" in said
-            or "is of another sweep" in said
+            re.search(r", line \d+ is not", said) or "is not a sweep file" in said
+            or "belongs to another sweep" in said
         )  # fmt: skip
         inside = traceback.extract_tb(error.__traceback__)[-1].filename
         return "refused" if named and inside.endswith("store.py") else f"{said[:200]} !"

@@ -167,7 +167,7 @@ def share(name):
     try:
         command = controller.command(0.0, PRISM.nodes, STILL)
     except RuntimeError as error:
-        if "used by another thread" not in str(error):
+        if "in use by another thread" not in str(error):
             raise
         return True
     if not np.isfinite(command.value).all():

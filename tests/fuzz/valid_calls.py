@@ -104,6 +104,7 @@ RESULTS = {
     "dynamics.Equation",
     "estimation.Estimate",
     "estimation.FilterStatistics",
+    "exchange.Imported",
     "integrate.Choice",
     "integrate.IntegrationError",
     "integrate.IntegrationInterrupt",
@@ -124,6 +125,7 @@ RESULTS = {
     "plot.ModeShape",
     "plot.PoleMap",
     "plot.SweepDrawing",
+    "plot.View",
     "robustness.SweepError",
     "robustness.SweepFailure",
     "robustness.SweepReport",
@@ -143,6 +145,7 @@ RESULTS = {
     "simulation.ContactRecord",
     "simulation.ControlRecord",
     "simulation.EstimateRecord",
+    "simulation.Given",
     "simulation.Health",
     "simulation.SimulationError",
     "simulation.Trajectory",
@@ -170,6 +173,7 @@ ABSTRACT = {
 WITHIN = {
     "dynamics.Equation.masses",
     "simulation.Trajectory.health_of",
+    "plot.View.open",
     *(
         f"integrate.{method}.{name}"
         for method in ("RK4", "Rattle", "Rattle4", "Rattle6")
@@ -230,7 +234,7 @@ WITHIN = {
     "dynamics.Coordinates.within",
     "Height.miss",
     "NodesAt.miss",
-    "PointAt.miss",
+    "shape.PointAt.miss",
     "Twist.miss",
     "shape.Demand.miss",
     "accuracy.Peer.own_law",
@@ -472,6 +476,10 @@ def drawing():
     return tc.plot.structure(prism())
 
 
+def view():
+    return tc.plot.view(run())
+
+
 def reference():
     return tc.Reference([0.0, 1.0], np.repeat(nodes()[:, :, None], 2, axis=2))
 
@@ -567,6 +575,12 @@ for _name in tc.library.__all__:
 call("Structure.bar_vectors", lambda: {"nodes": nodes()}, prism)
 call("Structure.string_vectors", lambda: {"nodes": nodes()}, prism)
 call("Structure.string_length", lambda: {"nodes": nodes()}, prism)
+call("Structure.save", lambda: {"path": scratch("prism.toml")}, prism)
+call(
+    "Structure.load",
+    lambda: {"path": str(tc.prism().save(scratch("saved.json")))},
+    lambda: tc.Structure,
+)
 call("Structure.strings_in", lambda: {"group": "top"}, prism)
 call("Structure.checked_nodes", lambda: {"name": "nodes", "nodes": nodes()}, prism)
 call("structure.prism_radius", lambda: {"bar_length": 1.4, "height": 1.0, "sides": 3})
@@ -1169,7 +1183,7 @@ call(
     lambda: {"nodes": TOP, "positions": nodes()[:, :3], "directions": "xyz", "tolerance": 0.01},
 )
 call(
-    "PointAt",
+    "shape.PointAt",
     lambda: {
         "nodes": [0, 1],
         "position": np.zeros(3),
@@ -1349,9 +1363,13 @@ call(
     share=0.3,
 )
 call("simulation.Trajectory.summary", on=run)
+call("simulation.Trajectory.save", lambda: {"path": scratch("run.npz")}, run, 0.3)
+call("simulation.Trajectory.to_csv", lambda: {"path": scratch("run.csv")}, run, 0.3)
+call("simulation.Trajectory.to_xarray", on=run, share=0.1)
+call("load_run", lambda: {"path": str(run().save(scratch("saved.npz")))}, share=0.3)
 call("simulation.ControlRecord.summary", on=lambda: closed_run().control)
 call("simulation.ContactRecord.summary", on=lambda: dropped_run().contacts)
-call("scene.Scene.simulate", lambda: {"progress": False}, scene, 0.05)
+call("scene.Scene.simulate", lambda: {"progress": False, "start": None}, scene, 0.05)
 call(
     "scene.Scene.linearize",
     lambda: {"input": "rest_length", "coordinates": "internal"},
@@ -1359,7 +1377,8 @@ call(
     0.2,
 )
 call("load_scene", lambda: {"file": str(SCENE)}, share=0.3)
-call("scene.save_trajectory", lambda: {"run": run(), "file": scratch("run.npz")}, share=0.3)
+call("scene.scene_names")
+call("scene.scene_template", lambda: {"name": "d_bar"}, share=0.3)
 
 # ---- accuracy ----
 
@@ -1509,6 +1528,61 @@ for kind, (options, settings) in PEERS.items():
             0.2,
         )
 
+# ---- other programs ----
+
+
+def written(name, text):
+    """A file for a function to read."""
+    scratch(name).write_text(text)
+    return scratch(name)
+
+
+CROSS = """
+nodes: {a: [0, 0, 0], b: [0, 5, 0], c: [5, 5, 1], d: [5, 0, 1]}
+pair_groups: {rod: [[a, c], [b, d]], cable: [[a, b], [b, c], [c, d], [d, a]]}
+builders: {rod: {class: tgRodInfo}, cable: {class: tgBasicActuatorInfo}}
+"""
+call(
+    "exchange.to_mujoco",
+    lambda: {
+        "model": elastic(),
+        "rest_length": rest_length(),
+        "force_density": None,
+        "nodes": nodes(),
+        "velocities": STILL,
+        "external_force": None,
+        "actuators": "rest_length",
+        "step": 1e-3,
+        "integrator": "rk4",
+    },
+)
+call(
+    "exchange.from_mujoco",
+    lambda: {
+        "source": tc.exchange.to_mujoco(elastic(), rest_length=rest_length()),
+        "tolerance": 1e-6,
+    },
+)
+call("exchange.from_ntrt", lambda: {"path": written("x.yaml", CROSS), "length_unit": 0.1})
+call(
+    "exchange.from_csv",
+    lambda: {
+        "nodes": written("nodes.csv", "x,y\n0,0\n1,0\n1,1\n0,1\n"),
+        "members": written("members.csv", "kind,start,end\nbar,0,2\nbar,1,3\nstring,0,1\n"),
+    },
+)
+call("exchange.to_vtk", lambda: {"source": prism(), "path": scratch("prism.vtp")})
+call("exchange.to_vtk, run", lambda: {"source": run(), "path": scratch("run.pvd")}, share=0.2)
+call(
+    "exchange.to_gltf",
+    lambda: {"source": run(), "path": scratch("run.glb"), "bar_radius": 0.01},
+    share=0.5,
+)
+call(
+    "exchange.to_urdf",
+    lambda: {"structure": prism(), "path": scratch("prism.urdf"), "bar_radius": 0.01},
+)
+
 # ---- robustness ----
 
 call("Uniform", lambda: {"low": 0.0, "high": 1.0, "size": 3})
@@ -1584,6 +1658,7 @@ call(
     share=0.3,
 )
 call("deploy.GeneratedController.compile", lambda: {"timeout": 60.0}, generated, 0.02)
+call("deploy.CompiledController.another", on=compiled)
 call(
     "plot.structure",
     lambda: {
@@ -1629,6 +1704,18 @@ call(
     },
     share=0.03,
 )
+call("plot.view", lambda: {"shown": prism(), "force_density": gamma()}, share=0.3)
+call("plot.View.html", on=view, share=0.03)
+call("plot.View.figure", on=view, share=0.1)
+call("plot.View.save", lambda: {"path": scratch("view.html")}, view, 0.03)
+call("Structure.view", on=prism, share=0.1)
+call("Structure.to_html", lambda: {"path": scratch("page.html")}, prism, 0.03)
+call("plant.Modes.view", on=lambda: tc.modes(plant()), share=0.1)
+call("plant.Modes.to_html", lambda: {"path": scratch("page.html")}, lambda: tc.modes(plant()), 0.03)
+call("shape.ShapePath.view", on=short_path, share=0.1)
+call("shape.ShapePath.to_html", lambda: {"path": scratch("page.html")}, short_path, 0.03)
+call("simulation.Trajectory.view", on=run, share=0.1)
+call("simulation.Trajectory.to_html", lambda: {"path": scratch("page.html")}, run, 0.03)
 call("plot.convergence_order", lambda: {"result": order(), "ax": flat()}, share=0.2)
 call("plot.estimate", lambda: {"run": closed_run(), "strings": [0, 1], "axes": None}, share=0.1)
 call("plot.tracking", lambda: {"run": closed_run(), "axes": None}, share=0.1)
@@ -1687,6 +1774,7 @@ call(
         "run": run(),
         "nodes": [0, 1],
         "directions": "xz",
+        "relative_to": "origin",
         "references": {"goal": 1.0},
         "axes": None,
     },

@@ -145,7 +145,7 @@ def test_a_string_that_draws_its_nodes_together_is_named():
     bead = tc.Structure(nodes, np.zeros((0, 2)), [(0, 1, 2)], 1.0, point_mass=[0, 1.0, 0],
                         fixed=[0, 2])  # fmt: skip
     model = model_of(bead, gravity=[-9.81, 0.0])
-    with pytest.raises(ValueError, match=r"strings\[0\] runs over nodes 0 and 1 and draws them"):
+    with pytest.raises(ValueError, match=r"strings\[0\] runs over nodes 0 and 1 and pulls them"):
         tc.equilibrium(model, rest_length=0.9)
 
 
@@ -156,7 +156,7 @@ def test_random_structures_of_any_class_come_to_rest(seed):
     try:
         rest = tc.equilibrium(**case)
     except ValueError as error:
-        assert "draws them together" in str(error)  # noqa: PT017  # seeds 3 and 7
+        assert "pulls them to one point" in str(error)  # noqa: PT017  # seeds 3 and 7
         assert seed in (3, 7)
         return
     scale = case["model"].strings.stiffness.max()

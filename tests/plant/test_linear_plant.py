@@ -105,7 +105,7 @@ def test_the_step_response_moves_the_nodes_as_the_nonlinear_model_does(rest):
 
 
 def test_a_drifting_plant_has_no_state_space(prism):
-    with pytest.raises(ValueError, match="the plant drifts"):
+    with pytest.raises(ValueError, match="the plant has a drift"):
         drifting_plant(prism).to_statespace()
 
 

@@ -113,7 +113,7 @@ PLANT = [
     refused("step none", lambda: plant().discretize(None), TypeError, r"sample_time is None"),
     refused("state space of a drifting plant",
             lambda: drifting(model(), force_density=np.ones(9)).to_statespace(), ValueError,
-            r"plant drifts.*away from an equilibrium"),
+            r"plant has a drift.*away from an equilibrium"),
     refused("plant measure transposed", lambda: plant().measure(nodes().T, STILL), ValueError,
             r"nodes has shape \(6, 3\), expected \(3, 6\)"),
     refused("plant to_nodes of a whole state", lambda: plant().to_nodes(np.zeros(18)), ValueError,

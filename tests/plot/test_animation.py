@@ -1,5 +1,7 @@
-"""The animated GIF: frames, time, size, and what is refused."""
+"""The animated GIF and the film: frames, time, size, and what is refused."""
 
+import shutil
+import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -92,10 +94,47 @@ def test_a_single_state_is_a_picture(slack_run, tmp_path):
     assert len(pictures) == 1
 
 
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="MP4 files are written by ffmpeg")
+def test_a_film_has_the_frames_of_the_gif(slack_run, tmp_path):
+    gif, _ = frames(tc.plot.animate(slack_run, tmp_path / "run.gif", fps=10, dpi=33))
+    path = tc.plot.animate(slack_run, tmp_path / "run.mp4", fps=10, dpi=33)
+    raw = subprocess.run(
+        ["ffmpeg", "-loglevel", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "gray", "-"],
+        capture_output=True,
+        check=True,
+    ).stdout
+    even = [side + side % 2 for side in gif.shape[1:3]]  # H.264 has even sizes
+    film = np.frombuffer(raw, dtype=np.uint8).reshape(len(gif), *even)
+    film = film[:, : gif.shape[1], : gif.shape[2]].astype(float)
+    assert np.abs(film - gif.mean(axis=3)).mean() < 4.0
+    assert (film[0] != film[-1]).any()
+
+
+def test_a_film_without_ffmpeg_says_what_to_install(slack_run, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(FileNotFoundError, match=r"program ffmpeg.*install it.*ends in \.gif"):
+        tc.plot.animate(slack_run, tmp_path / "run.mp4")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_film_that_ffmpeg_refuses_is_an_error_with_its_reason(slack_run, tmp_path, monkeypatch):
+    fake = tmp_path / "ffmpeg"
+    fake.write_text("#!/bin/sh\necho 'Unknown encoder libx264' >&2\nexit 1\n")
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    with pytest.raises(OSError, match=r"could not write .*Unknown encoder libx264; or write a"):
+        tc.plot.animate(slack_run, tmp_path / "run.mp4", dpi=30)
+    assert list(tmp_path.iterdir()) == [fake]
+
+
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"path": "run.mp4"}, ValueError, "path is 'run.mp4', expected a name ending in .gif"),
+        (
+            {"path": "run.avi"},
+            ValueError,
+            "path is 'run.avi', expected .* in .gif, .mp4",
+        ),
         ({"path": 3}, TypeError, "path is 3, expected a path"),
         ({"path": None}, TypeError, "path is None, expected a path"),
         ({"path": "a\0.gif"}, ValueError, r"path is 'a\\x00.gif', expected a name that a file can"),

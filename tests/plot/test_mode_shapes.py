@@ -35,6 +35,37 @@ def test_displacement_is_the_mode_at_the_scale_asked_for(plant, modes):
     assert np.isclose(along, np.linalg.norm(moved) * np.linalg.norm(modes.shape[:, :, 5]))
 
 
+def test_arrows_go_from_the_reference_to_the_displaced_shape(plant, modes):
+    (shape,) = tc.plot.mode_shapes(plant, modes, which=[5])
+    shafts = np.array([each for each in shape.arrows._segments3d if len(each) == 2])
+    moved = positions(shape.displaced)
+    starts = {tuple(np.round(each, 9)) for each in plant.nodes.T}
+    ends = {tuple(np.round(each, 9)) for each in moved.T}
+    found = {tuple(np.round(end, 9)) for shaft in shafts for end in shaft}
+    assert found & starts
+    assert len(found & ends) == len(found & starts)
+
+
+def test_many_nodes_share_few_arrows_and_still_ones_have_none():
+    tower = replace(tc.library.class2_tower(stages=5), fixed=[0, 1, 2])
+    plant = tc.linearize(tc.Model(tower), tc.prestress(tower, min_force_density=10.0))
+    (shape,) = tc.plot.mode_shapes(plant, tc.modes(plant), which=[0])
+    drawn = shape.arrows._segments3d
+    moving = np.linalg.norm(positions(shape.displaced) - plant.nodes, axis=0)
+    assert (moving[:3] == 0).all()
+    assert 0 < len(drawn) <= 3 * (moving > 0.15 * moving.max()).sum()
+
+
+def test_panels_are_as_tall_as_the_structure_asks():
+    sizes = []
+    for structure in (tc.prism_tower(stages=4), tc.library.geiger_dome(8)):
+        plant = tc.linearize(tc.Model(structure), tc.prestress(structure, min_force_density=10.0))
+        figure = tc.plot.mode_shapes(plant, tc.modes(plant))[0].ax.figure
+        width, height = figure.get_size_inches()
+        sizes.append(height / width)
+    assert sizes[0] > 1.3 > 1.0 > sizes[1]
+
+
 def test_titles_say_number_frequency_and_kind(plant, modes):
     drawn = tc.plot.mode_shapes(plant, modes, which=[0, 3, 6])
     assert drawn[0].ax.get_title() == "mode 0: 0 Hz\naffine"

@@ -46,17 +46,55 @@ class TestTrajectory:
         panels = tc.plot.trajectory(slack_run)
         assert list(panels) == ["coordinates", "force_density", "rest_length"]
         labels = [panel.ax.get_ylabel() for panel in panels.values()]
-        assert labels == ["node position, m", "γ, N/m", "rest length, m"]
+        assert labels == ["displacement\nfrom the start, m", "γ, N/m", "rest length, m"]
         assert [panel.ax.get_xlabel() for panel in panels.values()] == ["", "", "time, s"]
 
     def test_panels_of_held_force_density(self, free_run):
         panels = tc.plot.trajectory(free_run)
         assert list(panels) == ["coordinates", "force_density"]
 
+    def test_draws_how_far_the_nodes_are_that_move_most(self, slack_run):
+        panel = tc.plot.trajectory(slack_run)["coordinates"]
+        away = np.linalg.norm(slack_run.nodes - slack_run.nodes[:, :, :1], axis=0)
+        # The bars of a prism move alike: the first four ends.
+        assert list(panel.lines) == [f"node {i}" for i in range(4)] + ["other 2 of 6 nodes"]
+        assert np.allclose(panel.lines["node 2"][0].get_ydata(), away[2])
+        assert np.allclose(
+            [line.get_ydata() for line in panel.lines["other 2 of 6 nodes"]], away[4:]
+        )
+        assert "other 2 of 6 nodes" in legend(panel.ax)
+
+    def test_nodes_that_move_most_are_chosen_and_still_ones_are_not(self, slack_run):
+        nodes = np.repeat(slack_run.nodes[:, :, :1], len(slack_run.time), axis=2)
+        nodes[0, 4] += np.linspace(0, 2, nodes.shape[2])
+        nodes[1, 1] += np.linspace(0, 1, nodes.shape[2])
+        panel = tc.plot.trajectory(replace(slack_run, nodes=nodes))["coordinates"]
+        assert list(panel.lines) == ["node 1", "node 4", "other 4 of 6 nodes"]
+        along = tc.plot.trajectory(replace(slack_run, nodes=nodes), directions="xyz")["coordinates"]
+        assert list(along.lines) == ["x[4]", "y[4]", "z[4]"]
+        still = replace(slack_run, nodes=np.repeat(nodes[:, :, :1], nodes.shape[2], axis=2))
+        assert len(tc.plot.trajectory(still)["coordinates"].lines) == 2
+
+    def test_displacement_from_a_shape_and_from_one_for_each_time(self, slack_run):
+        shape = slack_run.nodes[:, :, -1]
+        panel = tc.plot.trajectory(slack_run, relative_to=shape, nodes=[5])["coordinates"]
+        drawn = panel.lines["node 5"][0].get_ydata()
+        assert drawn[-1] == 0
+        assert np.isclose(drawn[0], np.linalg.norm(slack_run.nodes[:, 5, 0] - shape[:, 5]))
+        assert panel.ax.get_ylabel() == "displacement from\nthe reference, m"
+        panel = tc.plot.trajectory(slack_run, relative_to=slack_run.nodes, nodes=[5])["coordinates"]
+        assert not panel.lines["node 5"][0].get_ydata().any()
+
     def test_draws_the_coordinates_asked_for(self, slack_run):
-        lines = tc.plot.trajectory(slack_run, nodes=(0, 4), directions="xz")["coordinates"].lines
-        assert list(lines) == ["x[0]", "z[0]", "x[4]", "z[4]"]
-        assert np.array_equal(lines["z[4]"][0].get_ydata(), slack_run.nodes[2, 4])
+        options = {"nodes": (0, 4), "directions": "xz", "relative_to": "origin"}
+        panel = tc.plot.trajectory(slack_run, **options)["coordinates"]
+        assert list(panel.lines) == ["x[0]", "z[0]", "x[4]", "z[4]"]
+        assert np.array_equal(panel.lines["z[4]"][0].get_ydata(), slack_run.nodes[2, 4])
+        assert panel.ax.get_ylabel() == "node position, m"
+        options["relative_to"] = "start"
+        panel = tc.plot.trajectory(slack_run, **options)["coordinates"]
+        moved = slack_run.nodes[2, 4] - slack_run.nodes[2, 4, 0]
+        assert np.array_equal(panel.lines["z[4]"][0].get_ydata(), moved)
 
     def test_draws_every_string_in_the_style_of_its_group(self, slack_run):
         lines = tc.plot.trajectory(slack_run)["force_density"].lines
@@ -115,6 +153,9 @@ class TestTrajectory:
             ({"nodes": [-1]}, ValueError, r"nodes\[0\] is -1"),
             ({"nodes": 2}, TypeError, "nodes is 2, expected a sequence"),
             ({"directions": "xw"}, ValueError, "directions is 'xw', expected letters"),
+            ({"relative_to": "end"}, ValueError, "relative_to is 'end', expected one of 'start'"),
+            ({"relative_to": np.zeros((6, 3))}, ValueError, r"relative_to has shape \(6, 3\), exp"),
+            ({"relative_to": np.full((3, 6), np.nan)}, ValueError, r"relative_to\[0, 0\] is nan"),
             ({"references": {"a": [1, 2]}}, ValueError, r"references\['a'\]"),
             ({"axes": []}, ValueError, "axes has 0 entries, expected 3: one for each of"),
         ],
@@ -209,6 +250,25 @@ def test_faults_are_marked_with_what_they_act_on(broken_run):
     np.testing.assert_allclose(lost, [0.04, 0.04, 0.1, 0.1])
     shown = {text.get_text() for text in panels["force_density"].ax.get_legend().get_texts()}
     assert set(names) <= shown
+
+
+def test_a_controlled_run_shows_how_far_it_is_from_the_reference(broken_run):
+    panel = tc.plot.trajectory(broken_run)["coordinates"]
+    line = panel.references["farthest from reference"]
+    np.testing.assert_array_equal(line.get_ydata(), broken_run.control.tracking_error)
+    np.testing.assert_array_equal(line.get_xdata()[:-1], broken_run.control.time)
+    assert tc.plot.trajectory(broken_run, directions="x")["coordinates"].references == {}
+
+
+def test_logarithmic_panels_have_numbers_within_a_decade_too(broken_run):
+    control = replace(broken_run.control, tracking_error=np.linspace(0.021, 0.037, 6))
+    control = replace(control, time=broken_run.control.time[:5])
+    panel = tc.plot.tracking(replace(broken_run, control=control))["tracking_error"]
+    panel.ax.figure.canvas.draw()
+    low, high = panel.ax.get_ylim()
+    ticks = [tick for tick in panel.ax.get_yticks() if low <= tick <= high]
+    assert ticks
+    assert panel.ax.yaxis.get_major_formatter()(0.02, 0) == "0.02"
 
 
 def test_a_cut_string_has_no_rest_length(broken_run):

@@ -138,7 +138,7 @@ def test_every_structure_of_the_library_is_drawn():
 
 
 def test_a_planar_motion_has_histories_and_an_animation(planar_run, tmp_path):
-    panels = tc.plot.trajectory(planar_run, nodes=[1, 2])
+    panels = tc.plot.trajectory(planar_run, nodes=[1, 2], relative_to="origin")
     assert list(panels["coordinates"].lines) == ["x[1]", "y[1]", "x[2]", "y[2]"]
     with pytest.raises(ValueError, match="directions is 'z', expected letters out of 'xy'"):
         tc.plot.trajectory(planar_run, directions="z")

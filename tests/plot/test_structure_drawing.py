@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from mpl_toolkits.mplot3d import proj3d
 
 import tenscontrol as tc
 
@@ -112,6 +113,72 @@ def test_faint_shape_is_lighter_lies_behind_and_has_no_legend(prism, space):
     assert faint.bars.get_zorder() < plain.strings.get_zorder()
     lighter, darker = (part.bars.get_edgecolor()[0][:3] for part in (faint, plain))
     assert darkness(lighter) < darkness(darker) - 0.4
+
+
+def pixels(figure):
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba())[..., :3].astype(int)
+
+
+@pytest.mark.parametrize("first", ["faint", "plain"])
+def test_a_faint_shape_hides_nothing_in_axes_of_a_user(first, space):
+    ball = tc.library.six_bar_ball()
+    toward = 0.4 * np.array([[0.47], [-0.81], [0.34]])  # the eye
+    tc.plot.structure(ball, ax=space, legend=False, faint=first == "faint")
+    tc.plot.structure(ball, ball.nodes + (toward if first == "plain" else -toward), ax=space,
+                      legend=False, faint=first == "plain")  # fmt: skip
+    with_faint = pixels(space.figure)
+    for each in [each for each in (*space.collections, *space.lines) if each.get_zorder() < 2]:
+        each.set_visible(False)
+    alone = pixels(space.figure)
+    dark = alone.max(axis=2) < 140  # bars
+    assert dark.sum() > 500
+    seen = np.abs(with_faint - alone)[dark].max(axis=1) < 20  # all but the edges
+    assert seen.mean() > 0.99
+
+
+def test_near_members_are_drawn_over_far_ones_and_darker(space):
+    nodes = np.array([[0, 0, 1, 1], [0, 1, 0, 1], [0, 0.5, 0.5, 0]], dtype=float)
+    pair = tc.Structure(nodes, [[0, 2], [1, 3]], [[0, 1]], 1.0)
+    bars = tc.plot.structure(pair, ax=space, legend=False).bars
+    for azimuth, near in ((-90, 0), (90, 1)):  # from the side of y < 0, of y > 0
+        space.view_init(elev=10, azim=azimuth)
+        order, depth = bars._by_depth()
+        assert order.tolist() == [1 - near, near]
+        assert depth[near] == 0
+        assert depth[1 - near] == 1
+    assert darkness(bars.get_edgecolor()[0][:3]) > 0.8  # the colour asked for stays
+
+
+def test_the_colour_scale_covers_nothing(rest):
+    for given in (rest, tc.prestress(tc.library.geiger_dome(8), min_force_density=10.0)):
+        drawing = tc.plot.structure(given)
+        drawing.ax.figure.canvas.draw()
+        scale = drawing.colorbar.ax.get_tightbbox()
+        assert not scale.overlaps(drawing.ax.zaxis.label.get_window_extent())
+        assert scale.x1 <= drawing.ax.figure.bbox.x1
+        assert drawing.ax.get_position().x1 * drawing.ax.figure.bbox.x1 < scale.x0
+
+
+@pytest.mark.parametrize("name", ["six_bar_ball", "class2_tower", "d_bar", "arm", "snelson_x"])
+def test_numbers_do_not_cover_one_another(name):
+    drawing = tc.plot.structure(getattr(tc.library, name)(), labels=True, member_labels=True)
+    drawing.ax.figure.canvas.draw()
+    texts = (*drawing.node_labels, *drawing.bar_labels, *drawing.string_labels)
+    ax = drawing.ax
+    half = np.array([text.get_window_extent().size for text in texts]) / 2
+    if ax.name == "3d":
+        places = np.array([text.get_position_3d() for text in texts])
+        places = np.column_stack(proj3d.proj_transform(*places.T, ax.get_proj())[:2])
+    else:
+        places = np.array([text.get_position() for text in texts])
+    middle = ax.transData.transform(places)
+    gap = np.abs(middle[:, None] - middle) - 0.8 * (half[:, None] + half)
+    first, second = np.nonzero(np.triu((gap < 0).all(axis=2), 1))
+    covered = [
+        (texts[i].get_text(), texts[j].get_text()) for i, j in zip(first, second, strict=True)
+    ]
+    assert len(covered) <= len(texts) // 20, covered
 
 
 def test_numbers_stand_outside_the_nodes(prism):

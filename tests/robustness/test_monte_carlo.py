@@ -254,8 +254,8 @@ class TestFile:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             found, runs = inline(file=file)
-        assert [str(each.message).split(" ends in ")[1][:11] for each in caught] == [
-            "a torn line"
+        assert [str(each.message).split(" ends in ")[1][:18] for each in caught] == [
+            "an incomplete line"
         ] * torn
         assert runs == [0, *range(9, COUNT)]
         assert lines(found) == lines(report)
@@ -292,8 +292,8 @@ class TestFile:
     @pytest.mark.parametrize(
         ("content", "message"),
         [
-            ("notes", "is no file of a sweep"),
-            ("notes\n", "is no file of a sweep: its first line is not a header"),
+            ("notes", "is not a sweep file"),
+            ("notes\n", "is not a sweep file: its first line is not a header"),
             ("HEAD\n{}\n", "line 2 is not a run"),
             (
                 "HEAD\nFIRST\nFIRST\n",
@@ -383,11 +383,11 @@ class TestAnotherNumberOfRuns:
         inline(file=file)
         keep = short + 8 if left == "line of the count" else len(file.read_bytes()) - 30
         file.write_bytes(file.read_bytes()[:keep])
-        with pytest.warns(RuntimeWarning, match="torn line, which is dropped"):
+        with pytest.warns(RuntimeWarning, match="incomplete line, which is ignored"):
             part = tc.robustness.SweepReport.load(file)
         torn_count = left == "line of the count"
         assert (part.count, len(part)) == ((self.LESS,) * 2 if torn_count else (COUNT, COUNT - 1))
-        with pytest.warns(RuntimeWarning, match="torn line, which is dropped"):
+        with pytest.warns(RuntimeWarning, match="incomplete line, which is ignored"):
             found, _ = inline(file=file)
         assert lines(found) == lines(report)
         assert tc.robustness.SweepReport.load(file) == report

@@ -123,7 +123,7 @@ class TestLines:
 
     def test_other_encodings_are_refused(self, file):
         file.write_bytes(file.read_bytes().replace(b'"delay"', b'"d\xe9lay"', 1))
-        with pytest.raises(ValueError, match="is no file of a sweep: its first line"):
+        with pytest.raises(ValueError, match="is not a sweep file: its first line"):
             swept(file)
 
 
@@ -133,12 +133,12 @@ class TestTornHeader:
         file.write_bytes(file.read_bytes()[:length])
         assert swept(file) == report
         told = [str(each.message).split("jsonl ")[1] for each in recwarn]
-        assert told == ["has a torn header and no run, and is begun anew"] * (length > 0)
+        assert told == ["has an incomplete header and no run; it is started again"] * (length > 0)
         assert tc.robustness.SweepReport.load(file) == report
 
     def test_another_file_is_left_alone(self, file):
         file.write_text('{"other": 3}', "utf-8")
-        with pytest.raises(ValueError, match="is no file of a sweep"):
+        with pytest.raises(ValueError, match="is not a sweep file"):
             swept(file)
         assert file.read_text("utf-8") == '{"other": 3}'
 

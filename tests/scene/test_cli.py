@@ -1,6 +1,8 @@
 """The command, called as the shell calls it."""
 
+import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -27,6 +29,8 @@ duration = 0.1
 step = 1e-2
 """
 
+RUN_FILES = {"trajectory.npz", "trajectory.png", "health.png", "structure.png"}
+
 
 @pytest.fixture
 def scene(tmp_path):
@@ -48,21 +52,31 @@ def refused(capsys, *arguments):
 def test_simulate_saves_motion_and_figures(tmp_path, capsys, scene):
     folder = tmp_path / "new" / "folder"
     assert main(["simulate", str(scene), "--output", str(folder)]) == 0
-    assert {file.name for file in folder.iterdir()} == {
-        "trajectory.npz",
-        "trajectory.png",
-        "health.png",
-        "structure.png",
-    }
+    assert {file.name for file in folder.iterdir()} == RUN_FILES
     out = capsys.readouterr().out
     run = tc.load_scene(scene).simulate()
     assert out.startswith(run.summary())
     assert all(str(file) in out for file in folder.iterdir())
-    with np.load(folder / "trajectory.npz") as saved:
-        np.testing.assert_array_equal(saved["nodes"], run.nodes)
-        np.testing.assert_array_equal(saved["rest_length"], run.rest_length)
-        np.testing.assert_array_equal(saved["structure_strings"], run.structure.strings)
-        assert float(saved["choice_value"]) == 0.01
+    saved = tc.load_run(folder / "trajectory.npz")
+    np.testing.assert_array_equal(saved.nodes, run.nodes)
+    np.testing.assert_array_equal(saved.rest_length, run.rest_length)
+    np.testing.assert_array_equal(saved.structure.strings, run.structure.strings)
+    assert saved.choice == run.choice
+
+
+def test_a_saved_run_goes_on(tmp_path, scene):
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert main(["simulate", str(scene), "--output", str(one)]) == 0
+    start = one / "trajectory.npz"
+    assert main(["simulate", str(scene), "--start", str(start), "--output", str(two)]) == 0
+    first, second = (tc.load_run(folder / "trajectory.npz") for folder in (one, two))
+    assert second.time[0] == first.time[-1]
+    np.testing.assert_array_equal(second.nodes[:, :, 0], first.nodes[:, :, -1])
+
+
+def test_a_start_that_is_no_run(tmp_path, capsys, scene):
+    assert main(["simulate", str(scene), "--start", str(scene), "--output", str(tmp_path)]) == 2
+    assert "no run: expected a file that run.save(path) wrote" in capsys.readouterr().err
 
 
 def test_the_folder_is_named_after_the_scene(tmp_path, monkeypatch, scene):
@@ -181,6 +195,102 @@ def test_accuracy_of_an_unknown_method(tmp_path, capsys, scene):
     assert not (tmp_path / "n").exists()
 
 
+# ---- new, summaries as JSON, completion ----
+
+
+def test_new_writes_a_scene_and_does_not_replace_a_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "d_bar"]) == 0
+    assert capsys.readouterr().out == "d_bar.toml\n"
+    assert tc.load_scene("d_bar.toml").structure.strings.tolist() == [[0, 2], [1, 3]]
+    assert "d_bar.toml exists already" in refused(capsys, "new", "d_bar")
+    Path("d_bar.toml").write_text("")
+    assert main(["new", "d_bar", "--force"]) == 0
+    assert Path("d_bar.toml").stat().st_size > 1000
+    assert main(["new", "kite", "--output", "mine.toml"]) == 0
+    assert tc.load_scene("mine.toml").controller is not None
+
+
+def test_new_lists_the_structures(capsys):
+    assert main(["new", "--list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == sorted(tc.library.__all__)
+    assert "--list shows all names" in refused(capsys, "new")
+    assert "expected one of 'arm'" in refused(capsys, "new", "cube")
+
+
+def summary(capsys, *arguments):
+    """The summary that a command prints as JSON, and what is on stderr."""
+    main([*map(str, arguments), "--json"])
+    out, err = capsys.readouterr()
+    found = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert [found["command"], found["scene"]] == [str(each) for each in arguments[:2]]
+    assert found["version"] == tc.__version__
+    assert all(Path(file).exists() and file in err for file in found["files"])
+    keys = {key for key in found if key not in ("command", "version", "scene", "files")}
+    return found, keys
+
+
+DOCUMENTED = re.findall(
+    r"^   \* - ``(\w+)``\n     - ((?:``\w+``(?:, )?)+)",
+    (Path(__file__).parents[2] / "docs" / "scenes.rst").read_text(encoding="utf-8"),
+    re.M,
+)
+KEYS = {command: set(re.findall(r"``(\w+)``", keys)) for command, keys in DOCUMENTED}
+
+
+def test_a_run_as_json(tmp_path, capsys):
+    text = (SCENES / "prism_mpc.toml").read_text(encoding="utf-8")
+    file = tmp_path / "short.toml"
+    file.write_text(text.replace("duration = 3.0", "duration = 0.1"), encoding="utf-8")
+    found, keys = summary(capsys, "simulate", file, "--output", tmp_path)
+    assert keys == KEYS["simulate"] - {"tolerance"}
+    assert found["time"] == pytest.approx(0.1)
+    assert found["control"]["status"] == {"ok": 5}
+    assert found["displacement"]["start"] == pytest.approx(0.02)
+    assert found["health"]["energy_error"] is None
+    assert found["health"]["work"]["steps"] == 100
+
+
+def test_a_motion_that_runs_away_as_json(tmp_path, capsys, scene):
+    text = AT_REST.replace("17.3205", "{top = 0, bottom = 0, vertical = 1e20}")
+    text = text.replace("step = 1e-2", 'step = 1e-2\ninput = "force_density"')
+    scene.write_text(text, encoding="utf-8")
+    found, _ = summary(capsys, "simulate", scene, "--output", tmp_path)
+    assert "stopped" in found
+    assert found["files"] == [str(tmp_path / "trajectory.npz")]
+
+
+def test_modes_as_json(tmp_path, capsys, scene):
+    found, keys = summary(capsys, "modes", scene, "--output", tmp_path)
+    assert keys == KEYS["modes"]
+    plant = tc.load_scene(scene).linearize()
+    modes = tc.modes(plant)
+    assert [each["frequency"] for each in found["modes"]] == modes.frequency.tolist()
+    assert found["modes"][-1]["pole"] == [modes.pole[-1].real, modes.pole[-1].imag]
+    assert found["modes"][0]["kind"] == modes.label[0]
+
+
+def test_a_comparison_as_json(tmp_path, capsys, scene):
+    asked = ["--methods", "rk4", "--repeats", "1", "--outputs", "5", "--output", tmp_path]
+    found, keys = summary(capsys, "accuracy", scene, *asked)
+    assert keys == KEYS["accuracy"]
+    assert {row["method"] for row in found["rows"]} == {"rk4"}
+
+
+def test_the_shell_completes_commands_and_structures(tmp_path):
+    pytest.importorskip("argcomplete", reason="without the extra there is no completion")
+    answer = tmp_path / "answer"
+    for line, expected in (("tenscontrol si", ["simulate"]), ("tenscontrol new sp", ["spine"])):
+        asked = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line))}
+        subprocess.run(
+            [sys.executable, "-m", "tenscontrol"],
+            env=os.environ | asked | {"_ARGCOMPLETE_STDOUT_FILENAME": str(answer)},
+            check=False,
+        )
+        assert [each.strip() for each in answer.read_text().split("\v")] == expected
+
+
 # ---- disks and pipes that take no more, and memory that ends ----
 
 SMALL = """
@@ -209,14 +319,22 @@ def test_a_full_standard_output(tmp_path, scene):
     assert (tmp_path / "saved" / "trajectory.npz").exists()
 
 
-@pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
-def test_a_closed_pipe(tmp_path, scene):
+def into_a_closed_pipe(*arguments):
+    """Run the command with a standard output that nobody reads; its status."""
     reading, writing = os.pipe()
     os.close(reading)
+    command = [sys.executable, "-m", "tenscontrol", *map(str, arguments)]
     with open(writing, "w") as pipe:
-        said = ended(["simulate", scene, "--output", tmp_path / "saved"], stdout=pipe)
-    assert said == "tenscontrol: cannot write to the standard output: Broken pipe"
-    assert (tmp_path / "saved" / "trajectory.npz").exists()
+        done = subprocess.run(command, stdout=pipe, stderr=subprocess.PIPE, text=True)
+    assert done.stderr == ""
+    return done.returncode
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
+def test_a_closed_pipe_ends_nothing_and_is_told_by_the_status(tmp_path, scene):
+    assert into_a_closed_pipe("simulate", scene, "--output", tmp_path / "saved") == 141
+    assert {file.name for file in (tmp_path / "saved").iterdir()} == RUN_FILES
+    assert into_a_closed_pipe("--help") == 0
 
 
 @pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
@@ -237,3 +355,22 @@ def test_a_full_disk(tmp_path, scene):
 def test_memory_that_ends(error, message, capsys, scene, monkeypatch):
     monkeypatch.setattr("tenscontrol.scene.load_scene", Mock(side_effect=error))
     assert message in refused(capsys, "modes", scene)
+
+
+def test_view_writes_a_page_and_opens_it_only_when_asked(tmp_path, capsys, scene, monkeypatch):
+    shown = []
+    monkeypatch.setattr("webbrowser.open", shown.append)
+    assert main(["view", str(scene), "--output", str(tmp_path)]) == 0
+    page = tmp_path / "view.html"
+    assert capsys.readouterr().out == f"{page}\n"
+    assert "<title>run of 0.1 s by" in page.read_text("utf-8")
+    assert shown == []
+    assert main(["view", str(scene), "--output", str(tmp_path), "--browser"]) == 0
+    assert shown == [page.as_uri()]
+
+
+def test_view_without_plotly_says_how_to_get_it(tmp_path, capsys, scene, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    said = refused(capsys, "view", scene, "--output", tmp_path)
+    assert "pip install 'tenscontrol[view]'" in said
+    assert not (tmp_path / "view.html").exists()

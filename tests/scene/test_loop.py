@@ -361,14 +361,10 @@ def test_estimate_and_faults_are_saved(tmp_path, capsys):
     assert main(["simulate", str(file), "--output", str(tmp_path)]) == 0
     assert "winch 6 stuck from 0.3 s to 1 s" in capsys.readouterr().out
     assert (tmp_path / "estimate.png").stat().st_size > 10_000
-    with np.load(tmp_path / "trajectory.npz") as saved:
-        assert saved["faults"].tolist() == [
-            "StuckWinch(string=6, time=0.3, until=1.0)",
-            "LostMeasurement(time=1.5, until=1.7)",
-        ]
-        assert saved["control_estimate_nodes"].shape == (3, 6, 5)
-        assert len(saved["control_estimate_statistics_used"]) == 12
-        assert all(saved[name].dtype != object for name in saved.files)
+    saved = tc.load_run(tmp_path / "trajectory.npz")
+    assert saved.faults == (tc.StuckWinch(6, 0.3, 1.0), tc.LostMeasurement(1.5, 1.7))
+    assert saved.control.estimate.nodes.shape == (3, 6, 5)
+    assert len(saved.control.estimate.statistics.used) == 12
 
 
 def test_an_lqr_with_a_sample_time_is_designed_for_samples(load):

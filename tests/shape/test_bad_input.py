@@ -253,7 +253,7 @@ TARGETS = [
         "unheld weight",
         lambda: shape_target(prism_model(gravity=9.81), force_density=1.0),
         ValueError,
-        "nothing holds the structure",
+        "the structure has no support",
     ),
 ]
 

@@ -89,7 +89,7 @@ def test_a_path_to_the_same_shape_elsewhere_is_refused():
         tc.prestress(replace(prism, nodes=prism.nodes + off), force_density=17.3205)
         for off in (0.0, 0.2)
     ]
-    with pytest.raises(ValueError, match=r"moved as one body by up to 0\.346 m"):
+    with pytest.raises(ValueError, match=r"a rigid-body motion of up to 0\.346 m"):
         shape_path(model("prism"), *ends, duration=1.0)
 
 

@@ -14,9 +14,9 @@ def test_a_model_with_ground_is_refused_and_that_of_a_stance_taken():
     lengths = tc.to_rest_length(model, prism.nodes, gamma).rest_length
     stance = tc.equilibrium(model, rest_length=lengths)
     low = tc.Height(0.95, top=[0, 1, 2], bottom=[3, 4, 5])
-    with pytest.raises(ValueError, match="ground, whose forces a search"):
+    with pytest.raises(ValueError, match="ground, whose contact forces the search"):
         tc.shape_target(model, low, force_density=60.0)
-    with pytest.raises(ValueError, match="ground, whose forces a search"):
+    with pytest.raises(ValueError, match="ground, whose contact forces the search"):
         tc.shape_path(model, stance, stance, duration=1.0)
     held = tc.linearize(model, stance).model
     target = tc.shape_target(held, low, force_density=60.0)

@@ -247,7 +247,10 @@ DUNE = tc.Ground(stiffness=1e3, height=ca.Function("h", [X, Y], [0.1 * X * Y]))
     [
         (lambda: tipped(feet=[0, 4]), r"feet are \[0, 4\], expected at least 3"),
         (lambda: tipped(feet=[0, 4, 12]), r"feet\[2\] is 12"),
-        (lambda: tipped(feet=[0, 3, 8]), r"feet are \[0, 3, 8\], but nothing stands on them"),
+        (
+            lambda: tipped(feet=[0, 3, 8]),
+            r"feet are \[0, 3, 8\], on which the structure does not stand",
+        ),
         (lambda: tipped(rest=0.3, winches=WINCHES), r"rest_length\[0\] is 0.3 m"),
         (lambda: tipped(tc.Model(BALL, gravity=9.81)), "no string law"),
         (lambda: tipped(tc.Model(BALL, strings=STRINGS)), "no weight"),
@@ -273,7 +276,7 @@ def test_a_structure_with_supports_is_refused():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"winches": tc.Winches(shortest=0.54, longest=0.56)}, "at the end of their way"),
+        ({"winches": tc.Winches(shortest=0.54, longest=0.56)}, "at the end of their range"),
         ({"clearance": 0.2}, "bars would come as near as 0.19.* clearance"),
         ({"margin": 2.0}, "margin is 2 m"),
     ],

@@ -179,12 +179,12 @@ def test_some_nodes_are_kept():
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"rest_length": np.ones(9)}, "nothing differs from run to run"),
+        ({"rest_length": np.ones(9)}, "all runs are the same"),
         ({"rest_length": np.ones((2, 8))}, "rest_length has shape"),
         ({"nodes": np.zeros((2, 3, 6)), "rest_length": np.ones((3, 9))}, "has 3 runs, but nodes"),
         ({"rest_length": np.ones((2, 9)), "vary": {"colour": [1, 2]}}, "vary"),
         ({"rest_length": np.ones((2, 9)), "vary": {"stiffness": [1, 2, 3]}}, "3 runs"),
-        ({}, "expected one of rest_length and force_density"),
+        ({}, "expected one of rest_length, force_density and controller, found none"),
         ({"rest_length": np.ones((2, 9)), "keep_nodes": [6]}, "keep_nodes"),
         ({"rest_length": np.ones((2, 9)), "method": "rk4", "step": None}, "step"),
         ({"rest_length": np.ones((2, 9)), "external_force": np.ones((2, 3, 6))}, "no load"),

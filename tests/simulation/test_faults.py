@@ -402,7 +402,7 @@ def steered(fault, **changes):
     (lambda: tc.simulate(
         tc.Model(tc.prism()), 0.1, controller=controller("lqr", "force_density"), step=2e-3,
         faults=[tc.StuckWinch(3, 0.0)],
-    ), ValueError, r"winch 3 stuck from the start.* stands: give a time after the first sample"),
+    ), ValueError, r"winch 3 stuck from the start.* known then: give a time after"),
     (lambda: tc.StuckWinch(1, -0.2), ValueError, r"time is -0\.2, expected a time in s"),
     (lambda: tc.LostMeasurement(0.3, 0.2), ValueError, r"until is 0\.2 s, expected after time"),
 ])  # fmt: skip

@@ -427,7 +427,10 @@ HELD = Method("held", ("step",), "knows no time", METHODS["rk4"].make)
             {"rest_length": 1.0, "support_motion": tc.Profile([0, 0.05], APART, "hold")},
             "support_motion jumps by 1 m at 0.05 s, expected a continuous motion",
         ),
-        ({"rest_length": lambda t: 1 + t, "method": HELD}, "takes held inputs only, but an inp"),
+        (
+            {"rest_length": lambda t: 1 + t, "method": HELD},
+            "takes inputs that are constant over a step only, but an inp",
+        ),
         ({"rest_length": 1.0, "support_motion": np.zeros((2, 3))}, r"support_motion has shape"),
         ({"rest_length": 1.0, "external_force": tc.Profile([0], [1.0])}, "takes no load"),
     ],

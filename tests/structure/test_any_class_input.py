@@ -113,14 +113,14 @@ SUPPORTS = [
 
 DEAD = [
     refused("two bars in a row between supports", toggle, ValueError,
-            r"bars \[0, 1\], .*where bar [01] changes its length: a dead centre"),
+            r"bars \[0, 1\], .*where bar [01] changes its length: at such a dead centre"),
     refused("the same in space", lambda: toggle(nodes=[[0, 1, 2], [0] * 3, [0] * 3]), ValueError,
             r"a dead centre"),
     refused("bar held along itself at both ends",
             lambda: lever(fixed=[(0, "x"), (1, "x")]), ValueError,
-            r"bars \[0\], with what holds them, are stiff in this shape, .*a dead centre"),
+            r"bars \[0\], with their supports, are rigid in this shape, .*a dead centre"),
     refused("bar fixed and held along itself", lambda: lever(fixed=[0, (1, "x")]), ValueError,
-            r"a dead centre, .*remove a bar or hold less"),
+            r"a dead centre .*remove a bar, or release a support"),
     refused("flat linkage of three bars", lambda: tc.Structure(
                 [[0, 1, 3, 4], [0] * 4], [(0, 1), (1, 2), (2, 3)], [], 1.0, fixed=[0, 3]),
             ValueError, r"bars \[0, 1, 2\].*a dead centre"),
@@ -187,7 +187,7 @@ CLUSTERS = [
             ValueError, r"strings\[0\] joins node 3 to itself"),
     refused("other strings than the paths",
             lambda: replace(square(strings=[(2, 3, 0)]), strings=[(0, 2), (2, 3)]), ValueError,
-            r"strings and paths differ: .*Give paths=\(\) with other strings"),
+            r"strings and paths differ, .*With new strings give paths=\(\)"),
     refused("paths a word", lambda: square(paths="ab"), TypeError, r"paths is .*'ab'"),
     refused("groups of segments, not of strings",
             lambda: square(strings=[(2, 3, 0)], string_groups=["a", "b"]), ValueError,
@@ -209,10 +209,10 @@ SHAPES = [
     refused("a linkage pulled straight",
             lambda: tc.structure.restore_bar_lengths(
                 toggle(1.0), with_entry(toggle(1.0).nodes, (1, 1), 0.0)),
-            ValueError, r"in nodes, bars \[0, 1\], .*cannot all be given their lengths near by"),
+            ValueError, r"in nodes, bars \[0, 1\], .*cannot all have their lengths"),
     refused("joined bars without direction",
             lambda: tc.structure.restore_bar_lengths(body(), np.zeros((3, 5))), ValueError,
-            r"in nodes, the ends of bar 0 are at the same place"),
+            r"in nodes, the ends of bar 0 are at the same point"),
     refused("a fixed node moved",
             lambda: tc.structure.refuse_moved_supports(
                 "nodes", toggle(1.0), with_entry(toggle(1.0).nodes, (0, 2), 2.1)), ValueError,

@@ -352,27 +352,27 @@ REFUSED = {
     "bow tie": (
         lambda: on_sheet(SQUARE, [0, 2, 1, 3]),
         ValueError,
-        "panels[0] crosses itself or is bent inwards: its edge ",
+        "panels[0] crosses itself or is not convex: its edge ",
     ),
     "star": (
         lambda: pentagram(),
         ValueError,
-        "panels[0] crosses itself or is bent inwards: its edge ",
+        "panels[0] crosses itself or is not convex: its edge ",
     ),
     "touching": (
         lambda: on_sheet([(0, 0), (2, 0), (2, 2), (1, 0), (0, 2)]),
         ValueError,
-        "panels[0] crosses itself or is bent inwards: its edge ",
+        "panels[0] crosses itself or is not convex: its edge ",
     ),
     "spike": (
         lambda: on_sheet([(0, 0), (2, 0), (1, 0), (1, 2)]),
         ValueError,
-        "panels[0] crosses itself or is bent inwards: its edge ",
+        "panels[0] crosses itself or is not convex: its edge ",
     ),
     "arrow": (
         lambda: on_sheet([(0, 0), (4, 4), (0, 1), (-4, 4)]),
         ValueError,
-        "panels[0] crosses itself or is bent inwards: its edge",
+        "panels[0] crosses itself or is not convex: its edge",
     ),
     "no mass": (
         lambda: over("top", node_mass=None),

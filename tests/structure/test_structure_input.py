@@ -126,7 +126,7 @@ STRUCTURE = [
             ValueError, r"nodes\[0, 0\] is nan"),
     refused("restore_bar_lengths collapsed",
             lambda: tc.structure.restore_bar_lengths(prism(), STILL), ValueError,
-            r"ends of bar 0 are at the same place"),
+            r"ends of bar 0 are at the same point"),
 ]
 
 PRISM = [
@@ -205,7 +205,7 @@ FOUND_IN_REVIEW = [
             ValueError, r"^nodes\[0, 0\] is 1e\+300, expected at most 1e\+70"),
     refused("nodes so far that bars vanish",
             lambda: tc.structure.restore_bar_lengths(prism(), nodes() + 1e20),
-            ValueError, r"^nodes has entries up to 1e\+20 m, .* does not hold the shortest bar"),
+            ValueError, r"^nodes has entries up to 1e\+20 m, .* cannot resolve the shortest bar"),
 ]
 
 # fmt: on

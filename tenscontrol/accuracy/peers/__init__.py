@@ -1,4 +1,4 @@
-"""Integrators of other packages, as peers to measure ours against."""
+"""Integrators of other packages, for comparison with ours."""
 
 from tenscontrol.accuracy.peers.ode_solvers import CasADiCVODES, CasADiRK, SciPy
 from tenscontrol.accuracy.peers.peer import Peer, Solution, steps_between

@@ -1,4 +1,4 @@
-"""What another package must offer to be measured beside our own methods."""
+"""Interface of an integrator of another package, to be compared with our methods."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tenscontrol.validation import (
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A motion as a method found it.
+    """A motion computed by an integrator.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Limits that a user sets on combinations of node positions."""
+"""Output limits: bounds on linear combinations of node positions."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ _SHARE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class OutputLimit:
-    """Bounds on combinations of node positions, at the end of each sample of a horizon.
+    """Bounds on linear combinations of node positions at the end of each predicted sample.
 
-    In internal coordinates positions are those of the shape laid over the
-    operating point: combinations that rigid motion changes mean nothing.
+    In internal coordinates, positions are those of the shape aligned with the operating point.
+    Do not bound combinations that change in a rigid-body motion.
 
     Parameters
     ----------
@@ -108,13 +108,13 @@ class OutputLimit:
 
 
 def clearance(plant: LinearPlant, clearance: float, penalty: float | None = None) -> OutputLimit:
-    """Return the limit that keeps the axes of bars apart, for MPC and NMPC.
+    """Return an output limit that keeps bars apart, for MPC and NMPC.
 
-    The distance of two bars that pass one another is ``u · (p − q)``, with p and q the
-    points where they are nearest and u the unit vector between them. Its first-order
-    change is that with u, and the places of p and q along the bars, as at the operating
-    point. That is what is limited: it is good near this shape. Pairs that are nearest at an
-    end of a bar can go around each other, and are left out.
+    The distance between the axes of two bars is ``u · (p − q)``, with p and q their nearest points
+    and u the unit vector between them. To first order it changes as if u, and the places of p and
+    q along the bars, stayed as at the operating point. This linear distance is limited, which is
+    accurate near that shape. Pairs whose nearest point is an end of a bar are left out: these
+    bars can pass around each other.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def broken_limits(
                         "limit or the shape, or give a finite penalty"
                     )
                 if at is not None and path.given:
-                    found.append(f"{text}: the loop will rest between the two")
+                    found.append(f"{text}: the loop will settle between the two")
     return found
 
 

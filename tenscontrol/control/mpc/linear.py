@@ -1,4 +1,4 @@
-"""Linear model predictive control of strings that cannot push, and its condensed program."""
+"""Linear model predictive control with γ ≥ 0, and its condensed quadratic program."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ _MOST_CONDENSED = 5000
 
 @dataclass(frozen=True, eq=False)
 class MPCStatistics:
-    """What became of the solves since the last reset.
+    """Counts and iterations of the programs solved since the last reset.
 
     Attributes
     ----------
@@ -341,24 +341,22 @@ def form_of(problem: MPCProblem, form: str, settings: MPCSettings) -> Form | Non
 
 @final
 class MPC(PredictiveController):
-    """Model predictive control with γ ≥ 0, whatever else.
+    """Linear model predictive control; no string is ever commanded to push (γ ≥ 0).
 
-    At each sample the plant is predicted over a horizon by its exact
-    zero-order-hold discretization, a quadratic program is solved, and
-    the first input is applied. The terminal cost is that of the discrete LQR.
+    At each sample it predicts the plant over a horizon by the exact zero-order-hold
+    discretization, solves a quadratic program, and applies the first input. The terminal cost is
+    that of the discrete LQR.
 
-    Where the plant's input is the rest length, γ moves with the structure: its
-    limits are linear in state and input, and soft, since a push may slacken a
-    string before any winch moves. Along a reference, rest lengths start from
-    those that hold its shapes, and the plant's dynamics are taken about them. Winches
-    that move through samples (``Winches(substeps=...)``) are predicted as they do: about
-    the motion of the reference, with limits of strings at the ends of samples.
+    If the rest length is the input, γ depends on the motion. Its limits are then linear in state
+    and input. They are soft, as a disturbance may make a string slack before any winch moves.
+    With a reference, the plant is linearized about the rest lengths that hold its shapes. Winches
+    that move through a sample (``Winches(substeps=...)``) are predicted as ramps; limits of the
+    strings then apply at the ends of samples.
 
-    If a program is not solved, or the measurement is not one that the structure can
-    have, the command is the next input of the last plan; when that is used up, γ of
-    the operating point, or the rest lengths that the actuators hold. Either is counted
-    (:attr:`statistics`) and shows in the status. Changes are limited from what the
-    actuators hold (:meth:`applied`), and the next solved program makes a new plan.
+    If the program is not solved, or the structure cannot have the measured shape, the command is
+    the next input of the last solution. After its end it is γ of the operating point, or the rest
+    lengths that the actuators hold. The status shows both cases, and :attr:`statistics` counts
+    them. ``max_change`` counts from the input that the actuators reached (:meth:`applied`).
 
     Parameters
     ----------
@@ -444,9 +442,9 @@ class MPC(PredictiveController):
         if growth > _GROWS:
             what = f"lets errors grow by a factor e in {1 / growth:.2g} s"
         found.append(
-            f"the reference at {end:g} s is farther than the linear plant holds: there its loop "
-            f"{what}. Linearize nearer to it, take NMPC, or a GainSchedule in which another "
-            "controller takes over before"
+            f"the reference at {end:g} s is outside the range of the linear plant: there the "
+            "closed loop "
+            f"{what}. Linearize nearer to it, or use NMPC or a GainSchedule"
         )
         return found
 
@@ -471,7 +469,7 @@ class MPC(PredictiveController):
 
     @property
     def statistics(self) -> MPCStatistics:
-        """What became of the solves since the last reset."""
+        """Counts and iterations of the programs solved since the last reset."""
         iterations = frozen(np.array(self._iterations, dtype=np.int64))
         return MPCStatistics(self.status_count, self.fallback_count, iterations)
 

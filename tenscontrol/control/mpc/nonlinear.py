@@ -32,10 +32,13 @@ from tenscontrol.validation import FloatArray, frozen, instance, number, truth, 
 # Sequential quadratic programming has converged when no input changes by more, in its unit.
 CONVERGED = 1e-5
 
+# Commands differ by about a thousandth of the unit of an input from those without.
+LINEARIZATION_TOLERANCE = 0.05
+
 
 @dataclass(frozen=True, eq=False)
 class NMPCStatistics:
-    """What became of the samples since the last reset.
+    """Counts and times of the samples since the last reset.
 
     The arrays have an entry for each of the K samples whose measurement was used; a fallback for
     want of a measurement is counted in ``status_count`` alone.
@@ -50,6 +53,8 @@ class NMPCStatistics:
         Quadratic programs solved in each sample.
     iterations : ndarray of int, shape (K,)
         Iterations of the solver in each sample.
+    linearized : ndarray of int, shape (K,)
+        Samples of the plan whose derivatives were found anew.
     last_change : ndarray, shape (K,)
         Largest change of an input by the last program of each sample, in units of an input: how
         far the plan is from converged. Infinite where that program was not solved.
@@ -61,6 +66,7 @@ class NMPCStatistics:
     fallback_count: dict[Fallback, int]
     programs: np.ndarray
     iterations: np.ndarray
+    linearized: np.ndarray
     last_change: FloatArray
     preparation_time: FloatArray
     feedback_time: FloatArray
@@ -76,6 +82,7 @@ class NMPCLaw(PredictiveLaw):
     row_bounds: Pair  # of limited rows, shape (p,) each
     units: FloatArray  # of the state, shape (s,)
     rounds: int  # programs solved in a sample at most
+    linearization_tolerance: float
 
     def subproblem(self) -> Sparse:
         """Return the SQP subproblem, before anything is linearized."""
@@ -90,8 +97,10 @@ class NMPCLaw(PredictiveLaw):
         """Return the SQP subproblem with its solver."""
         if self.settings.solver in ("auto", "daqp"):
             compiled = self.settings.solver == "auto" and self.model.back_end == "machine code"
-            kind = LeastDistance if compiled else LeastDistanceArrays
-            return kind(self.problem, self.row_bounds, self.settings.max_iterations, self.bounds)
+            given = self.problem, self.row_bounds, self.settings.max_iterations, self.bounds
+            if compiled:
+                return LeastDistance(*given, tolerance=self.linearization_tolerance)
+            return LeastDistanceArrays(*given)
         # Stiff strings are sensitive to rest lengths: measured from those of the plan.
         form = self.subproblem()
         return SparseSubproblem(form, self.solver(form), relative=self.model.implicit)
@@ -135,22 +144,36 @@ class NMPCLaw(PredictiveLaw):
         return np.asarray(self.path.at(np.array([time])).input[0] if ramp else inputs[0])
 
 
+def _checked_tolerance(value: float | None, plant: LinearPlant) -> float | None:
+    """Return a part that is not negative, or None, or raise."""
+    if value is None:
+        return None
+    tolerance = number("linearization_tolerance", value, "a part")
+    if tolerance < 0:
+        raise ValueError(f"linearization_tolerance is {tolerance:g}, expected at least 0")
+    if tolerance and plant.model.contacts is not None:
+        raise ValueError(
+            f"linearization_tolerance is {tolerance:g}, and plant has ground, which changes "
+            "derivatives within far less: expected 0 or None"
+        )
+    return tolerance
+
+
 @final
 class NMPC(PredictiveController):
-    """Nonlinear MPC: the plant is linearized along the motion that was predicted.
+    """Nonlinear model predictive control by real-time iterations (SQP).
 
-    At each sample the last plan, moved on by a sample, is linearized exactly
-    (preparation, before the measurement); with the measured state one
-    quadratic program of fixed sparsity is solved (feedback). That is one step of
-    sequential quadratic programming with the Gauss-Newton Hessian a sample; more
-    on request. Motion is measured anew in reduced coordinates at each sample,
-    in which bars keep their lengths and need no states.
+    Before each sample, the last solution is shifted by a sample and the dynamics are linearized
+    along it (preparation). With the measured state, one quadratic program of fixed sparsity is
+    solved (feedback). This is one iteration of sequential quadratic programming with the
+    Gauss-Newton Hessian; ``iterations`` asks for more. The states are reduced coordinates in which
+    bars keep their lengths. They are chosen anew at each sample.
 
-    If a program is not solved, or the measurement is not one that the structure can
-    have, the plan is followed for another sample; after its end γ of the operating
-    point is commanded, or the rest lengths that the actuators hold. The status says so. Changes
-    are limited from what the actuators hold (:meth:`applied`). A plan that was followed
-    to its end is forgotten, and the next measurement starts a new one.
+    If the program is not solved, or the structure cannot have the measured shape, the command is
+    the next input of the last solution. After its end it is γ of the operating point, or the rest
+    lengths that the actuators hold, and the next measurement starts a new solution. The status
+    shows these cases. ``max_change`` counts from the input that the actuators reached
+    (:meth:`applied`).
 
     Parameters
     ----------
@@ -160,6 +183,13 @@ class NMPC(PredictiveController):
         coordinates, where it stands or in the air: contact is predicted.
     iterations : int
         Programs solved in a sample at most; fewer if the plan has converged.
+    linearization_tolerance : float, optional
+        A sample of the plan keeps its derivatives until its state or an input has moved, since they
+        were found, by more than this part of: for positions the size of the structure, or, where
+        rest lengths are held, the longest stretch of a string at rest; for velocities that size in
+        a sample; for inputs their unit. What is predicted is exact all the same. 0 finds all
+        anew, in every sample. By default 0.05 where steps are implicit and one program is solved in
+        a sample, else 0.
     machine_code : bool
         Compile the derivatives and the solver, where there is a C compiler: the same numbers but
         for round-off, sooner. Libraries are kept for the next run, and serve every horizon.
@@ -213,11 +243,13 @@ class NMPC(PredictiveController):
         *,
         iterations: int = 1,
         machine_code: bool = False,
+        linearization_tolerance: float | None = None,
         **settings: Unpack[SettingsKeywords],
     ) -> None:
         instance("plant", plant, LinearPlant, "make one by linearize(model, prestress)")
         truth("machine_code", machine_code, "whether to compile the derivatives")
         rounds = whole_number("iterations", iterations, least=1)
+        tolerance = _checked_tolerance(linearization_tolerance, plant)
         given = MPCSettings(**settings)
         made = design(plant, given, nonlinear=True)
         super().__init__(plant, given, made)
@@ -226,6 +258,8 @@ class NMPC(PredictiveController):
             warnings.warn(text, ControlWarning, stacklevel=2)
         # After all checks: it may be compiled.
         model = TrajectoryModel(plant, given, made.constraints, machine_code)
+        if tolerance is None:
+            tolerance = LINEARIZATION_TOLERANCE if model.implicit and rounds == 1 else 0.0
         self._law = NMPCLaw(
             settings=given,
             model=model,
@@ -235,9 +269,12 @@ class NMPC(PredictiveController):
             units=model.units(made.problem.level),
             load=None if self._observer is None else self._observer.model,
             rounds=rounds,
+            linearization_tolerance=tolerance,
             path=path,
         )
-        self._plan = RealTimeIterate(model, self._law.program(), self._law.problem, self.bounds)
+        self._plan = RealTimeIterate(
+            model, self._law.program(), self._law.problem, self.bounds, tolerance
+        )
         self.reset()
 
     @property
@@ -274,16 +311,17 @@ class NMPC(PredictiveController):
 
     @property
     def statistics(self) -> NMPCStatistics:
-        """What became of the samples since the last reset."""
-        table = np.array(self._records).reshape(-1, 5)
+        """Counts and times of the samples since the last reset."""
+        table = np.array(self._records).reshape(-1, 6)
         return NMPCStatistics(
             status_count=self.status_count,
             fallback_count=self.fallback_count,
             programs=frozen(table[:, 0].astype(np.int64)),
             iterations=frozen(table[:, 1].astype(np.int64)),
-            last_change=frozen(table[:, 2]),
-            preparation_time=frozen(table[:, 3]),
-            feedback_time=frozen(table[:, 4]),
+            linearized=frozen(table[:, 2].astype(np.int64)),
+            last_change=frozen(table[:, 3]),
+            preparation_time=frozen(table[:, 4]),
+            feedback_time=frozen(table[:, 5]),
         )
 
     def targets(self, time: float) -> Pair:
@@ -378,7 +416,8 @@ class NMPC(PredictiveController):
     def _record(
         self, rounds: int, work: int, change: float, preparing: float, began: float
     ) -> None:
-        self._records.append((rounds, work, change, preparing, perf_counter() - began))
+        fresh, self._plan.fresh = self._plan.fresh, 0
+        self._records.append((rounds, work, fresh, change, preparing, perf_counter() - began))
 
     def _fall_back(self, status: Status) -> Command:
         self._seen = None

@@ -23,7 +23,7 @@ import numpy as np
 
 from tenscontrol.control.status import Status
 from tenscontrol.plant import Preview, StringMap
-from tenscontrol.validation import FloatArray, IntArray, freeze_arrays, frozen
+from tenscontrol.validation import BoolArray, FloatArray, IntArray, freeze_arrays, frozen
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -363,15 +363,38 @@ class Form(ABC):
 
 @dataclass(frozen=True, eq=False)
 class StageJacobians:
-    """First-order functions along a trajectory: ``value ≈ offset + Σ slope · argument``.
+    """Functions along a plan to first order: their values there, and their slopes.
 
     Slopes are stored by columns: entry [k, j, i] is the derivative of value i by argument j. Those
     of the motion are by z_k, u_k and, where inputs are ramps, u_{k−1}; those of limited rows by
     z_k, u_k and z_{k+1}. They are views of memory that the next call may overwrite.
+
+    Slopes of sample k are in slot ``start + k``, modulo N: those of a plan that moved on stay in
+    their slots, and only those of ``fresh`` samples are others than in the last call.
     """
 
-    offset: FloatArray  # (N, m)
+    values: FloatArray  # (N, m)
     slopes: tuple[FloatArray, ...]  # (N, columns, m) each
+    start: int = 0
+    fresh: BoolArray | None = None  # (N,); None: all
+
+    def in_order(self) -> StageJacobians:
+        """Return the same with slopes in the order of samples."""
+        if not self.start:
+            return self
+        return StageJacobians(self.values, tuple(rolled(part, -self.start) for part in self.slopes))
+
+    def from_zero(self, *arguments: FloatArray) -> StageJacobians:
+        """Return the same in order, with values where all of these arguments are zero."""
+        same, values = self.in_order(), self.values.copy()
+        for slope, argument in zip(same.slopes, arguments, strict=True):
+            values -= applied(slope, argument)
+        return StageJacobians(values, same.slopes)
+
+
+def rolled(array: FloatArray, by: int) -> FloatArray:
+    """Return an array whose rows are moved on around its end."""
+    return np.roll(array, by, axis=0) if by else array
 
 
 def applied(slopes: FloatArray, arguments: FloatArray) -> FloatArray:

@@ -44,7 +44,7 @@ from tenscontrol.plant import (
     string_forces,
     with_jacobian,
 )
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import BoolArray, FloatArray
 
 # At a shape that changes its stiffness by a tenth these leave 1e-5 of what was off.
 NEWTON_STEPS = 5
@@ -161,12 +161,28 @@ class TrajectoryModel:
             inputs += effort
         return reference, inputs
 
+    def reach(self, level: float) -> FloatArray:
+        """Return the moves of a state and two inputs, (s + 2α,), that change slopes by their size.
+
+        Places move by the size of the structure, or where rest lengths are held by ``level``, of an
+        input, as strings then are as much longer.
+        """
+        plant = self._plant
+        r, a = plant.degrees_of_freedom, plant.B.shape[1]
+        size = float(np.ptp(plant.nodes, axis=1).max())
+        place = min(size, level) if plant.input == "rest_length" else size
+        speed = size / self._sample_time
+        return np.concatenate([np.full(r, place), np.full(r, speed), np.full(2 * a, level)])
+
     def linearize(
-        self, states: FloatArray, inputs: FloatArray, stages: FloatArray
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, fresh: BoolArray
     ) -> tuple[StageJacobians, StageJacobians | None]:
-        """Return the motion along a plan, and the limited rows or None, to first order."""
+        """Return the motion along a plan, and the limited rows or None, to first order.
+
+        Samples that are not fresh, (N,), keep their slopes: see :class:`Discretization`.
+        """
         here, later = np.ascontiguousarray(states[:-1]), np.ascontiguousarray(states[1:])
-        motion = self.discretization.linearize(here, inputs, stages)
+        motion = self.discretization.linearize(here, inputs, stages, fresh)
         rows = None if self._rows is None else self._rows(here, inputs[1:], later)
         return motion, rows
 
@@ -243,20 +259,25 @@ class RealTimeIterate:
 
     Accelerations at the stages of implicit steps are part of it, and u_{−1}, which still acts
     where inputs are ramps. ``inputs`` is None before there is a plan; ``linearized`` says whether
-    the program is linearized along the plan.
+    the program is linearized along the plan, and ``fresh`` how many samples were for that.
+
+    A sample keeps its derivatives until its state or an input has moved, since they were found, by
+    more than a part, the tolerance, of what changes them by their size.
     """
 
     def __init__(
-        self, model: TrajectoryModel, program: Subproblem, problem: MPCProblem, bounds: Pair
-    ) -> None:
+        self, model: TrajectoryModel, program: Subproblem, problem: MPCProblem, bounds: Pair,
+        tolerance: float = 0.0,
+    ) -> None:  # fmt: skip
         self._model, self.program, self._problem = model, program, problem
         self._discretization = model.discretization
         self._low, self._high = bounds
+        self._tolerance, self._reach = tolerance, model.reach(problem.level)
         self.clear()
 
     def __getstate__(self) -> dict[str, object]:
         """Pickle the plan; a program prepared in compiled memory is prepared anew."""
-        return vars(self) | {"linearized": False}
+        return vars(self) | {"linearized": False, "_at": np.full_like(self._at, np.nan)}
 
     @property
     def inputs(self) -> FloatArray | None:
@@ -273,6 +294,9 @@ class RealTimeIterate:
         self._states: FloatArray = np.zeros((0, 0))
         self._stages: FloatArray = np.zeros((0, 0, 0))
         self._inputs: FloatArray | None = None  # u_{−1} … u_{N−1}
+        # Where samples were linearized, in parts of what changes derivatives; NaN: nowhere.
+        self._at: FloatArray = np.full((self._problem.length, len(self._reach)), np.nan)
+        self.fresh = 0
         self.linearized, self._shifted = False, True
         self.program.forget()
 
@@ -306,14 +330,25 @@ class RealTimeIterate:
             self._inputs = np.vstack([previous_input, np.clip(origin, self._low, self._high)])
             self._stages = np.zeros_like(self._stages)
         self._shifted, self.linearized = True, False
+        self._at[:] = np.nan
 
     def prepare(self) -> None:
         """Move the plan on where due, and linearize along it where the dynamics have values."""
         self.shift()
-        inputs = self._planned()
-        motion, rows = self._model.linearize(self._states, inputs, self._stages)
+        inputs, fresh = self._planned(), np.ones(len(self._at), bool)
+        if self._tolerance:
+            parts = np.hstack([self._states[:-1], inputs[1:], inputs[:-1]]) / self._reach
+            off = np.abs(parts - self._at)
+            if not self._discretization.ramp:
+                off = off[:, : -inputs.shape[1]]
+            fresh = ~(off <= self._tolerance).all(axis=1)
+            self._at[fresh] = parts[fresh]
+        self.fresh += int(fresh.sum())
+        motion, rows = self._model.linearize(self._states, inputs, self._stages, fresh)
         # A plan may lead where the dynamics have no value: there is nothing to prepare then.
         self.linearized = self.program.linearize(self._states, inputs, motion, rows)
+        if not self.linearized:
+            self._at[:] = np.nan
 
     def shift(self) -> None:
         """Move the plan on by a sample, once."""
@@ -321,11 +356,15 @@ class RealTimeIterate:
             return
         inputs = self._planned()
         last = np.minimum(np.maximum(inputs[-1], self._low), self._high)
-        end, within = self._discretization.advance(self._states[-1], inputs[-1], last)
+        last_stages = self._stages[-1] if self._stages.size else None
+        end, within = self._discretization.advance(self._states[-1], inputs[-1], last, last_stages)
         self._states = np.concatenate([self._states[1:], end[None]])
         self._inputs = np.concatenate([inputs[1:], last[None]])
         if self._stages.size:
             self._stages = np.concatenate([self._stages[1:], within[None]])
+        if self._tolerance:
+            self._discretization.start = (self._discretization.start + 1) % len(self._at)
+            self._at = np.vstack([self._at[1:], np.full_like(self._at[:1], np.nan)])
         self.program.shift()
         self._shifted = True
 

@@ -1,4 +1,4 @@
-"""What MPC and NMPC share: settings, the problem that they make of a plant, and a base class."""
+"""Settings, problem and base class of MPC and NMPC."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class SettingsKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MPCSettings:
-    """Bounds, weights, limits and solver of :class:`MPC` and :class:`NMPC`, which share them.
+    """Settings of :class:`MPC` and :class:`NMPC`: horizon, bounds, weights, limits, solver.
 
     Parameters
     ----------
@@ -209,7 +209,9 @@ class MPCSettings:
             checked["time_limit"] = positive_number("time_limit", self.time_limit, "s")
         if self.load_gain is None:
             if self.tracked is not None:
-                raise ValueError("tracked says what is free of offset under a load: give load_gain")
+                raise ValueError(
+                    "tracked needs load_gain: it selects what is free of offset under a load"
+                )
         elif positive_number("load_gain", self.load_gain, "no unit") > 1:
             raise ValueError(f"load_gain is {self.load_gain:g}, expected above 0 and at most 1")
         self._check_solver()
@@ -465,6 +467,7 @@ class PredictiveController(Controller):
         if not (self._nonlinear and plant.model.contacts is not None):
             warn_of_unreached(self, stacklevel=4)
         self._longest_time = settings.longest_time
+        self._settings = vars(settings)
         self._limits = made.constraints.blocks
         self._observer: LoadObserver | None = None
         if settings.load_gain is not None:
@@ -501,7 +504,7 @@ class PredictiveController(Controller):
         law = self._law.following(reference)
         for text in self._concerns(law.path):
             warnings.warn(text, ControlWarning, stacklevel=3)  # that of the lock is between
-        self._law = law
+        self._law, self._settings = law, vars(law.settings)
 
     def reference_nodes(self, times: FloatArray) -> FloatArray:
         """See :meth:`Controller.reference_nodes`."""

@@ -8,8 +8,13 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from tenscontrol.control.disturbance import solve_stacked
-from tenscontrol.control.mpc.problem import Pair, StageJacobians, Triple, applied
+from tenscontrol.control.mpc.problem import (
+    Pair,
+    StageJacobians,
+    Triple,
+    applied,
+    rolled,
+)
 from tenscontrol.dynamics import Evaluator, builds, built, compiled
 from tenscontrol.plant import (
     LinearPlant,
@@ -23,7 +28,7 @@ from tenscontrol.plant import (
     sampled_motion,
     string_forces,
 )
-from tenscontrol.validation import FloatArray
+from tenscontrol.validation import BoolArray, FloatArray, IntArray
 
 # Radau IIA with three stages: Hairer & Wanner, Solving Ordinary Differential Equations II, IV.5.
 _ROOT = 6**0.5
@@ -37,10 +42,17 @@ _MATRIX = np.array([
 # Up to so many coordinates a sample of one step is faster written out in machine code.
 _MOST_WRITTEN = 12
 
+# Points are differentiated in parts with so many numbers in the largest of their matrices, which
+# then stay in the cache of a processor, and in memory that was used before.
+_IN_CACHE = 60_000
+
 # A single step is solved when the next one of Newton's method moves no coordinate by more than
 # this part of the size of the structure.
 _SOLVED = 1e-12
 _MOST_ROUNDS = 20
+
+# Derivatives from elsewhere are kept while each round moves by less than this part of the last.
+_QUICK = 0.1
 
 # Then no equation is off by more than this, as accelerations that move places in a sample.
 _BALANCED = 1e-9
@@ -51,13 +63,11 @@ def stage_jacobians(evaluator: Evaluator, *arguments: FloatArray) -> StageJacobi
     N = len(arguments[0])
     # One sample is a vector to an evaluator, several are columns.
     values, *slopes = evaluator(*(x.T if N > 1 else x[0] for x in arguments))
-    offset = values.reshape(-1, N, order="F").T.copy()
-    blocks = []
-    for slope, argument in zip(slopes, arguments, strict=True):
-        by_columns = slope.ravel(order="K").reshape(N, argument.shape[1], -1)
-        offset -= applied(by_columns, argument)
-        blocks.append(by_columns)
-    return StageJacobians(offset, tuple(blocks))
+    blocks = (
+        slope.ravel(order="K").reshape(N, argument.shape[1], -1)
+        for slope, argument in zip(slopes, arguments, strict=True)
+    )
+    return StageJacobians(values.reshape(-1, N, order="F").T, tuple(blocks))
 
 
 @builds
@@ -91,29 +101,46 @@ class AccelerationSlopes:
         self._project = np.ascontiguousarray(plant.coordinates.project(identity)[:, rows].T)
         self._basis = np.ascontiguousarray(plant.basis.T)
         self._places, self._count = plant.nodes.ravel(order="F"), count
-        # All points are multiplied at once; the first Jacobians by the same matrix.
-        self._jacobians = [
-            _transposed(pattern, count, apart)
-            for pattern, apart in zip(patterns, (0, 1, 1), strict=True)
-        ]
+        self._patterns = patterns
+        # Of as many points as are differentiated together.
+        self._jacobians: dict[int, list[Any]] = {}
+        self.together = max(1, _IN_CACHE // (3 * self._basis.size))
 
-    def __call__(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, ...]:
-        """Return q̈, (K, r), and its slopes by columns: by z, (K, 2r, r), and by u, (K, α, r)."""
-        (r, m), K = self._basis.shape, self._count
+    def values(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
+        """Return q̈, (K, r), and entries of Jacobians, (K, ·) each, which the next call changes."""
+        r, K = len(self._basis), self._count
         places, rates = (part @ self._basis for part in (states[:, :r], states[:, r:]))
         given = places + self._places, rates, inputs
-        moved, *entries = self._evaluate(*(part.T if K > 1 else part[0] for part in given))
-        for jacobian, values in zip(self._jacobians, entries, strict=True):
-            jacobian.data = values.ravel(order="K")
-        by_bodies, by_strings, by_lengths = self._jacobians
-        whole = (by_bodies @ self._project).reshape(K, 3 * m, r)  # by N, Ṅ and F
-        by_forces = by_strings @ whole[:, 2 * m :].reshape(K * m, r)
-        by_forces = by_forces.reshape(K, -1, r)  # by N, Ṅ and u
+        moved, *entries = (
+            part.ravel(order="K").reshape(K, part.size // K)
+            for part in self._evaluate(*(part.T if K > 1 else part[0] for part in given))
+        )
+        return moved @ self._project, entries
+
+    def slopes(self, entries: list[FloatArray], points: IntArray) -> Pair:
+        """Return slopes of q̈ at k of the points, by columns: by z, (k, 2r, r), and u, (k, α, r)."""
+        (r, m), k = self._basis.shape, len(points)
+        if k not in self._jacobians:
+            # All points are multiplied at once; the first Jacobians by the same matrix.
+            self._jacobians[k] = [
+                _transposed(pattern, k, apart)
+                for pattern, apart in zip(self._patterns, (0, 1, 1), strict=True)
+            ]
+        for jacobian, values in zip(self._jacobians[k], entries, strict=True):
+            jacobian.data = values[points].ravel()
+        by_bodies, by_strings, by_lengths = self._jacobians[k]
+        whole = (by_bodies @ self._project).reshape(k, 3 * m, r)  # by N, Ṅ and F
+        by_forces = by_strings @ whole[:, 2 * m :].reshape(k * m, r)
+        by_forces = by_forces.reshape(k, -1, r)  # by N, Ṅ and u
         by_forces[:, : 2 * m] += whole[:, : 2 * m]
-        by_places = by_lengths @ by_forces[:, : 2 * m].reshape(K * 2 * m, r)
-        by_z = self._basis @ by_places.reshape(K, 2, m, r)
-        value = moved.reshape(K, -1) if K == 1 else moved.T
-        return value @ self._project, by_z.reshape(K, 2 * r, r), by_forces[:, 2 * m :]
+        by_places = by_lengths @ by_forces[:, : 2 * m].reshape(k * 2 * m, r)
+        by_z = self._basis @ by_places.reshape(k, 2, m, r)
+        return by_z.reshape(k, 2 * r, r), by_forces[:, 2 * m :]
+
+    def __call__(self, states: FloatArray, inputs: FloatArray) -> Triple:
+        """Return q̈ and its slopes at all points."""
+        values, entries = self.values(states, inputs)
+        return values, *self.slopes(entries, np.arange(self._count))
 
 
 def _transposed(pattern: ca.Sparsity, count: int, apart: int) -> Any:
@@ -178,10 +205,7 @@ class RowSlopes:
             if jacobian.nnz:
                 by_q = (jacobian @ self._basis.T).reshape(N, p, r)
                 slopes[at][:, half : half + r] = by_q.swapaxes(1, 2)
-        offset = values.reshape(-1, N, order="F").T.copy()
-        for slope, argument in zip(slopes, (states, inputs, later), strict=True):
-            offset -= applied(slope, argument)
-        return StageJacobians(offset, tuple(slopes))
+        return StageJacobians(values.reshape(-1, N, order="F").T, tuple(slopes))
 
 
 class Discretization(ABC):
@@ -193,6 +217,7 @@ class Discretization(ABC):
     """
 
     back_end: str  # "machine code" or "virtual machine"
+    start = 0  # the slot of the first sample: slopes of sample k are in slot start + k, modulo N
     ramp: bool  # whether the input moves through a sample, so that the one before matters too
 
     @property
@@ -201,8 +226,14 @@ class Discretization(ABC):
         """``(z, u) -> z⁺``, or ``(z, u_before, u) -> z⁺`` where inputs are ramps."""
 
     @abstractmethod
-    def advance(self, state: FloatArray, previous: FloatArray, held: FloatArray) -> Pair:
-        """Return the state a sample later, and the stages; NaN where a step has no solution."""
+    def advance(
+        self, state: FloatArray, previous: FloatArray, held: FloatArray,
+        stages: FloatArray | None = None,
+    ) -> Pair:  # fmt: skip
+        """Return the state a sample later, and the stages; NaN where a step has no solution.
+
+        Stages are sought from others, (stages, r), or from none.
+        """
 
     @abstractmethod
     def predict(
@@ -212,9 +243,12 @@ class Discretization(ABC):
 
     @abstractmethod
     def linearize(
-        self, states: FloatArray, inputs: FloatArray, stages: FloatArray
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, fresh: BoolArray
     ) -> StageJacobians:
-        """Return z_{k+1} to first order in z_k, u_k and, for ramps, u_{k−1}, along a plan."""
+        """Return z_{k+1} to first order in z_k, u_k and, for ramps, u_{k−1}, along a plan.
+
+        Samples that are not fresh, (N,), keep the slopes that are in their slots.
+        """
 
     @abstractmethod
     def load_response(self, load: FloatArray) -> FloatArray:
@@ -237,7 +271,10 @@ class RK4(Discretization):
         self._sampled = sampled_motion(plant, sample_time)
         self._count = explicit_substeps(plant, sample_time)
         self._plant, self._sample_time = plant, sample_time
-        self._step, self._r = sample_time / self._count, plant.degrees_of_freedom
+        h = self._step = sample_time / self._count
+        self._r = plant.degrees_of_freedom
+        # Of the stages of a step: weight, and how far ahead, s.
+        self._weights = [(1.0, 0.0), (2.0, 0.5 * h), (2.0, 0.5 * h), (1.0, h)]
         self._written: Evaluator | None = None
         if machine_code and self._count == 1 and self._r <= _MOST_WRITTEN:
             key = "RK4", sample_time
@@ -246,6 +283,8 @@ class RK4(Discretization):
         else:
             self._slopes = AccelerationSlopes(plant, length, taut=False, machine_code=machine_code)
             self.back_end = self._slopes.back_end
+            s, a = plant.B.shape
+            self._by_all = tuple(np.zeros((length, k, s)) for k in (s, a))
         self._advance = Evaluator(self._sampled)
         self._response = acceleration_response(plant, sample_time)
         self._no_stages = np.zeros((0, plant.degrees_of_freedom))
@@ -260,7 +299,10 @@ class RK4(Discretization):
         """See :attr:`Discretization.sampled`."""
         return self._sampled
 
-    def advance(self, state: FloatArray, previous: FloatArray, held: FloatArray) -> Pair:
+    def advance(
+        self, state: FloatArray, previous: FloatArray, held: FloatArray,
+        stages: FloatArray | None = None,
+    ) -> Pair:  # fmt: skip
         """See :meth:`Discretization.advance`."""
         return self._advance(state, held)[0].copy(), self._no_stages
 
@@ -271,39 +313,45 @@ class RK4(Discretization):
         return self._response @ load + self._advance(state, held)[0], None
 
     def linearize(
-        self, states: FloatArray, inputs: FloatArray, stages: FloatArray
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, fresh: BoolArray
     ) -> StageJacobians:
         """See :meth:`Discretization.linearize`."""
         held = inputs[1:]
         if self._written is not None:
             return stage_jacobians(self._written, states, held)
-        (N, s), r, h = states.shape, self._r, self._step
-        q, v = states[:, :r], states[:, r:]
-        # Derivatives of places and speeds by z and u, by columns: at first of z by itself.
-        start = np.broadcast_to(np.eye(s + held.shape[1], s), (N, s + held.shape[1], s))
-        places, speeds = start[:, :, :r], start[:, :, r:]
-        weights = list(zip((1.0, 2.0, 2.0, 1.0), (0.0, 0.5 * h, 0.5 * h, h), strict=True))
-        for step in range(self._count):
-            end_q, end_v, end_places, end_speeds = (x.copy() for x in (q, v, places, speeds))
-            rate, slope, rates, slopes = v, np.zeros_like(v), speeds, np.zeros_like(speeds)
-            for weight, ahead in weights:
-                there = places + ahead * rates
-                at, rate, rates = q + ahead * rate, v + ahead * slope, speeds + ahead * slopes
-                slope, by_z, by_u = self._slopes(np.hstack([at, rate]), held)
-                if step == 0 and not ahead:
-                    slopes = np.concatenate([by_z, by_u], axis=1)
-                else:
-                    slopes = np.concatenate([there, rates], axis=2) @ by_z
-                    slopes[:, s:] += by_u
-                end_q += h / 6 * weight * rate
-                end_v += h / 6 * weight * slope
-                end_places += h / 6 * weight * rates
-                end_speeds += h / 6 * weight * slopes
-            q, v, places, speeds = end_q, end_v, end_places, end_speeds
-        by_all = np.concatenate([places, speeds], axis=2)
-        parts = by_all[:, :s], by_all[:, s:]
-        offset = np.hstack([q, v]) - applied(parts[0], states) - applied(parts[1], held)
-        return StageJacobians(offset, parts)
+        r, h, s, samples = self._r, self._step, states.shape[1], np.flatnonzero(fresh)
+        end, entries = states, []
+        for _ in range(self._count):
+            z, slope = end, np.zeros_like(end)
+            for weight, ahead in self._weights:
+                at = z + ahead * slope
+                values, found = self._slopes.values(at, held)
+                entries.append([part[samples] for part in found])
+                slope = np.hstack([at[:, r:], values])
+                end = end + h / 6 * weight * slope
+        for first in range(0, len(samples), self._slopes.together):
+            points = np.arange(first, min(first + self._slopes.together, len(samples)))
+            slots = (samples[points] + self.start) % len(states)
+            by_all = self._chained(entries, points)
+            self._by_all[0][slots], self._by_all[1][slots] = by_all[:, :s], by_all[:, s:]
+        return StageJacobians(end, self._by_all, self.start, fresh)
+
+    def _chained(self, entries: list[list[FloatArray]], points: IntArray) -> FloatArray:
+        """Return derivatives of z⁺ by z and u, by columns, from entries at stages of all steps."""
+        s, w = (sum(part.shape[1] for part in self._by_all[:count]) for count in (1, 2))
+        r, h, stages = self._r, self._step, iter(entries)
+        by_all = np.zeros((len(points), w, s))
+        by_all[:, np.arange(s), np.arange(s)] = 1.0
+        for _ in range(self._count):
+            start, slope = by_all.copy(), np.zeros_like(by_all)
+            for weight, ahead in self._weights:
+                by_z, by_u = self._slopes.slopes(next(stages), points)
+                there = start + ahead * slope if ahead else start
+                slope[:, :, :r] = there[:, :, r:]
+                np.matmul(there, by_z, out=slope[:, :, r:])
+                slope[:, s:, r:] += by_u
+                by_all += h / 6 * weight * slope
+        return by_all
 
     def load_response(self, load: FloatArray) -> FloatArray:
         """See :meth:`Discretization.load_response`."""
@@ -349,11 +397,13 @@ class RadauIIA(Discretization):
         # What the accelerations at the stages do to places and speeds there.
         self._to_place, self._to_speed = sample_time**2 * _MATRIX @ _MATRIX, sample_time * _MATRIX
         self._size = float(np.ptp(plant.nodes, axis=1).max())
-        # What they do to the end, as columns of M⁻ᵀ of the equations M K = … are combined.
-        self._to_end = np.stack([self._to_place[2], self._to_speed[2]])
-        # Of the plan linearized last: M⁻ᵀ, the equations' left, and slopes of q̈ by z and u.
-        self._linear: tuple[FloatArray, ...] = ()
-        self._by_load: FloatArray = np.zeros((0, self._r, 0))
+        # What they do to the end, by columns.
+        to_end = np.stack([self._to_place[2], self._to_speed[2]], axis=1)
+        to_end = np.kron(to_end, np.eye(self._r))
+        s, a = plant.B.shape
+        self._plan = _StageEquations(length, s, a, to_end)
+        self._single = _StageEquations(1, s, a, to_end)
+        self._slopes = [np.zeros((length, k, s)) for k in ((s, a, a) if ramp else (s, a))]
 
     @built
     def sampled(self) -> ca.Function:
@@ -388,84 +438,92 @@ class RadauIIA(Discretization):
         whole = ca.vertcat(*given)
         return ca.Function("sampled", given, [end(solver(0, whole), whole)], [*names], ["end"])
 
-    def advance(self, state: FloatArray, previous: FloatArray, held: FloatArray) -> Pair:
+    def advance(
+        self, state: FloatArray, previous: FloatArray, held: FloatArray,
+        stages: FloatArray | None = None,
+    ) -> Pair:  # fmt: skip
         """See :meth:`Discretization.advance`."""
-        return self._single(state, previous, held, np.zeros(self._r))[:2]
+        return self._step(state, previous, held, np.zeros(self._r), stages)
 
     def predict(
         self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray
     ) -> Pair:
         """See :meth:`Discretization.predict`: no number where strings go slack."""
-        r = self._r
-        end, _, system = self._single(state, previous, held, load)
+        end, _ = self._step(state, previous, held, load)
         for z, u in ((state, previous), (end, held)):
             if not self._taut(z, u)[0].min() >= 0:
                 end = np.full_like(end, np.nan)
-        inverse = solve_stacked(system, np.eye(3 * r)[None])
-        return end, self._at_end(inverse).sum(axis=1)[0].T
+        self._single.find_ends(0)
+        by_stages = self._single.to_end[0].reshape(-1, 3, self._r)
+        return end, by_stages.sum(axis=1)
 
-    def _single(
-        self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray
-    ) -> Triple:
-        """Return end, stages and (∂G/∂K)ᵀ of a step; no numbers where Newton's method fails."""
+    def _step(
+        self, state: FloatArray, previous: FloatArray, held: FloatArray, load: FloatArray,
+        stages: FloatArray | None = None,
+    ) -> Pair:  # fmt: skip
+        """Return end and stages of a step; no numbers where Newton's method fails."""
         states, inputs = state[None], np.array([previous, held])
-        stages = np.zeros((1, 3, self._r))
+        found = np.zeros((1, 3, self._r)) if stages is None else stages[None]
+        # From stages of the last sample of the plan, the derivatives there may do.
+        equations, slot = self._plan, self.start - 1
+        quick, moved = stages is not None, np.inf
         for _ in range(_MOST_ROUNDS):
-            system, left = self._equations(self._once, states, inputs, stages)[:2]
-            change = solve_stacked(system.swapaxes(1, 2), (np.tile(load, 3) - left)[..., None])
-            change = change.reshape(stages.shape)
-            stages = stages + change
-            if np.abs(self._to_place @ change).max() <= _SOLVED * self._size:
-                return self._ends(states, stages)[0], stages[0], system
-        stages = np.full_like(stages, np.nan)
-        return self._ends(states, stages)[0], stages[0], system
+            left, entries = self._left(self._once, states, inputs, found)
+            if not quick:
+                equations, slot = self._single, 0
+                self._differentiate(self._once, entries, np.arange(1), equations, np.arange(1))
+            change = equations.solved(slot, np.tile(load, 3) - left[0]).reshape(found.shape)
+            found, last = found + change, moved
+            moved = np.abs(self._to_place @ change).max()
+            if moved <= _SOLVED * self._size:
+                return self._ends(states, found)[0], found[0]
+            quick = quick and moved < _QUICK * last
+        found = np.full_like(found, np.nan)
+        return self._ends(states, found)[0], found[0]
 
     def linearize(
-        self, states: FloatArray, inputs: FloatArray, stages: FloatArray
+        self, states: FloatArray, inputs: FloatArray, stages: FloatArray, fresh: BoolArray
     ) -> StageJacobians:
         """See :meth:`Discretization.linearize`."""
-        (N, s), r, h = states.shape, self._r, self._sample_time
-        system, left, by_z, by_u = self._equations(self._along, states, inputs, stages)
-        inverse = solve_stacked(system, np.broadcast_to(np.eye(3 * r), system.shape))
-        to_end = self._at_end(inverse)
-        self._linear = inverse, left, by_z, by_u
-        self._by_load = to_end.sum(axis=1)
-        by_points, by_inputs = by_z @ to_end, by_u @ to_end
-        by_state = by_points.sum(axis=1)
-        by_state[:, r:] += np.tensordot(by_points[:, :, :r], h * _NODES, (1, 0))
-        by_state[:, np.arange(s), np.arange(s)] += 1.0
-        by_state[:, np.arange(r, s), np.arange(r)] += h
-        share = self._share[:, :, None]
-        slopes = [by_state, (share * by_inputs).sum(axis=1)]
-        if self.ramp:
-            slopes.append(((1 - share) * by_inputs).sum(axis=1))
-        offset = self._ends(states, stages) - applied(to_end.reshape(N, 3 * r, s), left)
-        for slope, argument in zip(slopes, (states, inputs[1:], inputs[:-1]), strict=False):
-            offset -= applied(slope, argument)
-        return StageJacobians(offset, tuple(slopes))
-
-    def _at_end(self, inverse: FloatArray) -> FloatArray:
-        """Return what right-hand sides of each stage do to z⁺, by columns, (N, 3, r, 2r)."""
-        N, r = len(inverse), self._r
-        found = self._to_end @ inverse.reshape(N, 3 * r, 3, r)
-        return np.asarray(found.reshape(N, 3, r, 2 * r))
+        N, r, h, plan = len(states), self._r, self._sample_time, self._plan
+        self._remaining, entries = self._left(self._along, states, inputs, stages)
+        samples = np.flatnonzero(fresh)
+        slots = (samples + self.start) % N
+        self._differentiate(self._along, entries, samples, plan, slots)
+        share = self._share[None, :, :]
+        for slot in slots:
+            plan.find_ends(slot)
+            by_stages, by_input = plan.to_end[slot].T, plan.by_input[slot]
+            np.matmul(plan.by_state[slot], by_stages, out=self._slopes[0][slot])
+            np.matmul((share * by_input).reshape(-1, 3 * r), by_stages, out=self._slopes[1][slot])
+            if self.ramp:
+                by_before = ((1 - share) * by_input).reshape(-1, 3 * r)
+                np.matmul(by_before, by_stages, out=self._slopes[2][slot])
+        places = np.arange(r)
+        for part, row, size in ((0, 0, 1.0), (0, r, h), (r, r, 1.0)):
+            self._slopes[0][slots[:, None], row + places, part + places] += size
+        gap = rolled(self._remaining, self.start)
+        corrected = rolled((plan.to_end @ gap[:, :, None])[:, :, 0], -self.start)
+        ends = self._ends(states, stages) - corrected
+        return StageJacobians(ends, tuple(self._slopes), self.start, fresh)
 
     def load_response(self, load: FloatArray) -> FloatArray:
         """See :meth:`Discretization.load_response`."""
-        return np.asarray(load @ self._by_load)
+        by_stages = self._plan.to_end.reshape(-1, 2 * self._r, 3, self._r)
+        return rolled(load @ by_stages.sum(axis=2).swapaxes(1, 2), -self.start)
 
     def corrected(self, stages: FloatArray, changes: Pair, load: FloatArray | None) -> FloatArray:
         """See :meth:`Discretization.corrected`."""
-        inverse, left, by_z, by_u = self._linear
         states, inputs = changes
-        points = np.repeat(states[:, None], 3, axis=1)
-        points[:, :, : self._r] += self._sample_time * _NODES[:, None] * states[:, None, self._r :]
         at_stages = inputs[:-1, None] + self._share * np.diff(inputs, axis=0)[:, None]
-        sides = (points[:, :, None] @ by_z + at_stages[:, :, None] @ by_u)[:, :, 0]
-        sides -= left.reshape(sides.shape)
+        places, moves = rolled(states, self.start), rolled(at_stages, self.start)[:, :, None]
+        sides = (moves @ self._plan.by_input.swapaxes(1, 2))[:, :, 0].reshape(len(places), -1)
+        sides += applied(self._plan.by_state, places)
+        sides -= rolled(self._remaining, self.start)
         if load is not None:
-            sides += load
-        return stages + applied(inverse, sides.reshape(left.shape)).reshape(stages.shape)
+            sides += np.tile(load, 3)
+        found = np.array([self._plan.solved(slot, side) for slot, side in enumerate(sides)])
+        return stages + rolled(found, -self.start).reshape(stages.shape)
 
     def _ends(self, states: FloatArray, stages: FloatArray) -> FloatArray:
         """Return the states at the ends of samples, shape (N, s)."""
@@ -474,28 +532,76 @@ class RadauIIA(Discretization):
             q + self._sample_time * v + self._to_place[2] @ stages, v + self._to_speed[2] @ stages
         ])  # fmt: skip
 
-    def _equations(
+    def _left(
         self, slopes: AccelerationSlopes, states: FloatArray, inputs: FloatArray, stages: FloatArray
-    ) -> tuple[FloatArray, ...]:
-        """Return (∂G/∂K)ᵀ, (N, 3r, 3r), G, (N, 3r), and the slopes of a at the stages by columns.
-
-        The equations are solved where G = K − a is 0.
-        """
+    ) -> tuple[FloatArray, list[FloatArray]]:
+        """Return G = K − a, (N, 3r), 0 where the stages are solved, and entries of Jacobians."""
         N, r = len(states), self._r
         q, v = states[:, None, :r], states[:, None, r:]
         speeds = v + self._to_speed @ stages
         places = q + self._sample_time * _NODES[:, None] * v + self._to_place @ stages
         at_stages = inputs[:-1, None] + self._share * np.diff(inputs, axis=0)[:, None]
         points = np.concatenate([places, speeds], axis=2).reshape(3 * N, -1)
-        values, by_z, by_u = slopes(points, at_stages.reshape(3 * N, -1))
-        by_z, by_u = by_z.reshape(N, 3, 2 * r, r), by_u.reshape(N, 3, -1, r)
-        # Unknown [j, row] by equation [i, column].
-        by_q, by_v = (part.swapaxes(1, 2)[:, None] for part in (by_z[:, :, :r], by_z[:, :, r:]))
-        system = by_q * -self._to_place.T[:, None, :, None]
-        system -= by_v * self._to_speed.T[:, None, :, None]
-        system = system.reshape(N, 3 * r, 3 * r)
-        system[:, np.arange(3 * r), np.arange(3 * r)] += 1.0
-        return system, (stages - values.reshape(N, 3, r)).reshape(N, 3 * r), by_z, by_u
+        values, entries = slopes.values(points, at_stages.reshape(3 * N, -1))
+        return stages.reshape(N, 3 * r) - values.reshape(N, 3 * r), entries
+
+    def _differentiate(
+        self, slopes: AccelerationSlopes, entries: list[FloatArray], samples: IntArray,
+        equations: _StageEquations, slots: IntArray,
+    ) -> None:  # fmt: skip
+        """Put the derivatives of samples into slots of the equations, and factorize them."""
+        r, together = self._r, max(1, slopes.together // 3)
+        for first in range(0, len(samples), together):
+            at = slots[first : first + together]
+            points = 3 * samples[first : first + together, None] + np.arange(3)
+            by_z, by_u = slopes.slopes(entries, points.ravel())
+            by_z = by_z.reshape(len(at), 3, 2 * r, r)
+            # Unknown [j, row] by equation [i, column].
+            by_q, by_v = by_z[:, :, :r].swapaxes(1, 2), by_z[:, :, r:].swapaxes(1, 2)
+            system = by_q[:, None] * -self._to_place.T[:, None, :, None]
+            system -= by_v[:, None] * self._to_speed.T[:, None, :, None]
+            system = system.reshape(-1, 3 * r, 3 * r)
+            system[:, np.arange(3 * r), np.arange(3 * r)] += 1.0
+            by_state = equations.by_state.reshape(-1, 2, r, 3, r)
+            by_state[at, 0] = by_q
+            by_state[at, 1] = by_v + self._sample_time * _NODES[:, None] * by_q
+            equations.by_input[at] = by_u.reshape(len(at), 3, -1, r).swapaxes(1, 2)
+            for slot, matrix in zip(at, system, strict=True):
+                equations.factorize(slot, matrix)
+
+
+class _StageEquations:
+    """Equations of the stages to first order, ``dK M = dz Z + du U``, of samples in slots."""
+
+    def __init__(self, count: int, s: int, a: int, to_end: FloatArray) -> None:
+        size = 3 * s // 2
+        self.by_state = np.zeros((count, s, size))  # Z, by places and speeds at the start
+        self.by_input = np.zeros((count, a, 3, s // 2))  # U, of each stage
+        self.to_end = np.zeros((count, s, size))  # what right-hand sides do to the end
+        self._factors = np.zeros((count, size, size))  # of M, with rows exchanged
+        self._rows = np.zeros((count, size), np.intc)
+        self._combined = np.asfortranarray(to_end)
+
+    def factorize(self, slot: int, matrix: FloatArray) -> None:
+        """Take M, shape (3r, 3r), where unknowns are rows, which is overwritten."""
+        from scipy.linalg.lapack import dgetrf
+
+        factors, self._rows[slot], singular = dgetrf(matrix.T, overwrite_a=True)
+        self._factors[slot] = np.nan if singular else factors.T
+
+    def solved(self, slot: int, sides: FloatArray) -> FloatArray:
+        """Return dK, shape (3r,), for right-hand sides."""
+        from scipy.linalg.lapack import dgetrs
+
+        return np.asarray(dgetrs(self._factors[slot].T, self._rows[slot], sides)[0])
+
+    def find_ends(self, slot: int) -> None:
+        """Find what right-hand sides do to the end."""
+        from scipy.linalg.lapack import dgetrs
+
+        self.to_end[slot] = dgetrs(
+            self._factors[slot].T, self._rows[slot], self._combined, trans=1
+        )[0].T  # fmt: skip
 
 
 def _taut_force_density(plant: LinearPlant) -> ca.Function:

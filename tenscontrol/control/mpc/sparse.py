@@ -176,7 +176,7 @@ class Sparse(Form):
     def linearize(
         self, motion: StageJacobians, rows: StageJacobians | None = None, about: Pair | None = None
     ) -> None:
-        """Put the values of stage Jacobians into A: of the motion, and of rows if they are limited.
+        """Put stage Jacobians from zero into A: of the motion, and of rows if they are limited.
 
         Unknowns are measured from a plan z_1 …, u_0 … if one is given. The solver stops at an
         error relative to the unknowns: of rest lengths of stiff strings, themselves thousands of
@@ -189,19 +189,19 @@ class Sparse(Form):
             for part in self.row_indices:
                 for indices, slope in zip(part, rows.slopes, strict=True):
                     indices.fill(values, slope)
-            known = rows.offset
+            known = rows.values
             if about is not None:
                 known = known + applied(rows.slopes[2], about[0])
                 known = known + applied(rows.slopes[1], about[1])
                 known[1:] += applied(rows.slopes[0][1:], about[0][:-1])
             self._row_offset, self._rows_first = known, rows.slopes[0][0].copy()
-        self._first, self._offset = motion.slopes[0][0].copy(), motion.offset
+        self._first, self._offset = motion.slopes[0][0].copy(), motion.values
         if self._ramp:
             self._first_input = motion.slopes[2][0].copy()
         self._about = about
         if about is not None:
             states, inputs = about
-            offset = motion.offset - states + applied(motion.slopes[1], inputs)
+            offset = motion.values - states + applied(motion.slopes[1], inputs)
             offset[1:] += applied(motion.slopes[0][1:], states[:-1])
             if self._ramp:
                 offset[1:] += applied(motion.slopes[2][1:], inputs[:-1])
@@ -316,7 +316,11 @@ class SparseSubproblem(Subproblem):
         rows: StageJacobians | None,
     ) -> bool:  # fmt: skip
         """See :meth:`Subproblem.linearize`."""
-        parts = [part for each in (motion, rows) if each for part in (each.offset, *each.slopes)]
+        arguments = states[:-1], inputs[1:], inputs[:-1]
+        motion = motion.from_zero(*arguments[: len(motion.slopes)])
+        if rows is not None:
+            rows = rows.from_zero(states[:-1], inputs[1:], states[1:])
+        parts = [part for each in (motion, rows) if each for part in (each.values, *each.slopes)]
         if not all(np.isfinite(part).all() for part in parts):
             return False
         self.form.linearize(motion, rows, (states[1:], inputs[1:]) if self._relative else None)

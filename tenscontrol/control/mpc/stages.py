@@ -26,7 +26,6 @@ from tenscontrol.control.mpc.problem import (
     Subproblem,
     SubproblemSolution,
     Triple,
-    applied,
 )
 from tenscontrol.control.mpc.solvers import active_set_source, least_distance, stages_source
 from tenscontrol.control.status import Status
@@ -132,9 +131,10 @@ class LeastDistance(Subproblem):
 
     def __init__(
         self, problem: MPCProblem, row_bounds: Pair, max_iterations: int, bounds: Pair,
-        alike: bool = False,
+        alike: bool = False, tolerance: float = 0.0,
     ) -> None:  # fmt: skip
-        self._made_of = problem, row_bounds, max_iterations, bounds, alike
+        self._made_of = problem, row_bounds, max_iterations, bounds, alike, tolerance
+        self._tolerance = tolerance
         library, N, (m, a) = _library(), problem.length, problem.input_matrix.shape
         numbers_of, data = stages_data(problem, row_bounds, max_iterations, bounds)
         n, rows = numbers_of[1], data[10].size
@@ -169,7 +169,7 @@ class LeastDistance(Subproblem):
             for name in ("shift", "prepare", "solve", "iterations")
         )
         pointer = ctypes.c_void_p
-        self._prepare.argtypes = [pointer] * 9
+        self._prepare.argtypes = [pointer, ctypes.c_int, pointer, ctypes.c_double, *[pointer] * 8]
         self._solve.argtypes = [pointer] * 7 + [_Stop]
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -202,11 +202,13 @@ class LeastDistance(Subproblem):
     ) -> bool:  # fmt: skip
         """See :meth:`Subproblem.linearize`: the Riccati recursion, and the rows last active."""
         self._states[:], self._inputs[:] = states, inputs
-        parts = [motion.offset, *motion.slopes, *[None] * (3 - len(motion.slopes))]
-        parts += [None] * 4 if rows is None else [rows.offset, *rows.slopes]
+        parts = [motion.values, *motion.slopes, *[None] * (3 - len(motion.slopes))]
+        parts += [None] * 4 if rows is None else [rows.values, *rows.slopes]
         kept = [None if part is None else np.ascontiguousarray(part, float) for part in parts]
         addresses = [None if part is None else _address(part) for part in kept]
-        return bool(self._prepare(self._program, *addresses))
+        fresh = None if motion.fresh is None else motion.fresh.astype(np.intc)
+        known = motion.start, None if fresh is None else _address(fresh), self._tolerance
+        return bool(self._prepare(self._program, *known, *addresses))
 
     def solve(
         self, state: FloatArray, data: StageData, previous: FloatArray, acting: FloatArray,
@@ -283,16 +285,13 @@ class LeastDistanceArrays(Subproblem):
         rows: StageJacobians | None,
     ) -> bool:  # fmt: skip
         """See :meth:`Subproblem.linearize`."""
-        parts = [part for each in (motion, rows) if each for part in (each.offset, *each.slopes)]
+        motion = motion.in_order()
+        parts = [part for each in (motion, rows) if each for part in (each.values, *each.slopes)]
         if not all(np.isfinite(part).all() for part in parts):
             return False
         N, a, n, m = self._problem.length, self._inputs, self._states, self._plant_states
         self._plan = states, inputs
-        arguments = states[:-1], inputs[1:], inputs[:-1]
-        gap = motion.offset - states[1:]
-        for slope, argument in zip(motion.slopes, arguments, strict=False):
-            gap += applied(slope, argument)
-        self._gap = np.hstack([gap, np.zeros((N, n - m))])
+        self._gap = np.hstack([motion.values - states[1:], np.zeros((N, n - m))])
         by_all = np.zeros((self._many, n, a + n))  # [B A]
         by_all[:, :m, a : a + m], by_all[:, :m, :a] = (
             slope.swapaxes(1, 2) for slope in motion.slopes[:2]
@@ -301,12 +300,7 @@ class LeastDistanceArrays(Subproblem):
             by_all[:, :m, a + m :] = motion.slopes[2].swapaxes(1, 2)
             by_all[:, m:, :a] = np.eye(a)
         if rows is not None:
-            value = rows.offset.copy()
-            for slope, argument in zip(
-                rows.slopes, (states[:-1], inputs[1:], states[1:]), strict=True
-            ):
-                value += applied(slope, argument)
-            self._values = value / self._unit
+            self._values = rows.values / self._unit
             for matrix, slope in zip(self._by_all, rows.slopes, strict=True):
                 matrix[:, :, : slope.shape[1]] = slope.swapaxes(1, 2) / self._unit[:, None]
         self._recur(by_all)
@@ -471,8 +465,8 @@ class LinearProgram:
         motion, limited = (problem.transition, problem.input_matrix), None
         if rows is not None:
             by_all = rows.by_state, rows.by_input, rows.by_next_state
-            offset = np.zeros((N, len(rows.scale)))
-            limited = StageJacobians(offset, tuple(part.T[None] for part in by_all))
+            values = np.zeros((N, len(rows.scale)))
+            limited = StageJacobians(values, tuple(part.T[None] for part in by_all))
         slopes = tuple(part.T[None] for part in motion)
         nothing = np.zeros((N + 1, s)), np.zeros((N + 1, a))
         self.program.linearize(*nothing, StageJacobians(np.zeros((N, s)), slopes), limited)

@@ -32,7 +32,7 @@ static struct {
     int has_plan, prepared, shifted; /* linearized; shifted to this sample */
     int followed;                  /* samples without a program that was solved */
     double slopes[SLOPES]; /* A_k, B_k, then E_k, G_k, F_k, by columns */
-    double offset[HORIZON * STATES];
+    double ends[HORIZON * STATES];
 #if LIMITED > 0
     double limited[HORIZON * LIMITED]; /* d_k */
 #endif
@@ -139,15 +139,6 @@ static void initialize_plan(const double *state, const double *row)
     memory.prepared = 0;
 }
 
-/* offset -= slope x, with the slope by columns. */
-static void subtract(const double *slope, const double *x, int columns, double *offset, int rows)
-{
-    int i, j;
-    for (j = 0; j < columns; j++)
-        for (i = 0; i < rows; i++)
-            offset[i] -= slope[j * rows + i] * x[j];
-}
-
 /* Linearize along the plan, and prepare the program where that is finite. */
 static void linearize(void)
 {
@@ -160,41 +151,34 @@ static void linearize(void)
     for (k = 0; k < HORIZON; k++) {
         const double *z = program.states + k * STATES;
         const double *u = program.inputs + k * CONTROLLER_COMMANDS;
-        double *offset = memory.offset + k * STATES;
         const double *given[CASADI_ARG] = {0};
         double *found[CASADI_RES] = {0};
         given[0] = z;
         given[1] = u;
-        found[0] = offset;
+        found[0] = memory.ends + k * STATES;
         found[1] = A + k * STATES * STATES;
         found[2] = B + k * STATES * CONTROLLER_COMMANDS;
         controller_linearize(given, found, casadi_integers, casadi_numbers, 0);
-        subtract(found[1], z, STATES, offset, STATES);
-        subtract(found[2], u, CONTROLLER_COMMANDS, offset, STATES);
     }
 #if LIMITED > 0
     for (k = 0; k < HORIZON; k++) {
         const double *z = program.states + k * STATES;
         const double *u = program.inputs + k * CONTROLLER_COMMANDS;
-        double *offset = memory.limited + k * LIMITED;
         const double *given[CASADI_ARG] = {0};
         double *found[CASADI_RES] = {0};
         given[0] = z;
         given[1] = u;
         given[2] = z + STATES;
-        found[0] = offset;
+        found[0] = memory.limited + k * LIMITED;
         found[1] = E + k * LIMITED * STATES;
         found[2] = G + k * LIMITED * CONTROLLER_COMMANDS;
         found[3] = F + k * LIMITED * STATES;
         controller_limited(given, found, casadi_integers, casadi_numbers, 0);
-        subtract(found[1], z, STATES, offset, LIMITED);
-        subtract(found[2], u, CONTROLLER_COMMANDS, offset, LIMITED);
-        subtract(found[3], z + STATES, STATES, offset, LIMITED);
     }
     limited = memory.limited;
 #endif
-    memory.prepared = stages_program_prepare(&program.stages, memory.offset, A, B, NULL, limited, E,
-                                             G, F);
+    memory.prepared = stages_program_prepare(&program.stages, 0, NULL, 0.0, memory.ends, A, B,
+                                             NULL, limited, E, G, F);
 }
 
 /* Solve the program for what is measured. */

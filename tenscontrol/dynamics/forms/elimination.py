@@ -1,4 +1,4 @@
-"""Blocks of coupled bars in C: their matrix is factorized by tables, in loops over its entries."""
+"""Blocks of coupled bars in C: sparse factorization by tables, in loops over the entries."""
 
 from __future__ import annotations
 

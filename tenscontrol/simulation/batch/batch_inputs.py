@@ -1,4 +1,4 @@
-"""What many runs are given: starts, inputs, loads and parameters, checked, run by run."""
+"""Inputs of many runs, checked: starts, inputs, loads and parameters."""
 
 from __future__ import annotations
 
@@ -67,15 +67,15 @@ def given_by_run(model: Model, vary: object, **values: object) -> dict[str, Floa
         found[name], runs[label] = array, len(array)
     if not runs:
         raise ValueError(
-            "nothing differs from run to run: give one of nodes, velocities, rest_length, "
-            "force_density, external_force and vary a first axis, one entry a run"
+            "all runs are the same: give one of nodes, velocities, rest_length, "
+            "force_density, external_force and vary a first axis with one entry for each run"
         )
     (first, count), *others = runs.items()
     for name, other in others:
         if other != count:
             raise ValueError(f"{name} has {other} runs, but {first} has {count}")
     if not count:
-        raise ValueError(f"{first} has no run, expected at least one")
+        raise ValueError(f"{first} has 0 runs, expected at least one")
     return found
 
 
@@ -268,15 +268,32 @@ class BatchInputs:
             parts.append(Pieces.constant(np.zeros(self.given["load"].shape[1])))
         return Pieces.stacked(parts)
 
-    def spans(self, output_step: float | None) -> list[InputSpan]:
-        """Return the parts of the run in which inputs are one polynomial, as a single run has."""
+    def spans(
+        self, output_step: float | None, samples: list[tuple[float, float]] | None = None
+    ) -> list[InputSpan]:
+        """Return the parts of the run in which inputs are one polynomial, as a single run has.
+
+        Under a controller these are its samples: start and length of each.
+        """
         pieces, now, left = self.pieces, 0.0, self.duration
         close = 1e-9 * self.duration
         found = []
+
+        def outputs_of(length: float) -> int:
+            return 1 if output_step is None else max(1, ceil(length / output_step - 1e-9))
+
+        if samples is not None:
+            if pieces.degree or pieces.breaks(close, self.duration - close):
+                raise ValueError(
+                    "external_force changes in time, which many runs under a controller do not "
+                    "follow: simulate does"
+                )
+            held = pieces.piece(close)[1]
+            return [InputSpan(*part, outputs_of(part[1]), held, None) for part in samples]
         for end in [*pieces.breaks(close, self.duration - close), None]:
             length = left if end is None else end - now
             origin, coefficients = pieces.piece(now + close)
-            outputs = 1 if output_step is None else max(1, ceil(length / output_step - 1e-9))
+            outputs = outputs_of(length)
             time = now - origin if pieces.degree else None
             found.append(InputSpan(now, length, outputs, coefficients, time))
             now = now + length

@@ -17,6 +17,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from tenscontrol.control import Controller
 from tenscontrol.dynamics import Equation, Model, Pieces
 from tenscontrol.integrate import (
     METHODS,
@@ -33,8 +34,15 @@ from tenscontrol.integrate import (
 from tenscontrol.interrupt import check, keeping
 from tenscontrol.progress import progress_bar
 from tenscontrol.simulation.batch.batch_inputs import MASSES, BatchInputs, InputSpan, given_by_run
+from tenscontrol.simulation.batch.compiled_loop import (
+    MOST_CONTROLLERS,
+    CompiledLoops,
+    checked_controller,
+    samples,
+)
 from tenscontrol.structure import Structure
 from tenscontrol.validation import (
+    LARGEST,
     FloatArray,
     IntArray,
     float_array,
@@ -76,6 +84,10 @@ class Batch:
         As in :class:`Work`.
     choice : Choice
         Method and step, and what ran them.
+    command : ndarray, shape (runs, α, samples), or None
+        Of the controller, N/m or m; NaN where a run had ended. None without a controller.
+    commands_not_ok : ndarray of int, shape (runs,), or None
+        How many commands had another status than ``Status.OK``.
     """
 
     structure: Structure
@@ -89,6 +101,8 @@ class Batch:
     switches: IntArray
     unlocated: IntArray
     choice: Choice
+    command: FloatArray | None = None
+    commands_not_ok: IntArray | None = None
 
     def __post_init__(self) -> None:
         for value in vars(self).values():  # not copied: they may be large
@@ -110,6 +124,7 @@ def simulate_many(
     rest_length: object = None,
     force_density: object = None,
     external_force: object = None,
+    controller: object = None,
     vary: Mapping[str, object] | None = None,
     method: str | Method = "auto",
     tolerance: float = 1e-6,
@@ -121,7 +136,7 @@ def simulate_many(
     threads: int | None = None,
     progress: bool = False,
 ) -> Batch:
-    """Return the motions of many runs of a model, without a controller.
+    """Return the motions of many runs of a model: open loops, or loops closed by compiled code.
 
     Arguments are those of :func:`simulate`; each array may have a first axis, one entry a run. What
     has none is the same for all runs. The numbers are those of :func:`simulate` run by run, to the
@@ -140,6 +155,10 @@ def simulate_many(
         N/m.
     external_force : array_like, shape (d, n) or (runs, d, n), Profile or callable, optional
         N, for a model built with ``external_force=True``.
+    controller : CompiledController, optional
+        ``generate_c(controller, folder).compile()``, in place of ``rest_length`` and
+        ``force_density``. Each run has its own, from a fresh start; commands are held over a
+        sample as they are, γ where the model has no string law. With winches: :func:`simulate`.
     vary : mapping of str to array_like, shape (runs,) or (runs, members), optional
         Parameters of the model that differ from run to run, by name: ``"bar_mass"``,
         ``"point_mass"`` (members are nodes), kg, parameters of the string law such as
@@ -204,9 +223,19 @@ def simulate_many(
         affinity = getattr(os, "sched_getaffinity", None)
         threads = len(affinity(0)) if affinity else os.cpu_count() or 1
     threads = whole_number("threads", threads, 1)
-    if (rest_length is None) == (force_density is None):
-        found = "neither" if rest_length is None else "both"
-        raise ValueError(f"expected one of rest_length and force_density, found {found}")
+    given = {"rest_length": rest_length, "force_density": force_density, "controller": controller}
+    names = [name for name, value in given.items() if value is not None]
+    if len(names) != 1:
+        found = " and ".join(names) or "none"
+        raise ValueError(
+            f"expected one of rest_length, force_density and controller, found {found}"
+        )
+    law = None
+    if controller is not None:
+        law = checked_controller(controller, model)
+        # What runs begin from, and what is chosen for, until there is a command.
+        rest = law.plant.equilibrium_input
+        rest_length, force_density = (rest, None) if law.input == "rest_length" else (None, rest)
     scene = BatchInputs(
         model, duration, rest_length, force_density, external_force,
         given_by_run(
@@ -222,7 +251,7 @@ def simulate_many(
         if step is not None:
             step = positive_number("step", step, "s")
         how = _How(method_of(method), tolerance, step, project, machine_code)
-        runner = _Runner(scene, how, output_step, kept)
+        runner = _Runner(scene, how, output_step, kept, law)
         with progress_bar(scene.count, progress, label="simulating", unit="runs") as report:
             runner.run(threads, report)
     return runner.batch()
@@ -250,11 +279,13 @@ class _Runner:
     """Runs a scene block by block, and keeps what is asked for."""
 
     def __init__(
-        self, scene: BatchInputs, how: _How, output_step: float | None, kept: IntArray
-    ) -> None:
+        self, scene: BatchInputs, how: _How, output_step: float | None, kept: IntArray,
+        controller: Controller | None,
+    ) -> None:  # fmt: skip
         structure = scene.model.structure
-        self.scene, self.how, self.kept = scene, how, kept
-        self.spans, self.done, self._stop = scene.spans(output_step), 0, ctypes.c_int(0)
+        self.scene, self.how, self.kept, self._controller = scene, how, kept, controller
+        within = None if controller is None else samples(controller, scene.duration)
+        self.spans, self.done, self._stop = scene.spans(output_step, within), 0, ctypes.c_int(0)
         self._ends_alone = output_step is None
         ends = [span.times for span in self.spans]
         times = [self.spans[-1].times[-1:]] if self._ends_alone else ends
@@ -274,6 +305,12 @@ class _Runner:
         self.completed = np.zeros(scene.count, dtype=bool)
         self.end_time, self.messages = np.zeros(scene.count), dict[int, str]()
         self.switches, self.unlocated = (np.zeros(scene.count, dtype=int) for _ in range(2))
+        self.command: FloatArray | None = None
+        self.commands_not_ok: IntArray | None = None
+        if controller is not None:
+            size = scene.count, len(controller.commanded.strings), len(self.spans)
+            refuse_memory(f"{asked} and commands", 2.0 * np.prod(size), "numbers", 8, hint)
+            self.command, self.commands_not_ok = np.full(size, np.nan), np.zeros(size[0], int)
         self._threads, self._has_no_memory = local(), False
         self._prepare()
 
@@ -303,7 +340,8 @@ class _Runner:
             )
         if scene.pieces.degree and not method.follows:
             raise ValueError(
-                f"method {method.name!r} takes held inputs only, but an input changes in time"
+                f"method {method.name!r} takes inputs that are constant over a step only, but "
+                "an input changes in time"
             )
         self._method = method
         self._project = how.project if method.drifts or how.method is not None else None
@@ -375,7 +413,8 @@ class _Runner:
         """Do all runs; if stopped, give up those that are not done."""
         states = 2 * len(self.scene.model.structure.free_rows)
         outputs = max(span.outputs for span in self.spans)
-        block = int(np.clip(_MOST_NUMBERS / (states * outputs), 4, _BLOCK))
+        most = _BLOCK if self._controller is None else MOST_CONTROLLERS
+        block = int(np.clip(_MOST_NUMBERS / (states * outputs), 4, most))
         # So that all threads have work to the end.
         block = max(4, min(block, -(-self.scene.count // (4 * threads))))
         todo = iter(range(0, self.scene.count, block))
@@ -406,11 +445,16 @@ class _Runner:
         column = 1
         if not self._has_no_memory:
             self._threads.__dict__.pop("made", None)
-        for span in self.spans:
+        loops = self._loops(last - first)
+        for number, span in enumerate(self.spans):
             if not len(at) or self._stop.value:
                 break
             held = self.scene.held_inputs(first, last, span, self._shares)
             held = held[at - first] if len(held) > 1 else held
+            if loops is not None:
+                at, states, held = self._commanded(loops, at, at - first, states, held, number)
+                if not len(at):
+                    break
             advance = self._in_lanes if self._lanes is not None else self._one_by_one
             kept, ended = advance(at, states, held, span)
             if not self._ends_alone:
@@ -424,6 +468,37 @@ class _Runner:
         if not self._stop.value:
             self.completed[at] = True
         return 0 if self._stop.value else last - first
+
+    def _loops(self, runs: int) -> CompiledLoops | None:
+        """Return the controllers of so many runs, which remember nothing; None if there is none."""
+        if self._controller is None:
+            return None
+        loops: CompiledLoops | None = self._threads.__dict__.get("loops")
+        if loops is None:
+            loops = CompiledLoops(self._controller, self.scene.model.structure)
+            self._threads.loops = loops
+        loops.reset(runs)
+        return loops
+
+    def _commanded(
+        self, loops: CompiledLoops, at: IntArray, places: IntArray, states: FloatArray,
+        held: FloatArray, number: int,
+    ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
+        """Return the runs that go on in a sample, their states, and their inputs."""
+        away, start = np.abs(states).max(axis=1) > LARGEST, self.spans[number].start
+        for run in at[away]:
+            self._end(run, start, f"the motion has run away, beyond {LARGEST:g} in m and m/s")
+        if len(held) > 1:
+            held = held[~away]
+        at, states = at[~away], states[~away]
+        found, failed = loops.commands(start, states, places[~away])
+        assert self.command is not None  # made with the controller
+        assert self.commands_not_ok is not None  # and this too
+        self.command[at, :, number] = found
+        self.commands_not_ok[at] += failed
+        held = np.repeat(held, len(at), axis=0) if len(held) == 1 else held.copy()
+        held[:, : found.shape[1]] = found
+        return at, states, held
 
     def _in_lanes(
         self, at: IntArray, states: FloatArray, held: FloatArray, span: InputSpan
@@ -521,5 +596,5 @@ class _Runner:
         return Batch(
             self.scene.model.structure, self.time, self.nodes, self.velocities, self.kept,
             self.completed, self.end_time, dict(sorted(self.messages.items())), self.switches,
-            self.unlocated, self.choice,
+            self.unlocated, self.choice, self.command, self.commands_not_ok,
         )  # fmt: skip

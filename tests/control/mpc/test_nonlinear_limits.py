@@ -248,7 +248,7 @@ def test_unknown_load_leaves_no_offset_where_it_is_estimated(gain):
     ({"max_tension": 1.0}, "max_tension"),
     ({"string_penalty": -1.0}, "string_penalty"),
     ({"load_gain": 2.0}, "load_gain"),
-    ({"tracked": np.ones((1, 18))}, "give load_gain"),
+    ({"tracked": np.ones((1, 18))}, "needs load_gain"),
 ])  # fmt: skip
 def test_limits_that_do_not_fit_are_refused(arguments, message):
     prism = tc.prism()

@@ -99,13 +99,12 @@ def test_samples_are_linearized_alike_in_both_ways(name):
     plant = plant_of(name)
     states, inputs = points(plant, 3)
     held = np.vstack([inputs[:1], inputs])
-    found = RK4(plant, 0.02, 3, False).linearize(states, held, np.zeros((3, 0)))
+    found = RK4(plant, 0.02, 3, False).linearize(states, held, np.zeros((3, 0)), np.ones(3, bool))
     for k in range(3):
         end, by_z, by_u = (
             part.full() for part in sampled_dynamics(plant, 0.02)[1](states[k], inputs[k])
         )
-        value = found.offset[k] + states[k] @ found.slopes[0][k] + inputs[k] @ found.slopes[1][k]
-        assert off(value, end.ravel()) < CLOSE
+        assert off(found.values[k], end.ravel()) < CLOSE
         assert off(found.slopes[0][k], by_z.T) < CLOSE
         assert off(found.slopes[1][k], by_u.T) < CLOSE
 
@@ -124,18 +123,18 @@ def test_limited_rows_are_those_of_the_whole_expression(name, ramp):
     model = TrajectoryModel(plant, settings, constraints, False)
     states, inputs = points(plant, 3)
     held = np.vstack([inputs[:1], inputs[:2]])
-    _, found = model.linearize(states, held, np.zeros((2, 3, states.shape[1] // 2)))
+    _, found = model.linearize(
+        states, held, np.zeros((2, 3, states.shape[1] // 2)), np.ones(2, bool)
+    )
     whole = limited_rows(plant, constraints, ramp)
     patterns = model._rows.patterns
     for k in range(2):
         given = states[k], inputs[k], states[k + 1]
         value, *slopes = (part.full() for part in whole(*given))
-        reached = found.offset[k].copy()
-        for at, part, slope, pattern in zip(given, found.slopes, slopes, patterns, strict=True):
-            reached += at @ part[k]
+        for part, slope, pattern in zip(found.slopes, slopes, patterns, strict=True):
             assert off(part[k].T, slope) < CLOSE
             assert not slope[pattern == 0].any()
-        assert off(reached, value.ravel()) < CLOSE
+        assert off(found.values[k], value.ravel()) < CLOSE
 
 
 # ---- what they cost ----

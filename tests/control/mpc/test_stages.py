@@ -37,6 +37,10 @@ def dense_solution(problem, bounds, row_bounds, plan, motion, rows, given):
     p = 0 if rows is None else len(problem.rows.scale)
     unknowns = N * a + N * p  # inputs from those of the plan, and violations in units of the rows
     planned, level = plan[1], problem.level
+    arguments = plan[0][:-1], planned[1:], planned[:-1]
+    motion = motion.from_zero(*arguments[: len(motion.slopes)])
+    if rows is not None:
+        rows = rows.from_zero(*arguments[:2], plan[0][1:])
 
     def inputs(k):
         """Matrix and constant of u_k."""
@@ -53,7 +57,7 @@ def dense_solution(problem, bounds, row_bounds, plan, motion, rows, given):
             sum(slope[k].T @ part[i] for slope, part in zip(motion.slopes, parts, strict=True))
             for i in (0, 1)
         ]
-        states.append((moved[0], moved[1] + motion.offset[k] + data.drift[k]))
+        states.append((moved[0], moved[1] + motion.values[k] + data.drift[k]))
     hessian, gradient = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
 
     def add(weight, value, aim):
@@ -85,7 +89,7 @@ def dense_solution(problem, bounds, row_bounds, plan, motion, rows, given):
             limit(change, -problem.change, problem.change, level)
         for i in range(p):
             matrix = np.zeros((1, unknowns))
-            constant = rows.offset[k, i : i + 1].copy()
+            constant = rows.values[k, i : i + 1].copy()
             for slope, value in zip(
                 rows.slopes, (states[k], inputs(k), states[k + 1]), strict=True
             ):
@@ -159,7 +163,11 @@ def random_program(seed, N, ramp, limited, changes, hard):
     )  # fmt: skip
     previous = 0.1 * rng.normal(size=a)
     given = 2 * rng.normal(size=s), data, previous, previous + 0.1
-    plan = rng.normal(size=(N + 1, s)), rng.normal(size=(N + 1, a))
+    plan = states, inputs = rng.normal(size=(N + 1, s)), rng.normal(size=(N + 1, a))
+    arguments = -states[:-1], -inputs[1:], -inputs[:-1]
+    motion = motion.from_zero(*arguments[: len(widths)])
+    if limited:
+        along = along.from_zero(*arguments[:2], -states[1:])
     bounds = np.full(a, -0.5), np.full(a, 0.6)
     return problem, bounds, (-reach, reach), plan, motion, along, given
 
@@ -201,7 +209,7 @@ def test_data_without_value_are_told(kind):
         0, 3, False, True, True, False
     )
     program = kind(problem, row_bounds, 500, bounds)
-    for part in (motion.offset, motion.slopes[0], rows.slopes[2]):
+    for part in (motion.values, motion.slopes[0], rows.slopes[2]):
         kept = part.copy()
         part.flat[-1] = np.nan
         assert not program.linearize(*plan, motion, rows)

@@ -51,13 +51,12 @@ def test_the_plan_is_linearized_as_its_prediction_is(name):
     discretization = nmpc.law.model.discretization
     states = np.array([touching(plant, seed) for seed in range(3)])
     inputs = np.tile(plant.equilibrium_input, (4, 1))
-    found = discretization.linearize(states, inputs, np.zeros((3, 0, 0)))
+    found = discretization.linearize(states, inputs, np.zeros((3, 0, 0)), np.ones(3, bool))
     for k, z in enumerate(states):
         end, by_z, by_u = (
             np.array(part.full()) for part in discretization.linearized(z, inputs[0])
         )
-        value = found.offset[k] + z @ found.slopes[0][k] + inputs[0] @ found.slopes[1][k]
-        np.testing.assert_allclose(value, end.ravel(), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.values[k], end.ravel(), rtol=0, atol=1e-9)
         np.testing.assert_allclose(
             found.slopes[0][k].T, by_z, rtol=0, atol=1e-10 * np.abs(by_z).max()
         )

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class QPSolution:
-    """Answer to a quadratic program.
+    """Solution of a quadratic program, with its status.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class QPSolution:
 
 
 class QPSolver(ABC):
-    """Solver of ``min ½ xᵀ P x + qᵀ x  subject to  l ≤ A x ≤ u`` of one fixed pattern.
+    """Interface of solvers of ``min ½ xᵀ P x + qᵀ x  subject to  l ≤ A x ≤ u``.
 
     Dual variables y have the sign of ``P x + q + Aᵀ y = 0``: positive at upper bounds.
 

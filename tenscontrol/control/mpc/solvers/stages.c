@@ -41,6 +41,7 @@ typedef struct {
     /* sizes */
     int stages, states, inputs, limited; /* N; n, with the input before for ramps; a; p */
     int ramp, changes;                   /* whether inputs are ramps, and changes are limited */
+    int start; /* where the matrices of the first stage are: those of a plan that moves on stay */
     int alike; /* whether all stages have the same matrices, stored once, and P is that of the LQR */
     /* what does not change */
     double level;                             /* unit of an input */
@@ -79,7 +80,7 @@ typedef struct {
 /* The place of the matrices of stage k. */
 static size_t stages_at(const Stages *s, int k)
 {
-    return s->alike ? 0 : (size_t)k;
+    return s->alike ? 0 : (size_t)((k + s->start) % s->stages);
 }
 
 static int stages_rows(const Stages *s)
@@ -170,25 +171,25 @@ static void stages_transpose(int rows, int columns, const double *A, double *to)
 }
 
 /*
- * Put in what stage k does: z_{k+1} = offset + A z_k + B u_k + C u_{k-1}, in whole states and
- * inputs. The matrices are stored by columns; C is NULL where inputs are no ramps.
+ * Put in what stage k does: from the plan to z_{k+1} = end, with derivatives A by z_k, B by u_k and C
+ * by u_{k-1}. The matrices are stored by columns; C is NULL where inputs are no ramps. Those of a
+ * stage that is not fresh are known.
  */
-static void stages_set_motion(Stages *s, int k, const double *offset, const double *A,
+static void stages_set_motion(Stages *s, int k, int fresh, const double *end, const double *A,
                               const double *B, const double *C)
 {
     int n = s->states, a = s->inputs, m = s->ramp ? n - a : n, j;
-    const double *z = s->z + (size_t)k * m, *before = s->u + (size_t)k * a, *u = before + a;
+    const double *z = s->z + (size_t)(k + 1) * m;
     double *motion = s->motion + stages_at(s, k) * (a + n) * n, *gap = s->gap + (size_t)k * n;
     memset(gap, 0, (size_t)n * sizeof *gap);
     for (j = 0; j < m; j++)
-        gap[j] = offset[j] - z[m + j];
-    stages_add(m, m, 1.0, A, z, gap);
-    stages_add(a, m, 1.0, B, u, gap);
+        gap[j] = end[j] - z[j];
+    if (!fresh)
+        return;
     if (!s->ramp) {
         memcpy(motion, B, (size_t)a * n * sizeof *motion);
         memcpy(motion + (size_t)a * n, A, (size_t)n * n * sizeof *motion);
     } else {
-        stages_add(a, m, 1.0, C, before, gap);
         memset(motion, 0, (size_t)(a + n) * n * sizeof *motion);
         for (j = 0; j < a; j++) {
             memcpy(motion + (size_t)j * n, B + (size_t)j * m, (size_t)m * sizeof *motion);
@@ -229,21 +230,16 @@ static int stages_finite(const double *values, size_t count)
     return !wrong;
 }
 
-/* Put in the limited values of stage k: offset + E z_k + G u_k + F z_{k+1}, as above. */
-static void stages_set_rows(Stages *s, int k, const double *offset, const double *E,
+/* Put in the limited values of stage k along the plan, and E by z_k, G by u_k, F by z_{k+1}. */
+static void stages_set_rows(Stages *s, int k, const double *values, const double *E,
                             const double *G, const double *F)
 {
     int n = s->states, a = s->inputs, p = s->limited, m = s->ramp ? n - a : n, i, j;
-    const double *z = s->z + (size_t)k * m, *u = s->u + (size_t)(k + 1) * a;
     double *value = s->values + (size_t)k * p, *e = s->E + stages_at(s, k) * p * n,
            *g = s->G + stages_at(s, k) * p * a, *f = s->F + stages_at(s, k) * p * n;
-    memcpy(value, offset, (size_t)p * sizeof *value);
-    stages_add(m, p, 1.0, E, z, value);
-    stages_add(a, p, 1.0, G, u, value);
-    stages_add(m, p, 1.0, F, z + m, value);
     for (i = 0; i < p; i++) {
         double unit = 1.0 / s->scale[i];
-        value[i] *= unit;
+        value[i] = unit * values[i];
         for (j = 0; j < m; j++) {
             e[(size_t)i * n + j] = unit * E[(size_t)j * p + i];
             f[(size_t)i * n + j] = unit * F[(size_t)j * p + i];
@@ -312,10 +308,27 @@ static void stages_prepare_thin(Stages *s)
     stages_transpose(a, n, s->W, s->W_t);
 }
 
-/* The Riccati recursion. Returns whether R and what is added to it are definite. */
-static int stages_prepare(Stages *s)
+/* Whether costs differ from P right of the diagonal by no more than a part of their diagonal. */
+static int stages_near(int n, double tolerance, const double *P, const double *cost)
 {
-    int n = s->states, a = s->inputs, w = a + n, i, j, k;
+    int i, j;
+    for (i = 0; i < n; i++)
+        for (j = i; j < n; j++) {
+            double off = P[(size_t)i * n + j] - cost[(size_t)i * n + j];
+            double unit = P[(size_t)i * n + i] * P[(size_t)j * n + j];
+            if (!(off * off <= tolerance * tolerance * unit))
+                return 0;
+        }
+    return 1;
+}
+
+/*
+ * The Riccati recursion. Returns whether R and what is added to it are definite. Stages are known
+ * that are not fresh, with costs behind them that have not moved by more than the tolerance.
+ */
+static int stages_prepare(Stages *s, const int *fresh, double tolerance)
+{
+    int n = s->states, a = s->inputs, w = a + n, moved = 0, i, j, k;
     double *Y = s->work, *X = Y + (size_t)w * w;
     memcpy(s->costs + stages_at(s, s->stages - 1) * n * n, s->P, (size_t)n * n * sizeof *X);
     if (s->thin) {
@@ -325,6 +338,8 @@ static int stages_prepare(Stages *s)
     for (k = s->alike ? 0 : s->stages - 1; k >= 0; k--) {
         const double *motion = s->motion + stages_at(s, k) * w * n;
         double *S = s->S + stages_at(s, k) * a * a, *W = s->W + stages_at(s, k) * a * n;
+        if (fresh != NULL && !fresh[k] && !moved)
+            continue;
         stages_product(s, w, n, n, motion, n, s->costs + stages_at(s, k) * n * n, n, Y, n, 0);
         /* Before z_0 no cost is needed. */
         stages_product(s, k ? w : a, n, w, Y, n, s->motion_t + stages_at(s, k) * w * n, w, X, w, 1);
@@ -346,12 +361,16 @@ static int stages_prepare(Stages *s)
         }
         stages_transpose(a, a, S, s->S_t + stages_at(s, k) * a * a);
         if (k) {
-            double *cost = s->costs + (size_t)(k - 1) * n * n;
+            double *cost = s->costs + stages_at(s, k - 1) * n * n;
             stages_product(s, n, a, n, s->W_t + stages_at(s, k) * a * n, a, W, n, Y, n, 1);
             for (i = 0; i < n; i++)
                 for (j = i; j < n; j++)
-                    cost[(size_t)i * n + j] = cost[(size_t)j * n + i] =
+                    Y[(size_t)i * n + j] =
                         X[(size_t)(a + i) * w + a + j] - Y[(size_t)i * n + j] + s->Q[i * n + j];
+            moved = fresh == NULL || fresh[k - 1] || !stages_near(n, tolerance, Y, cost);
+            for (i = 0; moved && i < n; i++)
+                for (j = i; j < n; j++)
+                    cost[(size_t)i * n + j] = cost[(size_t)j * n + i] = Y[(size_t)i * n + j];
         }
     }
     return 1;
@@ -661,31 +680,39 @@ STAGES_API void stages_program_shift(StagesProgram *program)
 /*
  * All that needs no measurement: the problem along its plan, from the stage Jacobians of motion and
  * limited values, stored by columns, and the rows that may be active. Returns whether data are
- * finite.
+ * finite; if they are not, all stages must be fresh in the next call.
+ *
+ * A, B and C of stage k are at start + k, modulo N. Only those of `fresh` stages (NULL: all) are
+ * others than in the last call, with `start` the place of the same sample. The tolerance is that of
+ * the costs behind stages that are not fresh.
  */
-STAGES_API int stages_program_prepare(StagesProgram *program, const double *offset,
-                                      const double *A, const double *B, const double *C,
-                                      const double *row_offset, const double *E, const double *G,
-                                      const double *F)
+STAGES_API int stages_program_prepare(StagesProgram *program, int start, const int *fresh,
+                                      double tolerance, const double *ends, const double *A,
+                                      const double *B, const double *C, const double *limited,
+                                      const double *E, const double *G, const double *F)
 {
     Stages *s = &program->stages;
     size_t a = (size_t)s->inputs, p = (size_t)s->limited, m = (size_t)s->states, k;
     if (s->ramp)
         m -= a;
-    for (k = 0; k <= stages_at(s, s->stages - 1); k++) {
-        if (!stages_finite(offset + k * m, m) || !stages_finite(A + k * m * m, m * m) ||
-            !stages_finite(B + k * a * m, a * m) ||
-            (s->ramp && !stages_finite(C + k * a * m, a * m)) ||
-            (p && !(stages_finite(row_offset + k * p, p) && stages_finite(E + k * m * p, m * p) &&
+    s->start = start;
+    for (k = 0; k < (s->alike ? 1 : (size_t)s->stages); k++) {
+        size_t at = stages_at(s, (int)k);
+        int new = fresh == NULL || fresh[k];
+        if (!stages_finite(ends + k * m, m) ||
+            (new && !(stages_finite(A + at * m * m, m * m) &&
+                      stages_finite(B + at * a * m, a * m) &&
+                      (!s->ramp || stages_finite(C + at * a * m, a * m)))) ||
+            (p && !(stages_finite(limited + k * p, p) && stages_finite(E + k * m * p, m * p) &&
                     stages_finite(G + k * a * p, a * p) && stages_finite(F + k * m * p, m * p))))
             return 0;
-        stages_set_motion(s, (int)k, offset + k * m, A + k * m * m, B + k * a * m,
-                          s->ramp ? C + k * a * m : NULL);
+        stages_set_motion(s, (int)k, new, ends + k * m, A + at * m * m, B + at * a * m,
+                          s->ramp ? C + at * a * m : NULL);
         if (p)
-            stages_set_rows(s, (int)k, row_offset + k * p, E + k * m * p, G + k * a * p,
+            stages_set_rows(s, (int)k, limited + k * p, E + k * m * p, G + k * a * p,
                             F + k * m * p);
     }
-    if (!stages_prepare(s))
+    if (!stages_prepare(s, fresh, tolerance))
         return 0;
     if (s->alike && p)
         stages_find_spans(s);

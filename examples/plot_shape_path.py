@@ -1,10 +1,10 @@
 """
-A prism goes to a shape that was asked for
-==========================================
+Find a shape and a path to it
+=============================
 
-A shape is asked for in plain words: a height, a twist. What comes back is an
-equilibrium with exact bars, or the nearest one and by how much it misses. A path
-leads there through equilibria, as fast as the winches allow.
+You ask for a height and a twist. The toolbox finds an equilibrium with exact bar lengths, or the
+nearest one and by how much it misses. Then it finds a path of equilibria to that shape, as fast as
+the winches allow.
 """
 
 import matplotlib.pyplot as plt
@@ -20,8 +20,8 @@ rest = tc.prestress(prism, force_density=17.320508)
 
 # %%
 # A regular prism of nine strings rests at one twist only, -30° for a left-handed
-# one. With a symmetry of three the wish for another twist is refused, with the
-# nearest shape.
+# one. With a threefold symmetry any other twist is refused. The error has the nearest
+# shape.
 
 twist = tc.Twist(np.radians(-25.0), TOP, BOTTOM)
 try:
@@ -33,7 +33,7 @@ except tc.shape.ShapeError as error:
     missed = np.degrees(error.nearest.missed[0].missed)
 
 # %%
-# Without symmetry there is one: the top tilts, and the forces of the strings part.
+# Without symmetry there is a solution: the top tilts, and strings of one group differ in force.
 
 goal = tc.shape_target(
     model,
@@ -43,6 +43,8 @@ goal = tc.shape_target(
 )
 print(goal)
 print("γ, N/m:", goal.force_density.round(2))
+drawing = tc.plot.structure(prism, faint=True)
+tc.plot.structure(goal, ax=drawing.ax)
 
 # %%
 # The path. One winch runs at its limit of 0.1 m/s all the time but for the ramps.

@@ -1,0 +1,173 @@
+"""Plain tables: a CSV file of nodes and one of members."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tenscontrol.dynamics import LinearStrings, Model
+from tenscontrol.exchange.imported import Imported
+from tenscontrol.structure import Structure
+from tenscontrol.validation import choice, file_path
+
+_OF_NODES = ("name", "x", "y", "z", "mass", "fixed")
+_OF_MEMBERS = ("kind", "start", "end", "mass", "stiffness", "rest_length", "damping", "group")
+_KINDS = {"bar": True, "rod": True, "strut": True, "string": False, "cable": False}
+
+
+def from_csv(nodes: object, members: object) -> Imported:
+    r"""Return the model of two CSV files: nodes, and pairs of nodes that are bars or strings.
+
+    Both begin with a row of column names, in any order; columns in brackets may be left out.
+
+    - nodes: ``x``, ``y`` [, ``z``, m; ``name``; ``mass``, kg; ``fixed``: the axes that are held,
+      such as ``xyz``, or ``all``]
+    - members: ``kind``, ``start``, ``end`` [, ``mass`` of bars, kg; ``stiffness``, N/m;
+      ``rest_length``, m; ``damping``, N s/m; ``group`` of strings]
+
+    A kind is ``bar``, ``rod`` or ``strut``, or else ``string`` or ``cable``. Nodes are called by
+    name, or by number from 0. A bar without a mass has 1 kg. An empty cell is a column left out.
+
+    Parameters
+    ----------
+    nodes, members : str or path
+
+    Returns
+    -------
+    Imported
+        With a string law if every string has a stiffness, and rest lengths where all have one.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be read.
+    ValueError
+        If a cell does not fit: the message has file, row and column.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, tenscontrol as tc
+    >>> folder = pathlib.Path(tempfile.mkdtemp())
+    >>> _ = (folder / "nodes.csv").write_text("x,y\n0,0\n1,0\n1,1\n0,1\n")
+    >>> _ = (folder / "members.csv").write_text(
+    ...     "kind,start,end\nbar,0,2\nbar,1,3\n"
+    ...     "string,0,1\nstring,1,2\nstring,2,3\nstring,3,0\n")
+    >>> tc.exchange.from_csv(folder / "nodes.csv", folder / "members.csv").structure
+    Structure(4 nodes, 2 bars, 4 strings)
+    """
+    points = _Table("nodes", nodes, _OF_NODES, ("x", "y"))
+    pairs = _Table("members", members, _OF_MEMBERS, ("kind", "start", "end"))
+    axes = "xyz" if "z" in points.columns else "xy"
+    N = np.array([[points.number(row, axis) for axis in axes] for row in points.rows]).T
+    names = {row["name"]: i for i, row in enumerate(points.rows) if row.get("name")}
+    fixed: list[int | tuple[int, str]] = []
+    for i, row in enumerate(points.rows):
+        held = row.get("fixed", "").lower()
+        if held == "all" or sorted(held) == list(axes):
+            fixed.append(i)
+        else:
+            fixed += [(i, choice(points.cell(row, "fixed"), axis, axes)) for axis in held]
+    mass = [points.number(row, "mass", 0.0) for row in points.rows]
+    bars: list[dict[str, str]] = []
+    strings: list[dict[str, str]] = []
+    for row in pairs.rows:
+        kind = choice(pairs.cell(row, "kind"), row["kind"].lower(), _KINDS)
+        (bars if _KINDS[kind] else strings).append(row)
+    ends = [
+        [[_node(pairs, row, side, names, len(points.rows)) for side in ("start", "end")]
+         for row in rows]
+        for rows in (bars, strings)
+    ]  # fmt: skip
+    structure = Structure(
+        N,
+        np.array(ends[0], dtype=int).reshape(-1, 2),
+        np.array(ends[1], dtype=int).reshape(-1, 2),
+        [pairs.number(row, "mass", 1.0) for row in bars],
+        string_groups=[row.get("group") or "string" for row in strings],
+        fixed=fixed,
+        point_mass=mass if any(mass) else None,
+    )
+    law = rest = None
+    if _have(pairs, strings, "stiffness"):
+        law = LinearStrings(
+            [pairs.number(row, "stiffness") for row in strings],
+            [pairs.number(row, "damping", 0.0) for row in strings],
+        )
+    if _have(pairs, strings, "rest_length"):
+        rest = np.array([pairs.number(row, "rest_length") for row in strings])
+    return Imported(Model(structure, law), rest)
+
+
+class _Table:
+    """The rows of a file as dictionaries, with the place of each for messages."""
+
+    def __init__(
+        self, name: str, source: object, known: Sequence[str], needed: Sequence[str]
+    ) -> None:
+        self.path: Path = file_path(name, source)
+        with self.path.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.reader(stream)
+            found = [[cell.strip() for cell in line] for line in reader]
+        lines = [(i, line) for i, line in enumerate(found, 1) if any(line)]
+        self.columns = [cell.lower() for cell in lines[0][1]] if lines else []
+        for column in self.columns:
+            choice(f"a column of {self.path}", column, known)
+        missing = [column for column in needed if column not in self.columns]
+        if missing or len(set(self.columns)) < len(self.columns):
+            raise ValueError(
+                f"{self.path} has the columns {', '.join(self.columns) or 'none'}, expected "
+                f"{', '.join(needed)} in its first row, each once"
+            )
+        self.rows: list[dict[str, str]] = []
+        self._lines: list[int] = []
+        for i, line in lines[1:]:
+            if len(line) != len(self.columns):
+                raise ValueError(
+                    f"{self.path}, row {i}: {len(line)} cells, expected {len(self.columns)}"
+                )
+            self.rows.append(dict(zip(self.columns, line, strict=True)))
+            self._lines.append(i)
+        if not self.rows:
+            raise ValueError(f"{self.path} has no rows below its column names")
+
+    def cell(self, row: dict[str, str], column: str) -> str:
+        """Return the place of a cell."""
+        at = next(i for i, each in zip(self._lines, self.rows, strict=True) if each is row)
+        return f"{self.path}, row {at}: {column}"
+
+    def number(self, row: dict[str, str], column: str, default: float | None = None) -> float:
+        """Return the number in a cell, or the default where there is none."""
+        text = row.get(column, "")
+        if not text and default is not None:
+            return default
+        try:
+            value = float(text)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            raise ValueError(f"{self.cell(row, column)} is {text!r}, expected a number")
+        return value
+
+
+def _node(table: _Table, row: dict[str, str], side: str, names: dict[str, int], count: int) -> int:
+    text = row[side]
+    if text in names:
+        return names[text]
+    if text.isdecimal() and int(text) < count:
+        return int(text)
+    raise ValueError(
+        f"{table.cell(row, side)} is {text!r}, expected the name of a node, or a number from 0 to "
+        f"{count - 1}"
+    )
+
+
+def _have(table: _Table, rows: Sequence[dict[str, str]], column: str) -> bool:
+    """Whether all rows have a value in a column; ValueError if only some have."""
+    found = [bool(row.get(column)) for row in rows]
+    if any(found) and not all(found):
+        bare = rows[found.index(False)]
+        raise ValueError(f"{table.cell(bare, column)} is empty, and other strings have one")
+    return bool(found) and all(found)

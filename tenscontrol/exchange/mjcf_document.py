@@ -1,0 +1,279 @@
+"""MJCF parsed: defaults filled in, bodies placed in space, geoms measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from tenscontrol.validation import FloatArray, file_path
+
+# Elements that say nothing of the motion.
+_IGNORED = {
+    "asset", "camera", "compiler", "contact", "custom", "default", "keyframe", "light", "option",
+    "plugin", "sensor", "size", "statistic", "visual",
+}  # fmt: skip
+_READ = {"worldbody", "tendon", "actuator", "equality"}
+
+# Attributes of joints that bars do not have.
+_OF_JOINTS = ("stiffness", "damping", "armature", "frictionloss", "range")
+
+# kg/m³ of geoms without a mass.
+_DENSITY = "1000"
+
+
+@dataclass(frozen=True)
+class Geom:
+    """A geom in space: ``ends`` of capsules and cylinders, mass in kg."""
+
+    name: str
+    kind: str
+    place: FloatArray
+    ends: FloatArray | None  # (2, 3)
+    mass: float
+
+
+@dataclass
+class Placed:
+    """A body in space; index 0 is the world."""
+
+    name: str
+    parent: int
+    turn: FloatArray  # (3, 3)
+    place: FloatArray
+    joints: list[tuple[str, FloatArray, FloatArray]] = field(default_factory=list)
+    geoms: list[Geom] = field(default_factory=list)
+    inertial: tuple[float, FloatArray, float] | None = None  # kg, place, mean moment in kg m²
+
+
+class MjcfDocument:
+    """The bodies, sites, tendons, actuators and constraints of a file."""
+
+    def __init__(self, source: object) -> None:
+        self.root = _root(source)
+        self.notes: list[str] = []
+        compiler = self._child("compiler")
+        if compiler.get("coordinate", "local") != "local":
+            raise ValueError(
+                "the MJCF has coordinate='global', which MuJoCo dropped in 2.3.4: load and save it "
+                "with one before"
+            )
+        self._degrees = compiler.get("angle", "degree") == "degree"
+        self._sequence = compiler.get("eulerseq", "xyz")
+        if len(self._sequence) != 3 or not set(self._sequence.lower()) <= set("xyz"):
+            raise ValueError(f"the MJCF has eulerseq={self._sequence!r}, expected as xyz")
+        self._defaults: dict[str, dict[str, dict[str, str]]] = {}
+        for default in self.root.findall("default"):
+            self._read_defaults(default, default.get("class", "main"), {})
+        self.bodies = [Placed("world", 0, np.eye(3), np.zeros(3))]
+        self.sites: dict[str, tuple[int, FloatArray]] = {}
+        self._numbers: dict[str, int] = {"world": 0}
+        for element in self.root:
+            if element.tag == "worldbody":
+                self._read_body(element, 0, "main")
+            elif element.tag not in _IGNORED | _READ:
+                raise ValueError(f"the MJCF has <{element.tag}>, which is not understood")
+
+    def numbered(self, name: str) -> int:
+        """Return the number of a body by name."""
+        if name not in self._numbers:
+            raise ValueError(f"the MJCF names the body {name!r}, which it does not have")
+        return self._numbers[name]
+
+    def members(self, section: str) -> list[tuple[Element, dict[str, str]]]:
+        """Return the elements of a section with all their attributes."""
+        found = []
+        for part in self.root.findall(section):
+            for element in part:
+                kind = section if section in ("tendon", "equality") else element.tag
+                found.append((element, self._attributes(element, "main", kind)))
+        return found
+
+    def gravity(self) -> FloatArray:
+        """Return the acceleration of free fall, m/s²."""
+        return numbers(self._child("option").attrib, "gravity", 3, "0 0 -9.81")
+
+    def _child(self, tag: str) -> Element:
+        found = self.root.find(tag)
+        return Element(tag) if found is None else found
+
+    # ---- defaults ----
+
+    def _read_defaults(
+        self, default: Element, name: str, inherited: dict[str, dict[str, str]]
+    ) -> None:
+        own = {tag: dict(attributes) for tag, attributes in inherited.items()}
+        for element in default:
+            if element.tag != "default":
+                own[element.tag] = own.get(element.tag, {}) | element.attrib
+        self._defaults[name] = own
+        for element in default.findall("default"):
+            self._read_defaults(element, element.get("class", ""), own)
+
+    def _attributes(self, element: Element, around: str, kind: str = "") -> dict[str, str]:
+        name = element.get("class", around)
+        if name not in self._defaults and name != "main":
+            raise ValueError(f"the MJCF uses the class {name!r}, which it does not define")
+        return self._defaults.get(name, {}).get(kind or element.tag, {}) | element.attrib
+
+    # ---- bodies ----
+
+    def _read_body(self, element: Element, number: int, around: str) -> None:
+        body = self.bodies[number]
+        around = element.get("childclass", around)
+        for part in element:
+            given = self._attributes(part, around)
+            if part.tag == "body":
+                turn, place = self._frame(given, body)
+                name = given.get("name", f"body {len(self.bodies)}")
+                self._numbers[name] = len(self.bodies)
+                self.bodies.append(Placed(name, number, turn, place))
+                self._read_body(part, len(self.bodies) - 1, around)
+            elif part.tag in ("joint", "freejoint"):
+                kind = "free" if part.tag == "freejoint" else given.get("type", "hinge")
+                at = body.place + body.turn @ numbers(given, "pos", 3, "0 0 0")
+                axis = body.turn @ numbers(given, "axis", 3, "0 0 1")
+                body.joints.append((kind, at, _unit(axis, "an axis")))
+                if any(any(row(given, key)) for key in _OF_JOINTS):
+                    self.notes.append(f"springs and friction of {body.name!r}'s joint are left out")
+            elif part.tag == "geom":
+                body.geoms.append(self._geom(given, body))
+            elif part.tag == "site":
+                if "name" in given:
+                    self.sites[given["name"]] = number, self._frame(given, body)[1]
+            elif part.tag == "inertial":
+                if self._child("compiler").get("inertiafromgeom") != "true":
+                    body.inertial = self._inertial(given, body)
+            elif part.tag not in _IGNORED:
+                raise ValueError(
+                    f"body {body.name!r} of the MJCF has <{part.tag}>, which is not understood"
+                )
+
+    def _frame(self, given: dict[str, str], body: Placed) -> tuple[FloatArray, FloatArray]:
+        place = body.place + body.turn @ numbers(given, "pos", 3, "0 0 0")
+        return body.turn @ self._turn(given), place
+
+    def _turn(self, given: dict[str, str]) -> FloatArray:
+        """Return the rotation that an element gives in one of MuJoCo's ways, shape (3, 3)."""
+        from scipy.spatial.transform import Rotation
+
+        if "quat" in given:
+            w, x, y, z = _unit(numbers(given, "quat", 4), "a quaternion")
+            return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
+        if "euler" in given:
+            angles = numbers(given, "euler", 3)
+            # Small letters are axes that turn along, which SciPy writes in capitals.
+            turn = Rotation.from_euler(self._sequence.swapcase(), angles, degrees=self._degrees)
+            return np.asarray(turn.as_matrix())
+        if "axisangle" in given:
+            *axis, angle = numbers(given, "axisangle", 4)
+            unit = _unit(np.array(axis), "an axis")
+            angle = np.deg2rad(angle) if self._degrees else angle
+            return np.asarray(Rotation.from_rotvec(angle * unit).as_matrix())
+        if "xyaxes" in given:
+            x, y = numbers(given, "xyaxes", 6).reshape(2, 3)
+            x = _unit(x, "an axis")
+            y = _unit(y - (x @ y) * x, "an axis")
+            return np.column_stack([x, y, np.cross(x, y)])
+        if "zaxis" in given:
+            z = _unit(numbers(given, "zaxis", 3), "an axis")
+            return np.asarray(Rotation.align_vectors([z], [[0, 0, 1]])[0]
+                              .as_matrix())  # fmt: skip
+        return np.eye(3)
+
+    def _geom(self, given: dict[str, str], body: Placed) -> Geom:
+        kind, name = given.get("type", "sphere"), given.get("name", "")
+        turn, place = self._frame(given, body)
+        size = row(given, "size") or [0.0]
+        ends = None
+        if kind in ("capsule", "cylinder"):
+            if "fromto" in given:
+                local = numbers(given, "fromto", 6).reshape(2, 3)
+                ends = body.place + local @ body.turn.T
+            elif len(size) > 1:
+                ends = place + np.outer([-size[1], size[1]], turn[:, 2])
+            else:
+                raise ValueError(f"geom {name!r} has neither fromto nor a half-length in size")
+            place = ends.mean(axis=0)
+        if "mass" in given:
+            mass = number(given, "mass")
+        else:
+            density = number(given, "density", _DENSITY)
+            counts = density and (ends is not None or body is not self.bodies[0])
+            mass = density * _volume(kind, size, ends) if counts else 0.0
+        return Geom(name, kind, place, ends, mass)
+
+    def _inertial(self, given: dict[str, str], body: Placed) -> tuple[float, FloatArray, float]:
+        _, place = self._frame(given, body)
+        moments = (row(given, "diaginertia") or row(given, "fullinertia", "0 0 0"))[:3]
+        # Of a thin bar two are equal and the third less, or made equal.
+        return number(given, "mass"), place, float(np.median(moments))
+
+
+def _volume(kind: str, size: list[float], ends: FloatArray | None) -> float:
+    """Return the volume of a geom, m³; 0 of planes and what is only drawn."""
+    if kind in ("capsule", "cylinder") and ends is not None:
+        r, length = size[0], float(np.linalg.norm(ends[1] - ends[0]))
+        return np.pi * r**2 * length + (4 / 3 * np.pi * r**3 if kind == "capsule" else 0.0)
+    if kind == "sphere":
+        return 4 / 3 * np.pi * size[0] ** 3
+    if kind == "box" and len(size) == 3:
+        return float(8 * np.prod(size))
+    if kind == "ellipsoid" and len(size) == 3:
+        return float(4 / 3 * np.pi * np.prod(size))
+    if kind == "plane":
+        return 0.0
+    raise ValueError(f"the mass of a geom of type {kind!r} is not known: give it mass")
+
+
+def row(given: Mapping[str, str], key: str, default: str = "") -> list[float]:
+    """Return the numbers of an attribute, or of what it is if it is not given."""
+    text = given.get(key, default)
+    try:
+        found = [float(part) for part in text.split()]
+    except ValueError:
+        found = [np.nan]
+    if not np.isfinite(found).all():
+        raise ValueError(f"the MJCF has {key}={text!r}, expected numbers")
+    return found
+
+
+def numbers(given: Mapping[str, str], key: str, count: int, default: str = "") -> FloatArray:
+    """Return so many numbers of an attribute."""
+    found = np.array(row(given, key, default))
+    if len(found) != count:
+        raise ValueError(f"the MJCF has {key}={given.get(key, '')!r}, expected {count} numbers")
+    return found
+
+
+def number(given: Mapping[str, str], key: str, default: str = "") -> float:
+    """Return the number of an attribute."""
+    return float(numbers(given, key, 1, default)[0])
+
+
+def _unit(vector: FloatArray, what: str) -> FloatArray:
+    """Return a direction as a vector of length 1."""
+    length = float(np.linalg.norm(vector))
+    if not length:
+        raise ValueError(f"the MJCF has {what} of length 0, expected a direction")
+    return np.asarray(vector / length)
+
+
+def _root(source: object) -> Element:
+    """Return the parsed text of a file, or of the text itself."""
+    if isinstance(source, str) and source.lstrip().startswith("<"):
+        text, where = source, "source"
+    else:
+        path: Path = file_path("source", source)
+        text, where = path.read_text("utf-8"), f"source, {path},"
+    try:
+        root: Element = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ValueError(f"{where} is not XML: {error}") from None
+    if root.tag != "mujoco":
+        raise ValueError(f"{where} begins with <{root.tag}>, expected <mujoco>: MJCF")
+    return root

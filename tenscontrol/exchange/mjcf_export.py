@@ -1,0 +1,434 @@
+"""MJCF, the model format of MuJoCo, written: bars as bodies, strings as spatial tendons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol.dynamics import ElasticStrings, Ground, LinearStrings, Model, StringLaw
+from tenscontrol.exchange.kinematic_tree import WORLD, KinematicTree, in_space
+from tenscontrol.plant import held_value
+from tenscontrol.simulation import checked_load, initial_state
+from tenscontrol.validation import FloatArray, choice, instance, positive_number
+
+# MuJoCo's contacts are springs and dashpots where their impedance is its least: its default takes
+# most of what other forces do from the bodies in contact, too.
+_IMPEDANCE = 1e-4
+
+# The speed of an impact, m/s, in which its linear damping takes what that of our law takes.
+_IMPACT = 1.0
+
+# Radii as parts of the size: of balls at nodes that touch, of bars and strings as they are drawn.
+_BALL, _BAR, _STRING = 1e-4, 1e-2, 3e-3
+
+# Bits by which MuJoCo tells which balls touch which plane.
+_MOST_PLANES = 31
+
+# A string pulls by any force, and never pushes.
+_PULLING = (-1e30, 0.0)
+
+# Joints that close a loop, as stiff as MuJoCo makes them: impedance, and time constant in steps.
+_LOOP_IMPEDANCE, _LOOP_STEPS = 0.9999, 2.0
+
+_INTEGRATORS = {
+    "euler": "Euler", "rk4": "RK4", "implicit": "implicit", "implicitfast": "implicitfast",
+}  # fmt: skip
+_ACTUATORS = ("none", "rest_length", "force_density", "tension")
+
+
+def to_mujoco(
+    model: Model,
+    *,
+    rest_length: object = None,
+    force_density: object = None,
+    nodes: object = None,
+    velocities: object = None,
+    external_force: object = None,
+    actuators: str = "none",
+    step: float = 1e-3,
+    integrator: str = "rk4",
+) -> str:
+    """Return a model as MJCF, the text that MuJoCo reads.
+
+    Bars are bodies with the mass and inertia of thin bars, strings are spatial tendons without
+    mass. Node ``i`` is the site ``ni``, string ``k`` the tendon ``sk``, bar ``j`` the geom
+    ``barj``. A bar hangs on the support or the bar from which it is reached, by a ball joint (a
+    hinge in the plane); joints that close a loop are ``connect`` constraints, which MuJoCo holds by
+    stiff springs. A roller is a slide. The motion at the start is the keyframe ``start``. A planar
+    structure is put into the plane of x and z. MuJoCo is not needed to write.
+
+    Parameters
+    ----------
+    model : Model
+        Strings with ``LinearStrings`` or ``ElasticStrings``, and ``Ground`` of flat planes.
+    rest_length : float or array_like, shape (α,), optional
+        Rest length of each string, m.
+    force_density : float or array_like, shape (α,), optional
+        Or the force density γ of each string, N/m, which stays as it is.
+    nodes, velocities : array_like, shape (d, n), optional
+        Motion at the start, m and m/s; the reference shape at rest if not given.
+    external_force : array_like, shape (d, n), optional
+        Constant load, N, for a model built with ``external_force=True``.
+    actuators : {"none", "rest_length", "force_density", "tension"}
+        What ``data.ctrl`` sets, a number a string. ``"none"``: strings are springs between 0 and
+        the rest length, ``springlength="0 l0"``. ``"rest_length"``: l0, m, or with
+        ``ElasticStrings`` its inverse 1/l0, 1/m, in which their law is linear. ``"force_density"``:
+        γ, N/m. ``"tension"``: T, N. The keyframe ``start`` has the values of the start.
+    step : float
+        Step of MuJoCo, s.
+    integrator : {"rk4", "euler", "implicit", "implicitfast"}
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument does not fit, or MuJoCo has no such string law, ground or support. The
+        message says which.
+
+    Notes
+    -----
+    MuJoCo's tendons go on damping when slack, where ours do not. Actuators never push, but a damped
+    one pulls on a slack string that lengthens fast enough. MuJoCo's contacts have linear damping,
+    as much as takes what ours takes in an impact at 1 m/s, and friction that is viscous below that
+    of Coulomb. Constant loads are actuators without control, ``loadi``, after those of strings.
+
+    Examples
+    --------
+    >>> import tenscontrol as tc
+    >>> model = tc.Model(tc.prism(), strings=tc.LinearStrings(stiffness=100.0), gravity=9.81)
+    >>> text = tc.exchange.to_mujoco(model, rest_length=0.8, actuators="rest_length")
+    >>> text.count("<spatial"), text.count("<general")
+    (9, 9)
+    """
+    instance("model", model, Model, "make one by Model(structure, strings=...)")
+    choice("actuators", actuators, _ACTUATORS)
+    choice("integrator", integrator, _INTEGRATORS)
+    timestep = positive_number("step", step, "s")
+    structure = model.structure
+    N = structure.nodes if nodes is None else structure.checked_nodes("nodes", nodes)
+    V = np.zeros_like(N)
+    if velocities is not None:
+        V = structure.checked_nodes("velocities", velocities)
+    held = _held(model, rest_length, force_density, actuators)
+    kind = "force_density" if rest_length is None else "rest_length"
+    initial_state(model, nodes, velocities, kind, held)
+    load = checked_load(model, external_force)
+    return _Document(model, N, V, held, kind, actuators, load, timestep, integrator).text()
+
+
+def _held(model: Model, rest_length: object, force_density: object, actuators: str) -> FloatArray:
+    """Return the rest lengths or force densities, shape (α,), if the string law allows them."""
+    if rest_length is not None and force_density is not None:
+        raise ValueError("both rest_length and force_density are given, expected one of them")
+    if rest_length is None and force_density is None:
+        if len(model.structure.strings):
+            raise ValueError(
+                "neither rest_length nor force_density is given, expected one of them: "
+                "what the strings have at the start"
+            )
+        return np.zeros(0)
+    law = model.strings
+    if rest_length is not None and law is None:
+        raise ValueError(
+            "rest_length is given, but the model has no string law; build it as "
+            "Model(structure, strings=LinearStrings(stiffness=...)), or give force_density"
+        )
+    if rest_length is not None and not isinstance(law, LinearStrings | ElasticStrings):
+        raise ValueError(
+            f"MuJoCo's tendons are springs of constant stiffness, not {type(law).__name__}; "
+            "give force_density in place of rest_length"
+        )
+    if actuators == "rest_length" and rest_length is None:
+        raise ValueError("actuators is 'rest_length', but force_density is given: give rest_length")
+    return held_value(model, rest_length, force_density)
+
+
+def _spring_stiffness(law: StringLaw | None, rest_length: FloatArray) -> FloatArray:
+    """Return the stiffness of strings that are springs at held rest lengths, N/m, shape (α,)."""
+    if isinstance(law, ElasticStrings):
+        return np.asarray(law.axial_rigidity / rest_length)
+    assert isinstance(law, LinearStrings)  # others were refused
+    return law.stiffness
+
+
+class _Document:
+    """The elements of a model, and their text."""
+
+    def __init__(
+        self, model: Model, nodes: FloatArray, velocities: FloatArray, held: FloatArray,
+        kind: str, actuators: str, load: FloatArray, step: float, integrator: str,
+    ) -> None:  # fmt: skip
+        self.model, self.structure, self.held = model, model.structure, held
+        self.kind, self.actuators = kind, actuators
+        self.tree = KinematicTree.of(self.structure, nodes)
+        self.length = self.structure.string_length(nodes)
+        self.size = float(np.ptp(nodes, axis=1).max())
+        self.load, self.own_load = load, load - (model.constant_force - model.built_in_load)
+        self.grounds = [(_flat(law), set(of.tolist())) for law, of, _ in (model.contacts or ())]
+        if len(self.grounds) > _MOST_PLANES:
+            raise ValueError(f"MuJoCo tells at most {_MOST_PLANES} planes with own nodes apart")
+        self.root = Element("mujoco", model="tenscontrol")
+        self.controls: list[float] = []
+        self._head(step, integrator)
+        self._world()
+        self._loops(step)
+        self._strings()
+        self._loads()
+        self._keyframe(velocities)
+
+    def text(self) -> str:
+        """Return the whole document."""
+        ElementTree.indent(self.root)
+        return ElementTree.tostring(self.root, encoding="unicode") + "\n"
+
+    def _head(self, step: float, integrator: str) -> None:
+        SubElement(self.root, "compiler", angle="radian", autolimits="true")
+        gravity = in_space(self.model.gravity[:, None])[:, 0]
+        option = SubElement(
+            self.root, "option", timestep=_number(step), integrator=_INTEGRATORS[integrator],
+            gravity=_numbers(gravity), cone="elliptic", tolerance="1e-14",
+        )  # fmt: skip
+        SubElement(option, "flag", autoreset="disable")
+        self.option = option
+        default = SubElement(self.root, "default")
+        SubElement(default, "site", size=_number(_BALL * self.size))
+        SubElement(default, "tendon", width=_number(_STRING * self.size), rgba="0.2 0.4 0.8 1")
+        for group in dict.fromkeys(self.structure.string_groups):
+            SubElement(default, "default", {"class": f"string-{group}"})
+        bar = SubElement(default, "default", {"class": "bar"})
+        SubElement(
+            bar, "geom", type="capsule", size=_number(_BAR * self.size), contype="0",
+            conaffinity="0", mass="0", rgba="0.3 0.3 0.3 1",
+        )  # fmt: skip
+
+    # ---- bodies ----
+
+    def _world(self) -> None:
+        structure, start = self.structure, self.tree.start
+        world = SubElement(self.root, "worldbody")
+        SubElement(world, "light", directional="true", dir="0.3 0.5 -1")
+        SubElement(world, "site", name="space")
+        self._planes(world)
+        for node in structure.fixed.tolist():
+            self._site(world, node, start[:, node])
+        for bar in np.flatnonzero(np.isin(structure.bars, structure.fixed).all(axis=1)).tolist():
+            geom = self._bar(world, bar, np.zeros(3))
+            geom.set("mass", _number(structure.bar_mass[bar]))
+        elements = {WORLD: world}
+        weights = self.tree.inverse_weights() if self.grounds else np.zeros(len(self.tree.bodies))
+        for i, body in enumerate(self.tree.bodies):
+            parent = np.zeros(3) if body.parent == WORLD else self.tree.bodies[body.parent].origin
+            element = elements[i] = SubElement(
+                elements[body.parent], "body", name=body.name, pos=_numbers(body.origin - parent)
+            )
+            for joint in body.joints:
+                axis = {"axis": _numbers(joint.axis)} if joint.axis.any() else {}
+                SubElement(element, "joint", {"type": joint.kind} | axis)
+            # MuJoCo wants an inertia of what slides, too: that of a point does nothing.
+            inertia = body.mass if body.bar is None else body.inertia
+            _inertial(element, body.centre, body.mass, inertia)
+            if body.bar is not None:
+                self._bar(element, body.bar, body.origin)
+            for node in body.nodes:
+                at = start[:, node] - body.origin
+                self._site(element, node, at)
+                self._balls(element, node, at, weights[i])
+                if body.bar is not None and structure.point_mass[node]:
+                    payload = SubElement(element, "body", name=f"mass{node}", pos=_numbers(at))
+                    _inertial(payload, np.zeros(3), structure.point_mass[node], 0.0)
+
+    def _bar(self, element: Element, bar: int, origin: FloatArray) -> Element:
+        ends = self.tree.start[:, self.structure.bars[bar]].T - origin
+        ends_text = _numbers(ends.ravel())
+        return SubElement(element, "geom", {"class": "bar"}, name=f"bar{bar}", fromto=ends_text)
+
+    def _site(self, element: Element, node: int, at: FloatArray) -> None:
+        SubElement(element, "site", name=f"n{node}", pos=_numbers(at))
+
+    def _loops(self, step: float) -> None:
+        """Join the bodies that close loops, at a node that is part of the second."""
+        if not self.tree.loops:
+            return
+        equality = SubElement(self.root, "equality")
+        for node, body, home in self.tree.loops:
+            first = self.tree.bodies[body]
+            other = {} if home == WORLD else {"body2": self.tree.bodies[home].name}
+            SubElement(
+                equality, "connect", {"body1": first.name} | other,
+                anchor=_numbers(self.tree.start[:, node] - first.origin),
+                solref=_numbers([_LOOP_STEPS * step, 1.0]),
+                solimp=_numbers([_LOOP_IMPEDANCE, _LOOP_IMPEDANCE]),
+            )  # fmt: skip
+
+    # ---- ground ----
+
+    def _planes(self, world: Element) -> None:
+        """Add a plane for each law, lower by the radius of the balls."""
+        radius = _BALL * self.size
+        for i, (law, _) in enumerate(self.grounds):
+            up = in_space(law.up(self.structure.dimension)[:, None])[:, 0]
+            SubElement(
+                world, "geom", name=f"ground{i}", type="plane", size=_numbers([0, 0, self.size]),
+                pos=_numbers((law.height - radius) * up), zaxis=_numbers(up), contype=str(1 << i),
+                conaffinity="0", rgba="0.8 0.8 0.75 1",
+            )  # fmt: skip
+
+    def _balls(self, element: Element, node: int, at: FloatArray, inverse: float) -> None:
+        """Add a ball for each law that acts on a node.
+
+        MuJoCo's parameters are accelerations, by the inverse mass of the body.
+        """
+        for i, (law, nodes) in enumerate(self.grounds):
+            if node not in nodes:
+                continue
+            damping = _linear_damping(law, inverse)
+            SubElement(
+                element, "geom", name=f"ball{node}_{i}", size=_number(_BALL * self.size),
+                pos=_numbers(at), mass="0", contype="0", conaffinity=str(1 << i), priority="1",
+                condim="3", friction=_numbers([law.friction, 0, 0]),
+                solref=_numbers([-law.stiffness * inverse, -damping * inverse]),
+                solimp=_numbers([_IMPEDANCE, _IMPEDANCE]),
+            )  # fmt: skip
+            if damping:
+                weight = float(np.linalg.norm(self.load.sum(axis=1))) / 3
+                rubs = law.friction * weight / (law.slip_speed * damping)
+                steepest = max(float(self.option.get("impratio", "1")), rubs)
+                self.option.set("impratio", _number(steepest))
+
+    # ---- strings and loads ----
+
+    def _strings(self) -> None:
+        structure = self.structure
+        if not len(structure.strings):
+            return
+        tendons = SubElement(self.root, "tendon")
+        springs, actuate = self._springs(), self._actuation()
+        paths = structure.paths or structure.strings.tolist()
+        for k, path in enumerate(paths):
+            group = f"string-{structure.string_groups[k]}"
+            tendon = SubElement(tendons, "spatial", {"name": f"s{k}", "class": group} | springs(k))
+            for node in path:
+                SubElement(tendon, "site", site=f"n{node}")
+            if actuate is not None:
+                start, own = actuate(k)
+                self._actuator({"name": f"s{k}", "tendon": f"s{k}"} | own, start)
+
+    def _springs(self) -> Callable[[int], dict[str, str]]:
+        """Return the spring of a tendon by its string."""
+        held, law, zero = self.held, self.model.strings, np.zeros_like(self.held)
+        if self.actuators == "rest_length":
+            return lambda k: {"springlength": _numbers([0.0, held[k]])}
+        if self.actuators != "none":
+            return lambda k: {}
+        stiffness, rest, damping = held, zero, zero  # T = γ l is a spring without rest length
+        if self.kind == "rest_length":
+            stiffness, rest = _spring_stiffness(law, held), held
+            damping = np.zeros_like(held) if law is None else law.damping
+        return lambda k: {
+            "stiffness": _number(stiffness[k]),
+            "springlength": _numbers([0.0, rest[k]]),
+            **({"damping": _number(damping[k])} if damping[k] else {}),
+        }
+
+    def _actuation(self) -> Callable[[int], tuple[float, dict[str, str]]] | None:
+        """Return the control at the start and the force law of an actuator by its string."""
+        law, held = self.model.strings, self.held
+        if self.actuators == "none":
+            return None
+        if self.actuators == "rest_length":
+            if isinstance(law, ElasticStrings):
+                rigid = law.axial_rigidity  # T = EA (l/l0 − 1) is linear in 1/l0
+                return lambda k: (
+                    1 / held[k], _force((0.0, -rigid[k], 0.0), (rigid[k], 0.0, -law.damping[k]))
+                )  # fmt: skip
+            assert isinstance(law, LinearStrings)  # others were refused
+            return lambda k: (
+                held[k],
+                _force((law.stiffness[k],), (0.0, -law.stiffness[k], -law.damping[k])),
+            )
+        gamma = held
+        if self.kind == "rest_length":
+            assert law is not None  # rest lengths without a law were refused
+            gamma = law.force_density(self.length, held)
+        if self.actuators == "force_density":
+            return lambda k: (gamma[k], _force((0.0, -1.0, 0.0)))
+        return lambda k: (gamma[k] * self.length[k], _force((-1.0,)))
+
+    def _actuator(self, attributes: dict[str, str], control: float) -> None:
+        actuators = self.root.find("actuator")
+        if actuators is None:
+            actuators = SubElement(self.root, "actuator")
+        SubElement(actuators, "general", attributes)
+        self.controls.append(float(control))
+
+    def _loads(self) -> None:
+        """Add what pushes on nodes all the time: the force of an actuator without control."""
+        load = in_space(self.own_load)
+        for node in np.flatnonzero(load.any(axis=0)).tolist():
+            if node not in self.structure.fixed:
+                gear = _numbers([*load[:, node], 0, 0, 0])
+                force = _force((0.0,), (1.0, 0.0, 0.0)) | {"forcerange": "0 1"}
+                self._actuator(
+                    {"name": f"load{node}", "site": f"n{node}", "refsite": "space", "gear": gear}
+                    | force,
+                    0.0,
+                )
+
+    def _keyframe(self, velocities: FloatArray) -> None:
+        keyframe = SubElement(self.root, "keyframe")
+        parts: dict[str, Sequence[float] | FloatArray] = {
+            "qpos": self.tree.start_coordinates(),
+            "qvel": self.tree.joint_velocities(velocities),
+            "ctrl": self.controls,
+        }
+        values = {name: _numbers(part) for name, part in parts.items() if len(part)}
+        SubElement(keyframe, "key", {"name": "start"} | values)
+
+
+def _flat(law: Any) -> Ground:
+    """Return ground that MuJoCo has: a spring on a plane."""
+    if not isinstance(law, Ground) or isinstance(law.height, ca.Function):
+        raise ValueError(f"MuJoCo's contacts are springs on planes, not {law!r:.60}")
+    if law.friction and not law.damping:
+        raise ValueError(
+            "MuJoCo's contacts rub by their damping, and the ground has none: give it damping"
+        )
+    return law
+
+
+def _linear_damping(law: Ground, inverse: float) -> float:
+    """Return the linear damping, N s/m, that takes in an impact what that of our law takes."""
+    depth = _IMPACT / np.sqrt(4 * law.stiffness * inverse)  # of a bar's end, about
+    return float(4 / (3 * np.pi) * law.stiffness * law.damping * depth)
+
+
+def _force(gain: tuple[float, ...], bias: tuple[float, ...] = ()) -> dict[str, str]:
+    """Return the law of an actuator, gain × control + bias, each affine in length and rate."""
+    found = {"gainprm": _numbers(gain), "forcerange": _numbers(_PULLING)}
+    if len(gain) > 1:
+        found["gaintype"] = "affine"
+    return found | ({"biastype": "affine", "biasprm": _numbers(bias)} if bias else {})
+
+
+def _inertial(element: Element, centre: FloatArray, mass: float, inertia: float) -> None:
+    SubElement(
+        element, "inertial", pos=_numbers(centre), mass=_number(mass),
+        diaginertia=_numbers([inertia] * 3),
+    )  # fmt: skip
+
+
+def _number(value: float) -> str:
+    return repr(float(value) + 0.0)
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """Return numbers so that they are read back as they are."""
+    return " ".join(_number(value) for value in values)

@@ -1,0 +1,482 @@
+"""MJCF, the model format of MuJoCo, read: bars on bodies, strings from spatial tendons."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from tenscontrol.dynamics import ElasticStrings, LinearStrings, Model, StringLaw
+from tenscontrol.exchange.imported import Imported
+from tenscontrol.exchange.mjcf_document import MjcfDocument, Placed, number, numbers, row
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, positive_number
+
+# Places that are closer, as part of the size, are one.
+_SAME = 1e-9
+
+# Attributes of tendons that strings do not have.
+_LOST = ("frictionloss", "armature", "range")
+
+
+def from_mujoco(source: object, tolerance: float = 1e-6) -> Imported:
+    """Return the model of an MJCF file or text: bars, strings, and how they are joined.
+
+    A capsule or cylinder is a bar; a spatial tendon over sites is a string. Bodies may be nested:
+    ball joints and ``connect`` constraints join bars (hinges about y in the plane of x and z), what
+    is part of the world is fixed, a slide that is missing is a roller. Masses at the ends of a bar,
+    and bodies without a bar, are point masses. Stiffness is that of the tendon, or of an actuator
+    that makes a spring of it. Defaults and their classes are followed.
+
+    Parameters
+    ----------
+    source : str or path
+        The path of a file, or the text itself, which begins with ``<``.
+    tolerance : float
+        How far a site or joint may be from the end of its bar, as part of its length. It is put
+        there.
+
+    Returns
+    -------
+    Imported
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ValueError
+        If it is not MJCF, or has what a tensegrity structure has not: it is named.
+
+    Notes
+    -----
+    Nodes, bars and strings are in the order of the numbers that their names end in, if all have
+    one, else as they come. A bar's inertia becomes that of a thin one. Contacts, motions at the
+    start and actuators that are no springs are left out; ``notes`` says so.
+
+    Examples
+    --------
+    >>> import numpy as np, tenscontrol as tc
+    >>> ball = tc.library.six_bar_ball()
+    >>> model = tc.Model(ball, strings=tc.LinearStrings(stiffness=500.0))
+    >>> text = tc.exchange.to_mujoco(model, rest_length=0.9 * ball.string_length())
+    >>> found = tc.exchange.from_mujoco(text)
+    >>> found.structure, bool(np.allclose(found.structure.nodes, ball.nodes, atol=1e-12))
+    (Structure(12 nodes, 6 bars, 24 strings), True)
+    """
+    off = positive_number("tolerance", tolerance, "part of a bar's length", 0.5)
+    return _Assembly(MjcfDocument(source), off).imported()
+
+
+class _Assembly:
+    """Puts rigid groups of bodies together as bars, point masses and supports.
+
+    A *spot* is a place of one group: an end of its bar, its point, or a place in the world. Spots
+    that joints hold together are one node.
+    """
+
+    def __init__(self, document: MjcfDocument, tolerance: float) -> None:
+        self.document, self.tolerance = document, tolerance
+        self.group = self._groups()
+        self.bars: list[tuple[str, int, int, float]] = []  # name, spots, kg
+        self.bar_of: dict[int, int] = {}
+        self.spots: list[tuple[int, FloatArray]] = []
+        self.names: dict[int, list[str]] = {}
+        self.same: list[int] = []
+        self.mass: dict[int, float] = {}
+        self.rolling: list[tuple[int, int]] = []
+        self.planar = any(kind == "hinge" for body in document.bodies for kind, *_ in body.joints)
+        places = [geom.place for body in document.bodies for geom in body.geoms if geom.ends
+                  is not None] + [at for _, at in document.sites.values()]  # fmt: skip
+        if not places:
+            raise ValueError("the MJCF has neither capsules nor sites: no bars, no strings")
+        self.size = max(float(np.ptp(places, axis=0).max()), 1e-300)
+
+    def imported(self) -> Imported:
+        """Return the model."""
+        self._bars()
+        self._masses()
+        self._joints()
+        self._constraints()
+        paths, groups = self._paths()
+        structure, order = self._structure(paths, groups)
+        law, rest = self._law(structure, order)
+        gravity = self.document.gravity()
+        if structure.dimension == 2:
+            gravity = gravity[[0, 2]]
+        fall = gravity if gravity.any() else None
+        planes = [g.name for b in self.document.bodies for g in b.geoms if g.kind == "plane"]
+        if planes:
+            self._note(
+                f"contacts are left out, with the plane {planes[0]!r}: give the model ground"
+            )
+        return Imported(Model(structure, law, gravity=fall), rest, tuple(self.document.notes))
+
+    def _note(self, note: str) -> None:
+        if note not in self.document.notes:
+            self.document.notes.append(note)
+
+    def _groups(self) -> list[int]:
+        """Return for each body the first of those that it is welded to; 0 is the world."""
+        found: list[int] = []
+        for i, body in enumerate(self.document.bodies):
+            found.append(i if body.joints or i == 0 else found[body.parent])
+        return found
+
+    # ---- spots ----
+
+    def _spot(self, number: int, at: FloatArray, what: str) -> int:
+        """Return the spot of a place on a body, made if it is part of the world or a point."""
+        group = self.group[number]
+        if group and group in self.bar_of:
+            _, start, end, _ = self.bars[self.bar_of[group]]
+            ends = np.array([self.spots[start][1], self.spots[end][1]])
+            apart = np.linalg.norm(ends - at, axis=1)
+            length = float(np.linalg.norm(ends[1] - ends[0]))
+            if apart.min() > self.tolerance * length:
+                raise ValueError(
+                    f"{what} is {apart.min():.3g} m from the nearer end of its bar "
+                    f"{self.bars[self.bar_of[group]][0]!r}, expected at most "
+                    f"{self.tolerance * length:.3g} m; give a larger tolerance to put it there"
+                )
+            return (start, end)[int(apart.argmin())]
+        for i, (other, place) in enumerate(self.spots):
+            if other == group and np.linalg.norm(place - at) <= _SAME * self.size:
+                return i
+        if group and any(other == group for other, _ in self.spots):
+            raise ValueError(
+                f"{what} is on body {self.document.bodies[group].name!r}, which has no bar and "
+                "another place already: a body without a capsule is a point here"
+            )
+        return self._new_spot(group, at)
+
+    def _new_spot(self, group: int, at: FloatArray) -> int:
+        self.spots.append((group, at))
+        self.same.append(len(self.same))
+        return len(self.spots) - 1
+
+    def _first(self, spot: int) -> int:
+        while self.same[spot] != spot:
+            spot = self.same[spot]
+        return spot
+
+    def _join(self, one: int, other: int, what: str) -> None:
+        apart = float(np.linalg.norm(self.spots[one][1] - self.spots[other][1]))
+        if apart > max(self.tolerance, _SAME) * self.size:
+            raise ValueError(f"{what} joins places {apart:.3g} m apart; give a larger tolerance")
+        low, high = sorted((self._first(one), self._first(other)))
+        self.same[high] = low
+
+    # ---- bars and masses ----
+
+    def _bars(self) -> None:
+        for i, body in enumerate(self.document.bodies):
+            group = self.group[i]
+            for geom in body.geoms:
+                if geom.ends is None:
+                    continue
+                if group in self.bar_of and group:
+                    raise ValueError(
+                        f"body {self.document.bodies[group].name!r} has two bars: bars are joined "
+                        "by pins here, not welded into one body"
+                    )
+                spots = [self._world_or_new(group, end) for end in geom.ends]
+                name = geom.name or body.name
+                self.bar_of[group] = len(self.bars)
+                own = group == 0 or body.inertial is None
+                mass = geom.mass if own else self._own_mass(body, geom.ends)
+                self.bars.append((name, spots[0], spots[1], mass))
+
+    def _world_or_new(self, group: int, at: FloatArray) -> int:
+        if group:
+            return self._new_spot(group, at)
+        for i, (other, place) in enumerate(self.spots):
+            if other == 0 and np.linalg.norm(place - at) <= _SAME * self.size:
+                return i
+        return self._new_spot(0, at)
+
+    def _own_mass(self, body: Placed, ends: FloatArray) -> float:
+        """Return the mass of a bar whose body says it, with its centre in the middle."""
+        assert body.inertial is not None  # the caller asked
+        mass, centre, moment = body.inertial
+        length = float(np.linalg.norm(ends[1] - ends[0]))
+        if np.linalg.norm(centre - ends.mean(axis=0)) > max(self.tolerance, _SAME) * length:
+            raise ValueError(
+                f"body {body.name!r} has its centre of mass off the middle of its bar: give the "
+                "bar its own mass, and what it carries a body at its end"
+            )
+        thin = mass * length**2 / 12
+        if abs(moment - thin) > 1e-3 * thin:
+            self._note(f"body {body.name!r} has {moment:.4g} kg m² across; a thin bar {thin:.4g}")
+        return mass
+
+    def _masses(self) -> None:
+        """Put what bodies weigh beside their bars onto their spots."""
+        for i, body in enumerate(self.document.bodies):
+            if self.group[i] == 0:
+                continue
+            own = any(geom.ends is not None for geom in body.geoms)
+            parts: list[tuple[float, FloatArray, str]] = []
+            if body.inertial is None:
+                parts = [(g.mass, g.place, g.name) for g in body.geoms if g.ends is None]
+            elif not own:
+                parts = [(body.inertial[0], body.inertial[1], body.name)]
+            for mass, at, name in parts:
+                if mass > 0:
+                    spot = self._spot(i, at, f"the mass of {name or body.name!r}")
+                    self.mass[spot] = self.mass.get(spot, 0.0) + mass
+
+    # ---- joints ----
+
+    def _joints(self) -> None:
+        for i, body in enumerate(self.document.bodies):
+            if not body.joints:
+                continue
+            kinds = [kind for kind, *_ in body.joints]
+            slides = [axis for kind, _, axis in body.joints if kind == "slide"]
+            turning = [at for kind, at, _ in body.joints if kind in ("ball", "hinge")]
+            self._refuse_joints(body, kinds, len(turning), i)
+            if kinds == ["free"]:
+                if i not in self.bar_of:
+                    self._spot(i, self._point(i), f"body {body.name!r}")
+                continue
+            at = turning[0] if turning else self._point(i)
+            held = self._held(body, slides) if slides else [0, 1, 2]
+            if len(slides) and not len(held):
+                if i not in self.bar_of:
+                    self._spot(i, at, f"body {body.name!r}")
+                continue
+            spot = self._spot(i, at, f"the joint of body {body.name!r}")
+            if slides:
+                self.rolling += [(spot, axis) for axis in held]
+            else:
+                where = f"the joint of body {body.name!r}"
+                self._join(spot, self._spot(body.parent, at, where), where)
+
+    def _refuse_joints(self, body: Placed, kinds: list[str], turning: int, number: int) -> None:
+        allowed = {"free", "ball", "hinge", "slide"}
+        name = f"body {body.name!r}"
+        if not set(kinds) <= allowed or turning > 1 or ("free" in kinds and len(kinds) > 1):
+            raise ValueError(f"{name} has the joints {', '.join(kinds)}, which no bar has")
+        if ("slide" in kinds or "free" in kinds) and self.group[body.parent]:
+            raise ValueError(f"{name} slides on another body: only supports can have slides")
+        if self.planar and {"ball", "free"} & set(kinds):
+            raise ValueError(
+                f"{name} moves in space, and others have hinges: bars have ball joints"
+            )
+        for kind, _, axis in body.joints:
+            if kind == "hinge" and abs(axis[1]) < 1 - _SAME:
+                raise ValueError(
+                    f"{name} has a hinge about {np.round(axis, 4)}: only hinges about y, of a "
+                    "planar structure in x and z, are understood; bars in space have ball joints"
+                )
+        if number in self.bar_of and not turning and "free" not in kinds:
+            raise ValueError(f"{name} has a bar that cannot turn, only slide")
+        if number not in self.bar_of and turning and len(kinds) == 1:
+            raise ValueError(f"{name} turns, and has no capsule or cylinder: no bar")
+
+    def _point(self, number: int) -> FloatArray:
+        """Return where a body without a bar is: at its spot, else at its site or its origin."""
+        for group, at in self.spots:
+            if group == number:
+                return at
+        for own, at in self.document.sites.values():
+            if self.group[own] == number:
+                return at
+        return self.document.bodies[number].place
+
+    def _held(self, body: Placed, slides: Sequence[FloatArray]) -> list[int]:
+        """Return the axes along which slides do not let a body move."""
+        every = [0, 2] if self._flat() else [0, 1, 2]
+        if np.linalg.matrix_rank(slides) < len(slides):
+            raise ValueError(f"body {body.name!r} slides twice along one axis")
+        span = np.linalg.qr(np.array(slides).T)[0]
+        along = np.linalg.norm(span, axis=1)  # of each axis, the part that is free
+        askew = (along > _SAME) & (along < 1 - _SAME)
+        if askew.any():
+            raise ValueError(
+                f"body {body.name!r} slides along {np.round(slides[0], 4)}, and not along all "
+                "axes: what rollers hold is an axis"
+            )
+        return [axis for axis in every if along[axis] <= _SAME]
+
+    def _flat(self) -> bool:
+        """Whether all moves in the plane of x and z."""
+        if self.planar:
+            return True
+        joints = [joint for body in self.document.bodies for joint in body.joints]
+        across = any(kind != "slide" or abs(axis[1]) > _SAME for kind, _, axis in joints)
+        thick = max((abs(at[1]) for _, at in self.spots), default=0.0) > _SAME * self.size
+        return bool(joints) and not across and not thick
+
+    def _constraints(self) -> None:
+        for element, given in self.document.members("equality"):
+            if element.tag != "connect":
+                raise ValueError(f"the MJCF has the constraint <{element.tag}>, which no bar has")
+            what = f"the constraint {given.get('name', 'connect')!r}"
+            if "site1" in given:
+                sites = (self._site(given.get(name, "")) for name in ("site1", "site2"))
+                spots = [self._spot(*site, what) for site in sites]
+            else:
+                number = self.document.numbered(given.get("body1", ""))
+                other = self.document.numbered(given.get("body2", "world"))
+                body = self.document.bodies[number]
+                at = body.place + body.turn @ numbers(given, "anchor", 3)
+                spots = [self._spot(i, at, what) for i in (number, other)]
+            self._join(spots[0], spots[1], what)
+
+    def _site(self, name: str) -> tuple[int, FloatArray]:
+        if name not in self.document.sites:
+            raise ValueError(f"the MJCF names the site {name!r}, which it does not have")
+        return self.document.sites[name]
+
+    # ---- strings ----
+
+    def _paths(self) -> tuple[list[list[int]], list[str]]:
+        """Return the spots that each tendon runs over, and the group of each."""
+        paths, groups = [], []
+        self.tendons: list[tuple[Element, dict[str, str]]] = []
+        actuated = {given.get("tendon") for _, given in self.document.members("actuator")}
+        tendons = self.document.members("tendon")
+        pulling = [  # the others measure; a string of γ = 0 has a range of lengths without force
+            any(row(given, "stiffness"))
+            or len(row(given, "springlength")) == 2
+            or given.get("name", "") in actuated
+            for _, given in tendons
+        ]
+        for (element, given), pulls in zip(tendons, pulling, strict=True):
+            if any(pulling) and not pulls:
+                self._note(f"tendon {given.get('name', '')!r} pulls by nothing and is left out")
+                continue
+            if element.tag != "spatial":
+                raise ValueError(
+                    f"tendon {given.get('name', '')!r} is <{element.tag}>, not spatial"
+                )
+            path = []
+            for part in element:
+                if part.tag != "site":
+                    raise ValueError(
+                        f"tendon {given.get('name', '')!r} runs over a <{part.tag}>, expected sites"
+                    )
+                name = part.get("site", "")
+                spot = self._spot(*self._site(name), f"site {name!r}")
+                self.names.setdefault(spot, []).append(name)
+                path.append(spot)
+            for lost in _LOST:
+                if any(row(given, lost)):
+                    self._note(f"{lost} of tendons is left out")
+            paths.append(path)
+            group = element.get("class", "").removeprefix("string-")
+            groups.append(group if group.isidentifier() else "string")
+            self.tendons.append((element, given))
+        return paths, groups
+
+    def _structure(self, paths: list[list[int]], groups: list[str]) -> tuple[Structure, list[int]]:
+        """Return the structure, and the order of its strings among the tendons."""
+        for name, (body, where) in self.document.sites.items():  # of nodes without strings
+            if self.group[body] in self.bar_of or self.group[body] == 0:
+                spots = [i for i, (group, place) in enumerate(self.spots)
+                         if group == self.group[body]
+                         and np.linalg.norm(place - where) <= _SAME * self.size]  # fmt: skip
+                for spot in spots:
+                    self.names.setdefault(spot, []).append(name)
+        firsts = sorted({self._first(i) for i in range(len(self.spots))})
+        labels = [
+            [name for spot, names in self.names.items() if self._first(spot) == first
+             for name in names]
+            for first in firsts
+        ]  # fmt: skip
+        firsts = [firsts[i] for i in _numbered([min(own, default="") for own in labels])]
+        node = {first: i for i, first in enumerate(firsts)}
+        at: dict[int, int] = {i: node[self._first(i)] for i in range(len(self.spots))}
+        bars = [self.bars[i] for i in _numbered([bar[0] for bar in self.bars])]
+        order = _numbered([given.get("name", "") for _, given in self.tendons])
+        keep = [0, 2] if self._flat() else [0, 1, 2]
+        N = np.array([self.spots[first][1] for first in firsts]).T
+        if len(keep) == 2 and np.abs(N[1]).max(initial=0.0) > _SAME * self.size:
+            raise ValueError("the MJCF has hinges, and nodes off the plane of x and z")
+        mass = np.zeros(len(firsts))
+        for spot, kg in self.mass.items():
+            mass[at[spot]] += kg
+        fixed = sorted({at[i] for i, (group, _) in enumerate(self.spots) if group == 0})
+        mass[fixed] = 0.0
+        rollers = [(at[spot], "xyz"[keep.index(axis)]) for spot, axis in self.rolling]
+        structure = Structure(
+            N[keep],
+            np.array([(at[start], at[end]) for _, start, end, _ in bars]).reshape(-1, 2),
+            [[at[spot] for spot in paths[i]] for i in order],
+            [kg for *_, kg in bars],
+            string_groups=[groups[i] for i in order],
+            fixed=fixed,
+            rollers=[pair for pair in rollers if pair[0] not in fixed],
+            point_mass=mass if mass.any() else None,
+        )
+        return structure, order
+
+    def _law(
+        self, structure: Structure, order: list[int]
+    ) -> tuple[StringLaw | None, FloatArray | None]:
+        """Return the string law and the rest lengths, as far as tendons and actuators say them."""
+        driven = self._driven()
+        found = [self._spring(self.tendons[i][1], driven) for i in order]
+        if not found or any(spring is None for spring in found):
+            if found:
+                self._note("strings have no stiffness: a model of force densities")
+            return None, None
+        springs = [spring for spring in found if spring is not None]
+        kinds = {elastic for elastic, *_ in springs}
+        if len(kinds) > 1:
+            raise ValueError("some tendons have constant stiffness, others constant rigidity")
+        values, damping = np.array([spring[1:3] for spring in springs]).T
+        law = (ElasticStrings if kinds.pop() else LinearStrings)(values, damping)
+        length = structure.string_length()
+        rest = [own if own >= 0 else float(length[i]) for i, (*_, own) in enumerate(springs)]
+        if min(rest) == 0:
+            self._note(
+                "strings of rest length 0 have constant force density, which is their stiffness"
+            )
+            return None, None
+        return law, np.array(rest)
+
+    def _driven(self) -> dict[str, tuple[bool, float, float]]:
+        """Return, by tendon, whether an actuator has constant EA, its stiffness and damping."""
+        found = {}
+        for element, given in self.document.members("actuator"):
+            name = given.get("tendon")
+            gain = [*row(given, "gainprm", "1"), 0.0, 0.0, 0.0]
+            bias = [*row(given, "biasprm"), 0.0, 0.0, 0.0]
+            if element.tag == "position" and name:
+                found[name] = False, number(given, "kp", "1"), number(given, "kv", "0")
+            elif element.tag == "general" and name and given.get("biastype") == "affine":
+                elastic = given.get("gaintype") == "affine"
+                found[name] = elastic, bias[0] if elastic else gain[0], -bias[2]
+            elif name:
+                self._note("actuators that set forces are left out")
+        return found
+
+    def _spring(
+        self, given: dict[str, str], driven: dict[str, tuple[bool, float, float]]
+    ) -> tuple[bool, float, float, float] | None:
+        """Return rigidity or not, stiffness, damping and rest length; -1 where it is the length."""
+        spring = row(given, "springlength") or [-1.0]
+        name = given.get("name", "")
+        if name in driven:
+            return (*driven[name], spring[-1])
+        stiffness, damping = (row(given, key) or [0.0] for key in ("stiffness", "damping"))
+        if any(stiffness[1:]):
+            raise ValueError(f"tendon {name!r} has stiffness that changes with its length")
+        if not stiffness[0]:
+            return None
+        if len(spring) == 1 or spring[0] > 0:
+            self._note("tendons that push when they are short become strings that do not")
+        return False, stiffness[0], damping[0], spring[-1]
+
+
+def _numbered(names: Sequence[str]) -> list[int]:
+    """Return the order by the numbers that names end in, if all have one of their own."""
+    found = [re.search(r"(\d+)$", name) for name in names]
+    ends = [int(match.group(1)) for match in found if match]
+    if len(ends) < len(names) or len(set(ends)) < len(names):
+        return list(range(len(names)))
+    return sorted(range(len(names)), key=ends.__getitem__)

@@ -1,0 +1,100 @@
+"""Compiled controllers in many closed loops at once."""
+
+from __future__ import annotations
+
+import ctypes
+from math import ceil
+from typing import Protocol, cast, runtime_checkable
+
+import numpy as np
+
+from tenscontrol.control import Controller
+from tenscontrol.dynamics import Model
+from tenscontrol.structure import Structure, same_members
+from tenscontrol.validation import FloatArray, IntArray, wrong_kind
+
+# Runs of a block: each has a controller of its own.
+MOST_CONTROLLERS = 64
+
+
+@runtime_checkable
+class CompiledCode(Protocol):
+    """What a controller of compiled code has beside what all have."""
+
+    entry_points: tuple[int, ...]
+
+    def another(self) -> CompiledCode:
+        """Return a controller of the same code with a memory of its own."""
+
+
+def checked_controller(controller: object, model: Model) -> Controller:
+    """Return a compiled controller that fits a model; raise TypeError or ValueError for others."""
+    if not isinstance(controller, Controller) or not isinstance(controller, CompiledCode):
+        advice = "the compiled code of one: generate_c(controller, folder).compile()"
+        raise wrong_kind("controller", controller, advice)
+    structure, feet = model.structure, controller.feet if model.ground else ()
+    for seen in (controller.structure, controller.commanded):
+        if not same_members(seen, structure, feet):
+            raise ValueError(
+                f"the controller was designed on {seen!r}, but the model has {structure!r} with "
+                "other bars, strings or fixed nodes"
+            )
+    if (controller.input == "rest_length") != (model.strings is not None):
+        kind, found = controller.input.replace("_", " "), model.strings
+        expected = "a string law" if found is None else "none: strings with a law hold rest lengths"
+        raise ValueError(
+            f"the controller commands {kind}, and the model's strings are {found}; expected "
+            f"{expected}"
+        )
+    return controller
+
+
+def samples(controller: Controller, duration: float) -> list[tuple[float, float]]:
+    """Return the start and the length of each sample, s, as in a single run."""
+    sample = cast(float, controller.sample_time)
+    count = max(1, ceil(duration / sample - 1e-9))
+    return [(k * sample, min(k * sample + sample, duration) - k * sample) for k in range(count)]
+
+
+class CompiledLoops:
+    """The controllers of the runs of a block: one each, for one thread."""
+
+    def __init__(self, controller: Controller, structure: Structure) -> None:
+        self._code = cast(CompiledCode, controller)
+        self._copies: list[CompiledCode] = []
+        self._free = structure.free_rows
+        self._nodes = structure.nodes.ravel(order="F")
+        self._count = len(controller.commanded.strings)
+
+    def reset(self, runs: int) -> None:
+        """Let the controllers of so many runs forget everything."""
+        while len(self._copies) < runs:
+            self._copies.append(self._code.another())
+        reset, command = ctypes.CFUNCTYPE(ctypes.c_int), ctypes.CFUNCTYPE(
+            ctypes.c_int, ctypes.c_double, *[ctypes.c_void_p] * 3
+        )  # fmt: skip
+        self._commands = []
+        for each in self._copies[:runs]:
+            first, second = each.entry_points
+            reset(first)()
+            self._commands.append(command(second))
+
+    def commands(
+        self, time: float, states: FloatArray, places: IntArray
+    ) -> tuple[FloatArray, np.ndarray]:
+        """Return the commands of some runs, (runs, α), and which are not of status OK.
+
+        States have shape (runs, states); places are those of the runs in the block.
+        """
+        runs, half = len(states), len(self._free)
+        motion = np.zeros((runs, 2, len(self._nodes)))
+        motion[:, 0] = self._nodes
+        motion[:, 0, self._free], motion[:, 1, self._free] = states[:, :half], states[:, half:]
+        found, failed = np.zeros((runs, self._count)), np.zeros(runs, dtype=bool)
+        start, row, end, width = motion.ctypes.data, motion[0].nbytes, found.ctypes.data, 8
+        for i, place in enumerate(places.tolist()):
+            at = start + i * row
+            failed[i] = self._commands[place](
+                time, at, at + row // 2, end + i * width * self._count
+            )
+        return found, failed

@@ -1,0 +1,478 @@
+"""Runs in files: a NumPy archive of the arrays, and a header in JSON that says what they are."""
+
+from __future__ import annotations
+
+import csv
+import json
+import struct
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import fields
+from enum import StrEnum
+from io import BytesIO, StringIO
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from tenscontrol._version import __version__
+from tenscontrol.actuation import Motor, MotorRecord, Winches
+from tenscontrol.control import Fallback, OutputLimit, Status
+from tenscontrol.dynamics import (
+    ElasticStrings,
+    Ground,
+    HertzGround,
+    LinearStrings,
+    Model,
+    Profile,
+    SmoothGround,
+)
+from tenscontrol.estimation import FilterStatistics
+from tenscontrol.files import read_file, write_file
+from tenscontrol.integrate import Choice, Work
+from tenscontrol.plant import Reference
+from tenscontrol.simulation.contacts import ContactRecord
+from tenscontrol.simulation.faults import CutString, LostMeasurement, StuckWinch
+from tenscontrol.simulation.health import ControlRecord, Given, Unsaved
+from tenscontrol.simulation.observation import EstimateRecord
+from tenscontrol.structure import Structure
+from tenscontrol.validation import FloatArray, IntArray, file_path
+
+#: Version of the form; files of a later one are refused.
+VERSION = 1
+_FORMAT = "tenscontrol run"
+
+#: What a run evaluates when it is first read, and a file or a pickle holds.
+EVALUATED = (
+    "force_density", "kinetic_energy", "potential_energy", "momentum", "angular_momentum",
+    "bar_length_error",
+)  # fmt: skip
+
+# Nothing else is made from a file.
+_RECORDS = {
+    kind.__name__: kind
+    for kind in (
+        Choice, ContactRecord, ControlRecord, CutString, ElasticStrings, EstimateRecord,
+        FilterStatistics, Ground, HertzGround, LinearStrings, LostMeasurement, Motor, MotorRecord,
+        OutputLimit, Profile, Reference, SmoothGround, Structure, StuckWinch, Winches, Work,
+    )
+}  # fmt: skip
+_WORDS: dict[str, type[StrEnum]] = {"Status": Status, "Fallback": Fallback}
+
+# Instructions of functions of numbers, by CasADi's names without OP_.
+_OPERATIONS = (
+    "ASSIGN", "ADD", "SUB", "MUL", "DIV", "NEG", "EXP", "LOG", "POW", "CONSTPOW", "SQRT", "SQ",
+    "TWICE", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "LT", "LE", "EQ", "NE", "NOT", "AND",
+    "OR", "FLOOR", "CEIL", "FMOD", "FABS", "SIGN", "COPYSIGN", "IF_ELSE_ZERO", "ERF", "FMIN",
+    "FMAX", "INV", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "ATAN2", "CONST", "INPUT",
+    "OUTPUT", "ERFINV", "LOG1P", "EXPM1", "HYPOT", "REMAINDER",
+)  # fmt: skip
+
+# Arrays by the name of the attribute, with the letters of their dimensions: one letter, one length.
+_SHAPES = {
+    "time": "T", "nodes": "dnT", "velocities": "dnT", "rest_length": "aT", "released_energy": "T",
+    "force_density": "aT", "kinetic_energy": "T", "potential_energy": "T", "momentum": "dT",
+    "angular_momentum": "rT", "bar_length_error": "bT", "control_time": "K",
+    "control_command": "wK", "control_applied": "wK", "control_status": "K",
+    "control_fallback": "K", "control_winch_rate": "wK", "control_rate_limited": "K",
+    "control_range_limited": "K", "control_computing_time": "K", "control_prediction_error": "K",
+    "control_at_bound": "K", "control_estimate_time": "K", "control_estimate_nodes": "dmK",
+    "control_estimate_velocities": "dmK", "control_estimate_node_deviation": "dmK",
+    "control_estimate_length_deviation": "eK", "control_estimate_state": "xK",
+    "control_estimate_measurement": "yK", "control_motors_time": "T", "control_motors_angle": "wT",
+    "control_motors_speed": "wT", "control_motors_torque": "wT", "control_motors_power": "wT",
+    "control_motors_energy": "wT", "control_motors_torque_limited": "K",
+    "control_motors_zero": "w", "contacts_node": "c", "contacts_law": "c", "contacts_depth": "cT",
+    "contacts_normal_force": "cT", "contacts_tangential_force": "dcT",
+    "contacts_stored_energy": "cT", "contacts_damping_work": "cT", "contacts_friction_work": "cT",
+    "contacts_impulse": "dcT", "contacts_deepest": "c", "contacts_touch": "k",
+    "contacts_begin": "k", "contacts_end": "k",
+}  # fmt: skip
+# Of these, NaN says that there was none.
+_MAY_BE_NAN = ("control_prediction_error", "control_estimate_measurement")
+# Of a run that ended early the rest may have overflowed.
+_MOTION = ("time", "nodes", "velocities", "rest_length")
+
+# Kinds of arrays: truths, whole numbers, floats, text.
+_KINDS = ("b1", "i4", "i8", "f8")
+_MOST_BYTES = 8_000_000_000
+
+# What reading a damaged archive raises: its own errors, those of its parts, and what NumPy and the
+# records say of values that do not fit.
+_FAULTS = (
+    ArithmeticError, EOFError, LookupError, NotImplementedError, OSError, RuntimeError, TypeError,
+    ValueError, struct.error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
+# ---- writing ----
+
+
+def write_run(path: object, values: Mapping[str, Any]) -> Path:
+    """Write the parts of a run by name, arrays and records; see :meth:`Trajectory.save`."""
+    file = file_path("path", path, (".npz",))
+    out = _Writer()
+    run = {name: out.node(value, (name,)) for name, value in values.items()}
+    header = {
+        "format": _FORMAT, "version": VERSION, "tenscontrol": __version__,
+        "not_saved": out.unsaved, "run": run,
+    }  # fmt: skip
+    text, buffer = json.dumps(header, allow_nan=False), BytesIO()
+    encoded = np.frombuffer(text.encode(), dtype=np.uint8)
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, array in (out.arrays | {"header": encoded}).items():
+            member = zipfile.ZipInfo(f"{name}.npy")  # of no date: the same run, the same bytes
+            member.compress_type = zipfile.ZIP_DEFLATED
+            with archive.open(member, "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, array, (1, 0), allow_pickle=False)
+    return write_file(file, buffer.getbuffer())
+
+
+class _Writer:
+    """Values as JSON, with the arrays that they hold beside it, by name."""
+
+    def __init__(self) -> None:
+        self.arrays: dict[str, np.ndarray] = {}
+        self.unsaved: dict[str, str] = {}
+
+    def node(self, value: Any, path: tuple[str, ...]) -> Any:
+        """Return a value as JSON; ``path`` leads to it."""
+        if isinstance(value, np.generic):
+            value = value.item()
+        if value is None or type(value) in (bool, int, str):
+            return value
+        if isinstance(value, float):
+            return value if isfinite(value) else {"float": repr(value)}
+        if isinstance(value, np.ndarray) and value.dtype.str[1:] in _KINDS:
+            return self._array(value, path)
+        if isinstance(value, tuple | list):
+            words = {type(each) for each in value} - {type(None)}
+            if len(words) == 1 and (kind := words.pop()) in _WORDS.values():
+                array = np.array([str(each or "") for each in value])
+                return {"words": kind.__name__, **self._array(array, path)}
+            parts = [self.node(each, (*path, str(i))) for i, each in enumerate(value)]
+            return {"tuple" if isinstance(value, tuple) else "list": parts}
+        if isinstance(value, dict | Given):
+            raw = value if isinstance(value, dict) else value.raw
+            items = {str(key): self.node(each, (*path, str(key))) for key, each in raw.items()}
+            return {"dict" if raw is value else "given": items}
+        if isinstance(value, ca.Function) and (lines := _instructions(value)) is not None:
+            names = [value.name(), *map(value.name_in, range(value.n_in()))]
+            return {"function": names, "lines": self.node(lines, path)}
+        if type(value) in _RECORDS.values():
+            inside = {
+                field.name: self.node(getattr(value, field.name), (*path, field.name))
+                for field in fields(value)
+                if not field.name.startswith("_")
+            }
+            return {"record": type(value).__name__, "fields": inside}
+        found = value if isinstance(value, Unsaved) else Unsaved(".".join(path), _described(value))
+        self.unsaved[found.place] = found.what
+        return {"unsaved": found.place, "what": found.what}
+
+    def _array(self, value: np.ndarray, path: tuple[str, ...]) -> dict[str, str]:
+        name = "_".join(path)
+        while name in self.arrays:
+            name += "_"
+        self.arrays[name] = value
+        return {"array": name}
+
+
+def _described(value: object) -> str:
+    """Return in a few words what cannot be written."""
+    if isinstance(value, ca.Function):
+        return f"the casadi.Function {value.name()!r}"
+    named = value if hasattr(value, "__qualname__") else type(value)
+    place = f"{named.__qualname__} of {named.__module__}"
+    return f"the function or class {place}" if named is value else f"an object of the class {place}"
+
+
+def _instructions(function: ca.Function) -> list[list[Any]] | None:
+    """Return the instructions of a function of numbers, by name; None where it calls others."""
+    try:
+        flat = function if function.is_a("SXFunction") else function.expand()
+    except RuntimeError:  # it calls what has no expression
+        return None
+    names = {getattr(ca, f"OP_{name}"): name for name in _OPERATIONS}
+    lines: list[list[Any]] = []
+    for k in range(flat.n_instructions()):
+        code = flat.instruction_id(k)
+        if code not in names:
+            return None
+        more = flat.instruction_constant(k) if code == ca.OP_CONST else 0.0
+        lines.append([names[code], flat.instruction_output(k), flat.instruction_input(k), more])
+    return lines
+
+
+# ---- reading ----
+
+
+def read_run(path: object) -> dict[str, Any]:
+    """Return the parts of a run by name, or raise a ValueError that names the file.
+
+    What no file can hold is :class:`Unsaved`.
+    """
+    file = file_path("path", path)
+    content = read_file(file, _MOST_BYTES)
+    if not zipfile.is_zipfile(BytesIO(content)):
+        raise ValueError(f"{file}: no run: expected a file that run.save(path) wrote")
+    try:
+        with zipfile.ZipFile(BytesIO(content)) as archive:
+            return _read_archive(archive)
+    except _RefusedError as error:
+        raise ValueError(f"{file}: {error}") from None
+    except (*_FAULTS, MemoryError, RecursionError) as error:
+        raise ValueError(
+            f"{file}: damaged, expected what run.save(path) wrote: {error or type(error).__name__}"
+        ) from error
+
+
+class _RefusedError(ValueError):
+    """A file that is whole, but no run for this release."""
+
+
+def _read_archive(archive: zipfile.ZipFile) -> dict[str, Any]:
+    members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
+    if len(members) != len(archive.infolist()):
+        raise ValueError("it has two arrays of one name")
+    if "header" not in members:
+        raise _RefusedError(
+            "no run: the archive has no header. Files of releases before 0.2 have none; "
+            "numpy.load(file) reads their arrays"
+        )
+    total = sum(each.file_size for each in members.values())
+    if total > _MOST_BYTES:
+        raise _RefusedError(f"is too large: {total:,} bytes, at most {_MOST_BYTES:,} are read")
+    header = json.loads(_array_of(archive, members["header"], ("u1",)).tobytes())
+    if not isinstance(header, dict) or header.get("format") != _FORMAT:
+        raise _RefusedError("no run: the header is not that of a run")
+    version = header["version"]
+    if version != VERSION:
+        raise _RefusedError(
+            f"version is {version!r:.20}, expected {VERSION}: the file was written by "
+            f"tenscontrol {header.get('tenscontrol')!s:.20}; this is {__version__}. Read it "
+            "with that release or a later one"
+        )
+    del members["header"]
+    arrays = {
+        name: _array_of(archive, each, _KINDS, "U" if name in _TEXTS else "")
+        for name, each in members.items()
+    }
+    reader = _Reader(arrays)
+    found = {name: reader.value(node, name) for name, node in header["run"].items()}
+    if reader.left:
+        raise ValueError(f"it has an array that the header does not name: {min(reader.left)}")
+    _check_shapes(found["structure"], arrays, found["stopped"] is None)
+    return found
+
+
+_TEXTS = ("control_status", "control_fallback")
+
+
+def _array_of(
+    archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: tuple[str, ...], kind: str = ""
+) -> np.ndarray:
+    """Return an array, read-only, of one of some kinds; its check sum is that of the archive."""
+    name, stream = member.filename, BytesIO(archive.read(member))
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError(f"{name} is no array of the first form of NumPy")
+    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    if not (dtype.str[1:] in kinds or (kind and dtype.kind == kind)) or dtype.byteorder == ">":
+        raise TypeError(f"{name} has numbers of the kind {dtype}")
+    data = stream.read()
+    if int(np.prod(shape, dtype=object)) * dtype.itemsize != len(data):
+        raise ValueError(f"{name} has {len(data)} bytes, expected an array of shape {shape}")
+    flat = np.frombuffer(data, dtype=dtype)
+    array = flat.reshape(shape, order="F" if is_fortran else "C").copy(order="K")
+    array.setflags(write=False)
+    return array
+
+
+class _Reader:
+    """Values from JSON and arrays; names of the arrays that are not used yet in ``left``."""
+
+    def __init__(self, arrays: Mapping[str, np.ndarray]) -> None:
+        self._arrays, self.left = arrays, set(arrays)
+
+    def value(self, node: Any, place: str) -> Any:
+        """Return what a node says; what holds something unsaved is so itself."""
+        if not isinstance(node, dict):
+            if isinstance(node, list):
+                raise TypeError(f"{place} is a list, expected a value")
+            return node
+        match node:
+            case {"unsaved": str(where), "what": str(what)}:
+                return Unsaved(where, what)
+            case {"float": "inf" | "-inf" | "nan" as text}:
+                return float(text)
+            case {"words": str(kind), "array": str(name)}:
+                return tuple(_WORDS[kind](each) if each else None for each in self._take(name))
+            case {"array": str(name)}:
+                return self._take(name)
+            case {"function": [str(name), *names], "lines": lines}:
+                return _function(name, names, self.value(lines, place))
+            case {"given": dict(items)}:
+                return Given(self._inside(items, place))
+            case {"dict": dict(items)}:
+                return _whole(found := self._inside(items, place), found)
+            case {"list": list(items)}:
+                found = self._inside(dict(enumerate(items)), place)
+                return _whole(found, list(found.values()))
+            case {"tuple": list(items)}:
+                found = self._inside(dict(enumerate(items)), place)
+                return _whole(found, tuple(found.values()))
+            case {"record": str(kind), "fields": dict(items)}:
+                found = self._inside(items, place)
+                cut = next((each for each in found.values() if isinstance(each, Unsaved)), None)
+                return cut or _RECORDS[kind](**found)
+        raise ValueError(f"{place} is not understood")
+
+    def _inside(self, items: dict[Any, Any], place: str) -> dict[Any, Any]:
+        return {key: self.value(node, f"{place}.{key}") for key, node in items.items()}
+
+    def _take(self, name: str) -> np.ndarray:
+        self.left.discard(name)
+        return self._arrays[name]
+
+
+def _whole(found: Mapping[Any, Any], made: Any) -> Any:
+    """Return what was made of values, or the first of them that a file does not hold."""
+    return next((each for each in found.values() if isinstance(each, Unsaved)), made)
+
+
+def _function(name: str, names: list[str], lines: list[list[Any]]) -> ca.Function:
+    """Return a function of numbers from its instructions."""
+    inputs = [ca.SX.sym(each) for each in names]
+    work: dict[int, ca.SX] = {}
+    result = ca.SX(1, 1)
+    for code, into, of, constant in lines:
+        if code not in _OPERATIONS:
+            raise ValueError(f"the function {name} has the instruction {code!r:.20}")
+        if code == "OUTPUT":
+            result = work[of[0]]
+        elif code == "INPUT":
+            work[into[0]] = inputs[of[0]]
+        elif code == "CONST":
+            work[into[0]] = ca.SX(constant)
+        else:
+            parts = [work[each] for each in of]
+            make = ca.SX.unary if len(parts) == 1 else ca.SX.binary
+            work[into[0]] = make(getattr(ca, f"OP_{code}"), *parts)
+    return ca.Function(name, inputs, [result], names, ["h"])
+
+
+def _check_shapes(
+    structure: Structure, arrays: Mapping[str, np.ndarray], is_complete: bool
+) -> None:
+    """Refuse arrays that do not fit the structure and each other, and what is not finite."""
+    d, n = structure.nodes.shape
+    size = {"d": d, "n": n, "a": len(structure.strings), "b": len(structure.bars)}
+    size["r"] = 3 if d == 3 else 1
+    for name, letters in _SHAPES.items():
+        if name not in arrays:
+            continue
+        array = arrays[name]
+        expected = tuple(size.get(letter, -1) for letter in letters)
+        pairs = zip(expected, array.shape, strict=False)
+        if len(expected) != array.ndim or any(want not in (have, -1) for want, have in pairs):
+            raise ValueError(f"{name} has shape {array.shape}, expected {expected}")
+        size |= dict(zip(letters, array.shape, strict=True))
+        checked = name in _MOTION or (is_complete and name not in _MAY_BE_NAN)
+        if checked and array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise ValueError(f"{name} holds what is not finite")
+
+
+# ---- the model, which has no fields ----
+
+
+def model_parts(model: Model) -> dict[str, Any]:
+    """Return what a model is made of, beside its structure."""
+    return {
+        "strings": model.strings,
+        "external_force": model.has_external_force or model.built_in_load,
+        "gravity": model.gravity,
+    }
+
+
+def model_of(structure: Structure, ground: Any, parts: Any) -> Model | Unsaved:
+    """Return the model of its parts, or what of it a file does not hold."""
+    missing = [each for each in (ground, parts) if isinstance(each, Unsaved)]
+    return missing[0] if missing else Model(structure, ground=ground, **parts)
+
+
+# ---- for other programs ----
+
+
+def _commanding(control: ControlRecord, time: FloatArray) -> IntArray:
+    """Return the sample whose command acted in the step to each time."""
+    slack = 1e-9 * (control.sample_time or 0.0)
+    return np.maximum(np.searchsorted(control.time, time - slack, side="left") - 1, 0)
+
+
+def write_table(run: Any, path: object) -> Path:
+    """Write time, nodes, strings and commands of a run as CSV; see :meth:`Trajectory.to_csv`."""
+    file, (d, n, count) = file_path("path", path), run.nodes.shape
+    head, columns = ["time [s]"], [run.time[None]]
+    head += [f"node {i} {axis} [m]" for i in range(n) for axis in "xyz"[:d]]
+    columns.append(run.nodes.swapaxes(0, 1).reshape(-1, count))
+    strings = [("force density [N/m]", run.force_density), ("tension [N]", run.tension)]
+    if run.rest_length is not None:
+        strings.append(("rest length [m]", run.rest_length))
+    for what, values in strings:
+        head += [f"string {i} {what}" for i in range(len(values))]
+        columns.append(values)
+    if run.control is not None:
+        what = "command [N/m]" if run.rest_length is None else "command [m]"
+        head += [f"winch {i} {what}" for i in range(len(run.control.command))]
+        columns.append(run.control.command[:, _commanding(run.control, run.time)])
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(np.vstack(columns).T.tolist())
+    return write_file(file, text.getvalue())
+
+
+def dataset(run: Any) -> Any:
+    """Return a run as an xarray.Dataset; see :meth:`Trajectory.to_xarray`."""
+    try:
+        import xarray
+    except ImportError as error:
+        raise ImportError(
+            "to_xarray needs the package xarray, which is not installed: "
+            "pip install 'tenscontrol[xarray]'"
+        ) from error
+    d = run.structure.dimension
+    turns = ("axis",) if d == 3 else ()
+    angular = run.angular_momentum if turns else run.angular_momentum[0]
+    entries = {
+        "nodes": (("axis", "node", "time"), run.nodes, "m"),
+        "velocities": (("axis", "node", "time"), run.velocities, "m/s"),
+        "force_density": (("string", "time"), run.force_density, "N/m"),
+        "tension": (("string", "time"), run.tension, "N"),
+        "kinetic_energy": (("time",), run.kinetic_energy, "J"),
+        "potential_energy": (("time",), run.potential_energy, "J"),
+        "momentum": (("axis", "time"), run.momentum, "kg m/s"),
+        "angular_momentum": ((*turns, "time"), angular, "kg m2/s"),
+        "bar_length_error": (("bar", "time"), run.bar_length_error, "m"),
+    }
+    if run.rest_length is not None:
+        entries["rest_length"] = ("string", "time"), run.rest_length, "m"
+    coordinates = {
+        "time": ("time", run.time, {"units": "s"}),
+        "axis": list("xyz"[:d]),
+        "string_group": ("string", list(run.structure.string_groups)),
+    }
+    if run.control is not None:
+        unit = "N/m" if run.rest_length is None else "m"
+        entries["command"] = ("winch", "sample"), run.control.command, unit
+        entries["applied"] = ("winch", "sample"), run.control.applied, unit
+        coordinates["sample_time"] = ("sample", run.control.time, {"units": "s"})
+        coordinates["status"] = ("sample", [str(each) for each in run.control.status])
+    about = {"method": run.method, "tenscontrol": __version__}
+    variables = {
+        name: (dims, values, {"units": unit}) for name, (dims, values, unit) in entries.items()
+    }
+    return xarray.Dataset(variables, coordinates, about)

@@ -1,0 +1,99 @@
+"""What a command prints with ``--json``: documented in docs/scenes.rst."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tenscontrol.accuracy import Growth, WorkPrecision
+from tenscontrol.plant import LinearPlant, Modes
+from tenscontrol.simulation import ControlRecord, Trajectory
+
+
+def json_text(summary: Mapping[str, Any]) -> str:
+    """Return a summary as JSON; numbers that are not known or not finite are null."""
+    return json.dumps(_plain(summary), indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value made of what JSON has."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, complex):
+        return [_plain(value.real), _plain(value.imag)]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def of_run(run: Trajectory) -> dict[str, Any]:
+    """Return the figures of a motion."""
+    size = np.ptp(run.structure.nodes, axis=1).max()
+    off = np.linalg.norm(run.nodes - run.structure.nodes[:, :, None], axis=0).max(axis=0)
+    return {
+        "time": run.time[-1],
+        "states": len(run.time),
+        "stopped": run.stopped,
+        "method": run.method,
+        run.choice.setting: run.choice.value,
+        "size": size,
+        "displacement": {"start": off[0], "end": off[-1], "largest": off.max()},
+        "energy": {"start": run.energy[0], "end": run.energy[-1]},
+        "health": asdict(run.health),
+        "faults": [fault.label for fault in run.faults],
+        "control": None if run.control is None else _of_control(run.control),
+    }
+
+
+def _of_control(record: ControlRecord) -> dict[str, Any]:
+    error, seconds = record.tracking_error, record.computing_time
+    return {
+        "controller": record.controller,
+        "sample_time": record.sample_time,
+        "samples": len(record.time),
+        "status": record.status_count,
+        "fallback": record.fallback_count,
+        "tracking_error": None if error is None else {"end": error[-1], "largest": error.max()},
+        "computing_time": {"median": np.median(seconds), "largest": seconds.max()},
+        "problems": record.problems,
+    }
+
+
+def of_modes(plant: LinearPlant, found: Modes) -> dict[str, Any]:
+    """Return the modes of a plant."""
+    each = zip(found.frequency, found.damping, found.pole, found.label, strict=True)
+    names = ("frequency", "damping", "pole", "kind")
+    return {
+        "input": plant.input,
+        "coordinates": plant.coordinates.kind,
+        "modes": [dict(zip(names, row, strict=True)) for row in each],
+    }
+
+
+def of_comparison(found: WorkPrecision) -> dict[str, Any]:
+    """Return the rows of a comparison of methods."""
+    return {
+        "case": found.case.name,
+        "duration": found.case.duration,
+        "reference_error": found.reference.error,
+        "rows": [asdict(row) for row in found.rows],
+        "refused": dict(found.refused),
+    }
+
+
+def of_growth(own: Growth, towers: Growth) -> dict[str, Any]:
+    """Return time and memory of each stop, of a structure and of towers."""
+    return {
+        "structure": [asdict(row) for row in own.rows],
+        "towers": [asdict(row) for row in towers.rows],
+    }

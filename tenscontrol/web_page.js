@@ -1,0 +1,237 @@
+// Moves the figure of web_page.py: states of a motion, or modes with an amplitude.
+(async () => {
+  const spec = JSON.parse(document.getElementById("spec").textContent);
+  const byId = (id) => document.getElementById(id);
+  const plot = byId("plot");
+  const d = spec.dimension;
+  const names = spec.figure.data.map((trace) => trace.name);
+
+  function unpacked(text) {
+    if (text === null) return null;
+    const characters = atob(text);
+    const bytes = new Uint8Array(characters.length);
+    for (let i = 0; i < bytes.length; i++) bytes[i] = characters.charCodeAt(i);
+    return new Float32Array(bytes.buffer);
+  }
+  const nodes = unpacked(spec.nodes);
+  const gamma = unpacked(spec.gamma);
+  const real = unpacked(spec.real);
+  const imaginary = unpacked(spec.imaginary);
+  const size = d * spec.index.nodes.length;
+  const frames = nodes.length / size;
+  const strings = gamma === null ? 0 : gamma.length / frames;
+
+  // ---- what is shown ----
+
+  // Place in the motion, s, or in the swing of a mode, turns.
+  const now = { clock: 0, frame: 0, playing: false, turning: false };
+
+  function swung() {
+    const mode = Number(byId("mode").value);
+    const most = Number(byId("amplitude").value) * spec.size;
+    const [c, s] = [Math.cos(2 * Math.PI * now.clock), Math.sin(2 * Math.PI * now.clock)];
+    return nodes.map((x, i) => x + most * (real[mode * size + i] * c - imaginary[mode * size + i] * s));
+  }
+
+  function positions() {
+    return real === null ? nodes.subarray(now.frame * size, (now.frame + 1) * size) : swung();
+  }
+
+  function gathered(at, index) {
+    const part = { x: [], y: [], z: [] };
+    ["x", "y", "z"].forEach((axis, k) => {
+      part[axis] = Float32Array.from(index, (node) => (node < 0 ? NaN : k < d ? at[d * node + k] : 0));
+    });
+    return part;
+  }
+
+  function tensions(at, own) {
+    const length = new Float32Array(strings);
+    spec.segments.forEach(([start, end], i) => {
+      let squares = 0;
+      for (let k = 0; k < d; k++) squares += (at[d * end + k] - at[d * start + k]) ** 2;
+      length[spec.segmentString[i]] += Math.sqrt(squares);
+    });
+    return own.map((value, i) => value * length[i]);
+  }
+
+  // Three points a segment: start, end, and the break after them.
+  const stringOf = (point) => spec.segmentString[Math.floor(point / 3)];
+
+  function update() {
+    const at = positions();
+    const change = { strings: null, "slack strings": null };
+    let index = spec.index.strings;
+    if (gamma !== null) {
+      const own = gamma.subarray(now.frame * strings, (now.frame + 1) * strings);
+      const slack = index.map((node, i) => own[stringOf(i)] <= spec.slack);
+      change["slack strings"] = gathered(at, index.map((node, i) => (slack[i] ? node : -1)));
+      index = index.map((node, i) => (slack[i] ? -1 : node));
+      const chosen = byId("color").value;
+      if (chosen) {
+        const values = chosen.startsWith("tension") ? tensions(at, own) : own;
+        change.strings = { "line.color": Float32Array.from(index, (node, i) => values[stringOf(i)]) };
+      }
+    }
+    change.strings = { ...change.strings, ...gathered(at, index) };
+    for (const name of ["bars", "nodes", "supports"]) change[name] = gathered(at, spec.index[name]);
+    if (spec.pressed !== null) change["on the ground"] = gathered(at, spec.pressed[now.frame]);
+    for (const name of Object.keys(change)) if (change[name] === null) delete change[name];
+    return change;
+  }
+
+  // One call for all traces: plotly draws once.
+  function draw() {
+    const change = update();
+    const moved = Object.keys(change);
+    const wanted = { x: [], y: [], z: [] };
+    moved.forEach((name) => ["x", "y", "z"].forEach((axis) => wanted[axis].push(change[name][axis])));
+    const color = change.strings["line.color"];
+    if (color !== undefined) plot.data[names.indexOf("strings")].line.color = color;
+    tell();
+    return Plotly.restyle(plot, wanted, moved.map((name) => names.indexOf(name)));
+  }
+
+  function tell() {
+    if (real !== null) {
+      byId("share").textContent = `${(100 * Number(byId("amplitude").value)).toFixed(1)} % of the size`;
+      return;
+    }
+    if (frames > 1) byId("told").textContent = `t = ${spec.time[now.frame].toFixed(3)} s`;
+    byId("scrub").value = now.frame;
+  }
+
+  // ---- time ----
+
+  const last = spec.time === null ? 1 : spec.time[frames - 1];
+  const first = spec.time === null ? 0 : spec.time[0];
+
+  function frameAt(time) {
+    let [low, high] = [0, frames - 1];
+    while (high - low > 1) {
+      const middle = (low + high) >> 1;
+      if (spec.time[middle] <= time) low = middle;
+      else high = middle;
+    }
+    return spec.time[high] <= time ? high : low;
+  }
+
+  let before = 0;
+  async function step(moment) {
+    if (!now.playing) return;
+    // Drawing puts the eye where the layout has it, and plotly tells the layout when the mouse is let
+    // go: the motion waits while the view is turned.
+    if (now.turning) {
+      before = moment;
+      requestAnimationFrame(step);
+      return;
+    }
+    now.clock += (Number(byId("speed").value) * (moment - before)) / 1000;
+    before = moment;
+    if (real === null) {
+      if (now.clock > last) now.clock = first;
+      now.frame = frameAt(now.clock);
+    }
+    await draw();
+    requestAnimationFrame(step);
+  }
+
+  function play(on) {
+    now.playing = on;
+    byId("play").textContent = on ? "Pause" : "Play";
+    if (!on) return;
+    if (real === null && now.frame === frames - 1) now.clock = first;
+    requestAnimationFrame((moment) => {
+      before = moment;
+      step(moment);
+    });
+  }
+
+  // ---- controls ----
+
+  const show = (...ids) => ids.forEach((id) => (byId(id).hidden = false));
+  if (frames > 1) {
+    now.clock = first;
+    byId("scrub").max = frames - 1;
+    byId("scrub").addEventListener("input", () => {
+      play(false);
+      now.frame = Number(byId("scrub").value);
+      now.clock = spec.time[now.frame];
+      draw();
+    });
+    show("play", "scrubber", "told", "speeds");
+  }
+  if (real !== null) {
+    spec.labels.forEach((label, k) => byId("mode").add(new Option(label, k)));
+    byId("amplitude").max = spec.mostAmplitude;
+    byId("amplitude").value = spec.amplitude;
+    for (const id of ["mode", "amplitude"]) byId(id).addEventListener("input", () => now.playing || draw());
+    show("play", "speeds", "modes", "amplitudes");
+  }
+  plot.addEventListener("pointerdown", () => (now.turning = true));
+  for (const end of ["pointerup", "pointercancel"]) window.addEventListener(end, () => (now.turning = false));
+  byId("play").addEventListener("click", () => play(!now.playing));
+  Object.keys(spec.colors).forEach((name) => byId("color").add(new Option(name, name)));
+  byId("color").addEventListener("input", choose);
+  if (Object.keys(spec.colors).length) show("colors");
+  byId("numbers").addEventListener("input", () => {
+    const mode = byId("numbers").checked ? "markers+text" : "markers";
+    Plotly.restyle(plot, { mode }, [names.indexOf("nodes")]);
+  });
+
+  // Our own legend and colour bar: plotly would draw its own anew in every state.
+  const gradient = `linear-gradient(to right, ${spec.scale.map((step) => step[1]).join(", ")})`;
+  function explain(colored) {
+    const rows = spec.figure.data.filter((trace) => trace.showlegend !== false);
+    byId("keys").replaceChildren(
+      ...rows.map((trace) => {
+        const row = document.createElement("div");
+        const line = trace.line;
+        const sample = document.createElement(line ? "i" : "b");
+        if (line) {
+          sample.style.borderTop = `${Math.max(line.width / 2, 2)}px ${line.dash ? "dotted" : "solid"} ${line.color}`;
+          if (colored && trace.name === "strings") {
+            sample.style.height = sample.style.borderTopWidth;
+            sample.style.borderTop = "none";
+            sample.style.background = gradient;
+          }
+        } else {
+          sample.textContent = trace.marker ? { "diamond-open": "◇", square: "■" }[trace.marker.symbol] ?? "●" : "▰";
+          sample.style.color = trace.marker ? trace.marker.color : "#bdbdbd";
+        }
+        row.append(sample, trace.name);
+        return row;
+      }),
+    );
+  }
+
+  const plain = spec.figure.data[names.indexOf("strings")].line;
+  function choose() {
+    const name = byId("color").value;
+    const most = spec.colors[name] || 1;
+    plot.data[names.indexOf("strings")].line = name
+      ? { width: plain.width, colorscale: spec.scale, cmin: 0, cmax: most }
+      : { ...plain };
+    byId("scale").hidden = !name;
+    byId("scale").firstChild.textContent = name;
+    const ticks = [0, 0.25, 0.5, 0.75, 1].map((part) => {
+      const mark = document.createElement("span");
+      mark.style.bottom = `${100 * part}%`;
+      mark.textContent = part ? (part * most).toPrecision(3) : "0";
+      return mark;
+    });
+    byId("marks").replaceChildren(...ticks);
+    explain(Boolean(name));
+    return draw();
+  }
+
+  const figure = spec.figure;
+  await Plotly.newPlot(plot, figure.data, figure.layout, {
+    responsive: true,
+    displaylogo: false,
+    modeBarButtons: [["toImage", "resetCameraDefault3d"]],
+  });
+  if (Object.keys(spec.colors).length) byId("color").value = Object.keys(spec.colors)[0];
+  await choose();
+  document.body.dataset.ready = "yes";
+})();

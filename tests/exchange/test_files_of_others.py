@@ -1,0 +1,220 @@
+"""CSV tables, VTK, glTF and URDF: each file read back by its own rules."""
+
+import json
+import struct
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tests.exchange.structures import library, others
+
+BALL = tc.library.six_bar_ball()
+
+
+@pytest.fixture(scope="module")
+def run():
+    model = tc.Model(others()["clustered"], strings=tc.LinearStrings(500.0), gravity=9.81)
+    rest = 0.95 * model.structure.string_length()
+    return tc.simulate(model, 0.1, rest_length=rest, output_step=0.02)
+
+
+# ---- CSV ----
+
+
+def tables(folder, structure, law, rest):
+    """Write the two files of a structure in space."""
+    rows = ["name,x,y,z,mass,fixed"]
+    for i, (x, y, z) in enumerate(structure.nodes.T.tolist()):
+        held = "all" if i in structure.fixed else "".join(a for n, a in structure.rollers if n == i)
+        rows.append(f"p{i},{x!r},{y!r},{z!r},{float(structure.point_mass[i])!r},{held}")
+    members = ["kind,start,end,mass,stiffness,rest_length,damping,group"]
+    for (a, b), mass in zip(structure.bars.tolist(), structure.bar_mass.tolist(), strict=True):
+        members.append(f"bar,p{a},{b},{mass!r},,,,")
+    for k, (a, b) in enumerate(structure.strings.tolist()):
+        own = float(law.stiffness[k]), float(rest[k]), float(law.damping[k])
+        members.append(
+            f"cable,{a},p{b},,{own[0]!r},{own[1]!r},{own[2]!r},{structure.string_groups[k]}"
+        )
+    (folder / "nodes.csv").write_text("\n".join(rows) + "\n")
+    (folder / "members.csv").write_text("\n".join(members) + "\n")
+    return folder / "nodes.csv", folder / "members.csv"
+
+
+@pytest.mark.parametrize("name", ["six_bar_ball", "class2_tower", "geiger_dome", "rollers"])
+def test_tables_give_the_structure_they_hold(name, tmp_path):
+    structure = (library() | others())[name]
+    count = len(structure.strings)
+    law = tc.LinearStrings(np.linspace(100, 200, count), np.linspace(0, 1, count))
+    rest = 0.9 * structure.string_length()
+    found = tc.exchange.from_csv(*tables(tmp_path, structure, law, rest))
+    for field in ("nodes", "bars", "strings", "bar_mass", "point_mass", "fixed"):
+        np.testing.assert_array_equal(getattr(found.structure, field), getattr(structure, field))
+    assert sorted(found.structure.rollers) == sorted(structure.rollers)
+    assert found.structure.string_groups == structure.string_groups
+    np.testing.assert_array_equal(found.model.strings.stiffness, law.stiffness)
+    np.testing.assert_array_equal(found.rest_length, rest)
+
+
+CROSS = "x,y\n0,0\n1,0\n1,1\n0,1\n"
+MEMBERS = "kind,start,end\nbar,0,2\nbar,1,3\nstring,0,1\nstring,1,2\nstring,2,3\nstring,3,0\n"
+
+
+@pytest.mark.parametrize(
+    ("nodes", "members", "message"),
+    [
+        ("", MEMBERS, "nodes.csv has the columns none, expected x, y in its first row"),
+        ("x,y\n", MEMBERS, "nodes.csv has no rows"),
+        (CROSS.replace("x,y", "x,q"), MEMBERS, r"a column of .*nodes.csv is 'q'"),
+        (CROSS.replace("1,1", "1,one"), MEMBERS, "nodes.csv, row 4: y is 'one', expected a number"),
+        (CROSS.replace("1,1", "1,nan"), MEMBERS, "row 4: y is 'nan', expected a number"),
+        (CROSS.replace("1,1", "1"), MEMBERS, "row 4: 1 cells, expected 2"),
+        (CROSS, MEMBERS.replace("bar,1,3", "bar,1,7"), "members.csv, row 3: end is '7'"),
+        (CROSS, MEMBERS.replace("bar,1", "rope,1"), "members.csv, row 3: kind is 'rope'"),
+        (
+            CROSS,
+            "kind,start,end,stiffness\nbar,0,2,\nbar,1,3,\nstring,0,1,5\nstring,1,2,",
+            "row 5: stiffness is empty, and other strings have one",
+        ),
+    ],
+)
+def test_what_is_wrong_in_a_table_is_named(nodes, members, message, tmp_path):
+    (tmp_path / "nodes.csv").write_text(nodes)
+    (tmp_path / "members.csv").write_text(members)
+    with pytest.raises(ValueError, match=message):
+        tc.exchange.from_csv(tmp_path / "nodes.csv", tmp_path / "members.csv")
+
+
+# ---- VTK ----
+
+
+def arrays(file):
+    """All arrays of a file by name."""
+    found = {}
+    for data in ElementTree.parse(file).getroot().iter("DataArray"):
+        values = np.array((data.text or "").split(), dtype=float)
+        width = int(data.get("NumberOfComponents", 1))
+        found[data.get("Name")] = values.reshape(-1, width) if width > 1 else values
+    return found
+
+
+def test_a_run_is_a_series_of_shapes_with_tensions(run, tmp_path):
+    first, *frames = tc.exchange.to_vtk(run, tmp_path / "run.pvd")
+    listed = list(ElementTree.parse(first).getroot().iter("DataSet"))
+    assert [tmp_path / each.get("file") for each in listed] == frames
+    np.testing.assert_array_equal([float(each.get("timestep")) for each in listed], run.time)
+    last, structure = arrays(frames[-1]), run.structure
+    np.testing.assert_array_equal(last["nodes"], run.nodes[..., -1].T)
+    np.testing.assert_array_equal(last["velocity"], run.velocities[..., -1].T)
+    lines = last["connectivity"].reshape(-1, 2)
+    np.testing.assert_array_equal(lines, np.vstack([structure.bars, structure.segments]))
+    np.testing.assert_array_equal(last["offsets"], 2 * np.arange(1, len(lines) + 1))
+    length = structure.string_length(run.nodes[..., -1])
+    pull = np.maximum(0, 500 * (length - run.rest_length[:, -1]))
+    np.testing.assert_allclose(last["tension"][6:], pull[structure.segment_string], atol=1e-9)
+    own = np.linalg.norm(structure.string_vectors(run.nodes[..., -1]), axis=0)
+    np.testing.assert_allclose(last["force_density"][6:] * own, last["tension"][6:], atol=1e-9)
+    assert not last["tension"][:6].any()
+
+
+def test_a_planar_shape_lies_in_x_and_y(tmp_path):
+    (file,) = tc.exchange.to_vtk(tc.library.d_bar(), tmp_path / "d_bar.vtp")
+    found = arrays(file)
+    assert found["nodes"].shape == (4, 3)
+    assert not found["nodes"][:, 2].any()
+    np.testing.assert_array_equal(found["kind"], [0, 0, 0, 0, 1, 1])
+
+
+# ---- glTF ----
+
+
+def opened(file):
+    """The document of a binary glTF file, and its arrays."""
+    data = file.read_bytes()
+    magic, version, size = struct.unpack("<4sII", data[:12])
+    assert (magic, version, size) == (b"glTF", 2, len(data))
+    (length,) = struct.unpack("<I", data[12:16])
+    document, binary = json.loads(data[20 : 20 + length]), data[28 + length :]
+    widths = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+    found = []
+    for accessor in document["accessors"]:
+        view = document["bufferViews"][accessor["bufferView"]]
+        kind = np.dtype("<f4" if accessor["componentType"] == 5126 else "<u2")
+        part = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        found.append(np.frombuffer(part, kind).reshape(accessor["count"], widths[accessor["type"]]))
+    return document, found
+
+
+def ends(translation, rotation, scale):
+    """The two ends of a cylinder that a node places, with z up."""
+    x, y, z, w = rotation
+    along = np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
+    both = np.array([translation - 0.5 * scale[1] * along, translation + 0.5 * scale[1] * along])
+    return np.column_stack([both[:, 0], -both[:, 2], both[:, 1]])
+
+
+def test_every_member_of_a_run_is_animated_from_node_to_node(run, tmp_path):
+    document, data = opened(tc.exchange.to_gltf(run, tmp_path / "run.glb"))
+    pairs = np.vstack([run.structure.bars, run.structure.segments])
+    assert len(document["nodes"]) == len(pairs)
+    (animation,) = document["animations"]
+    moves = [{} for _ in pairs]
+    for channel in animation["channels"]:
+        sampler = animation["samplers"][channel["sampler"]]
+        np.testing.assert_allclose(data[sampler["input"]].ravel(), run.time, rtol=1e-6)
+        moves[channel["target"]["node"]][channel["target"]["path"]] = data[sampler["output"]]
+    for node, move, pair in zip(document["nodes"], moves, pairs, strict=True):
+        first = ends(*(np.array(node[key]) for key in ("translation", "rotation", "scale")))
+        np.testing.assert_allclose(first, run.nodes[:, pair, 0].T, atol=1e-6)
+        last = ends(*(move[key][-1] for key in ("translation", "rotation", "scale")))
+        np.testing.assert_allclose(last, run.nodes[:, pair, -1].T, atol=1e-6)
+
+
+def test_cylinders_are_closed_and_face_outward(tmp_path):
+    document, data = opened(tc.exchange.to_gltf(BALL, tmp_path / "ball.glb", bar_radius=0.05))
+    primitive = document["meshes"][0]["primitives"][0]
+    points = data[primitive["attributes"]["POSITION"]].astype(float)
+    corners = points[data[primitive["indices"]].reshape(-1, 3)]
+    volume = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+    assert volume == pytest.approx(6 * np.sin(np.pi / 6), rel=1e-6)  # of a 12-sided prism
+    normals = data[primitive["attributes"]["NORMAL"]]
+    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    own = normals[data[primitive["indices"]].reshape(-1, 3)].sum(axis=1)
+    assert ((facing * own).sum(axis=1) > 0).all()
+    assert document["nodes"][0]["scale"][0] == 0.05
+    assert "animations" not in document
+
+
+# ---- URDF ----
+
+
+def test_bars_are_links_that_float_where_they_are(tmp_path):
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo comes with the extra test")
+    model = mujoco.MjModel.from_xml_path(str(tc.exchange.to_urdf(BALL, tmp_path / "ball.urdf")))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert model.nv == 36
+    np.testing.assert_allclose(model.body_mass[1:], BALL.bar_mass)
+    np.testing.assert_allclose(model.body_inertia[1:, 0], BALL.bar_mass * BALL.bar_length**2 / 12)
+    middles = BALL.nodes[:, BALL.bars].mean(axis=2).T
+    np.testing.assert_allclose(data.xpos[1:], middles, atol=1e-9)
+    along = data.xmat[1:].reshape(-1, 3, 3)[:, :, 2]
+    np.testing.assert_allclose(along, (BALL.bar_vectors(BALL.nodes) / BALL.bar_length).T, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("class2_tower", "bars share nodes"), ("arm", "bars share nodes"), ("rollers", "or rollers")],
+)
+def test_urdf_refuses_joints_it_has_not(name, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        tc.exchange.to_urdf((library() | others())[name], tmp_path / "x.urdf")
+
+
+@pytest.mark.parametrize("write", [tc.exchange.to_vtk, tc.exchange.to_gltf])
+def test_what_is_neither_a_structure_nor_a_run_is_refused(write, tmp_path):
+    with pytest.raises(TypeError, match="source is a int, expected Structure or Trajectory"):
+        write(3, tmp_path / "x.glb")
+    with pytest.raises(ValueError, match="expected a name ending in"):
+        write(BALL, tmp_path / "x.txt")

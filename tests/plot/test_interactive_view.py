@@ -1,0 +1,35 @@
+"""What can be viewed, and what is refused."""
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tests.control.test_control_input import short_path
+
+
+def test_a_run_a_path_and_modes_are_viewed_as_by_their_own_method(free_run, plant):
+    for shown in (free_run, short_path(), tc.modes(plant)):
+        view = tc.plot.view(shown)
+        own = shown.view()
+        assert view.title == own.title
+        np.testing.assert_array_equal(view.nodes, own.nodes)
+
+
+def test_a_structure_takes_a_force_density(prism):
+    view = tc.plot.view(prism, force_density=5.0)
+    np.testing.assert_array_equal(view.force_density, np.full((9, 1), 5.0))
+
+
+def test_what_cannot_be_viewed_is_refused(prism, free_run):
+    with pytest.raises(TypeError, match=r"shown is a int, expected a Structure, a Trajectory"):
+        tc.plot.view(3)
+    with pytest.raises(ValueError, match=r"force_density is given, but shown is Trajectory"):
+        tc.plot.view(free_run, force_density=5.0)
+    with pytest.raises(ValueError, match=r"force_density .* a string can only pull"):
+        tc.plot.view(prism, force_density=-1.0)
+
+
+def test_the_frame_of_a_notebook_holds_the_whole_page(prism):
+    text = tc.plot.view(prism)._repr_html_()
+    assert text.startswith('<iframe srcdoc="&lt;!DOCTYPE html&gt;')
+    assert '"' not in text.split('srcdoc="', 1)[1].split('" width', 1)[0]

@@ -1,0 +1,134 @@
+"""Many closed loops of compiled controllers: the same numbers as one by one."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import tenscontrol as tc
+from tenscontrol.control import Status
+from tenscontrol.dynamics import compiler
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
+
+RUNS = 5  # more than lanes
+
+
+def shaken(plant, size, runs=RUNS):
+    """Nodes of runs that start beside the reference."""
+    rng = np.random.default_rng(2)
+    q = size * rng.standard_normal((runs, plant.degrees_of_freedom))
+    return np.array([plant.to_nodes(each) for each in q])
+
+
+@pytest.fixture(scope="module")
+def tower():
+    """Plant of a tower whose bars share nodes, and the code of its LQR of rest lengths."""
+    structure = tc.library.class2_tower(1)
+    rest = tc.prestress(structure, min_force_density=20.0)
+    model = tc.Model(rest.structure, strings=tc.LinearStrings(1e3, damping=2.0))
+    plant = tc.linearize(model, rest, input="rest_length")
+    return plant, tc.LQR(plant, *tc.energy_weights(plant), sample_time=0.03)
+
+
+@pytest.fixture(scope="module")
+def prism():
+    """Plant of a prism and its MPC of force densities, which remembers its plan."""
+    structure = tc.prism()
+    plant = tc.linearize(tc.Model(structure), tc.prestress(structure, force_density=17.3205))
+    return plant, tc.MPC(plant, horizon=6, sample_time=0.03, max_force_density=40.0)
+
+
+@pytest.fixture(scope="module")
+def codes(tower, prism, tmp_path_factory):
+    """The compiled code of both."""
+    scenes = {"tower": tower, "prism": prism}
+    folder = tmp_path_factory.mktemp("codes")
+    return {
+        name: tc.generate_c(controller, folder / name).compile()
+        for name, (_, controller) in scenes.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "how"),
+    [
+        ("tower", {"step": 5e-3, "output_step": 0.01}),
+        ("tower", {"method": "dop853", "tolerance": 1e-8, "output_step": 0.01}),
+        ("prism", {"step": 5e-3, "output_step": 0.02}),
+    ],
+)
+def test_numbers_are_those_of_single_runs(name, how, codes, request):
+    plant, code = request.getfixturevalue(name)[0], codes[name]
+    starts = shaken(plant, 0.01)
+    # The last sample is a part of one.
+    batch = tc.simulate_many(plant.model, 0.2, starts, controller=code, threads=2, **how)
+    assert batch.completed.all()
+    for i in (0, RUNS - 1):
+        run = tc.simulate(plant.model, 0.2, starts[i], controller=code, **how)
+        assert np.array_equal(batch.time, run.time)
+        assert np.array_equal(batch.nodes[i], run.nodes)
+        assert np.array_equal(batch.velocities[i], run.velocities)
+        assert np.array_equal(batch.command[i], run.control.command)
+        failed = sum(status is not Status.OK for status in run.control.status)
+        assert batch.commands_not_ok[i] == failed
+    moved = np.abs(batch.command - plant.equilibrium_input[:, None]).max(axis=(1, 2))
+    assert (moved > 1e-6).all()
+
+
+def test_parameters_vary_under_a_controller_that_does_not_know(tower, codes):
+    plant, _ = tower
+    starts, factor = shaken(plant, 0.005, 2)[[0, 0]], np.array([1.0, 1.3])
+    batch = tc.simulate_many(
+        plant.model, 0.06, starts, controller=codes["tower"], vary={"stiffness": 1e3 * factor},
+        step=5e-3,
+    )  # fmt: skip
+    strings = tc.LinearStrings(1.3e3, damping=2.0)
+    softer = tc.Model(plant.model.structure, strings=strings)
+    run = tc.simulate(softer, 0.06, starts[1], controller=codes["tower"], step=5e-3)
+    assert np.array_equal(batch.nodes[1, :, :, -1], run.nodes[:, :, -1])
+    assert not np.array_equal(batch.nodes[0, :, :, -1], run.nodes[:, :, -1])
+
+
+def test_a_run_that_cannot_begin_leaves_the_others_alone(prism, codes):
+    plant, _ = prism
+    starts = shaken(plant, 0.01, 3)
+    good = tc.simulate_many(plant.model, 0.06, starts, controller=codes["prism"], step=5e-3)
+    starts[1, :, 0] += 1.0  # a bar of another length
+    batch = tc.simulate_many(plant.model, 0.06, starts, controller=codes["prism"], step=5e-3)
+    assert list(batch.messages) == [1]
+    assert np.isnan(batch.command[1]).all()
+    assert np.array_equal(batch.nodes[[0, 2]], good.nodes[[0, 2]])
+    assert np.array_equal(batch.command[[0, 2]], good.command[[0, 2]])
+
+
+def test_what_does_not_fit_is_refused(prism, tower, codes):
+    plant, mpc = prism
+    starts = shaken(plant, 0.01)
+    given = {"duration": 0.1, "nodes": starts, "step": 0.01}
+    with pytest.raises(TypeError, match=r"controller is a MPC, expected the compiled code"):
+        tc.simulate_many(plant.model, controller=mpc, **given)
+    with pytest.raises(ValueError, match="the controller was designed on"):
+        tc.simulate_many(plant.model, controller=codes["tower"], **given)
+    with pytest.raises(ValueError, match="found force_density and controller"):
+        tc.simulate_many(plant.model, controller=codes["prism"], force_density=9.0, **given)
+    elastic = tc.Model(plant.model.structure, strings=tc.LinearStrings(100.0))
+    with pytest.raises(ValueError, match="commands force density, and the model's strings are Lin"):
+        tc.simulate_many(elastic, controller=codes["prism"], **given)
+    model = tc.Model(plant.model.structure, external_force=True)
+    gust = tc.Profile([0.0, 0.05, 0.1], np.zeros((3, 6, 3)))
+    with pytest.raises(ValueError, match="external_force changes in time"):
+        tc.simulate_many(model, controller=codes["prism"], external_force=gust, **given)
+
+
+def test_another_has_a_memory_of_its_own(prism, codes):
+    plant, _ = prism
+    start, still = shaken(plant, 0.05, 1)[0], np.zeros((3, 6))
+    one, other = codes["prism"].another(), codes["prism"].another()
+    first = one.command(0.0, start, still).value
+    moved = one.command(0.03, plant.nodes, still).value
+    assert np.array_equal(other.command(0.0, start, still).value, first)
+    # A pickle holds the code, not what it remembers.
+    fresh = pickle.loads(pickle.dumps(one))
+    assert np.array_equal(fresh.command(0.0, start, still).value, first)
+    assert np.array_equal(fresh.command(0.03, plant.nodes, still).value, moved)
