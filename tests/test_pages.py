@@ -127,7 +127,7 @@ def test_limits_are_refused_in_these_words():
     names = ran("limits")
     assert "did you mean 0.02 (20 ms)?" in names["unit"]
     assert "cannot be cut into segments" in names["clustered"]
-    assert "only to move as one body" in names["place"]
+    assert "without a change of shape" in names["place"]
 
 
 def test_coming_from():
