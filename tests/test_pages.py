@@ -1,7 +1,6 @@
 """The pages of the documentation: their code runs as written, and the search finds them."""
 
 import re
-import textwrap
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,22 +13,21 @@ import pytest
 import tenscontrol as tc
 from tenscontrol.control import ControlWarning
 from tenscontrol.dynamics.machine_code import compiler
+from tests.code_blocks import blocks
 from tests.docs_search import found
 
 DOCS = Path(__file__).parent.parent / "docs"
-BLOCK = re.compile(r"^\.\. code-block:: python\n((?:   :.*\n)*)\n((?:   .*\n|\n)+)", re.MULTILINE)
 
 
 def ran(page, **instead):
     """Run the code of a page, one block after the other; return all names.
 
-    A block of the class "fragment" is another program's, or not whole. ``instead`` has texts that
-    are put into the code in place of others, which would take long.
+    ``instead`` has texts that are put into the code in place of others, which would take long.
     """
-    text = (DOCS / f"{page}.rst").read_text(encoding="utf-8")
-    blocks = [code for options, code in BLOCK.findall(text) if "fragment" not in options]
-    assert blocks
-    code = textwrap.dedent("".join(blocks))
+    code = "\n".join(
+        each.code for each in blocks(page) if each.language == "python" and not each.fragment
+    )
+    assert code
     for old, new in instead.items():
         assert old in code
         code = code.replace(old, new)
@@ -113,6 +111,14 @@ def test_own_controllers():
     assert run.control.status_count == {"ok": 25}
 
 
+def test_files(tmp_path, monkeypatch):
+    pytest.importorskip("xarray", reason="the extra tenscontrol[xarray] is not installed")
+    monkeypatch.chdir(tmp_path)
+    names = ran("files")
+    assert names["more"].time[0] == names["run"].time[-1] == 0.2
+    assert {path.name for path in tmp_path.iterdir()} == {"ball.toml", "run.npz", "run.csv"}
+
+
 def test_structures():
     assert ran("structures")["arm"].structure_class == 3
 
@@ -136,7 +142,7 @@ def test_limits_are_refused_in_these_words():
     names = ran("limits")
     assert "did you mean 0.02 (20 ms)?" in names["unit"]
     assert "cannot be cut into segments" in names["clustered"]
-    assert "only to move as one body" in names["place"]
+    assert "without a change of shape" in names["place"]
 
 
 def test_coming_from():
